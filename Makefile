@@ -1,0 +1,151 @@
+# One verb per target; CI calls `make test` and nothing else (.ci/run).
+# Needs Rust, Python >= 3.11, make and a C linker. uv is used where it is installed, pip otherwise.
+
+SHELL := /bin/sh
+.SHELLFLAGS := -eu -c
+.DEFAULT_GOAL := help
+# Cargo and pytest use every core by themselves; two of them at once would only slow each other down.
+.NOTPARALLEL:
+.DELETE_ON_ERROR:
+
+# An emptied environment has no HOME and no PATH to cargo.
+ifeq ($(strip $(HOME)),)
+export HOME := $(shell getent passwd "$$(id -u)" | cut -d: -f6)
+endif
+export PATH := $(or $(CARGO_HOME),$(HOME)/.cargo)/bin:$(or $(PATH),/usr/local/bin:/usr/bin:/bin)
+
+VENV := .venv
+BIN := $(VENV)/bin
+# Absolute, so that cargo's build scripts find it from any folder.
+export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
+# Pictures are drawn without a display; one thread per process, because the processes share the cores.
+export MUJOCO_GL ?= egl
+export MPLBACKEND ?= Agg
+export OMP_NUM_THREADS ?= 1
+export PIP_ROOT_USER_ACTION := ignore
+
+UV := $(shell command -v uv 2>/dev/null)
+PIP_INSTALL = $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,$(BIN)/python -m pip install --quiet)
+# CI must not change the lock file, and keeps no incremental state.
+ifneq ($(strip $(CI)),)
+LOCKED := --locked
+NEXTEST_PROFILE := --profile ci
+export CARGO_INCREMENTAL := 0
+endif
+
+WHEELS := build/wheels
+RUST := $(shell find rust -name '*.rs') Cargo.toml $(wildcard Cargo.lock) $(wildcard rust/*/Cargo.toml)
+PY_SOURCES := $(shell find python -type f ! -name '*.so' ! -path '*/__pycache__/*')
+# An editable install keeps the compiled module beside the sources: `git clean` can take it away.
+MISSING_CORE := $(if $(wildcard python/pliant/_core*.so),,FORCE)
+
+START := $(shell date +%s)
+say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
+skip = printf '\n!! SKIPPED: %s\n' '$(1)'
+
+.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs bench wheel fmt clean FORCE
+
+help: ## Say what there is
+	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-10s %s\n", $$1, $$2 }'
+
+# --- environment ---------------------------------------------------------------------------------------------------
+
+$(BIN)/python:
+	$(call say,virtual environment)
+	@command -v cargo >/dev/null || { echo "error: cargo not found; install Rust with rustup"; exit 1; }
+	@./tools/make_venv.sh $(VENV)
+	@$(PIP_INSTALL) 'maturin>=1.9.4,<2'
+
+# Installs what the extras name and builds the module, editable: a change of a Python file needs nothing here.
+define install
+	$(call say,install pliant[$(1)] and build its module in release mode)
+	@$(PIP_INSTALL) --no-build-isolation --editable '.[$(1)]'
+	@touch $@
+endef
+
+$(VENV)/.with-test: $(BIN)/python pyproject.toml $(RUST) $(MISSING_CORE)
+	$(call install,test$(comma)lint$(comma)docs)
+
+$(VENV)/.with-demo: $(BIN)/python pyproject.toml $(RUST) $(MISSING_CORE)
+	$(call install,demo)
+
+comma := ,
+
+setup: $(VENV)/.with-test ## Make .venv with everything for development
+setup-demo: $(VENV)/.with-demo
+
+demo: setup-demo ## Run the paper's experiments on the simulator and leave a report
+	@$(BIN)/pliant demo $(ARGS)
+
+# --- tests ---------------------------------------------------------------------------------------------------------
+
+# pytest comes last: its closing line is the one that counts.
+test: setup lint test-rust deny docs wheel test-py ## Everything that CI runs
+
+test-rust: setup ## Tests of the Rust core, its doc tests and its pages
+	$(call say,tests of the Rust core$(comma) benches once each)
+	@if command -v cargo-nextest >/dev/null; then \
+	  cargo nextest run $(LOCKED) $(NEXTEST_PROFILE) --all-targets; \
+	else \
+	  $(call skip,cargo-nextest is not installed: using cargo test); \
+	  cargo test $(LOCKED) --quiet --no-fail-fast --all-targets; \
+	fi
+	$(call say,doc tests)
+	@cargo test $(LOCKED) --quiet --doc
+	$(call say,pages of the Rust core)
+	@RUSTDOCFLAGS='-D warnings' cargo doc $(LOCKED) --quiet --no-deps
+
+test-py: setup ## Tests from Python; ARGS='-k door' picks
+	$(call say,pytest)
+	@$(BIN)/python -m pytest $(ARGS)
+
+lint: lint-rust lint-py stubs ## Formats, clippy, ruff, mypy, stubs against the binary
+
+lint-rust: setup
+	$(call say,rustfmt$(comma) clippy)
+	@cargo fmt --all --check
+	@cargo clippy $(LOCKED) --quiet --workspace --all-targets -- -D warnings
+
+lint-py: setup
+	$(call say,ruff$(comma) mypy)
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+stubs: setup ## Compare python/pliant/_core.pyi with the compiled module
+	$(call say,stubtest)
+	@$(BIN)/python -m mypy.stubtest --mypy-config-file pyproject.toml pliant._core
+
+# Licences, sources and duplicates; advisories need a network that CI does not have.
+deny:
+	$(call say,cargo-deny)
+	@if command -v cargo-deny >/dev/null; then cargo deny --workspace check bans licenses sources; \
+	else $(call skip,cargo-deny is not installed (cargo install --locked cargo-deny)); fi
+
+docs: setup ## Build docs/_build/html; a warning is an error
+	$(call say,pages)
+	@$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
+
+# --- the rest ------------------------------------------------------------------------------------------------------
+
+bench: setup ## Criterion benches per stage; ARGS='-- step' picks
+	@cargo bench $(LOCKED) $(ARGS)
+
+wheel: setup $(WHEELS)/.built ## Build wheel and source distribution into build/wheels
+
+$(WHEELS)/.built: $(RUST) $(PY_SOURCES) pyproject.toml README.md LICENSE
+	$(call say,wheel)
+	@rm -rf $(WHEELS)
+	@$(BIN)/maturin build --release $(LOCKED) --quiet --interpreter $(BIN)/python --out $(WHEELS)
+	@$(BIN)/maturin sdist --quiet --out $(WHEELS)
+	@touch $@
+
+fmt: setup ## Format all sources
+	@cargo fmt --all
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+clean: ## Remove everything that make made
+	rm -rf $(VENV) build docs/_build target .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find python tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	rm -f python/pliant/_core*.so

@@ -1,0 +1,226 @@
+"""Doors of one leaf on one hinge, gripped at the handle: house door, fridge, oven.
+
+The handle is where the tool is at reset. A `rigid` grip is a weld, a `turning` one lets the handle turn in the grip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from pliant import ConfigError
+from pliant.sim._mujoco import mujoco
+from pliant.sim.spec import set_damping
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pliant.sim.plant import Plant
+    from pliant.sim.spec import Build
+
+Grip = Literal["rigid", "turning"]
+
+#: Time constant of the grip [s].
+GRIP_TIME = 0.01
+#: Share of the arm's and leaf's inertia with which the grip insists, near and far from its place: stiffer than MuJoCo's.
+GRIP_IMPEDANCE = (0.95, 0.99)
+#: Path of the handle over which a seal begins to pull [m]: on a closed leaf it does not press on the stop.
+SEAL_ONSET = 5e-5
+#: A start of the arm from rest shakes the handle while the servos take up its weight; records begin after this [s].
+SETTLE = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """A motion of the hinge relative to the robot: what a moving base looks like from the shoulder.
+
+    Attributes:
+        direction: Unit vector (3,) in base axes.
+        speed: [m/s].
+        start: When it begins [s].
+        distance: How far it goes [m].
+    """
+
+    direction: Sequence[float] = (1.0, 0.0, 0.0)
+    speed: float = 0.05
+    start: float = 1.0
+    distance: float = 0.28
+
+    def at(self, t: float) -> float:
+        """How far the hinge has come at time t [s], in m."""
+        return min(max(self.speed * (t - self.start), 0.0), self.distance)
+
+
+@dataclass(kw_only=True)
+class Door:
+    """A leaf on a hinge, held by the arm at its handle.
+
+    Attributes:
+        hinge: From the handle to the hinge, base axes (3,) [m].
+        axis: Hinge axis (3,), about which a positive angle opens.
+        mass: Of the leaf [kg], centre half way between hinge and handle.
+        friction: Dry friction of the hinge [N·m].
+        damping: Viscous damping of the hinge [N·m·s/rad].
+        stop: Largest opening [rad].
+        seal: Force of a magnetic seal at the handle [N], falling linearly to 0 over `seal_way`.
+        seal_way: Path of the handle over which the seal lets go [m].
+        balanced: Whether a spring carries the leaf's weight.
+        grip: `rigid` or `turning`.
+        drive: Motion of the hinge, None for a wall that stands still.
+        name: Unique in a scene.
+    """
+
+    hinge: Sequence[float] = (0.0, -0.30, 0.0)
+    axis: Sequence[float] = (0.0, 0.0, 1.0)
+    mass: float = 3.0
+    friction: float = 0.5
+    damping: float = 0.3
+    stop: float = float(np.deg2rad(120.0))
+    seal: float = 0.0
+    seal_way: float = 0.004
+    balanced: bool = False
+    grip: Grip = "rigid"
+    drive: Drive | None = None
+    name: str = "door"
+    angle: float = field(default=0.0, init=False)
+    widest: float = field(default=0.0, init=False)
+    force: float = field(default=0.0, init=False)
+    torque: float = field(default=0.0, init=False)
+    peak_force: float = field(default=0.0, init=False)
+    peak_torque: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        """Check the numbers once."""
+        arm, axis = np.asarray(self.hinge, dtype=np.float64), np.asarray(self.axis, dtype=np.float64)
+        if arm.shape != (3,) or axis.shape != (3,) or abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9:
+            raise ConfigError("Door.hinge has three entries and Door.axis is a unit vector (3,)")
+        #: Distance of the handle from the hinge axis [m].
+        self.radius = float(np.linalg.norm(arm - (arm @ axis) * axis))
+        if self.radius < 1e-3:
+            raise ConfigError(f"Door.hinge {self.hinge!r} puts the handle on the hinge axis")
+        if self.grip not in {"rigid", "turning"}:
+            raise ConfigError(f"Door.grip must be 'rigid' or 'turning', got {self.grip!r}")
+        low = min(self.mass, self.friction, self.damping, self.seal, self.stop)
+        if not low >= 0.0 or self.mass == 0.0 or not self.seal_way > 0.0:
+            raise ConfigError(f"Door needs mass and seal_way > 0, friction, damping, seal and stop >= 0, got {self!r}")
+
+    def with_(self, **changes: object) -> Door:
+        """Return another door with these attributes changed."""
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+    def add(self, build: Build) -> None:
+        """Add carriage, leaf, handle and grip."""
+        spec, arm = build.spec, np.asarray(self.hinge, dtype=np.float64)
+        frame = spec.worldbody.add_body(name=f"{self.name}:frame", mocap=True)
+        leaf = frame.add_body(name=f"{self.name}:leaf", gravcomp=1.0 if self.balanced else 0.0)
+        hinge = leaf.add_joint(name=f"{self.name}:hinge", axis=self.axis, type=mujoco.mjtJoint.mjJNT_HINGE)
+        hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        hinge.range = (0.0, self.stop)
+        hinge.frictionloss = self.friction
+        set_damping(hinge, self.damping)
+        self._weigh(leaf, arm)
+        leaf.add_site(name=f"{self.name}:handle", pos=-arm, size=(0.01, 0.0, 0.0))
+        grip = spec.add_equality(name=f"{self.name}:grip", name1=build.model.tip, name2=f"{self.name}:handle")
+        grip.type = mujoco.mjtEq.mjEQ_WELD if self.grip == "rigid" else mujoco.mjtEq.mjEQ_CONNECT
+        grip.objtype = mujoco.mjtObj.mjOBJ_SITE
+        if self.grip == "rigid":
+            grip.data[10] = 1.0
+        grip.solref = (GRIP_TIME, 1.0)
+        grip.solimp[:2] = GRIP_IMPEDANCE
+
+    def _weigh(self, leaf: mujoco.MjsBody, arm: NDArray[np.float64]) -> None:
+        """Give the leaf the mass of a plate between hinge and handle, and a drawing."""
+        axis = np.asarray(self.axis, dtype=np.float64)
+        across = -(arm - (arm @ axis) * axis)
+        normal = np.cross(across, axis)
+        size = np.array((self.radius, 0.60, 0.03))
+        turn = np.stack([across / self.radius, axis, normal / self.radius], axis=1)
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, turn.reshape(9))
+        leaf.explicitinertial = True
+        leaf.mass = self.mass
+        leaf.ipos = across / 2
+        leaf.iquat = quat
+        leaf.inertia = self.mass / 12 * ((size @ size) - size**2)
+        geom = leaf.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=size / 2, contype=0, conaffinity=0)
+        geom.pos, geom.quat, geom.rgba = across / 2, quat, (0.55, 0.42, 0.30, 0.55)
+
+    def place(self, plant: Plant) -> None:
+        """Hang the leaf so that its handle is in the tool, and forget the records."""
+        model, data = plant.mj_model, plant.mj_data
+        tool = plant.tool
+        self._frame = int(model.body(f"{self.name}:frame").mocapid[0])
+        self._home = tool[:3, 3] + np.asarray(self.hinge)
+        data.mocap_pos[self._frame] = self._home
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, np.ascontiguousarray(tool[:3, :3]).reshape(9))
+        handle = model.site(f"{self.name}:handle")
+        handle.quat[:] = quat
+        # Compiled with the leaf's own axes, the site would go on copying them.
+        model.site_sameframe[handle.id] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
+        joint = model.joint(f"{self.name}:hinge")
+        self._qpos, self._dof = int(joint.qposadr[0]), int(joint.dofadr[0])
+        self._grip = model.equality(f"{self.name}:grip").id
+        self._rows = 6 if self.grip == "rigid" else 3
+        self._row: int | None = None
+        self.angle = self.widest = self.force = self.torque = self.peak_force = self.peak_torque = 0.0
+        data.eq_active[self._grip] = 1
+
+    def release(self, plant: Plant) -> None:
+        """Open the grip; the leaf stays where it is."""
+        plant.mj_data.eq_active[self._grip] = 0
+        self._row = None
+
+    def before(self, plant: Plant) -> None:
+        """Move the hinge as prescribed."""
+        if self.drive is not None:
+            gone = self.drive.at(plant.mj_data.time)
+            plant.mj_data.mocap_pos[self._frame] = self._home + gone * np.asarray(self.drive.direction)
+
+    def during(self, plant: Plant) -> None:
+        """Let the seal pull."""
+        if self.seal > 0.0:
+            way = self.radius * float(plant.mj_data.qpos[self._qpos])
+            pull = self.seal * min(max(1.0 - way / self.seal_way, 0.0), max(way / SEAL_ONSET, 0.0), 1.0)
+            plant.mj_data.qfrc_applied[self._dof] -= pull * self.radius
+
+    def after(self, plant: Plant) -> None:
+        """Record angle [rad], force [N] and torque [N·m] at the handle."""
+        data = plant.mj_data
+        self.angle = float(data.qpos[self._qpos])
+        self.widest = max(self.widest, self.angle)
+        if not data.eq_active[self._grip]:
+            self.force = self.torque = 0.0
+            return
+        if self._row is None:
+            mine = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (data.efc_id == self._grip)
+            self._row = int(np.flatnonzero(mine)[0])
+        rows = data.efc_force[self._row : self._row + self._rows]
+        self.force = float(np.sqrt(rows[:3] @ rows[:3]))
+        counts = data.time > SETTLE
+        if counts:
+            self.peak_force = max(self.peak_force, self.force)
+        if self._rows > 3:
+            # The rotational rows of a weld are written for half the rotation vector: they carry twice the torque.
+            self.torque = 0.5 * float(np.sqrt(rows[3:] @ rows[3:]))
+            if counts:
+                self.peak_torque = max(self.peak_torque, self.torque)
+
+
+def door(**changes: object) -> Door:
+    """A house door: vertical hinge 0.30 m to the right of the handle, 3 kg."""
+    return Door().with_(**changes)
+
+
+def fridge(**changes: object) -> Door:
+    """A fridge: as the house door, 6 kg, little friction, a magnetic seal of 20 N at the handle."""
+    return Door(mass=6.0, friction=0.3, seal=20.0, name="fridge").with_(**changes)
+
+
+def oven(**changes: object) -> Door:
+    """An oven: horizontal hinge 0.30 m below the handle, the leaf carried by a spring."""
+    return Door(hinge=(0.0, 0.0, -0.30), axis=(0.0, -1.0, 0.0), balanced=True, name="oven").with_(**changes)

@@ -1,0 +1,142 @@
+"""Servo numbers of a simulated arm, per joint and in SI units.
+
+The table of a servo (`pliant.Servos`) is what the controller *believes*; the plant may be given the same table, another
+one, or scaled values, so that wrong beliefs can be tried.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from pliant import ConfigError, ShapeError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+Kind = Literal["current", "duty"]
+
+#: Error at which a servo of unknown gain is assumed to reach its full effort [rad].
+FULL_EFFORT_ERROR = 0.07
+#: Friction and damping of a servo without data, as shares of its effort [1] and [s/rad].
+FRICTION_SHARE, DAMPING_SHARE = 0.02, 0.10
+#: Rotor inertia of a servo without data, as a multiple of its gain [s^2]: keeps the servo's own mode at 100 rad/s.
+ARMATURE_SHARE = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gains:
+    """What one servo per joint does, resolved to arrays of shape (n,).
+
+    Attributes:
+        kp: Stiffness of the position loop [N·m/rad].
+        kv: Damping of the position loop, inside the limit [N·m·s/rad].
+        torque: Largest usable torque, the ceiling of every limit [N·m].
+        friction: Dry friction of the gears, outside the limit [N·m].
+        damping: Viscous resistance outside the limit: gears and, for `duty`, back-EMF [N·m·s/rad].
+        armature: Rotor inertia seen at the joint [kg·m²].
+    """
+
+    kp: NDArray[np.float64]
+    kv: NDArray[np.float64]
+    torque: NDArray[np.float64]
+    friction: NDArray[np.float64]
+    damping: NDArray[np.float64]
+    armature: NDArray[np.float64]
+
+    def scaled(self, kp: ArrayLike, friction: ArrayLike, damping: ArrayLike) -> Gains:
+        """Return servos that differ from the table by these factors, scalars or (n,)."""
+        n = self.kp.size
+        return replace(
+            self,
+            kp=self.kp * per_joint(kp, n, "kp_scale", low=0.0),
+            friction=self.friction * per_joint(friction, n, "friction_scale", low=0.0),
+            damping=self.damping * per_joint(damping, n, "damping_scale", low=0.0),
+        )
+
+
+def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> NDArray[np.float64]:
+    """Broadcast a scalar or an array of shape (n,) to (n,) and check it.
+
+    Args:
+        value: The number or numbers.
+        n: Count of joints.
+        name: What the error calls it.
+        low: Smallest value allowed.
+
+    Returns:
+        A fresh float64 array of shape (n,).
+
+    Raises:
+        ShapeError: The array has neither one nor n entries.
+        ConfigError: An entry is not finite or below `low`.
+    """
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape not in {(), (1,), (n,)}:
+        raise ShapeError(f"{name} has shape {array.shape}; give a number or an array of shape ({n},)")
+    array = np.broadcast_to(array, n).copy()
+    if not np.all(np.isfinite(array)):
+        raise ConfigError(f"{name} is not finite: {array.tolist()}")
+    if np.any(array < low):
+        raise ConfigError(f"{name} must be at least {low:g}, got {array.min():g}")
+    return array
+
+
+def resolve(model: Any, servos: Any | None, kind: Kind | None) -> Gains:  # noqa: ANN401 (see spec.Robot)
+    """Turn a servo table, or the lack of one, into the numbers of the simulated servos.
+
+    A servo that limits its duty (PWM) gives ``clip(u, ±L) - (torque / w0) dq``: the back-EMF acts outside the limit, so
+    a moving joint has less and a joint pushed backwards has more than L. Current-limited servos have no such term.
+
+    Args:
+        model: The robot; `model.servos` and `model.effort_limit` are used when `servos` is missing.
+        servos: A `pliant.Servos`, or None for the model's own, or for guesses from the efforts.
+        kind: Overrides the limit kind of the table.
+
+    Returns:
+        Arrays of shape (n,).
+
+    Raises:
+        ConfigError: Nothing is known about a joint, or the kind is `duty` without a no-load speed.
+    """
+    n = model.n
+    table = servos if servos is not None else getattr(model, "servos", None)
+    if table is None:
+        return _guess(model)
+    kind = kind or table.kind
+    if kind not in {"current", "duty"}:
+        raise ConfigError(f"servo kind {kind!r} is unknown; choose 'current' or 'duty'")
+    torque = per_joint(table.torque, n, "servos.torque", low=0.0)
+    damping = per_joint(table.damping, n, "servos.damping", low=0.0)
+    if kind == "duty":
+        if table.no_load_speed is None:
+            raise ConfigError("servos of kind 'duty' need no_load_speed [rad/s]: their back-EMF is torque / no_load_speed")
+        damping = damping + torque / per_joint(table.no_load_speed, n, "servos.no_load_speed", low=1e-6)
+    return Gains(
+        kp=per_joint(table.kp, n, "servos.kp", low=0.0),
+        kv=per_joint(table.kv, n, "servos.kv", low=0.0),
+        torque=torque,
+        friction=per_joint(table.friction, n, "servos.friction", low=0.0),
+        damping=damping,
+        armature=per_joint(table.armature, n, "servos.armature", low=0.0),
+    )
+
+
+def _guess(model: Any) -> Gains:  # noqa: ANN401 (see spec.Robot)
+    """Servos guessed from the efforts of the URDF, for a first look at a robot nobody has identified."""
+    effort = [np.nan if e is None else float(e) for e in model.effort_limit]
+    unknown = [name for name, e in zip(model.joint_names, effort, strict=True) if not e > 0.0]
+    if unknown:
+        raise ConfigError(f"no servo data and no effort limit for {', '.join(unknown)}; pass servos=pliant.Servos(...)")
+    torque = np.array(effort)
+    kp = torque / FULL_EFFORT_ERROR
+    return Gains(
+        kp=kp,
+        kv=np.zeros_like(kp),
+        torque=torque,
+        friction=FRICTION_SHARE * torque,
+        damping=DAMPING_SHARE * torque,
+        armature=ARMATURE_SHARE * kp,
+    )

@@ -1,0 +1,249 @@
+"""Hands that push, drag and turn the arm with a bounded force.
+
+A hand is a law: from the truth and the time to a force [N] and a torque [N·m] in base axes at one point of the arm. It
+has no state of its own, so that it can be reused, compared and printed; the plant records what it did.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from pliant import ConfigError
+from pliant.sim.truth import TOOL, WRIST
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pliant.sim.truth import Truth
+
+    Vector = NDArray[np.float64]
+    Wrench = tuple[Vector, Vector, Vector]
+
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_TURNS = {"roll": _AXES["x"], "pitch": _AXES["y"], "yaw": _AXES["z"]}
+_ZERO = np.zeros(3)
+
+
+class Hand(Protocol):
+    """Anything that pulls at the arm."""
+
+    @property
+    def at(self) -> str:
+        """Name of the frame it holds: a link, `tool` or `wrist`."""
+
+    def force(self, truth: Truth, t: float) -> Wrench:
+        """Return force (3,) [N], torque (3,) [N·m] and the point (3,) [m] of attack, in base axes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """When a hand acts: from 0 to 1 within [start, start + rise], 1 until end, nothing outside [start, end].
+
+    Attributes:
+        start: Beginning [s].
+        rise: Length of the ramp [s].
+        end: Letting go [s].
+    """
+
+    start: float = 2.0
+    rise: float = 1.5
+    end: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Check the order."""
+        if not (self.rise >= 0.0 and self.end >= self.start):
+            raise ConfigError(f"a hand needs rise >= 0 and end >= start, got {self!r}")
+
+    def active(self, t: float) -> bool:
+        """Whether the hand holds on at time t [s]."""
+        return self.start <= t < self.end
+
+    def share(self, t: float) -> float:
+        """How far the ramp has come at time t [s], 0 to 1."""
+        if self.rise <= 0.0:
+            return 1.0 if t >= self.start else 0.0
+        return min(max((t - self.start) / self.rise, 0.0), 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drag:
+    """A hand that drags a point along one axis to a place, with a bounded force, free in all other directions.
+
+    ``f = clip(stiffness (distance share(t) - shift) - damping v, ±limit)`` along the axis.
+
+    Attributes:
+        axis: `x`, `y`, `z` or a direction (3,) in base axes.
+        distance: How far it means to go [m].
+        stiffness, damping, limit: Of the grip [N/m], [N·s/m], [N].
+        at: Frame it holds.
+        course: When.
+    """
+
+    axis: str | Sequence[float] = "y"
+    distance: float = 0.25
+    stiffness: float = 800.0
+    damping: float = 30.0
+    limit: float = 15.0
+    at: str = WRIST
+    course: Course = field(default_factory=Course)
+
+    def __post_init__(self) -> None:
+        """Check the numbers once."""
+        _direction(self.axis, _AXES)
+        _not_negative(stiffness=self.stiffness, damping=self.damping, limit=self.limit)
+
+    def force(self, truth: Truth, t: float) -> Wrench:
+        """The force at the frame's origin."""
+        frame = truth.frame(self.at)
+        if not self.course.active(t):
+            return _ZERO, _ZERO, frame.position
+        axis = _direction(self.axis, _AXES)
+        wish = self.stiffness * (self.distance * self.course.share(t) - float(axis @ frame.shift()))
+        size = wish - self.damping * float(axis @ frame.twist()[:3])
+        return min(max(size, -self.limit), self.limit) * axis, _ZERO, frame.position
+
+
+@dataclass(frozen=True, kw_only=True)
+class Twist:
+    """A hand that turns a frame about one base axis with a bounded torque.
+
+    ``t = clip(stiffness (angle share(t) - turn) - damping w, ±limit)``; the turn is the component of the rotation vector
+    from the start.
+
+    Attributes:
+        axis: `roll`, `pitch`, `yaw` or a direction (3,).
+        angle: How far it means to turn [rad].
+        stiffness, damping, limit: Of the grip [N·m/rad], [N·m·s/rad], [N·m].
+        at: Frame it holds.
+        course: When.
+    """
+
+    axis: str | Sequence[float] = "yaw"
+    angle: float = 0.8
+    stiffness: float = 30.0
+    damping: float = 0.5
+    limit: float = 3.0
+    at: str = TOOL
+    course: Course = field(default_factory=Course)
+
+    def __post_init__(self) -> None:
+        """Check the numbers once."""
+        _direction(self.axis, _TURNS)
+        _not_negative(stiffness=self.stiffness, damping=self.damping, limit=self.limit)
+
+    def force(self, truth: Truth, t: float) -> Wrench:
+        """The torque on the frame's body."""
+        frame = truth.frame(self.at)
+        if not self.course.active(t):
+            return _ZERO, _ZERO, frame.position
+        axis = _direction(self.axis, _TURNS)
+        wish = self.stiffness * (self.angle * self.course.share(t) - float(axis @ frame.turn()))
+        size = wish - self.damping * float(axis @ frame.twist()[3:])
+        return _ZERO, min(max(size, -self.limit), self.limit) * axis, frame.position
+
+
+@dataclass(frozen=True, kw_only=True)
+class Push:
+    """A push that does not care where the arm is: a ramp, then constant, then gone.
+
+    Attributes:
+        force_vector: Force (3,) in base axes [N].
+        torque_vector: Torque (3,) in base axes [N·m].
+        at: Frame it acts on.
+        course: When; a tap is a short one.
+    """
+
+    force_vector: Sequence[float] = (0.0, 0.0, 0.0)
+    torque_vector: Sequence[float] = (0.0, 0.0, 0.0)
+    at: str = TOOL
+    course: Course = field(default_factory=lambda: Course(start=2.0, rise=1.0, end=5.0))
+
+    def __post_init__(self) -> None:
+        """Check the shapes once."""
+        if np.shape(self.force_vector) != (3,) or np.shape(self.torque_vector) != (3,):
+            raise ConfigError("Push.force_vector and torque_vector have three entries each")
+
+    def force(self, truth: Truth, t: float) -> Wrench:
+        """The push at the frame's origin."""
+        frame = truth.frame(self.at)
+        if not self.course.active(t):
+            return _ZERO, _ZERO, frame.position
+        share = self.course.share(t)
+        return share * np.asarray(self.force_vector), share * np.asarray(self.torque_vector), frame.position
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guide:
+    """Springs that hold some axes of a frame at the start, for pushes that are to be felt along one axis only.
+
+    Attributes:
+        axes: Axis names of what is held: any of x y z roll pitch yaw.
+        stiffness: Along translations [N/m].
+        rotational: About axes [N·m/rad].
+        damping: Of translations [N·s/m] and rotations [N·m·s/rad].
+        at: Frame that is held.
+        course: When; by default always.
+    """
+
+    axes: str = "x z roll pitch yaw"
+    stiffness: float = 3000.0
+    rotational: float = 60.0
+    damping: tuple[float, float] = (30.0, 0.5)
+    at: str = TOOL
+    course: Course = field(default_factory=lambda: Course(start=0.0, rise=0.0, end=np.inf))
+
+    def __post_init__(self) -> None:
+        """Check the axis names once."""
+        unknown = set(self.axes.split()) - set(_AXES) - set(_TURNS)
+        if unknown:
+            raise ConfigError(f"Guide.axes knows x y z roll pitch yaw, not {', '.join(sorted(unknown))}")
+        _not_negative(stiffness=self.stiffness, rotational=self.rotational)
+
+    def force(self, truth: Truth, t: float) -> Wrench:
+        """The springs' force and torque."""
+        frame = truth.frame(self.at)
+        if not self.course.active(t):
+            return _ZERO, _ZERO, frame.position
+        names = self.axes.split()
+        pull = np.array([name in names for name in _AXES], dtype=np.float64)
+        turn = np.array([name in names for name in _TURNS], dtype=np.float64)
+        twist = frame.twist()
+        force = -self.stiffness * frame.shift() - self.damping[0] * twist[:3]
+        torque = -self.rotational * frame.turn() - self.damping[1] * twist[3:]
+        return pull * force, turn * torque, frame.position
+
+
+def tap(force: Sequence[float], *, at: str = TOOL, start: float = 1.0) -> Push:
+    """A tap of 0.12 s: up within 20 ms, held 0.1 s; force (3,) [N]."""
+    return Push(force_vector=force, at=at, course=Course(start=start, rise=0.02, end=start + 0.12))
+
+
+def _direction(axis: str | Sequence[float], names: dict[str, tuple[float, float, float]]) -> Vector:
+    """Unit vector (3,) of an axis given by name or by numbers."""
+    if isinstance(axis, str):
+        if axis not in names:
+            raise ConfigError(f"axis {axis!r} is unknown; choose {', '.join(names)} or give a direction (3,)")
+        return np.asarray(names[axis])
+    vector = np.asarray(axis, dtype=np.float64)
+    if vector.shape != (3,) or not np.linalg.norm(vector) > 0.0:
+        raise ConfigError(f"a direction has three entries, not all zero; got {axis!r}")
+    return vector / np.linalg.norm(vector)
+
+
+def _not_negative(**values: float) -> None:
+    """Raise unless every value is a number at least zero."""
+    for name, value in values.items():
+        if not value >= 0.0:
+            raise ConfigError(f"{name} must be at least 0, got {value!r}")
+
+
+#: The hands of the experiments: 15 N at the wrist centre, a strong one and a robust one at the tool, one that turns.
+LIGHT = Drag()
+STRONG = Drag(distance=0.15, stiffness=3000.0, limit=80.0, at=TOOL)
+ROBUST = Drag(distance=0.20, stiffness=2000.0, limit=30.0, at=TOOL)
+YAW = Twist()

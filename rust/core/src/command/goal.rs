@@ -1,0 +1,115 @@
+//! Goals: scaling of parts, joints at their position limits, slew.
+
+use crate::{JointVec, MAX_JOINTS};
+
+/// Factors in [0, 1], one per part, so that `|base + Σ f_p part_p| ≤ bound` for every joint.
+///
+/// Parts give way in their order: the second is scaled only when the first, gone altogether, was not enough.
+#[inline]
+pub(crate) fn scale_to_fit<const P: usize>(
+    base: &JointVec,
+    parts: [&JointVec; P],
+    bound: &JointVec,
+    n: usize,
+) -> [f64; P] {
+    let mut factors = [1.0; P];
+    for p in 0..P {
+        let mut least: f64 = 1.0;
+        let mut fits = true;
+        for i in 0..n.min(MAX_JOINTS) {
+            let mut others = base[i];
+            for o in 0..P {
+                if o != p {
+                    others += factors[o] * parts[o][i];
+                }
+            }
+            let part = parts[p][i];
+            let all = others + part;
+            if all.abs() > bound[i] {
+                fits = false;
+                let edge = bound[i].copysign(all);
+                let share = if part == 0.0 { 1.0 } else { ((edge - others) / part).clamp(0.0, 1.0) };
+                least = least.min(share);
+            }
+        }
+        if fits {
+            break;
+        }
+        factors[p] = least;
+    }
+    factors
+}
+
+/// Finds joints whose goal lies beyond a position limit, and the lead that puts it on the limit.
+///
+/// Returns whether a joint was added to `locked`. A locked joint leaves the inverse kinematics with the lead it still
+/// has, so that the rest of the task stays right; it is not unlocked within a tick.
+#[inline]
+pub(crate) fn lock(
+    goal: &JointVec,
+    without_lead: &JointVec,
+    lower: &JointVec,
+    upper: &JointVec,
+    locked: &mut [bool; MAX_JOINTS],
+    fixed_lead: &mut JointVec,
+    n: usize,
+) -> bool {
+    let mut added = false;
+    for i in 0..n.min(MAX_JOINTS) {
+        if !locked[i] && (goal[i] > upper[i] || goal[i] < lower[i]) {
+            locked[i] = true;
+            fixed_lead[i] = goal[i].clamp(lower[i], upper[i]) - without_lead[i];
+            added = true;
+        }
+    }
+    added
+}
+
+/// Moves `from` toward `to` by at most `step`, then into the position limits.
+#[inline]
+pub(crate) fn slew(from: f64, to: f64, step: f64, lower: f64, upper: f64) -> f64 {
+    to.max(from - step).min(from + step).max(lower).min(upper)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn vector(values: &[f64]) -> JointVec {
+        let mut out = [0.0; MAX_JOINTS];
+        out[..values.len()].copy_from_slice(values);
+        out
+    }
+
+    #[test]
+    fn the_first_part_gives_way_first() {
+        let base = vector(&[1.0, 0.0]);
+        let (soft, stiff, bound) = (vector(&[4.0, 1.0]), vector(&[6.0, 1.0]), vector(&[9.0, 9.0]));
+        assert_eq!(scale_to_fit(&base, [&soft, &stiff], &bound, 2), [0.5, 1.0]);
+        let bound = vector(&[4.0, 9.0]);
+        assert_eq!(scale_to_fit(&base, [&soft, &stiff], &bound, 2), [0.0, 0.5]);
+        let bound = vector(&[20.0, 9.0]);
+        assert_eq!(scale_to_fit(&base, [&soft, &stiff], &bound, 2), [1.0, 1.0]);
+    }
+
+    #[test]
+    fn a_base_beyond_the_bound_leaves_nothing() {
+        let factors = scale_to_fit(&vector(&[5.0]), [&vector(&[1.0]), &vector(&[1.0])], &vector(&[2.0]), 1);
+        assert_eq!(factors, [0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_goal_beyond_the_limit_keeps_the_lead_that_is_left() {
+        let (mut locked, mut lead) = ([false; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        let added = lock(
+            &vector(&[1.2]),
+            &vector(&[0.7]),
+            &vector(&[-1.0]),
+            &vector(&[1.0]),
+            &mut locked,
+            &mut lead,
+            1,
+        );
+        assert!(added && locked[0] && (lead[0] - 0.3).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,320 @@
+//! The control step: the staircase that calls each floor once and has no formula of its own.
+
+pub(crate) mod memory;
+pub(crate) mod record;
+mod step;
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::error::{Error, Result};
+use crate::kinematics::Masses;
+use crate::model::{Model, Payload};
+use crate::plan::Plan;
+use crate::pose::{COORDINATE_BOUND, Pose};
+use crate::servos::Servos;
+use crate::settings::Settings;
+use crate::{JointVec, MAX_JOINTS};
+
+pub use record::Record;
+
+use memory::Memory;
+
+/// Longest time between two steps [s].
+const LONGEST_PERIOD: f64 = 10.0;
+
+/// Largest speed [m/s, rad/s] that is taken for a real one.
+const SPEED_BOUND: f64 = 1e3;
+
+/// What the servos get: one entry per joint.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Command {
+    n: usize,
+    goal: JointVec,
+    torque_limit: JointVec,
+    velocity: JointVec,
+}
+
+impl Command {
+    /// Goals of the position servos [rad].
+    pub fn goal(&self) -> &[f64] {
+        &self.goal[..self.n.min(MAX_JOINTS)]
+    }
+
+    /// Magnitude of the torque each servo may use [N·m].
+    pub fn torque_limit(&self) -> &[f64] {
+        &self.torque_limit[..self.n.min(MAX_JOINTS)]
+    }
+
+    /// Speed for a servo's speed register [rad/s]: the most that keeps the tool within its speed by this joint alone.
+    pub fn velocity(&self) -> &[f64] {
+        &self.velocity[..self.n.min(MAX_JOINTS)]
+    }
+}
+
+/// Optional inputs of one step.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct StepInput<'a> {
+    /// Time since the last step [s]; `None`: 1 / rate.
+    pub dt: Option<f64>,
+    /// Joint velocity [rad/s] in place of the filtered one.
+    pub dq: Option<&'a [f64]>,
+    /// Velocity of the target (6,) [m/s, rad/s], base axes.
+    pub twist: Option<&'a [f64; 6]>,
+    /// Gradient of an own null-space cost, added to the others.
+    pub gradient: Option<&'a [f64]>,
+    /// Rest posture of this step [rad].
+    pub posture: Option<&'a [f64]>,
+}
+
+/// Compliant task-space controller of one arm.
+#[derive(Debug, Clone)]
+pub struct Controller {
+    model: Arc<Model>,
+    settings: Settings,
+    servos: Option<Servos>,
+    plan: Plan,
+    masses: Masses,
+    gravity: [f64; 3],
+    /// k_g where gravity was captured.
+    captured: Option<JointVec>,
+    delay: f64,
+    memory: Memory,
+    record: Record,
+    command: Command,
+}
+
+impl Controller {
+    /// Validates everything and surveys the arm (a few milliseconds).
+    ///
+    /// # Errors
+    /// [`Error::Limit`], [`Error::Shape`] or [`Error::Config`], naming the setting and the remedy.
+    pub fn new(model: Arc<Model>, settings: Settings, servos: Option<Servos>) -> Result<Self> {
+        let plan = Plan::new(&model, &settings, servos.as_ref(), false)?;
+        let masses = model.chain().masses(model.payload());
+        let zero = [0.0; MAX_JOINTS];
+        Ok(Self {
+            gravity: model.gravity_vector(),
+            delay: settings.delay,
+            memory: Memory::new(),
+            record: Record::empty(),
+            command: Command { n: plan.n, goal: zero, torque_limit: zero, velocity: zero },
+            captured: None,
+            model,
+            settings,
+            servos,
+            plan,
+            masses,
+        })
+    }
+
+    /// The robot.
+    pub fn model(&self) -> &Arc<Model> {
+        &self.model
+    }
+
+    /// The settings in force.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// The servos, where given.
+    pub fn servos(&self) -> Option<&Servos> {
+        self.servos.as_ref()
+    }
+
+    /// Number of task axes, k.
+    pub fn task_len(&self) -> usize {
+        self.plan.k
+    }
+
+    /// Soft, firm and hold of each task axis with every default filled in; pairs are (pushed toward −, toward +).
+    pub fn strengths(&self) -> Vec<([f64; 2], [f64; 2], f64)> {
+        self.plan.rows.iter().take(self.plan.k).map(|row| (row.soft, row.firm, row.hold)).collect()
+    }
+
+    /// Damping in force: λ₀, σ₀, λ_max.
+    pub fn damping(&self) -> [f64; 3] {
+        let damping = self.plan.damping;
+        [damping.lambda_0, damping.sigma_0, damping.lambda_max]
+    }
+
+    /// Intermediates of the last step.
+    pub fn record(&self) -> &Record {
+        &self.record
+    }
+
+    /// Activation matrix A of the last step, n × (k + 1), the null-space column last.
+    pub fn activation(&self) -> DMatrix<f64> {
+        self.record.activation(&self.plan)
+    }
+
+    /// Responsibility R of the last step, n × (k + 1).
+    pub fn responsibility(&self) -> DMatrix<f64> {
+        self.record.responsibility(&self.plan)
+    }
+
+    /// Task rows of the last step, k × n, in the task frame.
+    pub fn task_jacobian(&self) -> DMatrix<f64> {
+        self.record.task_jacobian(&self.plan)
+    }
+
+    /// All singular values of the last step's scaled task rows, largest first.
+    pub fn singular_values(&self) -> DVector<f64> {
+        self.record.singular_values(&self.plan)
+    }
+
+    /// Forgets velocity, slew and γ, and takes `q` as start of goals and, unless set, as rest posture.
+    ///
+    /// A captured gravity offset stays.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] or [`Error::Limit`] for `q`; the controller is then as before.
+    pub fn reset(&mut self, q: &[f64]) -> Result<()> {
+        let q = self.joints("q", q, COORDINATE_BOUND)?;
+        self.restart(&q);
+        Ok(())
+    }
+
+    /// Takes new settings while running: goals go on from where they are, within their slew.
+    ///
+    /// # Errors
+    /// As [`Controller::new`]; the controller is then as before.
+    pub fn update(&mut self, settings: Settings) -> Result<()> {
+        let mut plan = Plan::new(&self.model, &settings, self.servos.as_ref(), self.captured.is_some())?;
+        if let Some(kg) = self.captured {
+            plan.kg = kg;
+        }
+        self.delay = settings.delay;
+        self.settings = settings;
+        self.plan = plan;
+        self.memory.singular = crate::law::inverse::SingularValues::start();
+        self.memory.cold = true;
+        Ok(())
+    }
+
+    /// Takes another payload: mass [kg] and centre of mass in the tool frame [m]; `None` for none.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] for a negative or non-finite value.
+    pub fn set_payload(&mut self, payload: Option<&Payload>) -> Result<()> {
+        if let Some(payload) = payload {
+            payload.validate()?;
+        }
+        self.masses = self.model.chain().masses(payload);
+        Ok(())
+    }
+
+    /// Takes another gravity vector [m/s²] in base axes: for a base that tilts.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] for a component beyond ±100 m/s².
+    pub fn set_gravity(&mut self, vector: [f64; 3]) -> Result<()> {
+        for (name, value) in ["x", "y", "z"].iter().zip(vector) {
+            if !(value.abs() <= 100.0) {
+                return Err(Error::limit(format!("gravity {name} [m/s²]"), value, "±100"));
+            }
+        }
+        self.gravity = vector;
+        Ok(())
+    }
+
+    /// Takes the measured delay T_d [s] from reading to arrival of the goal.
+    ///
+    /// Where the stiff axes' gain is too high for it, the gain is derated (see [`Controller::gain_factor`]).
+    ///
+    /// # Errors
+    /// [`Error::Limit`] outside [0, 0.5].
+    pub fn set_delay(&mut self, delay: f64) -> Result<()> {
+        if !(0.0..=0.5).contains(&delay) {
+            return Err(Error::limit("delay [s]", delay, "[0, 0.5]"));
+        }
+        self.delay = delay;
+        let bound = self.plan.gain_bound(delay, 1.0 / self.settings.rate);
+        self.plan.kx_derating = (bound / self.plan.gain(self.settings.horizon)).min(1.0);
+        Ok(())
+    }
+
+    /// Factor ≤ 1 on K_x that the delay demands.
+    pub fn gain_factor(&self) -> f64 {
+        self.plan.kx_derating
+    }
+
+    /// Takes the gravity offset from an arm that has been held still by an integrating goal.
+    ///
+    /// `k_g,i = g_i / lead_i` with `lead = goal − q`, where |g_i| exceeds three times the friction, within 0.3…3 × the
+    /// believed `k_p`; elsewhere the believed one. Serves the gravity offset only. Returns k_g [N·m/rad].
+    ///
+    /// # Errors
+    /// [`Error::Shape`] or [`Error::Limit`] for `q` or `goal`; [`Error::Config`] without `k_p`.
+    pub fn capture_gravity(&mut self, q: &[f64], goal: &[f64]) -> Result<Vec<f64>> {
+        let q = self.joints("q", q, COORDINATE_BOUND)?;
+        let goal = self.joints("goal", goal, COORDINATE_BOUND)?;
+        if !self.plan.servos.has_kp {
+            return Err(Error::config("servos", "capturing gravity needs the believed k_p: give servos"));
+        }
+        let holding = self.holding_torques(&q);
+        let servos = &self.plan.servos;
+        let mut kg = servos.kp;
+        for i in 0..self.plan.n {
+            if holding[i].abs() > 3.0 * servos.friction[i] {
+                let compliance = (goal[i] - q[i]) / holding[i];
+                kg[i] = 1.0 / compliance.clamp(servos.compliance[i] / 3.0, servos.compliance[i] / 0.3);
+            }
+        }
+        self.captured = Some(kg);
+        self.plan.kg = kg;
+        Ok(kg[..self.plan.n].to_vec())
+    }
+
+    /// One control step toward a pose of the tool.
+    ///
+    /// Allocates nothing. With the first step the controller resets to `q`.
+    ///
+    /// # Errors
+    /// [`Error::Shape`], [`Error::Limit`] or [`Error::Config`] for an input that cannot be used; the controller and its
+    /// last command are then as before.
+    pub fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
+        let q = self.joints("q", q, COORDINATE_BOUND)?;
+        target.validate()?;
+        self.advance(&q, target, input)
+    }
+
+    /// One control step toward joint positions: the target is their pose, the rest posture they themselves.
+    ///
+    /// # Errors
+    /// As [`Controller::step`].
+    pub fn step_joints(&mut self, q: &[f64], q_target: &[f64], input: &StepInput<'_>) -> Result<&Command> {
+        let q = self.joints("q", q, COORDINATE_BOUND)?;
+        let wanted = self.joints("q_target", q_target, COORDINATE_BOUND)?;
+        let mut frames = crate::kinematics::Frames::default();
+        self.model.chain().forward(&wanted, &mut frames);
+        self.advance(&q, &frames.tool, &StepInput { posture: Some(q_target), ..*input })
+    }
+
+    /// Torques that hold the arm at `q` with the present payload and gravity vector [N·m].
+    fn holding_torques(&self, q: &JointVec) -> JointVec {
+        let mut frames = crate::kinematics::Frames::default();
+        let mut holding = [0.0; MAX_JOINTS];
+        self.model.chain().forward(q, &mut frames);
+        self.model.chain().gravity(&frames, &self.masses, self.gravity, &mut holding);
+        holding
+    }
+
+    /// Reads `values` as one finite number per joint within ±`bound`.
+    fn joints(&self, what: &str, values: &[f64], bound: f64) -> Result<JointVec> {
+        if values.len() != self.plan.n {
+            return Err(Error::length(what, values.len(), self.plan.n));
+        }
+        let mut out = [0.0; MAX_JOINTS];
+        for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
+            if !(value.abs() <= bound) {
+                let name = self.model.joint_names().get(i).map_or("", String::as_str);
+                return Err(Error::limit(format!("{what}[{i}] ({name})"), value, format!("±{bound:e} and finite")));
+            }
+            *slot = value;
+        }
+        Ok(out)
+    }
+}

@@ -1,0 +1,161 @@
+//! Every intermediate of the last step.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::law::activation::{Activation, activation};
+use crate::law::inverse::{SingularValues, pseudo_inverse};
+use crate::law::nullspace::{NullSpace, fade_squared};
+use crate::plan::Plan;
+use crate::settings::Projector;
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
+
+/// Intermediates of the last step; 6-vectors hold one entry per task axis, in the order of the task's axes.
+#[derive(Debug, Clone, Copy)]
+pub struct Record {
+    /// Predicted positions q̂ [rad].
+    pub q: JointVec,
+    /// Filtered velocity v [rad/s].
+    pub velocity: JointVec,
+    /// Deviation e in the task frame [m, rad].
+    pub deviation: AxisVec,
+    /// Adapted deviation ẽ [m, rad].
+    pub adapted_deviation: AxisVec,
+    /// Δx = K_x ẽ + twist within its per-axis limits [m/s, rad/s].
+    pub dx: AxisVec,
+    /// Softness w ∈ [0, 1] for the side the axis is pushed from.
+    pub softness: AxisVec,
+    /// Compliance c ∈ [0, 1] of (8).
+    pub compliance: AxisVec,
+    /// Strength in force, `w F + (1 − w) hold`: holding torque τ^x of (9) under law `paper`, cap [N, N·m] under `cap`.
+    pub holding_torque: AxisVec,
+    /// Wrench W on the target [N, N·m] (law `cap`).
+    pub wrench: AxisVec,
+    /// Torques that hold the arm at q̂ [N·m].
+    pub gravity: JointVec,
+    /// Feed-forward of friction and damping [N·m].
+    pub feed_forward: JointVec,
+    /// Gradient of the null-space cost.
+    pub gradient: JointVec,
+    /// Task rows (k × n) as solved: columns of locked joints are zero.
+    pub rows: Rows,
+    /// Smallest singular value of the task rows, translations divided by the arm's length.
+    pub sigma_min: f64,
+    /// Largest singular value of the same rows.
+    pub sigma_max: f64,
+    /// Damping λ.
+    pub damping: f64,
+    /// γ: how much of feed-forward and prediction is used.
+    pub gamma: f64,
+    /// Factors by which null-space, soft and stiff part were scaled to torque ceilings and speed limits.
+    pub factors: [f64; 3],
+    /// Joints whose limit is at the ceiling or whose torque had to be scaled.
+    pub saturated: [bool; MAX_JOINTS],
+    /// Joints at a position limit that left the inverse kinematics.
+    pub locked: [bool; MAX_JOINTS],
+}
+
+impl Record {
+    pub(crate) fn empty() -> Self {
+        Self {
+            q: [0.0; MAX_JOINTS],
+            velocity: [0.0; MAX_JOINTS],
+            deviation: [0.0; MAX_AXES],
+            adapted_deviation: [0.0; MAX_AXES],
+            dx: [0.0; MAX_AXES],
+            softness: [0.0; MAX_AXES],
+            compliance: [0.0; MAX_AXES],
+            holding_torque: [0.0; MAX_AXES],
+            wrench: [0.0; MAX_AXES],
+            gravity: [0.0; MAX_JOINTS],
+            feed_forward: [0.0; MAX_JOINTS],
+            gradient: [0.0; MAX_JOINTS],
+            rows: [[0.0; MAX_JOINTS]; MAX_AXES],
+            sigma_min: 0.0,
+            sigma_max: 0.0,
+            damping: 0.0,
+            gamma: 1.0,
+            factors: [1.0; 3],
+            saturated: [false; MAX_JOINTS],
+            locked: [false; MAX_JOINTS],
+        }
+    }
+
+    fn pseudo_inverse(&self, plan: &Plan) -> Rows {
+        let squared = plan.damping_scale.map(|scale| scale * self.damping * self.damping);
+        pseudo_inverse(&self.rows, &plan.joint_weight, &squared, plan.k, plan.n)
+    }
+
+    /// N as the settings have it.
+    fn projector(&self, plan: &Plan) -> crate::law::nullspace::JointSquare {
+        match plan.projector {
+            Projector::Paper => {
+                let squared = plan.damping_scale.map(|scale| scale * self.damping * self.damping);
+                NullSpace::new(&self.rows, &plan.joint_weight, &squared, plan.k, plan.n).matrix()
+            }
+            Projector::Exact => {
+                let scaled = plan.scale_rows(&self.rows);
+                let mu_squared = fade_squared(self.sigma_min, self.sigma_max);
+                NullSpace::new(&scaled, &plan.joint_weight, &[mu_squared; MAX_AXES], plan.k, plan.n).matrix()
+            }
+        }
+    }
+
+    fn shares(&self, plan: &Plan) -> Activation {
+        let projector = (plan.k < plan.n).then(|| self.projector(plan));
+        let null = projector.as_ref().map(|matrix| (matrix, &self.gradient));
+        activation(&self.pseudo_inverse(plan), null, plan.k, plan.n)
+    }
+
+    /// The null-space column of A.
+    pub(crate) fn activation_null(&self, plan: &Plan) -> JointVec {
+        self.shares(plan).null
+    }
+
+    /// Activation matrix A of (10), n × (k + 1), the null-space column last.
+    pub(crate) fn activation(&self, plan: &Plan) -> DMatrix<f64> {
+        let shares = self.shares(plan);
+        DMatrix::from_fn(plan.n, plan.k + 1, |i, r| if r < plan.k { shares.task[r][i] } else { shares.null[i] })
+    }
+
+    /// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|` and `|α N∇g|`.
+    pub(crate) fn responsibility(&self, plan: &Plan) -> DMatrix<f64> {
+        let (pinv, projector) = (self.pseudo_inverse(plan), self.projector(plan));
+        DMatrix::from_fn(plan.n, plan.k + 1, |i, r| {
+            if r < plan.k {
+                (pinv[r][i] * self.dx[r]).abs()
+            } else {
+                let motion: f64 = (0..plan.n).map(|j| projector[i][j] * self.gradient[j]).sum();
+                (plan.alpha * motion).abs()
+            }
+        })
+    }
+
+    /// The task rows, k × n.
+    pub(crate) fn task_jacobian(&self, plan: &Plan) -> DMatrix<f64> {
+        DMatrix::from_fn(plan.k, plan.n, |r, i| self.rows[r][i])
+    }
+
+    /// All singular values of the scaled task rows, largest first (an SVD: off the hot path).
+    pub(crate) fn singular_values(&self, plan: &Plan) -> DVector<f64> {
+        let scaled = plan.scale_rows(&self.rows);
+        DMatrix::from_fn(plan.k, plan.n, |r, i| scaled[r][i]).singular_values()
+    }
+}
+
+/// Refreshes the estimates of the extreme singular values of scaled rows (k × n).
+#[inline]
+pub(crate) fn update_singular(values: &mut SingularValues, scaled: &Rows, k: usize, n: usize, iterations: usize) {
+    if k <= n {
+        let gram = crate::law::inverse::weighted_gram(scaled, &[1.0; MAX_JOINTS], k, n);
+        values.update(&gram, k, iterations);
+        return;
+    }
+    // Fewer joints than axes: JᵀJ has the same singular values and no zero among them by construction.
+    let mut gram = [[0.0; MAX_AXES]; MAX_AXES];
+    for (i, row) in gram.iter_mut().enumerate().take(n) {
+        for (j, value) in row.iter_mut().enumerate().take(n) {
+            *value = scaled.iter().map(|r| r[i] * r[j]).sum();
+        }
+    }
+    values.update(&gram, n, iterations);
+}

@@ -1,0 +1,106 @@
+//! Joint positions → pose, Jacobian, gravity; and back.
+
+use nalgebra::{DVector, Matrix6xX};
+
+use crate::error::{Error, Result};
+use crate::model::Model;
+use crate::pose::{COORDINATE_BOUND, Pose};
+use crate::{JointVec, MAX_JOINTS};
+
+mod forward;
+mod gravity;
+mod inverse;
+mod jacobian;
+pub(crate) mod spatial;
+
+pub use forward::Frames;
+pub use gravity::Masses;
+pub use inverse::{IkOptions, IkReason, IkSolution};
+
+/// Axes of a Jacobian's rows; its reference point is the tool in both.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Reference {
+    /// Axes of the base.
+    #[default]
+    WorldAligned,
+    /// Axes of the tool.
+    Local,
+}
+
+impl Model {
+    /// `base_from_tool` at `q` (`n`) [rad or m].
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a wrong length, [`Error::Limit`] for an entry that is not finite or beyond 1e6. Position
+    /// limits are not enforced: a real arm may stand a little outside of them.
+    pub fn forward_kinematics(&self, q: &[f64]) -> Result<Pose> {
+        Ok(self.frames_at(q)?.tool)
+    }
+
+    /// Geometric Jacobian (6×n) at the tool, linear rows first.
+    ///
+    /// # Errors
+    /// As [`Model::forward_kinematics`].
+    pub fn jacobian(&self, q: &[f64], reference: Reference) -> Result<Matrix6xX<f64>> {
+        Ok(self.kinematics(q, reference)?.1)
+    }
+
+    /// Pose and Jacobian (6×n) in one pass.
+    ///
+    /// # Errors
+    /// As [`Model::forward_kinematics`].
+    pub fn kinematics(&self, q: &[f64], reference: Reference) -> Result<(Pose, Matrix6xX<f64>)> {
+        let frames = self.frames_at(q)?;
+        let mut rows = [[0.0; MAX_JOINTS]; 6];
+        self.chain().jacobian(&frames, &mut rows);
+        if reference == Reference::Local {
+            let r = &frames.tool.rotation;
+            for k in 0..self.n() {
+                let linear = spatial::rotate_back(r, &[rows[0][k], rows[1][k], rows[2][k]]);
+                let angular = spatial::rotate_back(r, &[rows[3][k], rows[4][k], rows[5][k]]);
+                for i in 0..3 {
+                    (rows[i][k], rows[i + 3][k]) = (linear[i], angular[i]);
+                }
+            }
+        }
+        Ok((frames.tool, Matrix6xX::from_fn(self.n(), |i, j| rows[i][j])))
+    }
+
+    /// Torques (`n`) [N·m or N] that hold the arm and its payload at rest at `q`.
+    ///
+    /// # Errors
+    /// As [`Model::forward_kinematics`].
+    pub fn gravity(&self, q: &[f64]) -> Result<DVector<f64>> {
+        let frames = self.frames_at(q)?;
+        let masses = self.chain().masses(self.payload());
+        let mut torque = [0.0; MAX_JOINTS];
+        self.chain().gravity(&frames, &masses, self.gravity_vector(), &mut torque);
+        Ok(DVector::from_fn(self.n(), |i, _| torque[i]))
+    }
+
+    /// Checks joint positions and pads them to the size of the hot path.
+    ///
+    /// # Errors
+    /// As [`Model::forward_kinematics`].
+    pub fn joint_vector(&self, q: &[f64]) -> Result<JointVec> {
+        if q.len() != self.n() {
+            return Err(Error::length("q", q.len(), self.n()));
+        }
+        let mut out = [0.0; MAX_JOINTS];
+        for (i, (slot, &value)) in out.iter_mut().zip(q).enumerate() {
+            if !(value.abs() <= COORDINATE_BOUND) {
+                let name = &self.joint_names()[i];
+                return Err(Error::limit(format!("q[{i}] ({name})"), value, format!("±{COORDINATE_BOUND:e} and finite")));
+            }
+            *slot = value;
+        }
+        Ok(out)
+    }
+
+    fn frames_at(&self, q: &[f64]) -> Result<Frames> {
+        let q = self.joint_vector(q)?;
+        let mut frames = Frames::default();
+        self.chain().forward(&q, &mut frames);
+        Ok(frames)
+    }
+}

@@ -1,0 +1,224 @@
+//! Law `cap`: each task axis pushes back with at most a given force. Lines 7 and 8 of the control step.
+
+use crate::command::goal::scale_to_fit;
+use crate::law::inverse::{Cholesky, Square, transpose_times, weighted_gram};
+use crate::law::{Motion, Tick};
+use crate::settings::Follow;
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
+
+/// One tick of one task, rows of the task's axes.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Demand<'a> {
+    /// `C = J K_p⁻¹ Jᵀ`: how far the servos let each axis go per unit of force.
+    pub(crate) compliance: &'a Square,
+    /// `λ²/k̄` of each row, in its units.
+    pub(crate) damping: &'a AxisVec,
+    /// Step `s = h (K_x ẽ + twist)` [m, rad].
+    pub(crate) step: &'a AxisVec,
+    /// The step within its per-axis limits, less what locked joints do already.
+    pub(crate) bounded_step: &'a AxisVec,
+    /// Softness w ∈ [0, 1].
+    pub(crate) softness: &'a AxisVec,
+    /// Cap F of the yielding axis [N, N·m].
+    pub(crate) cap: &'a AxisVec,
+}
+
+/// Wrench on the target, in two parts that are scaled apart when a limit is met [N, N·m].
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Wrench {
+    pub(crate) soft: AxisVec,
+    pub(crate) stiff: AxisVec,
+}
+
+impl Demand<'_> {
+    /// The wrench that the servos are to exert.
+    #[inline]
+    pub(crate) fn wrench(&self, follow: Follow, k: usize) -> Wrench {
+        match follow {
+            Follow::Free => Wrench { soft: self.soft_force(k), stiff: self.stiff_force(k) },
+            Follow::Hold => self.all_rows(k),
+        }
+    }
+
+    /// `w clip(s / C, ±F)`: what a soft axis exerts, whatever else is constrained.
+    #[inline]
+    fn soft_force(&self, k: usize) -> AxisVec {
+        let mut out = [0.0; MAX_AXES];
+        for j in 0..k.min(MAX_AXES) {
+            let force = self.step[j] / self.compliance[j][j].max(f64::MIN_POSITIVE);
+            out[j] = self.softness[j] * force.clamp(-self.cap[j], self.cap[j]);
+        }
+        out
+    }
+
+    /// `(C + diag(C_jj w / (1 − w)) + λ²/k̄)⁻¹ s` over the rows with w < 1.
+    ///
+    /// Solved in `y = W / √(1 − w)`: the added diagonal then stays finite and a row at w = 1 drops out by itself, so
+    /// that softness may change over without a branch.
+    #[inline]
+    pub(crate) fn stiff_force(&self, k: usize) -> AxisVec {
+        let k = k.min(MAX_AXES);
+        let root = self.softness.map(|w| (1.0 - w).max(0.0).sqrt());
+        let mut m = [[0.0; MAX_AXES]; MAX_AXES];
+        let mut b = [0.0; MAX_AXES];
+        for r in 0..k {
+            for c in 0..k {
+                m[r][c] = root[r] * self.compliance[r][c] * root[c];
+            }
+            let own = self.compliance[r][r];
+            m[r][r] += root[r] * root[r] * self.damping[r] + self.softness[r] * own.max(f64::MIN_POSITIVE);
+            b[r] = root[r] * self.bounded_step[r];
+        }
+        let mut out = Cholesky::new(&m, k).solve(&b);
+        for (value, root) in out.iter_mut().zip(root) {
+            *value *= root;
+        }
+        out
+    }
+
+    /// `(C + λ²/k̄)⁻¹ s` over all rows, soft steps clamped to ±F C_jj.
+    #[inline]
+    fn all_rows(&self, k: usize) -> Wrench {
+        let k = k.min(MAX_AXES);
+        let mut m = *self.compliance;
+        let mut b = [0.0; MAX_AXES];
+        for r in 0..k {
+            m[r][r] += self.damping[r];
+            let most = self.cap[r] * self.compliance[r][r];
+            let w = self.softness[r];
+            b[r] = (1.0 - w) * self.bounded_step[r] + w * self.bounded_step[r].clamp(-most, most);
+        }
+        let all = Cholesky::new(&m, k).solve(&b);
+        let mut out = Wrench::default();
+        for r in 0..k {
+            out.soft[r] = self.softness[r] * all[r];
+            out.stiff[r] = (1.0 - self.softness[r]) * all[r];
+        }
+        out
+    }
+}
+
+/// Goals' lead of law `cap`: the wrench through the joints, scaled to torque ceilings and speed limits.
+pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
+    let plan = tick.plan;
+    let (k, n, servos) = (plan.k, plan.n, &plan.servos);
+    let compliance = weighted_gram(tick.rows, &servos.compliance, k, n);
+    let damping = tick.damping.map(|squared| squared / servos.kp_mean);
+    let demand = Demand {
+        compliance: &compliance,
+        damping: &damping,
+        step: tick.step,
+        bounded_step: tick.bounded_step,
+        softness: tick.softness,
+        cap: tick.strength,
+    };
+    let mut wrench = demand.wrench(plan.follow, k);
+    let mut null = tick.null_motion();
+    bound_null(&mut null, tick);
+
+    // Torque ceilings: the soft part gives way first, then the stiff one, gravity never.
+    let mut soft = transpose_times(tick.rows, &wrench.soft, k);
+    let mut stiff = transpose_times(tick.rows, &wrench.stiff, k);
+    let mut base = [0.0; MAX_JOINTS];
+    for i in 0..n.min(MAX_JOINTS) {
+        let lead = null[i] + tick.integral[i] + tick.fixed_lead[i];
+        base[i] = tick.gravity[i] + tick.feed_forward[i] + servos.kp[i] * lead;
+    }
+    let [soft_torque, stiff_torque] = scale_to_fit(&base, [&soft, &stiff], &servos.torque, n);
+    // Joint speeds: the null part first.
+    for i in 0..MAX_JOINTS {
+        soft[i] *= soft_torque * servos.compliance[i];
+        stiff[i] *= stiff_torque * servos.compliance[i];
+    }
+    let reach = plan.joint_speed.map(|speed| speed * tick.horizon);
+    let [null_speed, soft_speed, stiff_speed] = scale_to_fit(&[0.0; MAX_JOINTS], [&null, &soft, &stiff], &reach, n);
+    let factors = [null_speed, soft_torque * soft_speed, stiff_torque * stiff_speed];
+
+    let mut lead = *tick.fixed_lead;
+    for i in 0..MAX_JOINTS {
+        soft[i] *= soft_speed;
+        stiff[i] *= stiff_speed;
+        null[i] *= null_speed;
+        lead[i] += soft[i] + stiff[i];
+    }
+    wrench.soft = wrench.soft.map(|f| f * factors[1]);
+    wrench.stiff = wrench.stiff.map(|f| f * factors[2]);
+    Motion { lead, stiff_lead: stiff, null, wrench, factors }
+}
+
+/// Scales the null-space motion to its torque, `Σ k_p |null| ≤ τ₀`, and to its speed limit; locked joints have none.
+#[inline]
+fn bound_null(null: &mut JointVec, tick: &Tick<'_>) {
+    let plan = tick.plan;
+    let (mut torque, mut fastest) = (0.0, 0.0_f64);
+    for i in 0..plan.n.min(MAX_JOINTS) {
+        if tick.locked[i] {
+            null[i] = 0.0;
+        }
+        torque += plan.servos.kp[i] * null[i].abs();
+        fastest = fastest.max(null[i].abs());
+    }
+    let by_torque = if torque > plan.null_torque { plan.null_torque / torque } else { 1.0 };
+    let most = plan.null_speed * tick.horizon;
+    let by_speed = if fastest > most { most / fastest } else { 1.0 };
+    let scale = by_torque.min(by_speed);
+    if scale < 1.0 {
+        null.iter_mut().for_each(|value| *value *= scale);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn case() -> (Square, AxisVec) {
+        let mut c = [[0.0; MAX_AXES]; MAX_AXES];
+        for (r, row) in c.iter_mut().enumerate() {
+            for (k, value) in row.iter_mut().enumerate() {
+                *value = if r == k { 2.0 } else { 0.3 / (1.0 + r.abs_diff(k) as f64) };
+            }
+        }
+        (c, [0.1, -0.2, 0.3, 0.05, 0.0, -0.1])
+    }
+
+    #[test]
+    fn partly_soft_rows_follow_the_formula_and_fully_soft_ones_leave() {
+        let (c, s) = case();
+        let softness = [0.5, 1.0, 0.0, 0.0, 0.25, 0.0];
+        let demand = Demand {
+            compliance: &c,
+            damping: &[1e-3; 6],
+            step: &s,
+            bounded_step: &s,
+            softness: &softness,
+            cap: &[5.0; 6],
+        };
+        let stiff = demand.stiff_force(6);
+        let rows = [0, 2, 3, 4, 5];
+        let matrix = nalgebra::DMatrix::from_fn(5, 5, |i, j| {
+            let (r, k) = (rows[i], rows[j]);
+            c[r][k] + if r == k { 1e-3 + c[r][r] * softness[r] / (1.0 - softness[r]) } else { 0.0 }
+        });
+        let b = nalgebra::DVector::from_fn(5, |i, _| s[rows[i]]);
+        let expected = matrix.lu().solve(&b).unwrap();
+        for (i, &r) in rows.iter().enumerate() {
+            assert!((stiff[r] - expected[i]).abs() < 1e-14);
+        }
+        assert!(stiff[1].abs() < f64::MIN_POSITIVE);
+        assert!((demand.wrench(Follow::Free, 6).soft[1] + 0.1).abs() < 1e-15);
+    }
+
+    #[test]
+    fn a_soft_axis_never_exceeds_its_cap() {
+        let (c, _) = case();
+        let demand = Demand {
+            compliance: &c,
+            damping: &[0.0; 6],
+            step: &[100.0; 6],
+            bounded_step: &[0.1; 6],
+            softness: &[1.0; 6],
+            cap: &[5.0; 6],
+        };
+        assert!(demand.wrench(Follow::Free, 6).soft.iter().all(|f| (f - 5.0).abs() < 1e-15));
+    }
+}

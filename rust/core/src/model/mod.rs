@@ -1,0 +1,333 @@
+//! URDF text → immutable, validated robot.
+//!
+//! [`Model`] is one kinematic chain, base → tip, with every body it carries. Meshes are never opened. What a file leaves
+//! out is `None`, never zero; what cannot be used is an error with file, line and remedy.
+
+use std::collections::BTreeMap;
+use std::io::Read as _;
+use std::path::Path;
+
+mod chain;
+mod guards;
+mod names;
+mod text;
+mod tree;
+mod urdf;
+
+pub use chain::Chain;
+pub use tree::{Inertial, Joint, JointKind, Link, Mimic};
+
+use crate::error::{Error, Position, Result};
+use crate::pose::COORDINATE_BOUND;
+use names::{listed, some};
+use text::Source;
+use tree::Tree;
+
+/// What a file does not say: which part of the robot, what it carries, which way is down.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModelOptions {
+    /// Frame in which poses are given; default: the root link. Must be rigidly fixed to a link above the tip.
+    pub base: Option<String>,
+    /// The tool frame; may be omitted when only one link of the robot carries no other.
+    pub tip: Option<String>,
+    /// Joints held at a value [rad or m]. Actuated joints beside the chain that are not named rest at 0, or at the
+    /// limit nearest to it.
+    pub locked: BTreeMap<String, f64>,
+    /// What the tool holds.
+    pub payload: Option<Payload>,
+    /// Gravity in the base frame [m/s²].
+    pub gravity: [f64; 3],
+    /// Position limits [rad or m] (lower, upper) by joint, in place of the file's.
+    pub limits: BTreeMap<String, (f64, f64)>,
+}
+
+impl Default for ModelOptions {
+    fn default() -> Self {
+        Self {
+            base: None,
+            tip: None,
+            locked: BTreeMap::new(),
+            payload: None,
+            gravity: [0.0, 0.0, -9.81],
+            limits: BTreeMap::new(),
+        }
+    }
+}
+
+/// A point mass in the tool frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Payload {
+    /// Mass [kg], ≥ 0.
+    pub mass: f64,
+    /// Centre of mass in the tool frame [m].
+    pub com: [f64; 3],
+}
+
+impl Payload {
+    /// Checks that the numbers can be a payload.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] names the entry.
+    pub fn validate(&self) -> Result<()> {
+        if !(self.mass >= 0.0 && self.mass <= COORDINATE_BOUND) {
+            return Err(Error::limit("payload.mass [kg]", self.mass, format!("0 to {COORDINATE_BOUND:e}")));
+        }
+        finite_vector("payload.com", "m", &self.com)
+    }
+}
+
+/// One kinematic chain with every body it carries; immutable.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Model {
+    tree: Tree,
+    chain: Chain,
+    base: usize,
+    tip: usize,
+    joint_names: Vec<String>,
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+    velocity_limit: Vec<Option<f64>>,
+    effort_limit: Vec<Option<f64>>,
+    prismatic: Vec<bool>,
+    unknown_mass: Vec<usize>,
+    payload: Option<Payload>,
+    gravity: [f64; 3],
+    reach: f64,
+}
+
+impl Model {
+    /// Reads a URDF file.
+    ///
+    /// # Errors
+    /// [`Error::Urdf`] with file, line and column for everything wrong in the text; [`Error::FrameNotFound`],
+    /// [`Error::Limit`] and [`Error::Config`] for options that do not fit it.
+    pub fn from_urdf_file(path: impl AsRef<Path>, options: &ModelOptions) -> Result<Self> {
+        let path = path.as_ref();
+        let name = path.display().to_string();
+        let unreadable = |message: String| Error::Urdf { source_name: name.clone(), at: Position(None), message };
+        let mut bytes = Vec::new();
+        // One byte more than is allowed, so that too long a file is seen as such.
+        std::fs::File::open(path)
+            .and_then(|file| file.take(text::MAX_BYTES as u64 + 1).read_to_end(&mut bytes))
+            .map_err(|error| unreadable(format!("cannot be read: {error}")))?;
+        let text = String::from_utf8(bytes)
+            .map_err(|error| unreadable(format!("is not UTF-8 text (byte {})", error.utf8_error().valid_up_to())))?;
+        Self::read(&name, &text, options)
+    }
+
+    /// Reads URDF text.
+    ///
+    /// # Errors
+    /// As [`Model::from_urdf_file`]; the source is named `<string>`.
+    pub fn from_urdf_str(text: &str, options: &ModelOptions) -> Result<Self> {
+        Self::read("<string>", text, options)
+    }
+
+    fn read(name: &str, text: &str, options: &ModelOptions) -> Result<Self> {
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        finite_vector("gravity", "m/s²", &options.gravity)?;
+        if let Some(payload) = &options.payload {
+            payload.validate()?;
+        }
+        let source = Source::new(name, text);
+        let mut tree = Tree::build(&source, urdf::read(&source, text)?)?;
+        override_limits(&mut tree, &options.limits)?;
+        let base = options.base.as_deref().map_or(Ok(tree.root), |name| tree.frame(name))?;
+        let tip = match &options.tip {
+            Some(name) => tree.frame(name)?,
+            None => only_tip(&tree, base)?,
+        };
+        let assembly = chain::assemble(&mut tree, base, tip, options)?;
+        let coordinates = &assembly.coordinates;
+        for &j in coordinates {
+            need_limits(&tree, j)?;
+        }
+        let joints = || coordinates.iter().map(|&j| &tree.joints[j]);
+        let held = options.payload.is_some_and(|payload| payload.mass > 0.0);
+        let last = coordinates.len() - 1;
+        Ok(Self {
+            base,
+            tip,
+            joint_names: joints().map(|joint| joint.name.clone()).collect(),
+            lower: joints().map(|joint| joint.lower.unwrap_or(f64::NEG_INFINITY)).collect(),
+            upper: joints().map(|joint| joint.upper.unwrap_or(f64::INFINITY)).collect(),
+            velocity_limit: joints().map(|joint| joint.velocity).collect(),
+            effort_limit: joints().map(|joint| joint.effort).collect(),
+            prismatic: joints().map(|joint| joint.kind == JointKind::Prismatic).collect(),
+            unknown_mass: assembly.massless.into_iter().filter(|&c| !(held && c == last)).collect(),
+            payload: options.payload,
+            gravity: options.gravity,
+            reach: assembly.reach,
+            chain: assembly.chain,
+            tree,
+        })
+    }
+
+    /// The robot's name.
+    pub fn name(&self) -> &str {
+        &self.tree.name
+    }
+
+    /// Number of independent joints.
+    pub const fn n(&self) -> usize {
+        self.chain.n()
+    }
+
+    /// Names of the independent joints, base → tip. A joint that follows another is not among them.
+    pub fn joint_names(&self) -> &[String] {
+        &self.joint_names
+    }
+
+    /// Lower position limits [rad or m]; −∞ for continuous joints.
+    pub fn lower(&self) -> &[f64] {
+        &self.lower
+    }
+
+    /// Upper position limits [rad or m]; +∞ for continuous joints.
+    pub fn upper(&self) -> &[f64] {
+        &self.upper
+    }
+
+    /// Speed limits [rad/s or m/s]; `None`: absent.
+    pub fn velocity_limit(&self) -> &[Option<f64>] {
+        &self.velocity_limit
+    }
+
+    /// Torque limits [N·m or N]; `None`: absent.
+    pub fn effort_limit(&self) -> &[Option<f64>] {
+        &self.effort_limit
+    }
+
+    /// Which independent joints slide.
+    pub fn prismatic(&self) -> &[bool] {
+        &self.prismatic
+    }
+
+    /// Names of all links of the robot, each of which can be base or tip.
+    pub fn frames(&self) -> Vec<&str> {
+        self.tree.links.iter().map(|link| link.name.as_str()).collect()
+    }
+
+    /// Frame in which poses are given.
+    pub fn base(&self) -> &str {
+        &self.tree.links[self.base].name
+    }
+
+    /// The tool frame.
+    pub fn tip(&self) -> &str {
+        &self.tree.links[self.tip].name
+    }
+
+    /// What the tool holds.
+    pub const fn payload(&self) -> Option<&Payload> {
+        self.payload.as_ref()
+    }
+
+    /// Gravity in the base frame [m/s²].
+    pub const fn gravity_vector(&self) -> [f64; 3] {
+        self.gravity
+    }
+
+    /// The distances between joint origins, summed from the first joint out to the tool, with the longest travel of
+    /// sliding joints [m].
+    pub const fn reach(&self) -> f64 {
+        self.reach
+    }
+
+    /// Independent joints that move a rigid group without any mass: their gravity torque is not known.
+    ///
+    /// A link without `<inertial>` is massless; only where nothing in the group has mass is it taken for forgotten.
+    pub fn unknown_mass_joints(&self) -> &[usize] {
+        &self.unknown_mass
+    }
+
+    /// All links of the robot, for simulators.
+    pub fn links(&self) -> &[Link] {
+        &self.tree.links
+    }
+
+    /// All joints of the robot, for simulators.
+    pub fn joints(&self) -> &[Joint] {
+        &self.tree.joints
+    }
+
+    /// The hot path.
+    pub const fn chain(&self) -> &Chain {
+        &self.chain
+    }
+}
+
+fn finite_vector(what: &str, unit: &str, vector: &[f64; 3]) -> Result<()> {
+    for (axis, &value) in ["x", "y", "z"].iter().zip(vector) {
+        if !(value.abs() <= COORDINATE_BOUND) {
+            return Err(Error::limit(format!("{what}.{axis} [{unit}]"), value, format!("±{COORDINATE_BOUND:e} and finite")));
+        }
+    }
+    Ok(())
+}
+
+/// The tip when nobody names it: the one link below the base that carries no other.
+fn only_tip(tree: &Tree, base: usize) -> Result<usize> {
+    let (mut leaves, mut stack) = (Vec::new(), vec![base]);
+    while let Some(link) = stack.pop() {
+        if tree.children[link].is_empty() {
+            leaves.push(link);
+        }
+        stack.extend(tree.children[link].iter().map(|&j| tree.joints[j].child));
+    }
+    if let [tip] = leaves[..] {
+        return Ok(tip);
+    }
+    leaves.sort_unstable();
+    let ends = some(leaves.iter().map(|&l| tree.links[l].name.as_str()));
+    let frames = some(tree.links.iter().map(|link| link.name.as_str()));
+    Err(Error::config(
+        "tip",
+        format!("this robot branches and ends in {} links: {ends}; say which frame is the tool, of: {frames}", leaves.len()),
+    ))
+}
+
+fn override_limits(tree: &mut Tree, limits: &BTreeMap<String, (f64, f64)>) -> Result<()> {
+    for (name, &(lower, upper)) in limits {
+        let key = format!("limits.{name}");
+        let Some(j) = tree.joints.iter().position(|joint| joint.name == *name) else {
+            let joints = listed(&tree.joints, |joint| &joint.name, name);
+            return Err(Error::config(key, format!("no joint of that name; joints: {joints}")));
+        };
+        if !tree.joints[j].kind.is_actuated() {
+            return Err(Error::config(key, format!("a joint of type '{}' has no limits", tree.joints[j].type_name)));
+        }
+        if !(lower < upper && lower.abs() <= COORDINATE_BOUND && upper.abs() <= COORDINATE_BOUND) {
+            let message = format!("({lower}, {upper}) must be finite, within ±{COORDINATE_BOUND:e}, the lower one first");
+            return Err(Error::config(key, message));
+        }
+        (tree.joints[j].lower, tree.joints[j].upper) = (Some(lower), Some(upper));
+    }
+    Ok(())
+}
+
+/// Only a continuous joint may move without end: limits that nobody wrote down would read as 0…0 or ±∞.
+fn need_limits(tree: &Tree, j: usize) -> Result<()> {
+    let joint = &tree.joints[j];
+    let remedy = format!("pass limits = {{\"{}\": (lower, upper)}}", joint.name);
+    match (joint.lower, joint.upper) {
+        _ if joint.kind == JointKind::Continuous => Ok(()),
+        (Some(lower), Some(upper)) if lower < upper => Ok(()),
+        (Some(lower), Some(_)) => {
+            let message = format!("({}) has lower = upper = {lower} and cannot move; mend <limit> or {remedy}", joint.type_name);
+            Err(tree.joint_error(j, message))
+        }
+        (lower, upper) => {
+            let missing = match (lower, upper) {
+                (None, None) => "lower and upper position limits",
+                (None, _) => "lower position limit",
+                _ => "upper position limit",
+            };
+            let message = format!(
+                "({}) has no {missing}; add <limit lower=\"...\" upper=\"...\"/>, make it continuous, or {remedy}",
+                joint.type_name
+            );
+            Err(tree.joint_error(j, message))
+        }
+    }
+}

@@ -1,0 +1,37 @@
+//! Lists of names in messages: short, and the likeliest first.
+
+/// Most names that a message lists.
+pub(super) const SHOWN: usize = 40;
+
+/// Some names, comma-separated.
+pub(super) fn some<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
+    let rest = names.len().saturating_sub(SHOWN);
+    let mut list = names.take(SHOWN).collect::<Vec<_>>().join(", ");
+    if rest > 0 {
+        list.push_str(&format!(" and {rest} more"));
+    }
+    list
+}
+
+/// Names of some things, those first that look like `wanted`.
+pub(super) fn listed<T>(things: &[T], name: impl Fn(&T) -> &String, wanted: &str) -> String {
+    let mut names: Vec<&str> = things.iter().map(|thing| name(thing).as_str()).collect();
+    names.sort_by_key(|candidate| distance(candidate, wanted));
+    some(names.into_iter())
+}
+
+/// Letters to insert, remove or exchange between two names (Levenshtein), on their first hundred characters.
+pub(super) fn distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().take(100).collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.chars().take(100).enumerate() {
+        let mut diagonal = i;
+        row[0] = i + 1;
+        for (j, y) in b.iter().enumerate() {
+            let above = row[j + 1];
+            row[j + 1] = (diagonal + usize::from(!x.eq_ignore_ascii_case(y))).min(above + 1).min(row[j] + 1);
+            diagonal = above;
+        }
+    }
+    row.last().copied().unwrap_or(0)
+}

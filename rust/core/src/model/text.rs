@@ -1,0 +1,138 @@
+//! The text as XML: what is refused before any reader of robots sees it.
+
+use roxmltree::{Document, Node, ParsingOptions};
+
+use crate::error::{Error, Position, Result};
+
+/// Largest text [bytes]. Real robots stay below 1 MB.
+pub(super) const MAX_BYTES: usize = 16 << 20;
+
+/// Deepest nesting. Real robots stay below 10; the reader behind this one recurses, and thousands of levels would
+/// overflow its stack, which ends the process.
+pub(super) const MAX_DEPTH: usize = 64;
+
+/// Most XML nodes, and most links: both bound the time that a hostile text can take to about a second.
+const MAX_NODES: u32 = 2_000_000;
+pub(super) const MAX_LINKS: usize = 10_000;
+
+/// A text with its name, for messages with line and column.
+#[derive(Debug)]
+pub(super) struct Source<'a> {
+    name: &'a str,
+    text: &'a str,
+    line_starts: Vec<usize>,
+}
+
+impl<'a> Source<'a> {
+    pub(super) fn new(name: &'a str, text: &'a str) -> Self {
+        let line_starts = std::iter::once(0).chain(text.match_indices('\n').map(|(i, _)| i + 1)).collect();
+        Self { name, text, line_starts }
+    }
+
+    pub(super) const fn name(&self) -> &'a str {
+        self.name
+    }
+
+    /// Line and column of a byte; the column counts characters.
+    pub(super) fn at(&self, offset: usize) -> Position {
+        let line = self.line_starts.partition_point(|&start| start <= offset);
+        let start = self.line_starts.get(line.wrapping_sub(1)).copied().unwrap_or(0);
+        let column = self.text.get(start..offset).map_or(0, |head| head.chars().count()) + 1;
+        match (u32::try_from(line), u32::try_from(column)) {
+            (Ok(line), Ok(column)) => Position(Some((line, column))),
+            _ => Position(None),
+        }
+    }
+
+    pub(super) fn error(&self, at: Position, message: impl Into<String>) -> Error {
+        Error::Urdf { source_name: self.name.to_owned(), at, message: message.into() }
+    }
+
+    /// An error at the start of an element.
+    pub(super) fn error_at(&self, node: Node, message: impl Into<String>) -> Error {
+        self.error(self.at(node.range().start), message)
+    }
+
+    /// The tree of a text that is small, shallow, expanded and a robot.
+    pub(super) fn parse(&self) -> Result<Document<'a>> {
+        if self.text.len() > MAX_BYTES {
+            let message = format!("{} bytes of text, at most {MAX_BYTES}", self.text.len());
+            return Err(self.error(Position(None), message));
+        }
+        if self.text.trim().is_empty() {
+            return Err(self.error(Position(None), "the text is empty; a URDF starts with <robot name=\"...\">"));
+        }
+        let options = ParsingOptions { nodes_limit: MAX_NODES, ..ParsingOptions::default() };
+        let document = Document::parse_with_options(self.text, options).map_err(|error| self.malformed(&error))?;
+        self.refuse_deep(&document)?;
+        self.refuse_foreign(&document)?;
+        Ok(document)
+    }
+
+    fn malformed(&self, error: &roxmltree::Error) -> Error {
+        let at = Position(Some((error.pos().row, error.pos().col)));
+        match error {
+            roxmltree::Error::DtdDetected => {
+                let at = self.text.find("<!DOCTYPE").map_or(Position(None), |offset| self.at(offset));
+                self.error(at, "a DOCTYPE is refused, because its entities can grow without bound; remove it")
+            }
+            roxmltree::Error::UnknownEntityReference(name, _) => {
+                self.error(at, format!("unknown entity '&{name};'; only &amp; &lt; &gt; &quot; &apos; exist in a URDF"))
+            }
+            roxmltree::Error::UnknownNamespace(prefix, _) if prefix == "xacro" => self.error(at, xacro("an xacro element")),
+            roxmltree::Error::NodesLimitReached => {
+                self.error(Position(None), format!("more than {MAX_NODES} XML nodes; a robot has some thousands"))
+            }
+            roxmltree::Error::UnclosedRootNode | roxmltree::Error::UnexpectedEndOfStream => {
+                self.error(Position(None), "the text ends too early; </robot> is missing")
+            }
+            other => self.error(at, format!("not well-formed XML: {other}")),
+        }
+    }
+
+    fn refuse_deep(&self, document: &Document) -> Result<()> {
+        let (mut node, mut depth) = (document.root_element(), 1);
+        loop {
+            if depth > MAX_DEPTH {
+                return Err(self.error_at(node, format!("elements nested deeper than {MAX_DEPTH} levels")));
+            }
+            if let Some(child) = node.first_element_child() {
+                (node, depth) = (child, depth + 1);
+                continue;
+            }
+            loop {
+                if let Some(next) = node.next_sibling_element() {
+                    node = next;
+                    break;
+                }
+                match node.parent_element() {
+                    Some(parent) => (node, depth) = (parent, depth - 1),
+                    None => return Ok(()),
+                }
+            }
+        }
+    }
+
+    fn refuse_foreign(&self, document: &Document) -> Result<()> {
+        let root = document.root_element();
+        let is_xacro = |node: &Node| node.tag_name().namespace().is_some_and(|uri| uri.contains("xacro"));
+        if let Some(node) = document.descendants().find(|node| node.is_element() && is_xacro(node)) {
+            return Err(self.error_at(node, xacro(&format!("the element <xacro:{}>", node.tag_name().name()))));
+        }
+        let name = root.tag_name().name();
+        let hint = match name {
+            "robot" => return Ok(()),
+            "mujoco" | "mujocoinclude" => "this is an MJCF model of MuJoCo; export or find the robot's URDF",
+            "sdf" | "gazebo" | "world" | "model" => "this looks like SDF (Gazebo); export or find the robot's URDF",
+            "COLLADA" => "this is a mesh; give the URDF that refers to it",
+            "html" | "HTML" => "this is a web page; download the raw file",
+            _ => "give a URDF",
+        };
+        Err(self.error_at(root, format!("the root element is <{name}>, not <robot>: {hint}")))
+    }
+}
+
+/// Why an xacro file is refused, and the command that helps.
+pub(super) fn xacro(what: &str) -> String {
+    format!("{what} shows that xacro was not run; expand the file first: xacro robot.urdf.xacro > robot.urdf")
+}

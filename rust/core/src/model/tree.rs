@@ -1,0 +1,306 @@
+//! Links and joints of the whole robot, as the file gives them.
+
+use std::collections::HashMap;
+
+use super::names::{SHOWN, distance, listed, some};
+use super::text::Source;
+use super::urdf::Robot;
+use crate::error::{Error, Position, Result};
+use crate::pose::Pose;
+
+/// Mass, centre of mass and inertia of a link.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Inertial {
+    /// Mass [kg], finite, ≥ 0.
+    pub mass: f64,
+    /// Centre of mass in the link's frame [m].
+    pub com: [f64; 3],
+    /// Axes in which the inertia is given: `link_from_inertia`, row-major.
+    pub rotation: [[f64; 3]; 3],
+    /// Inertia about the centre of mass, in those axes [kg·m²].
+    pub inertia: [[f64; 3]; 3],
+}
+
+/// A rigid body, or a mere frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Link {
+    /// Unique, not empty.
+    pub name: String,
+    /// Joint above it; `None` for the root.
+    pub parent_joint: Option<usize>,
+    /// `None`: no `<inertial>`, a massless link.
+    pub inertial: Option<Inertial>,
+}
+
+/// How a joint moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum JointKind {
+    /// About an axis, between limits.
+    Revolute,
+    /// About an axis, without end.
+    Continuous,
+    /// Along an axis.
+    Prismatic,
+    /// Not at all.
+    Fixed,
+    /// Floating, planar, spherical: held at its zero pose, and refused between base and tip.
+    Other,
+}
+
+impl JointKind {
+    /// Whether the joint has one coordinate.
+    pub const fn is_actuated(self) -> bool {
+        matches!(self, Self::Revolute | Self::Continuous | Self::Prismatic)
+    }
+}
+
+/// A joint that follows another: its coordinate is `multiplier · q + offset`.
+///
+/// Resolved: `joint` follows nobody, also where the file chains one mimic to another.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mimic {
+    /// The joint that leads (index into [`Model::joints`](super::Model::joints)).
+    pub joint: usize,
+    /// Ratio, finite, not 0.
+    pub multiplier: f64,
+    /// Offset [rad or m].
+    pub offset: f64,
+}
+
+/// A joint of the tree.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Joint {
+    /// Unique, not empty.
+    pub name: String,
+    /// How it moves.
+    pub kind: JointKind,
+    /// The file's word for `kind`.
+    pub type_name: String,
+    /// Link above (index into [`Model::links`](super::Model::links)).
+    pub parent: usize,
+    /// Link below.
+    pub child: usize,
+    /// `parent_from_child` at zero.
+    pub origin: Pose,
+    /// Unit axis in the joint's frame; z for joints that have none.
+    pub axis: [f64; 3],
+    /// Lower position limit [rad or m]; `None`: absent.
+    pub lower: Option<f64>,
+    /// Upper position limit [rad or m]; `None`: absent.
+    pub upper: Option<f64>,
+    /// Speed limit [rad/s or m/s]; `None`: absent, 0 or infinite.
+    pub velocity: Option<f64>,
+    /// Torque or force limit [N·m or N]; `None`: absent, 0 or infinite.
+    pub effort: Option<f64>,
+    /// Damping [N·m·s/rad or N·s/m].
+    pub damping: Option<f64>,
+    /// Dry friction [N·m or N].
+    pub friction: Option<f64>,
+    /// The joint that it follows.
+    pub mimic: Option<Mimic>,
+    /// Coordinate of the chain that moves it, as the coordinate's own joint or by mimic.
+    pub q_index: Option<usize>,
+    /// Where it is held [rad or m], for actuated joints that no coordinate moves.
+    pub locked_at: Option<f64>,
+    /// Line and column of the joint's element.
+    pub(crate) at: Position,
+}
+
+/// All links and joints; a tree with one root, mimics resolved.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Tree {
+    pub(super) name: String,
+    pub(super) source_name: String,
+    pub(super) links: Vec<Link>,
+    pub(super) joints: Vec<Joint>,
+    /// Joints below each link, in the file's order.
+    pub(super) children: Vec<Vec<usize>>,
+    pub(super) root: usize,
+}
+
+impl Joint {
+    /// Where the joint is held when nobody says: 0, or the limit nearest to it.
+    pub(super) fn resting_value(&self) -> f64 {
+        0.0_f64.max(self.lower.unwrap_or(f64::NEG_INFINITY)).min(self.upper.unwrap_or(f64::INFINITY))
+    }
+}
+
+impl Tree {
+    /// Resolves names and checks that the links form one tree.
+    pub(super) fn build(source: &Source, robot: Robot) -> Result<Self> {
+        let link_index: HashMap<String, usize> =
+            robot.links.iter().enumerate().map(|(i, link)| (link.name.clone(), i)).collect();
+        let positions: Vec<Position> = robot.links.iter().map(|link| link.at).collect();
+        let mut links: Vec<Link> = robot
+            .links
+            .into_iter()
+            .map(|link| Link { name: link.name, parent_joint: None, inertial: link.inertial })
+            .collect();
+        let mut children = vec![Vec::new(); links.len()];
+        let mut joints = Vec::with_capacity(robot.joints.len());
+        let mut mimics = Vec::with_capacity(robot.joints.len());
+        for (j, raw) in robot.joints.into_iter().enumerate() {
+            let find = |what: &str, name: &str| {
+                link_index.get(name).copied().ok_or_else(|| {
+                    let links = listed(&links, |link| &link.name, name);
+                    source.error(raw.at, format!("joint '{}': {what} link '{name}' does not exist; links: {links}", raw.name))
+                })
+            };
+            let (parent, child) = (find("parent", &raw.parent)?, find("child", &raw.child)?);
+            if parent == child {
+                let message = format!("joint '{}': link '{}' is its own parent", raw.name, raw.parent);
+                return Err(source.error(raw.at, message));
+            }
+            if let Some(other) = links[child].parent_joint {
+                let other: &Joint = &joints[other];
+                let message = format!(
+                    "link '{}' has two parents: joint '{}' and joint '{}'; a robot must be a tree",
+                    raw.child, other.name, raw.name
+                );
+                return Err(source.error(raw.at, message));
+            }
+            if let (Some(lower), Some(upper)) = (raw.lower, raw.upper)
+                && lower > upper
+            {
+                let message = format!("joint '{}': lower limit {lower} is above upper limit {upper}", raw.name);
+                return Err(source.error(raw.at, message));
+            }
+            links[child].parent_joint = Some(j);
+            children[parent].push(j);
+            mimics.push(raw.mimic.clone().filter(|_| raw.kind.is_actuated()));
+            joints.push(Joint {
+                name: raw.name,
+                kind: raw.kind,
+                type_name: raw.type_name,
+                parent,
+                child,
+                origin: raw.origin,
+                axis: raw.axis,
+                lower: raw.lower,
+                upper: raw.upper,
+                velocity: raw.velocity,
+                effort: raw.effort,
+                damping: raw.damping,
+                friction: raw.friction,
+                mimic: None,
+                q_index: None,
+                locked_at: None,
+                at: raw.at,
+            });
+        }
+        let mut tree = Self { name: robot.name, source_name: source.name().to_owned(), links, joints, children, root: 0 };
+        tree.root = tree.find_root(&positions)?;
+        tree.resolve_mimics(&mimics)?;
+        Ok(tree)
+    }
+
+    /// The one link without a parent, from which every link must be reachable.
+    fn find_root(&self, positions: &[Position]) -> Result<usize> {
+        let roots: Vec<usize> = (0..self.links.len()).filter(|&l| self.links[l].parent_joint.is_none()).collect();
+        let [root] = roots[..] else {
+            if let Some(&second) = roots.get(1) {
+                let names = some(roots.iter().map(|&l| self.links[l].name.as_str()));
+                let message = format!("{} links have no parent joint ({names}); a robot has one root", roots.len());
+                return Err(self.error(positions[second], message));
+            }
+            return Err(self.error(Position(None), "every link has a parent joint, so the joints form a loop; a robot has one root"));
+        };
+        let mut reached = vec![false; self.links.len()];
+        let mut stack = vec![root];
+        while let Some(link) = stack.pop() {
+            reached[link] = true;
+            stack.extend(self.children[link].iter().map(|&j| self.joints[j].child));
+        }
+        if let Some(lost) = reached.iter().position(|&r| !r) {
+            let message = format!(
+                "link '{}' is not connected to the root '{}': its parents form a loop",
+                self.links[lost].name, self.links[root].name
+            );
+            return Err(self.error(positions[lost], message));
+        }
+        Ok(root)
+    }
+
+    /// Follows every chain of mimics to the joint that leads it.
+    fn resolve_mimics(&mut self, raw: &[Option<(String, f64, f64)>]) -> Result<()> {
+        let index: HashMap<String, usize> = self.joints.iter().enumerate().map(|(j, joint)| (joint.name.clone(), j)).collect();
+        // Direct leaders first, so that a chain can be followed by index.
+        let mut direct: Vec<Option<Mimic>> = vec![None; raw.len()];
+        for (j, entry) in raw.iter().enumerate() {
+            let Some((leader, multiplier, offset)) = entry else { continue };
+            let Some(&joint) = index.get(leader) else {
+                let joints = listed(&self.joints, |joint| &joint.name, leader);
+                return Err(self.joint_error(j, format!("mimics '{leader}', which does not exist; joints: {joints}")));
+            };
+            if multiplier.abs() < 1e-9 {
+                return Err(self.joint_error(j, format!("mimics '{leader}' with multiplier {multiplier}; make the joint fixed instead")));
+            }
+            direct[j] = Some(Mimic { joint, multiplier: *multiplier, offset: *offset });
+        }
+        // A follower's leader is resolved before it: each joint is visited once, however long the chains are.
+        let mut resolved: Vec<Option<Mimic>> = vec![None; raw.len()];
+        for start in 0..direct.len() {
+            let mut waiting = Vec::new();
+            let mut j = start;
+            while let (Some(mimic), None) = (direct[j], resolved[j]) {
+                if waiting.len() > direct.len() {
+                    let message = format!("the mimic of '{}' leads back to itself; one joint of the ring must lead", self.joints[j].name);
+                    return Err(self.joint_error(start, message));
+                }
+                waiting.push(j);
+                j = mimic.joint;
+            }
+            while let Some(j) = waiting.pop() {
+                resolved[j] = direct[j].map(|own| match resolved[own.joint] {
+                    Some(leader) => Mimic {
+                        joint: leader.joint,
+                        multiplier: own.multiplier * leader.multiplier,
+                        offset: own.multiplier * leader.offset + own.offset,
+                    },
+                    None => own,
+                });
+            }
+        }
+        for (joint, mimic) in self.joints.iter_mut().zip(resolved) {
+            joint.mimic = mimic;
+        }
+        Ok(())
+    }
+
+    /// Link above a link.
+    pub(super) fn parent_link(&self, link: usize) -> Option<usize> {
+        self.links[link].parent_joint.map(|j| self.joints[j].parent)
+    }
+
+    /// Joints from `top` down to `bottom`, which is below it.
+    pub(super) fn joints_between(&self, top: usize, bottom: usize) -> Vec<usize> {
+        let (mut joints, mut link) = (Vec::new(), bottom);
+        while link != top {
+            let Some(joint) = self.links[link].parent_joint else { break };
+            joints.push(joint);
+            link = self.joints[joint].parent;
+        }
+        joints.reverse();
+        joints
+    }
+
+    /// Index of a link by name.
+    pub(super) fn frame(&self, name: &str) -> Result<usize> {
+        self.links.iter().position(|link| link.name == name).ok_or_else(|| {
+            let mut available: Vec<String> = self.links.iter().map(|link| link.name.clone()).collect();
+            // The likeliest slip first, at most a screenful.
+            available.sort_by_key(|candidate| distance(candidate, name));
+            available.truncate(SHOWN);
+            Error::FrameNotFound { frame: name.to_owned(), available }
+        })
+    }
+
+    pub(super) fn error(&self, at: Position, message: impl Into<String>) -> Error {
+        Error::Urdf { source_name: self.source_name.clone(), at, message: message.into() }
+    }
+
+    /// An error about a joint, at its place in the file.
+    pub(super) fn joint_error(&self, j: usize, message: impl std::fmt::Display) -> Error {
+        self.error(self.joints[j].at, format!("joint '{}' {message}", self.joints[j].name))
+    }
+}

@@ -1,0 +1,119 @@
+//! Poses: position and rotation of one frame in another.
+
+use nalgebra::{Isometry3, Matrix3, Matrix4, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use crate::error::{Error, Result};
+
+/// Largest position [m] or joint coordinate that is taken for a real one.
+///
+/// Beyond it squares of differences lose the digits that control needs, so it is an input error.
+pub const COORDINATE_BOUND: f64 = 1e6;
+
+/// Largest error of `RᵀR − I` (largest entry) that a rotation may have.
+pub const ROTATION_TOLERANCE: f64 = 1e-4;
+
+/// Pose of the tool in the base, `base_from_tool`: rotation matrix (row-major) and position [m].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// Rotation matrix; `rotation[row][column]`.
+    pub rotation: [[f64; 3]; 3],
+    /// Position [m].
+    pub position: [f64; 3],
+}
+
+impl Pose {
+    /// No rotation, no translation.
+    pub const IDENTITY: Self =
+        Self { rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], position: [0.0; 3] };
+
+    /// From a homogeneous 4×4 matrix, row-major.
+    ///
+    /// # Errors
+    /// As [`Pose::validate`]; also when the last row is not `0 0 0 1`.
+    pub fn from_rows(m: &[[f64; 4]; 4]) -> Result<Self> {
+        if !(m[3][0].abs() < 1e-9 && m[3][1].abs() < 1e-9 && m[3][2].abs() < 1e-9 && (m[3][3] - 1.0).abs() < 1e-9) {
+            return Err(Error::config(
+                "pose",
+                format!("last row of a 4×4 pose must be 0 0 0 1, got {} {} {} {}", m[3][0], m[3][1], m[3][2], m[3][3]),
+            ));
+        }
+        let pose = Self {
+            rotation: [
+                [m[0][0], m[0][1], m[0][2]],
+                [m[1][0], m[1][1], m[1][2]],
+                [m[2][0], m[2][1], m[2][2]],
+            ],
+            position: [m[0][3], m[1][3], m[2][3]],
+        };
+        pose.validate()?;
+        Ok(pose)
+    }
+
+    /// The homogeneous 4×4 matrix, row-major.
+    pub fn to_rows(&self) -> [[f64; 4]; 4] {
+        let (r, p) = (&self.rotation, &self.position);
+        [
+            [r[0][0], r[0][1], r[0][2], p[0]],
+            [r[1][0], r[1][1], r[1][2], p[1]],
+            [r[2][0], r[2][1], r[2][2], p[2]],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    }
+
+    /// Checks that the position is finite and below [`COORDINATE_BOUND`] and that the rotation is one.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] names the entry; [`Error::Config`] the rotation's fault.
+    pub fn validate(&self) -> Result<()> {
+        for (axis, &value) in ["x", "y", "z"].iter().zip(&self.position) {
+            if !(value.abs() <= COORDINATE_BOUND) {
+                return Err(Error::limit(format!("pose: position {axis} [m]"), value, "±1e6 and finite"));
+            }
+        }
+        let r = &self.rotation;
+        let mut worst: f64 = 0.0;
+        for i in 0..3 {
+            for j in 0..3 {
+                let dot = r[0][i] * r[0][j] + r[1][i] * r[1][j] + r[2][i] * r[2][j];
+                let error = (dot - f64::from(u8::from(i == j))).abs();
+                // `max` would drop a NaN.
+                worst = if error > worst || error.is_nan() { error } else { worst };
+            }
+        }
+        if !(worst <= ROTATION_TOLERANCE) {
+            return Err(Error::config(
+                "pose",
+                format!("rotation part is not a rotation: largest entry of RᵀR − I is {worst:.3e}, at most {ROTATION_TOLERANCE:e}"),
+            ));
+        }
+        let det = r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1]) - r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0])
+            + r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0]);
+        if det < 0.0 {
+            return Err(Error::config("pose", "rotation part is a reflection (determinant −1); swap or negate an axis"));
+        }
+        Ok(())
+    }
+
+    /// As nalgebra's isometry.
+    pub fn to_isometry(&self) -> Isometry3<f64> {
+        let r = &self.rotation;
+        let m = Matrix3::new(
+            r[0][0], r[0][1], r[0][2], r[1][0], r[1][1], r[1][2], r[2][0], r[2][1], r[2][2],
+        );
+        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(m));
+        Isometry3::from_parts(Translation3::from(Vector3::from(self.position)), rotation)
+    }
+
+    /// From nalgebra's isometry.
+    pub fn from_isometry(isometry: &Isometry3<f64>) -> Self {
+        let m: Matrix4<f64> = isometry.to_homogeneous();
+        Self {
+            rotation: [
+                [m[(0, 0)], m[(0, 1)], m[(0, 2)]],
+                [m[(1, 0)], m[(1, 1)], m[(1, 2)]],
+                [m[(2, 0)], m[(2, 1)], m[(2, 2)]],
+            ],
+            position: [m[(0, 3)], m[(1, 3)], m[(2, 3)]],
+        }
+    }
+}

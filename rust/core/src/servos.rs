@@ -1,0 +1,215 @@
+//! What the controller believes about the servos.
+
+use crate::error::{Error, Result};
+use crate::{JointVec, MAX_JOINTS};
+
+/// What a servo's torque limit really limits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ServoKind {
+    /// Motor current, hence torque at any speed.
+    #[default]
+    Current,
+    /// PWM duty: the torque left falls with speed, so back-EMF acts as damping `torque / no_load_speed`.
+    Duty,
+}
+
+/// Position servos of the `n` joints of a chain, base → tip. Units: N·m, rad (N, m for prismatic joints).
+///
+/// One entry per joint, or a single entry that holds for every joint.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Servos {
+    /// Stiffness of the position loop, `k_p` [N·m/rad] > 0.
+    pub kp: Vec<f64>,
+    /// Usable torque at the present voltage [N·m] > 0: the ceiling of every torque limit.
+    pub torque: Vec<f64>,
+    /// Dry friction of gears and motor [N·m] ≥ 0.
+    pub friction: Vec<f64>,
+    /// Viscous damping of gears and back-EMF that acts outside the torque limit [N·m·s/rad] ≥ 0.
+    pub damping: Vec<f64>,
+    /// Damping of the servo's own loop, inside the torque limit [N·m·s/rad] ≥ 0.
+    pub kv: Vec<f64>,
+    /// Rotor inertia seen at the joint [kg·m²] ≥ 0; only simulators use it.
+    pub armature: Vec<f64>,
+    /// Encoder count [rad] ≥ 0; 0 when it does not matter.
+    pub count: Vec<f64>,
+    /// What the limit register limits.
+    pub kind: ServoKind,
+    /// No-load speed [rad/s] > 0, required for [`ServoKind::Duty`].
+    pub no_load_speed: Option<Vec<f64>>,
+    /// Whether `kp` is known within 10 %, by identification or measurement.
+    pub kp_known: bool,
+}
+
+impl Servos {
+    /// Servos with the given stiffness and usable torque; everything else zero.
+    pub fn new(kp: Vec<f64>, torque: Vec<f64>) -> Self {
+        Self {
+            kp,
+            torque,
+            friction: vec![0.0],
+            damping: vec![0.0],
+            kv: vec![0.0],
+            armature: vec![0.0],
+            count: vec![0.0],
+            kind: ServoKind::Current,
+            no_load_speed: None,
+            kp_known: false,
+        }
+    }
+
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] names field, index and bound; [`Error::Config`] a missing or superfluous no-load speed.
+    pub fn validate(&self) -> Result<()> {
+        for (name, values, positive) in self.fields() {
+            for (i, &value) in values.iter().enumerate() {
+                if !value.is_finite() || value < 0.0 || (positive && value == 0.0) {
+                    let bound = if positive { "(0, ∞)" } else { "[0, ∞)" };
+                    return Err(Error::limit(format!("servos.{name}[{i}]"), value, bound));
+                }
+            }
+        }
+        match (self.kind, &self.no_load_speed) {
+            (ServoKind::Duty, None) => Err(Error::config(
+                "servos.no_load_speed",
+                "kind=\"duty\" needs the no-load speed [rad/s] at the present voltage (it sets the back-EMF)",
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// The same servos with one entry for each of `n` joints.
+    ///
+    /// # Errors
+    /// As [`Servos::validate`]; [`Error::Shape`] for a field with neither 1 nor `n` entries.
+    pub fn for_joints(&self, n: usize) -> Result<Self> {
+        self.validate()?;
+        let spread = |name: &str, values: &[f64]| match values {
+            [one] => Ok(vec![*one; n]),
+            many if many.len() == n => Ok(many.to_vec()),
+            other => Err(Error::Shape {
+                what: format!("servos.{name}"),
+                got: format!("({},)", other.len()),
+                expected: format!("({n},) or a single number"),
+            }),
+        };
+        Ok(Self {
+            kp: spread("kp", &self.kp)?,
+            torque: spread("torque", &self.torque)?,
+            friction: spread("friction", &self.friction)?,
+            damping: spread("damping", &self.damping)?,
+            kv: spread("kv", &self.kv)?,
+            armature: spread("armature", &self.armature)?,
+            count: spread("count", &self.count)?,
+            no_load_speed: self.no_load_speed.as_deref().map(|w| spread("no_load_speed", w)).transpose()?,
+            kind: self.kind,
+            kp_known: self.kp_known,
+        })
+    }
+
+    fn fields(&self) -> Vec<(&'static str, &[f64], bool)> {
+        let mut fields: Vec<(&'static str, &[f64], bool)> = vec![
+            ("kp", &self.kp, true),
+            ("torque", &self.torque, true),
+            ("friction", &self.friction, false),
+            ("damping", &self.damping, false),
+            ("kv", &self.kv, false),
+            ("armature", &self.armature, false),
+            ("count", &self.count, false),
+        ];
+        if let Some(speed) = &self.no_load_speed {
+            fields.push(("no_load_speed", speed, true));
+        }
+        fields
+    }
+}
+
+/// The servos as the cycle needs them: one entry per joint, spare entries neutral.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ServoArrays {
+    /// Whether `k_p` is known at all (`kp` is 1 where it is not).
+    pub(crate) has_kp: bool,
+    pub(crate) kp: JointVec,
+    /// 1/`kp`.
+    pub(crate) compliance: JointVec,
+    /// Mean of `kp`, k̄.
+    pub(crate) kp_mean: f64,
+    /// Ceiling of the limits; ∞ where nothing is known.
+    pub(crate) torque: JointVec,
+    pub(crate) friction: JointVec,
+    /// All that resists motion in proportion to speed: gears, the servo's own damping, back-EMF.
+    pub(crate) damping: JointVec,
+    pub(crate) count: JointVec,
+}
+
+impl ServoArrays {
+    /// From servos that [`Servos::for_joints`] has spread; without servos from the effort limits of the model.
+    pub(crate) fn new(n: usize, servos: Option<&Servos>, effort: &[Option<f64>]) -> Self {
+        let mut arrays = Self {
+            has_kp: servos.is_some(),
+            kp: [1.0; MAX_JOINTS],
+            compliance: [1.0; MAX_JOINTS],
+            kp_mean: 1.0,
+            torque: [f64::INFINITY; MAX_JOINTS],
+            friction: [0.0; MAX_JOINTS],
+            damping: [0.0; MAX_JOINTS],
+            count: [0.0; MAX_JOINTS],
+        };
+        let Some(servos) = servos else {
+            for (ceiling, effort) in arrays.torque.iter_mut().zip(effort) {
+                *ceiling = effort.unwrap_or(f64::INFINITY);
+            }
+            return arrays;
+        };
+        for i in 0..n.min(MAX_JOINTS) {
+            arrays.kp[i] = servos.kp[i];
+            arrays.compliance[i] = 1.0 / servos.kp[i];
+            arrays.torque[i] = servos.torque[i];
+            arrays.friction[i] = servos.friction[i];
+            let back_emf = match (servos.kind, &servos.no_load_speed) {
+                (ServoKind::Duty, Some(speed)) => servos.torque[i] / speed[i],
+                _ => 0.0,
+            };
+            arrays.damping[i] = servos.damping[i] + servos.kv[i] + back_emf;
+            arrays.count[i] = servos.count[i];
+        }
+        arrays.kp_mean = servos.kp.iter().sum::<f64>() / servos.kp.len() as f64;
+        arrays
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_single_number_holds_for_every_joint() {
+        let servos = Servos::new(vec![100.0], vec![5.0, 6.0]).for_joints(2).unwrap();
+        assert_eq!(servos.kp, [100.0, 100.0]);
+        assert_eq!(servos.torque, [5.0, 6.0]);
+    }
+
+    #[test]
+    fn wrong_values_are_named() {
+        let error = Servos::new(vec![100.0, 0.0], vec![5.0]).for_joints(2).unwrap_err().to_string();
+        assert_eq!(error, "servos.kp[1] = 0 is outside (0, ∞)");
+        let error = Servos::new(vec![100.0; 3], vec![5.0]).for_joints(2).unwrap_err().to_string();
+        assert_eq!(error, "servos.kp has shape (3,), expected (2,) or a single number");
+        let duty = Servos { kind: ServoKind::Duty, ..Servos::new(vec![100.0], vec![5.0]) };
+        assert!(duty.validate().unwrap_err().to_string().contains("no-load speed"));
+    }
+
+    #[test]
+    fn back_emf_of_a_duty_limit_is_damping() {
+        let servos = Servos {
+            kind: ServoKind::Duty,
+            no_load_speed: Some(vec![10.0]),
+            damping: vec![0.2],
+            kv: vec![0.3],
+            ..Servos::new(vec![100.0], vec![5.0])
+        };
+        let arrays = ServoArrays::new(1, Some(&servos.for_joints(1).unwrap()), &[]);
+        assert!((arrays.damping[0] - 1.0).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,407 @@
+//! Everything the user can ask of the controller, validated once.
+
+use crate::MAX_AXES;
+use crate::error::{Error, Result};
+use crate::task::axes::{AXIS_NAMES, Axis, Task, parse_axes};
+
+/// Control law.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Law {
+    /// The paper's equations (3)–(12): torque budgets per task axis.
+    Paper,
+    /// Force caps per task axis; the default.
+    #[default]
+    Cap,
+}
+
+/// Whether yielding axes stay in the inverse kinematics of the stiff ones.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Follow {
+    /// Yielding axes leave the solve and exert exactly their force; the default of law `cap`.
+    Free,
+    /// All axes stay in one solve; the default of law `paper`.
+    Hold,
+}
+
+/// Rule of law `cap` for the joint torque limits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LimitRule {
+    /// What the law wants at this tick, plus a margin.
+    #[default]
+    Demand,
+    /// The sum over all axes of what each may ask for.
+    Sum,
+}
+
+/// Null-space projector.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Projector {
+    /// `I − Jᵀ(JJᵀ + μ²I)⁻¹J` with μ = 0 away from singular poses.
+    #[default]
+    Exact,
+    /// `I − J⁺J` with the damped J⁺, as printed in (4).
+    Paper,
+}
+
+/// Where the gravity model is used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum GravityUse {
+    /// In goals and limits.
+    #[default]
+    Both,
+    /// Only as offset of the goals.
+    Goal,
+    /// Only in the limits.
+    Limits,
+    /// Nowhere: the paper.
+    Off,
+}
+
+impl GravityUse {
+    pub(crate) fn in_goal(self) -> bool {
+        matches!(self, Self::Both | Self::Goal)
+    }
+
+    pub(crate) fn in_limits(self) -> bool {
+        matches!(self, Self::Both | Self::Limits)
+    }
+}
+
+/// Damping λ of the inverse.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Damping {
+    /// From the arm: σ₀ = 2 × its median over 512 poses, λ_max = σ₀, λ₀ = 0.13 σ₀.
+    #[default]
+    Auto,
+    /// λ everywhere.
+    Fixed(f64),
+    /// λ² = λ₀² + (1 − (σ/σ₀)²) λ_max² where σ < σ₀.
+    Adaptive {
+        /// λ away from singular poses.
+        lambda_0: f64,
+        /// σ below which damping grows.
+        sigma_0: f64,
+        /// What is added (in squares) at σ = 0.
+        lambda_max: f64,
+    },
+}
+
+/// Gain K_x [1/s] or K_q: one number, one per axis or joint, or a matrix (row-major).
+#[derive(Debug, Clone, PartialEq)]
+pub enum Gain {
+    /// The same everywhere.
+    Scalar(f64),
+    /// A diagonal matrix.
+    Diagonal(Vec<f64>),
+    /// A full matrix, one inner vector a row.
+    Matrix(Vec<Vec<f64>>),
+}
+
+impl Gain {
+    /// Spreads the gain to an `n × n` matrix in arrays of capacity `N`.
+    pub(crate) fn spread<const N: usize>(&self, key: &str, n: usize) -> Result<[[f64; N]; N]> {
+        let mut out = [[0.0; N]; N];
+        let wrong = |got: String| Error::Shape { what: key.into(), got, expected: format!("a number, ({n},) or ({n}, {n})") };
+        match self {
+            Self::Scalar(k) => (0..n.min(N)).for_each(|i| out[i][i] = *k),
+            Self::Diagonal(d) if d.len() == n => d.iter().enumerate().for_each(|(i, k)| out[i][i] = *k),
+            Self::Diagonal(d) => return Err(wrong(format!("({},)", d.len()))),
+            Self::Matrix(m) if m.len() == n && m.iter().all(|row| row.len() == n) => {
+                for (to, from) in out.iter_mut().zip(m) {
+                    to[..n].copy_from_slice(from);
+                }
+            }
+            Self::Matrix(m) => return Err(wrong(format!("({}, {})", m.len(), m.first().map_or(0, Vec::len)))),
+        }
+        Ok(out)
+    }
+
+    /// Every entry.
+    pub(crate) fn values(&self) -> Vec<f64> {
+        match self {
+            Self::Scalar(k) => vec![*k],
+            Self::Diagonal(d) => d.clone(),
+            Self::Matrix(m) => m.iter().flatten().copied().collect(),
+        }
+    }
+
+    /// The largest entry, used as the default step of the null-space motion.
+    pub(crate) fn largest(&self) -> f64 {
+        self.values().into_iter().fold(0.0, f64::max)
+    }
+}
+
+/// All settings of a controller. Make one with [`Settings::default`] or a preset and change fields.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// Controlled axes and their frame.
+    pub task: Task,
+    /// What is asked of x, y, z, roll, pitch, yaw.
+    pub axes: [Axis; MAX_AXES],
+    /// Control law.
+    pub law: Law,
+    /// Whether yielding axes stay in the solve; `None`: by law.
+    pub follow: Option<Follow>,
+    /// Rule for the limits (law `cap`).
+    pub limits: LimitRule,
+    /// Null-space projector.
+    pub projector: Projector,
+    /// Gain K_x [1/s] of (5).
+    pub kx: Gain,
+    /// Horizon h [s] of the goal `q + h q̇`.
+    pub horizon: f64,
+    /// Gain K_q of (5), law `paper` only.
+    pub kq: Gain,
+    /// Step α of the null-space motion [1/s]; `None`: as K_x.
+    pub alpha: Option<f64>,
+    /// Nominal control rate [Hz]: the default `dt` of a step.
+    pub rate: f64,
+    /// Damping of the inverse.
+    pub damping: Damping,
+    /// Rest posture [rad], one per joint; `None`: q at reset.
+    pub posture: Option<Vec<f64>>,
+    /// Weight of each joint in the posture cost; `None`: 1.
+    pub posture_weights: Option<Vec<f64>>,
+    /// Weight of the joint-limit cost `½ Σ ((q − mid)/half-range)²`.
+    pub limit_avoidance: f64,
+    /// Weight of the manipulability cost `−ln √det(JJᵀ)`.
+    pub manipulability: f64,
+    /// Most the null-space motion may ask of all joints together [N·m], `Σ k_p |null| ≤ τ₀`, and its budget under law
+    /// `paper`; `None`: 2 where the arm is redundant for the task.
+    pub null_torque: Option<f64>,
+    /// Speed limit of the null-space motion [rad/s per joint]; ∞ for none.
+    pub null_speed: f64,
+    /// Where the gravity model is used.
+    pub gravity: GravityUse,
+    /// Factor s_g on gravity in the limits.
+    pub gravity_scale: f64,
+    /// Share b_f of the friction that is fed forward.
+    pub friction_share: f64,
+    /// Share b_d of the damping that is fed forward.
+    pub damping_share: f64,
+    /// Share b_p of the delay that is predicted over.
+    pub prediction_share: f64,
+    /// Speed v₀ [rad/s] at which the friction feed-forward saturates.
+    pub friction_speed: f64,
+    /// Time constant T_f [s] of the velocity filter.
+    pub velocity_filter: f64,
+    /// Delay T_d [s] from reading to arrival of the goal.
+    pub delay: f64,
+    /// Slew limit of the goals [rad/s]; ∞ for none.
+    pub goal_slew: f64,
+    /// Time [s] in which a limit may rise from zero to its ceiling; 0 for no limit.
+    pub stiffening_time: f64,
+    /// Speed of the tool's target [m/s, rad/s]; ∞ for none.
+    pub max_tool_speed: [f64; 2],
+    /// Acceleration of the tool's target [m/s², rad/s²].
+    pub max_tool_acceleration: [f64; 2],
+    /// Joint speed limit [rad/s] per joint; `None`: the model's.
+    pub joint_speed: Option<Vec<f64>>,
+    /// Floor of the torque limits [N·m] per joint; `None`: the servos' friction.
+    pub floor: Option<Vec<f64>>,
+    /// Margin m of the limits as a share of the usable torque (at least twice the friction).
+    pub margin: f64,
+    /// Half-width of the band around zero in which an axis that yields to one side changes over, as a share of `d_minus`;
+    /// `None`: 0.1 under law `cap`, 0 under law `paper`.
+    pub direction_band: Option<f64>,
+    /// Compliance from the raw instead of the adapted deviation.
+    pub raw_deviation: bool,
+    /// Law `paper`: clamp each axis' step to what its budget can do.
+    pub budget_on_goal: bool,
+    /// Law `paper`: weight of each joint in J⁺; `None`: 1.
+    pub joint_weights: Option<Vec<f64>>,
+    /// Law `paper`: how far a goal may lead [rad]; `None`: what the limit can use (0.3 rad where `k_p` is unknown).
+    pub lead_limit: Option<f64>,
+    /// Rate [1/s] at which the goal of stiff axes integrates; 0 for none.
+    pub integrate: f64,
+    /// Risks taken by name: `"eta"`.
+    pub accept: Vec<String>,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            task: Task::default(),
+            axes: [Axis::default(); MAX_AXES],
+            law: Law::Cap,
+            follow: None,
+            limits: LimitRule::Demand,
+            projector: Projector::Exact,
+            kx: Gain::Scalar(4.0),
+            horizon: 0.25,
+            kq: Gain::Scalar(1.0),
+            alpha: None,
+            rate: 100.0,
+            damping: Damping::Auto,
+            posture: None,
+            posture_weights: None,
+            limit_avoidance: 0.0,
+            manipulability: 0.0,
+            null_torque: None,
+            null_speed: f64::INFINITY,
+            gravity: GravityUse::Both,
+            gravity_scale: 1.1,
+            friction_share: 0.9,
+            damping_share: 0.8,
+            prediction_share: 0.9,
+            friction_speed: 0.05,
+            velocity_filter: 0.02,
+            delay: 0.0,
+            goal_slew: 1.0,
+            stiffening_time: 0.2,
+            max_tool_speed: [0.25, 1.0],
+            max_tool_acceleration: [1.0, 4.0],
+            joint_speed: None,
+            floor: None,
+            margin: 0.1,
+            direction_band: None,
+            raw_deviation: false,
+            budget_on_goal: false,
+            joint_weights: None,
+            lead_limit: None,
+            integrate: 0.0,
+            accept: Vec::new(),
+        }
+    }
+}
+
+impl Settings {
+    /// Sets the axes that `key` names (see [`parse_axes`]).
+    ///
+    /// # Errors
+    /// [`Error::Config`] for a key that is not understood.
+    pub fn set_axes(&mut self, key: &str, axis: Axis) -> Result<()> {
+        for (slot, on) in self.axes.iter_mut().zip(parse_axes("axes", key)?) {
+            if on {
+                *slot = axis;
+            }
+        }
+        Ok(())
+    }
+
+    /// The follow mode in force.
+    pub fn effective_follow(&self) -> Follow {
+        self.follow.unwrap_or(match self.law {
+            Law::Cap => Follow::Free,
+            Law::Paper => Follow::Hold,
+        })
+    }
+
+    /// Checks every value that can be checked without arm and servos.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] names the setting, its value and the bound; [`Error::Config`] what does not go together.
+    pub fn validate(&self) -> Result<()> {
+        self.task.validate()?;
+        for (axis, name) in self.axes.iter().zip(AXIS_NAMES) {
+            axis.validate(name)?;
+        }
+        for ((axis, name), on) in self.axes.iter().zip(AXIS_NAMES).zip(self.task.axes) {
+            if !on && *axis != Axis::default() {
+                return Err(Error::config(
+                    format!("axes.{name}"),
+                    format!("'{name}' is not an axis of the task; add it to task.axes or leave it out"),
+                ));
+            }
+        }
+        let infinite = f64::INFINITY;
+        let ranges: [(&str, f64, f64, f64); 19] = [
+            ("horizon [s]", self.horizon, 1e-3, 10.0),
+            ("rate [Hz]", self.rate, 1.0, 1e5),
+            ("alpha [1/s]", self.alpha.unwrap_or(0.0), 0.0, 100.0),
+            ("limit_avoidance", self.limit_avoidance, 0.0, 1e3),
+            ("manipulability", self.manipulability, 0.0, 1e3),
+            ("null_torque [N·m]", self.null_torque.unwrap_or(0.0), 0.0, 1e3),
+            ("null_speed [rad/s]", self.null_speed, 0.0, infinite),
+            ("gravity_scale", self.gravity_scale, 1.0, 2.0),
+            ("friction_share", self.friction_share, 0.0, 1.0),
+            ("damping_share", self.damping_share, 0.0, 1.0),
+            ("prediction_share", self.prediction_share, 0.0, 1.0),
+            ("friction_speed [rad/s]", self.friction_speed, 1e-4, 10.0),
+            ("velocity_filter [s]", self.velocity_filter, 0.0, 1.0),
+            ("delay [s]", self.delay, 0.0, 0.5),
+            ("goal_slew [rad/s]", self.goal_slew, 1e-3, infinite),
+            ("stiffening_time [s]", self.stiffening_time, 0.0, 10.0),
+            ("margin", self.margin, 0.0, 1.0),
+            ("direction_band", self.direction_band.unwrap_or(0.0), 0.0, 1.0),
+            ("integrate [1/s]", self.integrate, 0.0, 20.0),
+        ];
+        for (name, value, low, high) in ranges {
+            within(name, value, low, high)?;
+        }
+        for (name, gain, high) in [("kx [1/s]", &self.kx, 100.0), ("kq", &self.kq, 10.0)] {
+            let low = if matches!(gain, Gain::Matrix(_)) { -high } else { 0.0 };
+            gain.values().into_iter().try_for_each(|k| within(name, k, low, high))?;
+        }
+        for (speed, acceleration) in self.max_tool_speed.into_iter().zip(self.max_tool_acceleration) {
+            within("max_tool_speed [m/s, rad/s]", speed, 1e-3, infinite)?;
+            within("max_tool_acceleration [m/s², rad/s²]", acceleration, 1e-2, infinite)?;
+        }
+        if let Some(lead) = self.lead_limit {
+            within("lead_limit [rad]", lead, 1e-3, infinite)?;
+        }
+        for (name, list, low) in [
+            ("posture_weights", &self.posture_weights, 0.0),
+            ("joint_speed [rad/s]", &self.joint_speed, 1e-6),
+            ("floor [N·m]", &self.floor, 0.0),
+            ("joint_weights", &self.joint_weights, 1e-6),
+        ] {
+            for value in list.iter().flatten() {
+                within(name, *value, low, infinite)?;
+            }
+        }
+        for value in self.posture.iter().flatten() {
+            within("posture [rad]", *value, -1e6, 1e6)?;
+        }
+        self.validate_damping()?;
+        for risk in &self.accept {
+            if risk != "eta" {
+                return Err(Error::config("accept", format!("'{risk}' is not a risk that can be taken by name; known: eta")));
+            }
+        }
+        Ok(())
+    }
+
+    fn validate_damping(&self) -> Result<()> {
+        match self.damping {
+            Damping::Auto => Ok(()),
+            Damping::Fixed(lambda) => within("damping", lambda, 0.0, 10.0),
+            Damping::Adaptive { lambda_0, sigma_0, lambda_max } => {
+                within("damping.lambda_0", lambda_0, 1e-6, 10.0)?;
+                within("damping.sigma_0", sigma_0, 0.0, 10.0)?;
+                within("damping.lambda_max", lambda_max, 0.0, 10.0)
+            }
+        }
+    }
+}
+
+fn within(name: &str, value: f64, low: f64, high: f64) -> Result<()> {
+    if value >= low && value <= high {
+        return Ok(());
+    }
+    let close = if high.is_infinite() { "∞]".into() } else { format!("{high}]") };
+    Err(Error::limit(name, value, format!("[{low}, {close}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_are_valid() {
+        Settings::default().validate().unwrap();
+    }
+
+    #[test]
+    fn wrong_values_name_setting_value_and_bound() {
+        let message = |settings: Settings| settings.validate().unwrap_err().to_string();
+        assert_eq!(message(Settings { rate: f64::NAN, ..Settings::default() }), "rate [Hz] = NaN is outside [1, 100000]");
+        assert_eq!(
+            message(Settings { kx: Gain::Scalar(-1.0), ..Settings::default() }),
+            "kx [1/s] = -1 is outside [0, 100]"
+        );
+        let mut settings = Settings { task: Task::of("xyz").unwrap(), ..Settings::default() };
+        settings.set_axes("yaw", Axis { hold: Some(1.0), ..Axis::default() }).unwrap();
+        assert!(message(settings).starts_with("axes.yaw: 'yaw' is not an axis of the task"));
+    }
+}

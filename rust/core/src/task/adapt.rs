@@ -1,0 +1,68 @@
+//! Target adaptation, equation (12), and the softness that selects where it acts.
+
+use crate::pose::Pose;
+use crate::task::deviation::{pose_error, rotation_matrix};
+
+/// Share of the strengths "pushed toward +", 0…1, for the deviation `e`.
+///
+/// Pushed toward + means that the tool is beyond its target, e < 0. Within ± `band` of zero the share is linear in `e`,
+/// so that encoder noise toggles nothing; with `band` = 0 it switches at zero.
+#[inline]
+pub(crate) fn plus_share(e: f64, band: f64) -> f64 {
+    if band > 0.0 {
+        ((band - e) / (2.0 * band)).clamp(0.0, 1.0)
+    } else if e < 0.0 {
+        1.0
+    } else {
+        0.0
+    }
+}
+
+/// Adapted deviation `ẽ = (1 − η w) e` of one axis: (12) in the form that is memoryless, hence independent of the rate.
+#[inline]
+pub fn adapt_deviation(e: f64, eta: f64, softness: f64) -> f64 {
+    (1.0 - eta * softness) * e
+}
+
+/// The intermediate target of (12) as a pose: `x_d + η (x − x_d)` on the compliant axes, in base axes.
+///
+/// Rotations scale the components of the rotation vector; angles are never blended.
+pub fn adapt_target(actual: &Pose, target: &Pose, eta: f64, compliant: [bool; 6]) -> Pose {
+    let e = pose_error(actual, target);
+    let mut adapted = e;
+    for (value, on) in adapted.iter_mut().zip(compliant) {
+        *value = adapt_deviation(*value, eta, f64::from(u8::from(on)));
+    }
+    let turn = rotation_matrix([adapted[3], adapted[4], adapted[5]]);
+    let mut out = *actual;
+    for i in 0..3 {
+        out.position[i] += adapted[i];
+        for j in 0..3 {
+            out.rotation[i][j] = (0..3).map(|k| turn[i][k] * actual.rotation[k][j]).sum();
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn direction_is_named_by_the_push() {
+        assert!((plus_share(-1.0, 0.001) - 1.0).abs() < f64::EPSILON);
+        assert!(plus_share(1.0, 0.001).abs() < f64::EPSILON);
+        assert!((plus_share(0.0, 0.001) - 0.5).abs() < f64::EPSILON);
+        assert!((plus_share(-1e-9, 0.0) - 1.0).abs() < f64::EPSILON);
+    }
+
+    #[test]
+    fn full_adaptation_leaves_the_stiff_axes_at_their_target() {
+        let target = Pose { position: [1.0, 2.0, 3.0], rotation: rotation_matrix([0.0, 0.0, 0.5]) };
+        let adapted = adapt_target(&Pose::IDENTITY, &target, 0.75, [true, false, false, false, false, true]);
+        let e = pose_error(&Pose::IDENTITY, &adapted);
+        for (value, expected) in e.iter().zip([0.25, 2.0, 3.0, 0.0, 0.0, 0.125]) {
+            assert!((value - expected).abs() < 1e-14, "{e:?}");
+        }
+    }
+}

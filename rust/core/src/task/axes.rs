@@ -1,0 +1,264 @@
+//! Task axes, their keys, and what is asked of each.
+
+use crate::MAX_AXES;
+use crate::error::{Error, Result};
+
+/// Names of the task axes, in the order of every 6-vector: linear first, then angular.
+pub const AXIS_NAMES: [&str; MAX_AXES] = ["x", "y", "z", "roll", "pitch", "yaw"];
+
+/// Axes in which the task is expressed.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Frame {
+    /// The base's axes.
+    #[default]
+    Base,
+    /// The tool's axes, turning with it.
+    Tool,
+    /// Fixed axes: the columns of `base_from_task` (row-major rotation matrix).
+    Rotation([[f64; 3]; 3]),
+}
+
+/// Which axes are controlled, and in which frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Task {
+    /// Whether x, y, z, roll, pitch, yaw belongs to the task.
+    pub axes: [bool; MAX_AXES],
+    /// The axes' frame.
+    pub frame: Frame,
+    /// Length [m] that weighs a metre against a radian; needed only with more axes than joints.
+    pub length: Option<f64>,
+}
+
+impl Default for Task {
+    fn default() -> Self {
+        Self { axes: [true; MAX_AXES], frame: Frame::Base, length: None }
+    }
+}
+
+impl Task {
+    /// A task from an axis key such as `"xyz rpy"`, in the base's axes.
+    ///
+    /// # Errors
+    /// As [`parse_axes`].
+    pub fn of(axes: &str) -> Result<Self> {
+        Ok(Self { axes: parse_axes("task.axes", axes)?, ..Self::default() })
+    }
+
+    /// Number of axes.
+    pub fn len(&self) -> usize {
+        self.axes.iter().filter(|&&on| on).count()
+    }
+
+    /// Whether no axis is on.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Checks frame and length.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for an empty task or a frame that is no rotation, [`Error::Limit`] for the length.
+    pub fn validate(&self) -> Result<()> {
+        if self.is_empty() {
+            return Err(Error::config("task.axes", "no axis given; e.g. \"xyz rpy\", \"xyz\", \"x z pitch\""));
+        }
+        if let Frame::Rotation(rotation) = self.frame {
+            crate::pose::Pose { rotation, position: [0.0; 3] }
+                .validate()
+                .map_err(|e| Error::config("task.frame", e.to_string()))?;
+        }
+        match self.length {
+            Some(length) if !(length > 0.0 && length <= 100.0) => {
+                Err(Error::limit("task.length [m]", length, "(0, 100]"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Reads an axis key: axis names apart by spaces, one word of the letters x, y, z, `rpy` or `all`.
+///
+/// `"y yaw"`, `"xz"`, `"rpy"`, `"xyz rpy"`, `"all"`; `y` is never yaw.
+///
+/// # Errors
+/// [`Error::Config`] with the word that is not understood, and the words that are.
+pub fn parse_axes(key: &str, text: &str) -> Result<[bool; MAX_AXES]> {
+    let mut axes = [false; MAX_AXES];
+    for word in text.split_whitespace() {
+        let chosen: Vec<usize> = if let Some(axis) = AXIS_NAMES.iter().position(|&name| name == word) {
+            vec![axis]
+        } else if word == "all" {
+            (0..MAX_AXES).collect()
+        } else if word == "rpy" {
+            vec![3, 4, 5]
+        } else if word.chars().all(|c| matches!(c, 'x' | 'y' | 'z')) {
+            word.chars().map(|c| (c as usize) - ('x' as usize)).collect()
+        } else {
+            return Err(Error::config(
+                key,
+                format!(
+                    "'{word}' is not an axis; use names apart by spaces ({}), letters of x y z in one word, 'rpy', or 'all'",
+                    AXIS_NAMES.join(" ")
+                ),
+            ));
+        };
+        for axis in chosen {
+            if axes[axis] {
+                return Err(Error::config(key, format!("'{}' is named twice in '{text}'", AXIS_NAMES[axis])));
+            }
+            axes[axis] = true;
+        }
+    }
+    if axes.iter().any(|&on| on) {
+        Ok(axes)
+    } else {
+        Err(Error::config(key, "no axis given; e.g. \"xyz rpy\", \"y yaw\", \"all\""))
+    }
+}
+
+/// Toward which side an axis gives way, named by the push.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Yields {
+    /// Pushed either way.
+    Both,
+    /// Only when pushed toward + (the tool is beyond its target, `e < 0`).
+    Plus,
+    /// Only when pushed toward −.
+    Minus,
+    /// Never.
+    None,
+}
+
+impl Yields {
+    /// Whether it gives way when pushed toward (−, +).
+    pub(crate) fn sides(self) -> [bool; 2] {
+        match self {
+            Self::Both => [true, true],
+            Self::Plus => [false, true],
+            Self::Minus => [true, false],
+            Self::None => [false, false],
+        }
+    }
+}
+
+/// How the strength of a yielding axis changes with the deviation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Profile {
+    /// From `soft` below `d_minus` to `firm` above `d_plus`: the paper's (9).
+    #[default]
+    Firming,
+    /// `soft` at every deviation.
+    Constant,
+    /// From `firm` below `d_minus` to `soft` above `d_plus`.
+    Yielding,
+}
+
+/// What is asked of one task axis. `None` takes the default, which for the strengths depends on law and arm.
+///
+/// Strengths are forces [N] ([N·m] for rotations) under law `cap` and torque budgets [N·m] under law `paper`; pairs are
+/// (pushed toward −, pushed toward +).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Axis {
+    /// Strength of the yielding axis at a small deviation, τ⁻ of (9).
+    pub soft: Option<[f64; 2]>,
+    /// Strength of the yielding axis at a large deviation, τ⁺ of (9).
+    pub firm: Option<[f64; 2]>,
+    /// Strength where the axis does not yield.
+    pub hold: Option<f64>,
+    /// Sides it yields to; by default both where `soft` or `firm` is given, else none.
+    pub yields: Option<Yields>,
+    /// Target adaptation η of (12), 0 ≤ η < 1.
+    pub eta: f64,
+    /// Deviation [m or rad] below which compliance is full, d⁻ of (8).
+    pub d_minus: Option<f64>,
+    /// Deviation [m or rad] above which compliance is none, d⁺ of (8).
+    pub d_plus: Option<f64>,
+    /// How the strength changes between the two.
+    pub profile: Profile,
+    /// Limit of the commanded task velocity while the axis is stiff [m/s or rad/s]; ∞ for none.
+    pub step_limit: Option<f64>,
+    /// The same while it yields.
+    pub soft_step_limit: Option<f64>,
+}
+
+impl Axis {
+    /// A stiff axis with default strength.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The sides this axis yields to.
+    pub fn effective_yields(&self) -> Yields {
+        let compliant = self.soft.is_some() || self.firm.is_some();
+        self.yields.unwrap_or(if compliant { Yields::Both } else { Yields::None })
+    }
+
+    /// Checks every value; `name` is the axis' name for the message.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] or [`Error::Config`] naming the field.
+    pub fn validate(&self, name: &str) -> Result<()> {
+        let at = |field: &str| format!("axes.{name}.{field}");
+        for (field, pair) in [("soft", self.soft), ("firm", self.firm)] {
+            for value in pair.into_iter().flatten() {
+                check(at(field), value, value >= 0.0 && value.is_finite(), "[0, ∞)")?;
+            }
+        }
+        if let Some(hold) = self.hold {
+            check(at("hold"), hold, hold >= 0.0 && hold.is_finite(), "[0, ∞)")?;
+        }
+        check(at("eta"), self.eta, (0.0..1.0).contains(&self.eta), "[0, 1)")?;
+        for (field, value) in [("step_limit", self.step_limit), ("soft_step_limit", self.soft_step_limit)] {
+            if let Some(value) = value {
+                check(at(field), value, value > 0.0, "(0, ∞]")?;
+            }
+        }
+        if let Some(value) = self.d_minus {
+            check(at("d_minus"), value, value >= 0.0 && value.is_finite(), "[0, d_plus)")?;
+        }
+        if let Some(value) = self.d_plus {
+            check(at("d_plus"), value, value > 0.0 && value.is_finite(), "(d_minus, ∞)")?;
+        }
+        if self.eta > 0.0 && self.effective_yields() == Yields::None {
+            return Err(Error::config(
+                at("eta"),
+                format!("{} has no effect on an axis that does not yield: give soft or firm, or yields=\"both\"", self.eta),
+            ));
+        }
+        Ok(())
+    }
+}
+
+fn check(what: String, value: f64, ok: bool, bound: &str) -> Result<()> {
+    if ok { Ok(()) } else { Err(Error::limit(what, value, bound)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys() {
+        let on = |text| parse_axes("axes", text).unwrap();
+        assert_eq!(on("y yaw"), [false, true, false, false, false, true]);
+        assert_eq!(on("xz"), [true, false, true, false, false, false]);
+        assert_eq!(on("xyz rpy"), [true; 6]);
+        assert_eq!(on("all"), [true; 6]);
+        assert_eq!(on("rpy"), [false, false, false, true, true, true]);
+        assert_eq!(on("y"), [false, true, false, false, false, false]);
+    }
+
+    #[test]
+    fn wrong_keys_name_the_word() {
+        for (text, part) in [("q", "'q' is not an axis"), ("xx", "'x' is named twice"), ("", "no axis given"), ("all y", "'y' is named twice")] {
+            let message = parse_axes("axes", text).unwrap_err().to_string();
+            assert!(message.contains(part), "{message}");
+        }
+    }
+
+    #[test]
+    fn eta_needs_an_axis_that_yields() {
+        let message = Axis { eta: 0.5, ..Axis::default() }.validate("y").unwrap_err().to_string();
+        assert!(message.starts_with("axes.y.eta: 0.5 has no effect"), "{message}");
+    }
+}

@@ -1,0 +1,137 @@
+"""Rules of the house: one version, light imports, short files, documents that run, a complete wheel."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import pliant
+
+ROOT = Path(__file__).resolve().parents[1]
+EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich")
+LONGEST_FILE = 400  # lines
+LARGEST_WHEEL = 1.5e6  # bytes
+LONGEST_RUN = 120  # [s] per example and per document
+
+
+def run(*args: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run Python in a process of its own, without a display and without the caller's sys.path."""
+    return subprocess.run(
+        [sys.executable, *args],
+        cwd=cwd,
+        env={**os.environ, "MUJOCO_GL": "egl", "MPLBACKEND": "Agg", **environment},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=LONGEST_RUN,
+        check=False,
+    )
+
+
+def test_version_is_the_one_of_the_workspace():
+    workspace = tomllib.loads((ROOT / "Cargo.toml").read_text(encoding="utf-8"))
+    version = workspace["workspace"]["package"]["version"]
+    assert importlib.metadata.version("pliant") == version
+    assert pliant.__version__ == version
+    assert f"version: {version}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_import_loads_no_extra(tmp_path):
+    code = f"import json, sys, pliant; print(json.dumps([m for m in {EXTRAS} if m in sys.modules]))"
+    done = run("-I", "-c", code, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == []
+
+
+@pytest.mark.parametrize("folder", ["rust/core/src", "rust/py/src", "python/pliant"])
+def test_files_are_short(folder):
+    files = [p for p in (ROOT / folder).rglob("*") if p.suffix in {".rs", ".py"}]
+    assert files, f"no sources in {folder}"
+    lengths = {p: len(p.read_text(encoding="utf-8").splitlines()) for p in files}
+    long = {str(p.relative_to(ROOT)): n for p, n in lengths.items() if n > LONGEST_FILE}
+    assert not long, f"over {LONGEST_FILE} lines, split by idea: {long}"
+
+
+def python_blocks(text: str) -> list[str]:
+    """Python blocks of a Markdown text; one under `<!-- not run: reason -->` is left out."""
+    pattern = r"(<!-- not run: [^>]+ -->\n+)?^```python\n(.*?)^```"
+    found = re.findall(pattern, text, flags=re.MULTILINE | re.DOTALL)
+    return [block for excuse, block in found if not excuse]
+
+
+def documents() -> list[Path]:
+    """README and pages that have Python to run."""
+    files = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    return [p for p in files if p.exists() and python_blocks(p.read_text(encoding="utf-8"))]
+
+
+# Blocks of one document share names, as they do for a reader who types them one after the other.
+@pytest.mark.parametrize("document", documents(), ids=lambda path: path.stem)
+def test_python_in_documents_runs(document, tmp_path):
+    blocks = python_blocks(document.read_text(encoding="utf-8"))
+    script = tmp_path / "document.py"
+    script.write_text("\n".join(blocks), encoding="utf-8")
+    done = run(str(script), cwd=tmp_path, PLIANT_SHORT="1")
+    assert done.returncode == 0, done.stderr
+
+
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+# PLIANT_SHORT=1 asks an example for the shortest run that still does everything once.
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_example_runs(example, tmp_path):
+    done = run(str(example), cwd=tmp_path, PLIANT_SHORT="1")
+    assert done.returncode == 0, done.stderr
+
+
+def built(pattern: str) -> Path:
+    """The file that `make wheel` left."""
+    files = sorted((ROOT / "build" / "wheels").glob(pattern))
+    if not files:
+        pytest.skip(f"no {pattern} in build/wheels: run `make wheel`")
+    return files[-1]
+
+
+@pytest.fixture
+def wheel() -> Path:
+    return built("pliant-*.whl")
+
+
+def test_wheel_is_complete_and_small(wheel):
+    names = set(zipfile.ZipFile(wheel).namelist())
+    sources = [p for p in (ROOT / "python").rglob("*") if p.suffix in {".py", ".pyi", ".urdf"}]
+    expected = {p.relative_to(ROOT / "python").as_posix() for p in sources} | {"pliant/py.typed"}
+    assert expected <= names
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+    assert wheel.stat().st_size <= LARGEST_WHEEL
+
+
+def test_wheel_works_away_from_the_sources(wheel, tmp_path):
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    code = "import pliant; print(pliant.__file__, pliant.__version__)"
+    done = run("-c", code, cwd=tmp_path, PYTHONPATH=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(str(tmp_path))
+
+
+def test_source_distribution_can_be_built(wheel):
+    archive = built("pliant-*.tar.gz")
+    with tarfile.open(archive) as opened:
+        names = {name.partition("/")[2] for name in opened.getnames()}
+    needed = {"Cargo.toml", "Cargo.lock", "pyproject.toml", "LICENSE", "README.md"}
+    crates = {
+        f"rust/{crate}/{file}" for crate in ("core", "py") for file in ("Cargo.toml", "src/lib.rs")
+    }
+    assert needed | crates | {"python/pliant/py.typed"} <= names
