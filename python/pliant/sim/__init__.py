@@ -1,0 +1,61 @@
+"""Torque-limited position servos on real physics: any model, with hands, doors and walls around it (extra `sim`).
+
+>>> import pliant, pliant.sim
+>>> arm = pliant.robots.arm7()
+>>> plant = pliant.sim.Plant(arm, scene=[pliant.sim.STRONG])
+>>> state = plant.reset(q_start)
+
+`Plant.read()` and `Plant.write(goal, limit)` are the interface hardware has; `Plant.q`, `Plant.tool` and `Plant.hands`
+are the truth, for figures and tests. World axes are the model's base axes; all units SI.
+"""
+
+from pliant.sim.doors import Door, Drive, door, fridge, oven
+from pliant.sim.hand import (
+    LIGHT,
+    ROBUST,
+    STRONG,
+    YAW,
+    Course,
+    Drag,
+    Guide,
+    Hand,
+    Push,
+    Twist,
+    tap,
+)
+from pliant.sim.imperfections import Overload
+from pliant.sim.plant import Plant
+from pliant.sim.record import Recorder
+from pliant.sim.scene import Fixture, Table, Wall, table
+from pliant.sim.state import Felt, State
+from pliant.sim.truth import Frame, Truth
+
+__all__ = [
+    "LIGHT",
+    "ROBUST",
+    "STRONG",
+    "YAW",
+    "Course",
+    "Door",
+    "Drag",
+    "Drive",
+    "Felt",
+    "Fixture",
+    "Frame",
+    "Guide",
+    "Hand",
+    "Overload",
+    "Plant",
+    "Push",
+    "Recorder",
+    "State",
+    "Table",
+    "Truth",
+    "Twist",
+    "Wall",
+    "door",
+    "fridge",
+    "oven",
+    "table",
+    "tap",
+]

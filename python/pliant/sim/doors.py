@@ -95,7 +95,10 @@ class Door:
 
     def __post_init__(self) -> None:
         """Check the numbers once."""
-        arm, axis = np.asarray(self.hinge, dtype=np.float64), np.asarray(self.axis, dtype=np.float64)
+        arm, axis = (
+            np.asarray(self.hinge, dtype=np.float64),
+            np.asarray(self.axis, dtype=np.float64),
+        )
         if arm.shape != (3,) or axis.shape != (3,) or abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9:
             raise ConfigError("Door.hinge has three entries and Door.axis is a unit vector (3,)")
         #: Distance of the handle from the hinge axis [m].
@@ -106,7 +109,9 @@ class Door:
             raise ConfigError(f"Door.grip must be 'rigid' or 'turning', got {self.grip!r}")
         low = min(self.mass, self.friction, self.damping, self.seal, self.stop)
         if not low >= 0.0 or self.mass == 0.0 or not self.seal_way > 0.0:
-            raise ConfigError(f"Door needs mass and seal_way > 0, friction, damping, seal and stop >= 0, got {self!r}")
+            raise ConfigError(
+                f"Door needs mass and seal_way > 0, friction, damping, seal and stop >= 0, got {self!r}"
+            )
 
     def with_(self, **changes: object) -> Door:
         """Return another door with these attributes changed."""
@@ -117,14 +122,18 @@ class Door:
         spec, arm = build.spec, np.asarray(self.hinge, dtype=np.float64)
         frame = spec.worldbody.add_body(name=f"{self.name}:frame", mocap=True)
         leaf = frame.add_body(name=f"{self.name}:leaf", gravcomp=1.0 if self.balanced else 0.0)
-        hinge = leaf.add_joint(name=f"{self.name}:hinge", axis=self.axis, type=mujoco.mjtJoint.mjJNT_HINGE)
+        hinge = leaf.add_joint(
+            name=f"{self.name}:hinge", axis=self.axis, type=mujoco.mjtJoint.mjJNT_HINGE
+        )
         hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         hinge.range = (0.0, self.stop)
         hinge.frictionloss = self.friction
         set_damping(hinge, self.damping)
         self._weigh(leaf, arm)
         leaf.add_site(name=f"{self.name}:handle", pos=-arm, size=(0.01, 0.0, 0.0))
-        grip = spec.add_equality(name=f"{self.name}:grip", name1=build.model.tip, name2=f"{self.name}:handle")
+        grip = spec.add_equality(
+            name=f"{self.name}:grip", name1=build.model.tip, name2=f"{self.name}:handle"
+        )
         grip.type = mujoco.mjtEq.mjEQ_WELD if self.grip == "rigid" else mujoco.mjtEq.mjEQ_CONNECT
         grip.objtype = mujoco.mjtObj.mjOBJ_SITE
         if self.grip == "rigid":
@@ -146,7 +155,9 @@ class Door:
         leaf.ipos = across / 2
         leaf.iquat = quat
         leaf.inertia = self.mass / 12 * ((size @ size) - size**2)
-        geom = leaf.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=size / 2, contype=0, conaffinity=0)
+        geom = leaf.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=size / 2, contype=0, conaffinity=0
+        )
         geom.pos, geom.quat, geom.rgba = across / 2, quat, (0.55, 0.42, 0.30, 0.55)
 
     def place(self, plant: Plant) -> None:
@@ -167,7 +178,9 @@ class Door:
         self._grip = model.equality(f"{self.name}:grip").id
         self._rows = 6 if self.grip == "rigid" else 3
         self._row: int | None = None
-        self.angle = self.widest = self.force = self.torque = self.peak_force = self.peak_torque = 0.0
+        self.angle = self.widest = self.force = self.torque = self.peak_force = self.peak_torque = (
+            0.0
+        )
         data.eq_active[self._grip] = 1
 
     def release(self, plant: Plant) -> None:
@@ -179,13 +192,17 @@ class Door:
         """Move the hinge as prescribed."""
         if self.drive is not None:
             gone = self.drive.at(plant.mj_data.time)
-            plant.mj_data.mocap_pos[self._frame] = self._home + gone * np.asarray(self.drive.direction)
+            plant.mj_data.mocap_pos[self._frame] = self._home + gone * np.asarray(
+                self.drive.direction
+            )
 
     def during(self, plant: Plant) -> None:
         """Let the seal pull."""
         if self.seal > 0.0:
             way = self.radius * float(plant.mj_data.qpos[self._qpos])
-            pull = self.seal * min(max(1.0 - way / self.seal_way, 0.0), max(way / SEAL_ONSET, 0.0), 1.0)
+            pull = self.seal * min(
+                max(1.0 - way / self.seal_way, 0.0), max(way / SEAL_ONSET, 0.0), 1.0
+            )
             plant.mj_data.qfrc_applied[self._dof] -= pull * self.radius
 
     def after(self, plant: Plant) -> None:
@@ -197,7 +214,9 @@ class Door:
             self.force = self.torque = 0.0
             return
         if self._row is None:
-            mine = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (data.efc_id == self._grip)
+            mine = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (
+                data.efc_id == self._grip
+            )
             self._row = int(np.flatnonzero(mine)[0])
         rows = data.efc_force[self._row : self._row + self._rows]
         self.force = float(np.sqrt(rows[:3] @ rows[:3]))
@@ -223,4 +242,6 @@ def fridge(**changes: object) -> Door:
 
 def oven(**changes: object) -> Door:
     """An oven: horizontal hinge 0.30 m below the handle, the leaf carried by a spring."""
-    return Door(hinge=(0.0, 0.0, -0.30), axis=(0.0, -1.0, 0.0), balanced=True, name="oven").with_(**changes)
+    return Door(hinge=(0.0, 0.0, -0.30), axis=(0.0, -1.0, 0.0), balanced=True, name="oven").with_(
+        **changes
+    )

@@ -75,7 +75,9 @@ def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> N
     """
     array = np.asarray(value, dtype=np.float64)
     if array.shape not in {(), (1,), (n,)}:
-        raise ShapeError(f"{name} has shape {array.shape}; give a number or an array of shape ({n},)")
+        raise ShapeError(
+            f"{name} has shape {array.shape}; give a number or an array of shape ({n},)"
+        )
     array = np.broadcast_to(array, n).copy()
     if not np.all(np.isfinite(array)):
         raise ConfigError(f"{name} is not finite: {array.tolist()}")
@@ -84,7 +86,7 @@ def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> N
     return array
 
 
-def resolve(model: Any, servos: Any | None, kind: Kind | None) -> Gains:  # noqa: ANN401 (see spec.Robot)
+def resolve(model: Any, servos: Any | None, kind: Kind | None) -> Gains:
     """Turn a servo table, or the lack of one, into the numbers of the simulated servos.
 
     A servo that limits its duty (PWM) gives ``clip(u, ±L) - (torque / w0) dq``: the back-EMF acts outside the limit, so
@@ -112,8 +114,12 @@ def resolve(model: Any, servos: Any | None, kind: Kind | None) -> Gains:  # noqa
     damping = per_joint(table.damping, n, "servos.damping", low=0.0)
     if kind == "duty":
         if table.no_load_speed is None:
-            raise ConfigError("servos of kind 'duty' need no_load_speed [rad/s]: their back-EMF is torque / no_load_speed")
-        damping = damping + torque / per_joint(table.no_load_speed, n, "servos.no_load_speed", low=1e-6)
+            raise ConfigError(
+                "servos of kind 'duty' need no_load_speed [rad/s]: their back-EMF is torque / no_load_speed"
+            )
+        damping = damping + torque / per_joint(
+            table.no_load_speed, n, "servos.no_load_speed", low=1e-6
+        )
     return Gains(
         kp=per_joint(table.kp, n, "servos.kp", low=0.0),
         kv=per_joint(table.kv, n, "servos.kv", low=0.0),
@@ -124,12 +130,14 @@ def resolve(model: Any, servos: Any | None, kind: Kind | None) -> Gains:  # noqa
     )
 
 
-def _guess(model: Any) -> Gains:  # noqa: ANN401 (see spec.Robot)
+def _guess(model: Any) -> Gains:
     """Servos guessed from the efforts of the URDF, for a first look at a robot nobody has identified."""
     effort = [np.nan if e is None else float(e) for e in model.effort_limit]
     unknown = [name for name, e in zip(model.joint_names, effort, strict=True) if not e > 0.0]
     if unknown:
-        raise ConfigError(f"no servo data and no effort limit for {', '.join(unknown)}; pass servos=pliant.Servos(...)")
+        raise ConfigError(
+            f"no servo data and no effort limit for {', '.join(unknown)}; pass servos=pliant.Servos(...)"
+        )
     torque = np.array(effort)
     kp = torque / FULL_EFFORT_ERROR
     return Gains(

@@ -174,7 +174,11 @@ class Push:
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
         share = self.course.share(t)
-        return share * np.asarray(self.force_vector), share * np.asarray(self.torque_vector), frame.position
+        return (
+            share * np.asarray(self.force_vector),
+            share * np.asarray(self.torque_vector),
+            frame.position,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +205,9 @@ class Guide:
         """Check the axis names once."""
         unknown = set(self.axes.split()) - set(_AXES) - set(_TURNS)
         if unknown:
-            raise ConfigError(f"Guide.axes knows x y z roll pitch yaw, not {', '.join(sorted(unknown))}")
+            raise ConfigError(
+                f"Guide.axes knows x y z roll pitch yaw, not {', '.join(sorted(unknown))}"
+            )
         _not_negative(stiffness=self.stiffness, rotational=self.rotational)
 
     def force(self, truth: Truth, t: float) -> Wrench:
@@ -227,7 +233,9 @@ def _direction(axis: str | Sequence[float], names: dict[str, tuple[float, float,
     """Unit vector (3,) of an axis given by name or by numbers."""
     if isinstance(axis, str):
         if axis not in names:
-            raise ConfigError(f"axis {axis!r} is unknown; choose {', '.join(names)} or give a direction (3,)")
+            raise ConfigError(
+                f"axis {axis!r} is unknown; choose {', '.join(names)} or give a direction (3,)"
+            )
         return np.asarray(names[axis])
     vector = np.asarray(axis, dtype=np.float64)
     if vector.shape != (3,) or not np.linalg.norm(vector) > 0.0:

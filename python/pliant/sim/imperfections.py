@@ -44,7 +44,9 @@ class Overload:
 class Encoder:
     """Joint readings: noise, then rounding to counts, then a count that flickers."""
 
-    def __init__(self, n: int, *, count: ArrayLike, flicker: int, noise: ArrayLike, rng: np.random.Generator) -> None:
+    def __init__(
+        self, n: int, *, count: ArrayLike, flicker: int, noise: ArrayLike, rng: np.random.Generator
+    ) -> None:
         """Prepare the encoders of n joints.
 
         Args:
@@ -60,7 +62,9 @@ class Encoder:
         self.count = per_joint(count, n, "count", low=0.0)
         self._noise = per_joint(noise, n, "noise", low=0.0)
         if flicker < 0 or int(flicker) != flicker:
-            raise ConfigError(f"flicker must be a whole number of counts, at least 0, got {flicker!r}")
+            raise ConfigError(
+                f"flicker must be a whole number of counts, at least 0, got {flicker!r}"
+            )
         if flicker and not np.any(self.count > 0.0):
             raise ConfigError("flicker is in encoder counts: give count [rad] as well")
         self._flicker = int(flicker)
@@ -98,7 +102,9 @@ class Line(Generic[T]):
     def pass_on(self, item: T | None, *, silent: bool = False) -> T:
         """Send one item (None: nothing was sent in this tick), and return what the other end now has."""
         lost = silent or (self._loss > 0.0 and self._rng.random() < self._loss)
-        self._queue.append((item is not None and not lost, item if item is not None else self._last))
+        self._queue.append(
+            (item is not None and not lost, item if item is not None else self._last)
+        )
         self.fresh, arrived = self._queue.popleft()
         if self.fresh:
             self._last = arrived
@@ -115,7 +121,11 @@ class Latch:
         self.tripped = np.zeros(n, dtype=bool)
 
     def limit(
-        self, limit: NDArray[np.float64], torque: NDArray[np.float64], usable: NDArray[np.float64], period: float
+        self,
+        limit: NDArray[np.float64],
+        torque: NDArray[np.float64],
+        usable: NDArray[np.float64],
+        period: float,
     ) -> NDArray[np.float64]:
         """Return the limits (n,) [N·m] the servos apply after a period with this mean torque (n,) [N·m]."""
         if self._rule is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from pliant.sim import spec as spec_module
 from pliant.sim._mujoco import mujoco
 from pliant.sim.gains import per_joint, resolve
 from pliant.sim.imperfections import Encoder, Latch, Line, Overload, delays, share
+from pliant.sim.state import Felt, Order, State
 from pliant.sim.truth import TOOL, WRIST, Truth
 
 if TYPE_CHECKING:
@@ -24,53 +24,6 @@ if TYPE_CHECKING:
     from pliant.sim.scene import Fixture
 
     Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class State:
-    """What the bus reports.
-
-    Attributes:
-        q: Joint positions (n,) [rad], as old as the read delay.
-        dq: Joint velocities (n,) where the servo reports them; the simulated one does not.
-        time: When the sample was taken [s].
-        fresh: False when this tick's reading was lost and the last one is repeated.
-        extra: Positions of off-chain joints by name (a gripper) [rad].
-    """
-
-    q: Array
-    dq: Array | None = None
-    time: float = 0.0
-    fresh: bool = True
-    extra: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass
-class Felt:
-    """What one hand did: means over the last control period and the largest value of any physics step since reset.
-
-    Attributes:
-        hand: The hand.
-        force: Mean force (3,) [N].
-        torque: Mean torque (3,) [N·m].
-        peak_force: Largest norm of the force [N].
-        peak_torque: Largest norm of the torque [N·m].
-    """
-
-    hand: Hand
-    force: Array = field(default_factory=lambda: np.zeros(3))
-    torque: Array = field(default_factory=lambda: np.zeros(3))
-    peak_force: float = 0.0
-    peak_torque: float = 0.0
-
-
-@dataclass(frozen=True)
-class _Order:
-    """One write on its way to the servos."""
-
-    goal: Array
-    limit: Array
-    extra: Mapping[str, tuple[float, float]]
 
 
 class Plant:
@@ -91,7 +44,7 @@ class Plant:
     def __init__(
         self,
         model: spec_module.Robot,
-        servos: Any | None = None,  # noqa: ANN401 (a pliant.Servos)
+        servos: Any | None = None,
         *,
         dt: float = 0.001,
         rate: float = 100.0,
@@ -151,12 +104,16 @@ class Plant:
             raise ConfigError(f"rate must be positive [Hz], got {rate!r}")
         self.steps = round(1.0 / (rate * dt))
         if self.steps < 1 or abs(self.steps * rate * dt - 1.0) > 1e-9:
-            raise ConfigError(f"a control period of 1/{rate:g} s is no whole number of physics steps of {dt:g} s")
+            raise ConfigError(
+                f"a control period of 1/{rate:g} s is no whole number of physics steps of {dt:g} s"
+            )
         n = self.n = int(model.n)
         self.model, self.rate, self.period, self.dt = model, float(rate), 1.0 / rate, float(dt)
         self.gains = resolve(model, servos, kind).scaled(kp_scale, friction_scale, damping_scale)
         self._deadband = per_joint(deadband, n, "deadband", low=0.0)
-        self._speed = None if speed_limit is None else per_joint(speed_limit, n, "speed_limit", low=0.0)
+        self._speed = (
+            None if speed_limit is None else per_joint(speed_limit, n, "speed_limit", low=0.0)
+        )
         self._delay = delays(delay)
         self._loss = share(read_loss, "read_loss"), share(write_loss, "write_loss")
         self._encoder_args = {"count": count, "flicker": flicker, "noise": noise}
@@ -178,13 +135,21 @@ class Plant:
         try:
             self.mj_model: mujoco.MjModel = built.spec.compile()
         except ValueError as error:
-            raise ConfigError(f"MuJoCo refuses the model {built.spec.modelname!r}: {error}") from error
+            raise ConfigError(
+                f"MuJoCo refuses the model {built.spec.modelname!r}: {error}"
+            ) from error
         self.mj_data = mujoco.MjData(self.mj_model)
         self._find(built)
-        self.truth = Truth(self.mj_model, self.mj_data, {TOOL: model.tip, WRIST: _last_moving(model)})
+        self.truth = Truth(
+            self.mj_model, self.mj_data, {TOOL: model.tip, WRIST: _last_moving(model)}
+        )
         self._tool, self._wrist = self.truth.frame(TOOL), self.truth.frame(WRIST)
         self.set_hands(item for item in scene if not hasattr(item, "add"))
-        middle = np.where(np.isfinite(model.lower) & np.isfinite(model.upper), (model.lower + model.upper) / 2, 0.0)
+        middle = np.where(
+            np.isfinite(model.lower) & np.isfinite(model.upper),
+            (model.lower + model.upper) / 2,
+            0.0,
+        )
         self.reset(middle)
 
     # The bus: what hardware has too.
@@ -194,7 +159,10 @@ class Plant:
         return self._state
 
     def write(
-        self, goal: ArrayLike, limit: ArrayLike | None = None, extra: Mapping[str, tuple[float, float]] | None = None
+        self,
+        goal: ArrayLike,
+        limit: ArrayLike | None = None,
+        extra: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
         """Send goals and torque limits; they reach the servos after the write delay and hold until the next.
 
@@ -217,9 +185,13 @@ class Plant:
                 raise ConfigError(f"no off-chain joint {name!r} to write to; there are: {known}")
             angle, most = (float(v) for v in pair)
             if not (np.isfinite(angle) and most >= 0.0):
-                raise ConfigError(f"extra[{name!r}] must be a finite goal and a limit of at least 0, got {pair!r}")
+                raise ConfigError(
+                    f"extra[{name!r}] must be a finite goal and a limit of at least 0, got {pair!r}"
+                )
             pairs[name] = (angle, most)
-        self._sent = self._pending = _Order(self.encoder.round(goal), np.minimum(limit, self.gains.torque), pairs)
+        self._sent = self._pending = Order(
+            self.encoder.round(goal), np.minimum(limit, self.gains.torque), pairs
+        )
 
     def advance(self, n_steps: int | None = None) -> None:
         """Run the physics for one control period (or `n_steps` physics steps) and take the next sample.
@@ -237,7 +209,9 @@ class Plant:
             self._step()
             torque += self.mj_data.actuator_force[self._servo]
         if not np.isfinite(self.mj_data.qpos).all():
-            raise ConfigError(f"the simulation diverged at t = {self.time:.3f} s; try a smaller dt than {self.dt:g} s")
+            raise ConfigError(
+                f"the simulation diverged at t = {self.time:.3f} s; try a smaller dt than {self.dt:g} s"
+            )
         for felt in self.hands:
             felt.force /= steps
             felt.torque /= steps
@@ -264,9 +238,11 @@ class Plant:
         streams = [np.random.default_rng(s) for s in np.random.SeedSequence(self._seed).spawn(3)]
         self.encoder = Encoder(self.n, rng=streams[0], **self._encoder_args)
         rests = {name: (rest, float(most)) for name, (_, most, rest) in self._held.items()}
-        order = _Order(q.copy(), self.gains.torque.copy(), rests)
+        order = Order(q.copy(), self.gains.torque.copy(), rests)
         self._sent, self._pending = order, None
-        self._writes: Line[_Order] = Line(order, delay=self._delay[1], loss=self._loss[1], rng=streams[2])
+        self._writes: Line[Order] = Line(
+            order, delay=self._delay[1], loss=self._loss[1], rng=streams[2]
+        )
         self._latch = Latch(self.n, self._overload)
         self.torque = np.zeros(self.n)
         self._reference = q.copy()
@@ -278,7 +254,9 @@ class Plant:
         self.truth.remember()
         self.set_hands(felt.hand for felt in self.hands)
         first = State(q.copy(), time=0.0, extra=self._angles())
-        self._reads: Line[State] = Line(first, delay=self._delay[0], loss=self._loss[0], rng=streams[1])
+        self._reads: Line[State] = Line(
+            first, delay=self._delay[0], loss=self._loss[0], rng=streams[1]
+        )
         self._sample()
         return self._state
 
@@ -349,7 +327,9 @@ class Plant:
 
     def pull(self, body: int, force: Array, torque: Array, point: Array) -> None:
         """Add a force and a torque at a world point to a body, for this physics step."""
-        mujoco.mj_applyFT(self.mj_model, self.mj_data, force, torque, point, body, self.mj_data.qfrc_applied)
+        mujoco.mj_applyFT(
+            self.mj_model, self.mj_data, force, torque, point, body, self.mj_data.qfrc_applied
+        )
 
     def _drive(self) -> None:
         """What happens inside the servo between two writes: walking to the goal, dead band, play."""
@@ -368,7 +348,7 @@ class Plant:
             ctrl[self._play_of] -= self.mj_data.qpos[self._play]
         self.mj_data.ctrl[self._servo] = ctrl
 
-    def _apply(self, order: _Order) -> None:
+    def _apply(self, order: Order) -> None:
         """Let a command take effect: limits first, so that a far goal never meets an old high limit."""
         limit = self._latch.limit(order.limit, self.torque, self.gains.torque, self.period)
         force = self.mj_model.actuator_forcerange
@@ -396,7 +376,9 @@ class Plant:
 
     def _angles(self) -> dict[str, float]:
         adr = self.mj_model.jnt_qposadr
-        return {name: float(self.mj_data.qpos[adr[joint]]) for name, (joint, _, _) in self._held.items()}
+        return {
+            name: float(self.mj_data.qpos[adr[joint]]) for name, (joint, _, _) in self._held.items()
+        }
 
     def _follow(self, driver: str, angle: float) -> None:
         """Start the followers of an off-chain joint where it puts them."""
@@ -432,7 +414,7 @@ class Plant:
         return array
 
 
-def _load(payload: Any) -> tuple[float, Array] | None:  # noqa: ANN401 (a pair, or a pliant.Payload)
+def _load(payload: Any) -> tuple[float, Array] | None:
     """Check an unknown load."""
     if payload is None:
         return None

@@ -99,7 +99,9 @@ class Table:
     def __post_init__(self) -> None:
         """Check the numbers once."""
         if not (np.isfinite(self.height) and self.stiffness >= 0.0 and self.damping >= 0.0):
-            raise ConfigError(f"Table needs a finite height, stiffness and damping at least 0, got {self!r}")
+            raise ConfigError(
+                f"Table needs a finite height, stiffness and damping at least 0, got {self!r}"
+            )
 
     def force(self, truth: Truth, t: float) -> Wrench:  # noqa: ARG002 (a table is always there)
         """The table's push at the frame's origin."""
@@ -111,6 +113,8 @@ class Table:
         return np.array((0.0, 0.0, max(size, 0.0))), _ZERO, frame.position
 
 
-def table(height: float, *, stiffness: float = 2e4, frames: Sequence[str] = (TOOL, WRIST)) -> list[Hand]:
+def table(
+    height: float, *, stiffness: float = 2e4, frames: Sequence[str] = (TOOL, WRIST)
+) -> list[Hand]:
     """A table that several frames of the arm can rest on: one `Table` each."""
     return [Table(height=height, stiffness=stiffness, at=frame) for frame in frames]

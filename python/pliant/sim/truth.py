@@ -60,7 +60,9 @@ class Frame:
 
     def twist(self) -> NDArray[np.float64]:
         """Velocity (6,) in base axes: linear [m/s] at the frame's origin, then angular [rad/s]."""
-        mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_SITE, self.site, self._twist, 0)
+        mujoco.mj_objectVelocity(
+            self._model, self._data, mujoco.mjtObj.mjOBJ_SITE, self.site, self._twist, 0
+        )
         return np.concatenate((self._twist[3:], self._twist[:3]))
 
 
@@ -85,7 +87,9 @@ class Truth:
         names = [self.model.site(i).name for i in range(self.model.nsite)]
         link = name if name in names else self._aliases.get(name, name)
         if link not in names:
-            raise FrameNotFound(f"no frame {name!r} in the simulation; there are {', '.join([*self._aliases, *names])}")
+            raise FrameNotFound(
+                f"no frame {name!r} in the simulation; there are {', '.join([*self._aliases, *names])}"
+            )
         found = self._frames[name] = Frame(self.model, self.data, self.model.site(link).id)
         return found
 

@@ -1,6 +1,6 @@
 //! Goals: scaling of parts, joints at their position limits, slew.
 
-use crate::{JointVec, MAX_JOINTS};
+use crate::{JointVec, MAX_JOINTS, Rows};
 
 /// Factors in [0, 1], one per part, so that `|base + Σ f_p part_p| ≤ bound` for every joint.
 ///
@@ -69,6 +69,17 @@ pub(crate) fn lock(
 #[inline]
 pub(crate) fn slew(from: f64, to: f64, step: f64, lower: f64, upper: f64) -> f64 {
     to.max(from - step).min(from + step).max(lower).min(upper)
+}
+
+/// Joint speeds [rad/s] that keep the tool within its `[linear, angular]` speed by one joint alone, and the joint's own.
+#[inline]
+pub(crate) fn register_speed(world: &Rows, tool: [f64; 2], joint: &JointVec, n: usize) -> JointVec {
+    let mut out = *joint;
+    for i in 0..n.min(MAX_JOINTS) {
+        let size = |from: usize| (from..from + 3).map(|r| world[r][i] * world[r][i]).sum::<f64>().sqrt();
+        out[i] = joint[i].min(tool[0] / size(0).max(1e-9)).min(tool[1] / size(3).max(1e-9));
+    }
+    out
 }
 
 #[cfg(test)]

@@ -31,6 +31,16 @@ impl Load<'_> {
         out
     }
 
+    /// (11) with gravity: the budgets of law `paper` on top of what holds the arm.
+    #[inline]
+    pub(crate) fn budget(&self, budget: &JointVec, n: usize) -> JointVec {
+        let mut out = [0.0; MAX_JOINTS];
+        for i in 0..n.min(MAX_JOINTS) {
+            out[i] = budget[i] + self.gravity_scale * self.gravity[i].abs();
+        }
+        out
+    }
+
     /// The sum over all axes of what each may ask for: `s_g |g| + Σ_j |J_ji| most_j + null_i + |ff|`.
     #[inline]
     pub(crate) fn sum(&self, rows: &Rows, most: &AxisVec, null: &JointVec, k: usize, n: usize) -> JointVec {

@@ -1,4 +1,5 @@
 //! From motion and force to what the servos get: lines 11 and 12 of the control step.
 
 pub(crate) mod goal;
+pub(crate) mod integral;
 pub(crate) mod limits;

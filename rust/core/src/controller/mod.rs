@@ -2,6 +2,7 @@
 
 pub(crate) mod memory;
 pub(crate) mod record;
+mod solve;
 mod step;
 
 use std::sync::Arc;

@@ -1,6 +1,6 @@
 //! Joint positions → frames of all joints and of the tool.
 
-use super::spatial::{Mat3, Vec3, add, multiply, rotate, sin_cos_all};
+use super::spatial::{Mat3, Vec3, add, multiply, rotate, sin_cos};
 use crate::model::Chain;
 use crate::pose::Pose;
 use crate::{JointVec, MAX_JOINTS};
@@ -37,13 +37,23 @@ impl Chain {
     ///
     /// `q` [rad or m]: `n` finite entries of at most [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND); the rest is 0.
     pub fn forward(&self, q: &JointVec, frames: &mut Frames) {
-        let (mut angle, mut slide) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        for k in 0..MAX_JOINTS {
-            let driver = q[self.driver[k] & (MAX_JOINTS - 1)];
-            angle[k] = self.angle_per_q[k] * driver + self.angle_offset[k];
-            slide[k] = self.slide_per_q[k] * driver + self.slide_offset[k];
+        let mut slide = [0.0; MAX_JOINTS];
+        let (mut sine, mut cosine) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        let mut driver = *q;
+        if !self.direct {
+            for k in 0..MAX_JOINTS {
+                driver[k] = q[self.driver[k] & (MAX_JOINTS - 1)];
+            }
         }
-        let (sine, cosine) = sin_cos_all(&angle, self.total);
+        // Eight at a time without a break, so that the sines become vector code.
+        for first in [0, 8] {
+            if first < self.total {
+                for k in first..first + 8 {
+                    slide[k] = self.slide_per_q[k] * driver[k] + self.slide_offset[k];
+                    (sine[k], cosine[k]) = sin_cos(self.angle_per_q[k] * driver[k] + self.angle_offset[k]);
+                }
+            }
+        }
 
         let mut rotation = self.base.rotation;
         let mut origin = self.base.position;

@@ -37,24 +37,47 @@ impl Chain {
     /// and the first moment `S` of all that it carries: `τ = −g·(z × (S − M o))`, for a prismatic joint `−M g·z`.
     pub fn gravity(&self, frames: &Frames, masses: &Masses, g: [f64; 3], out: &mut JointVec) {
         *out = [0.0; MAX_JOINTS];
-        let mut mass = masses.mass;
-        let mut moment: [Vec3; MAX_JOINTS] = [[0.0; 3]; MAX_JOINTS];
-        for k in (0..self.total.min(MAX_JOINTS)).rev() {
-            let (axis, origin) = (&frames.axis[k], &frames.origin[k]);
-            let own = rotate(&frames.rotation[k], &masses.moment[k]);
-            // Seen from the joint: S − M o, where M o of the joint's own group cancels.
-            let beyond = mass[k] - masses.mass[k];
-            let arm = sub(&add(&own, &moment[k]), &origin.map(|o| beyond * o));
-            let torque = dot(&cross(axis, &arm), &g);
-            let force = mass[k] * dot(axis, &g);
-            out[self.driver[k] & (MAX_JOINTS - 1)] -= self.angle_per_q[k] * torque + self.slide_per_q[k] * force;
-            let parent = self.parent[k];
-            if parent < MAX_JOINTS {
-                mass[parent] += mass[k];
-                for i in 0..3 {
-                    moment[parent][i] += moment[k][i] + own[i] + masses.mass[k] * origin[i];
-                }
+        // What joints beside the path hang on each joint.
+        let mut side = Load { mass: 0.0, moment: [0.0; 3] };
+        let mut sides = [side; MAX_JOINTS];
+        for k in (self.path..self.total.min(MAX_JOINTS)).rev() {
+            let load = self.hold(k, frames, masses, g, sides[k], out);
+            if let Some(parent) = sides.get_mut(self.parent[k]) {
+                parent.add(&load);
             }
         }
+        for k in (0..self.path.min(MAX_JOINTS)).rev() {
+            side.add(&sides[k]);
+            side = self.hold(k, frames, masses, g, side, out);
+        }
+    }
+
+    /// Adds what joint `k` must hold, given what hangs on its group; what then hangs on the joint before.
+    #[inline]
+    fn hold(&self, k: usize, frames: &Frames, masses: &Masses, g: Vec3, beyond: Load, out: &mut JointVec) -> Load {
+        let (axis, origin) = (&frames.axis[k], &frames.origin[k]);
+        let own = rotate(&frames.rotation[k], &masses.moment[k]);
+        // S − M o, where M o of the joint's own group cancels.
+        let arm = sub(&add(&own, &beyond.moment), &origin.map(|o| beyond.mass * o));
+        let mass = masses.mass[k] + beyond.mass;
+        let torque = dot(&arm, &cross(&g, axis));
+        let force = mass * dot(axis, &g);
+        out[self.driver[k] & (MAX_JOINTS - 1)] -= self.angle_per_q[k] * torque + self.slide_per_q[k] * force;
+        Load { mass, moment: add(&add(&own, &beyond.moment), &origin.map(|o| masses.mass[k] * o)) }
+    }
+}
+
+/// Mass [kg] and first moment [kg·m] in base axes of everything beyond a joint.
+#[derive(Clone, Copy)]
+struct Load {
+    mass: f64,
+    moment: Vec3,
+}
+
+impl Load {
+    #[inline]
+    fn add(&mut self, other: &Self) {
+        self.mass += other.mass;
+        self.moment = add(&self.moment, &other.moment);
     }
 }

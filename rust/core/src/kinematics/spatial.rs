@@ -1,7 +1,5 @@
 //! Small fixed-size algebra of the hot path: 3-vectors, 3×3 matrices, and sine and cosine of all joints at once.
 
-use crate::MAX_JOINTS;
-
 /// 3-vector.
 pub(crate) type Vec3 = [f64; 3];
 
@@ -83,20 +81,4 @@ pub(crate) fn sin_cos(angle: f64) -> (f64, f64) {
     let sine_sign = (quadrant & 2) << 62;
     let cosine_sign = (quadrant.wrapping_add(1) & 2) << 62;
     (f64::from_bits((s ^ exchanged) ^ sine_sign), f64::from_bits((c ^ exchanged) ^ cosine_sign))
-}
-
-/// Sines and cosines of the first `count` angles, rounded up to eights; entries beyond are 0.
-#[inline(always)]
-#[expect(clippy::inline_always, reason = "part of the one loop of the forward pass")]
-pub(crate) fn sin_cos_all(angles: &[f64; MAX_JOINTS], count: usize) -> ([f64; MAX_JOINTS], [f64; MAX_JOINTS]) {
-    let (mut sines, mut cosines) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-    for k in 0..8 {
-        (sines[k], cosines[k]) = sin_cos(angles[k]);
-    }
-    if count > 8 {
-        for k in 8..MAX_JOINTS {
-            (sines[k], cosines[k]) = sin_cos(angles[k]);
-        }
-    }
-    (sines, cosines)
 }

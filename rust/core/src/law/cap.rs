@@ -163,7 +163,9 @@ fn bound_null(null: &mut JointVec, tick: &Tick<'_>) {
     let by_speed = if fastest > most { most / fastest } else { 1.0 };
     let scale = by_torque.min(by_speed);
     if scale < 1.0 {
-        null.iter_mut().for_each(|value| *value *= scale);
+        for value in null {
+            *value *= scale;
+        }
     }
 }
 

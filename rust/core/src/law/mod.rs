@@ -7,11 +7,12 @@ pub(crate) mod inverse;
 pub(crate) mod nullspace;
 pub(crate) mod paper;
 
+use crate::law::activation::Activation;
 use crate::law::cap::Wrench;
 use crate::law::inverse::SingularValues;
 use crate::law::nullspace::{NullSpace, fade_squared, manipulability_gradient};
 use crate::plan::Plan;
-use crate::settings::Projector;
+use crate::settings::{Law, Projector};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// What every law is given: one tick, rows of the task's axes, at the predicted positions.
@@ -30,6 +31,8 @@ pub(crate) struct Tick<'a> {
     pub(crate) softness: &'a AxisVec,
     /// Strength F of each row where it yields.
     pub(crate) strength: &'a AxisVec,
+    /// Strength in force, w F + (1 − w) hold.
+    pub(crate) most: &'a AxisVec,
     /// h (K_x ẽ + twist), within the limits of soft axes.
     pub(crate) step: &'a AxisVec,
     /// The same within all per-axis limits, less what locked joints do.
@@ -59,6 +62,18 @@ pub(crate) struct Motion {
     pub(crate) wrench: Wrench,
     /// Factors by which null-space, soft and stiff part were scaled.
     pub(crate) factors: [f64; 3],
+}
+
+/// Runs the law; the activation matrix comes along where the law makes its limits from it.
+#[inline]
+pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Option<Activation>) {
+    match tick.plan.law {
+        Law::Cap => (cap::motion(tick), None),
+        Law::Paper => {
+            let (motion, shares) = paper::motion(tick);
+            (motion, Some(shares))
+        }
+    }
 }
 
 impl Tick<'_> {

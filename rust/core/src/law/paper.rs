@@ -61,14 +61,14 @@ pub(crate) fn free_lead(rows: &Rows, compliance: &JointVec, demand: &Demand<'_>,
 
 /// Goals' lead of law `paper`, `h K_q (J⁺Δx − α N∇g)`, and the activation matrix.
 ///
-/// `strength` is τ^x; `budget_on_goal` clamps each axis' step to it.
-pub(crate) fn motion(tick: &Tick<'_>, strength: &AxisVec, budget_on_goal: bool) -> (Motion, Activation) {
+/// With `budget_on_goal` each axis' step is clamped to its τ^x.
+pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Activation) {
     let plan = tick.plan;
     let (k, n, h) = (plan.k, plan.n, tick.horizon);
     let pinv = pseudo_inverse(tick.rows, &plan.joint_weight, tick.damping, k, n);
     let mut dx = tick.bounded_step.map(|s| s / h);
-    if budget_on_goal {
-        dx = within_budget(&pinv, &dx, strength, &plan.servos.kp, h, k);
+    if plan.budget_on_goal {
+        dx = within_budget(&pinv, &dx, tick.most, &plan.servos.kp, h, k);
     }
     let step = dx.map(|v| v * h);
     let task = match plan.follow {
@@ -82,7 +82,7 @@ pub(crate) fn motion(tick: &Tick<'_>, strength: &AxisVec, budget_on_goal: bool) 
                 step: &step,
                 bounded_step: &step,
                 softness: tick.softness,
-                cap: strength,
+                cap: tick.strength,
             };
             free_lead(tick.rows, &plan.servos.compliance, &demand, k)
         }

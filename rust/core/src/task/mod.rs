@@ -6,6 +6,7 @@ pub mod compliance;
 pub mod deviation;
 
 pub(crate) mod governor;
+pub(crate) mod wish;
 
 use crate::pose::Pose;
 use crate::task::axes::Frame;

@@ -1,42 +1,24 @@
 //! Settings, servos and model resolved into the arrays that the cycle reads.
 
+mod rows;
+
 use crate::error::{Error, Result};
-use crate::kinematics::Masses;
 use crate::law::nullspace::Cost;
 use crate::model::Model;
 use crate::servos::{ServoArrays, Servos};
 use crate::settings::{Damping, Follow, Law, LimitRule, Projector, Settings};
 use crate::survey;
-use crate::task::axes::{AXIS_NAMES, Axis, Frame, Profile};
+use crate::task::axes::Frame;
+
+pub(crate) use rows::Row;
+use rows::resolve_rows;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Reach [m] of the arm on which the damping constants were found; others are scaled to it.
 const REFERENCE_REACH: f64 = 0.71;
 
-/// Largest η without knowing `k_p` or having captured gravity: beyond it a gravity error walks the arm away.
-const ETA_UNPROVEN: f64 = 0.95;
-
 /// `K_x h T_e` [s] up to which the stiff axes stay quiet.
 const GAIN_DELAY_BOUND: f64 = 0.03;
-
-/// One task axis, every default filled in.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Row {
-    /// Index among x, y, z, roll, pitch, yaw.
-    pub(crate) axis: usize,
-    pub(crate) soft: [f64; 2],
-    pub(crate) firm: [f64; 2],
-    pub(crate) hold: f64,
-    pub(crate) yields: [f64; 2],
-    pub(crate) eta: f64,
-    pub(crate) d_minus: f64,
-    pub(crate) d_plus: f64,
-    /// Half-width [m or rad] of the change-over between the sides.
-    pub(crate) band: f64,
-    pub(crate) profile: Profile,
-    pub(crate) step_limit: f64,
-    pub(crate) soft_step_limit: f64,
-}
 
 /// λ of line 7, in the units of the scaled rows.
 #[derive(Debug, Clone, Copy)]
@@ -55,6 +37,7 @@ pub(crate) struct Plan {
     pub(crate) follow: Follow,
     pub(crate) limits: LimitRule,
     pub(crate) projector: Projector,
+    pub(crate) budget_on_goal: bool,
     pub(crate) frame: Frame,
     /// Axis index of each row.
     pub(crate) axes: Vec<usize>,
@@ -129,6 +112,7 @@ impl Plan {
             follow: settings.effective_follow(),
             limits: settings.limits,
             projector: settings.projector,
+            budget_on_goal: settings.budget_on_goal,
             frame: settings.task.frame,
             rows,
             row_scale,
@@ -178,7 +162,9 @@ impl Plan {
     pub(crate) fn scale_rows(&self, rows: &Rows) -> Rows {
         let mut out = *rows;
         for (row, scale) in out.iter_mut().zip(self.row_scale) {
-            row.iter_mut().for_each(|value| *value *= scale);
+            for value in row {
+                *value *= scale;
+            }
         }
         out
     }
@@ -259,95 +245,6 @@ fn check_kp(settings: &Settings, servos: &ServoArrays, model: &Model) -> Result<
                 model.joint_names().join(", ")
             ),
         ))
-    })
-}
-
-/// Strengths where nothing is given: soft, firm, hold of translations and rotations.
-fn default_strengths(model: &Model, settings: &Settings, servos: &ServoArrays) -> [[f64; 3]; 2] {
-    match settings.law {
-        Law::Paper => [[0.5, 10.0, 10.0]; 2],
-        Law::Cap => {
-            let masses: Masses = model.chain().masses(model.payload());
-            let capacity = survey::static_capacity(model, &servos.torque, &masses, model.gravity_vector());
-            let of = |shares: [f64; 3], capacity: f64| shares.map(|share| survey::round_to_halves(share * capacity));
-            [of([0.12, 0.45, 1.2], capacity[0]), of([0.105, 0.2, 0.53], capacity[1])]
-        }
-    }
-}
-
-fn resolve_rows(
-    model: &Model,
-    settings: &Settings,
-    servos: &ServoArrays,
-    axes: &[usize],
-    kp_known: bool,
-) -> Result<[Row; MAX_AXES]> {
-    let given = |axis: &Axis| axis.soft.is_some() && axis.firm.is_some() && axis.hold.is_some();
-    let defaults = if axes.iter().all(|&axis| given(&settings.axes[axis])) {
-        [[0.0; 3]; 2]
-    } else {
-        default_strengths(model, settings, servos)
-    };
-    let mut rows = [None; MAX_AXES];
-    for (slot, &axis) in rows.iter_mut().zip(axes) {
-        *slot = Some(resolve_row(settings, axis, defaults[usize::from(axis >= 3)], kp_known)?);
-    }
-    let spare = resolve_row(&Settings::default(), 0, [0.0; 3], true)?;
-    Ok(rows.map(|row| row.unwrap_or(spare)))
-}
-
-fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], kp_known: bool) -> Result<Row> {
-    let (given, name) = (&settings.axes[axis], AXIS_NAMES[axis]);
-    let paper = settings.law == Law::Paper;
-    let [soft, firm, hold] = defaults;
-    // What is left out makes room for what is given.
-    let soft = given.soft.unwrap_or_else(|| given.firm.map_or([soft; 2], |firm| firm.map(|f| f.min(soft))));
-    let firm = given.firm.unwrap_or_else(|| soft.map(|s| s.max(firm)));
-    let hold = given.hold.unwrap_or_else(|| firm[0].max(firm[1]).max(hold));
-    let yields = given.effective_yields();
-    for side in 0..2 {
-        let sides = if soft[0] == soft[1] && firm[0] == firm[1] { "" } else { [" (pushed toward −)", " (pushed toward +)"][side] };
-        if yields.sides()[side] && !(soft[side] <= firm[side] && firm[side] <= hold) {
-            return Err(Error::config(
-                format!("axes.{name}"),
-                format!("needs soft ≤ firm ≤ hold, got soft={}, firm={}, hold={hold}{sides}", soft[side], firm[side]),
-            ));
-        }
-    }
-    if !paper && given.eta > ETA_UNPROVEN && !kp_known && !settings.accept.iter().any(|risk| risk == "eta") {
-        return Err(Error::limit(
-            format!("axes.{name}.eta"),
-            given.eta,
-            format!(
-                "[0, {ETA_UNPROVEN}] while k_p is not known within 10 %: a gravity error would walk the arm away. \
-                 Identify k_p (Servos(kp_known=True)), capture gravity, or take the risk by name: Settings(accept=(\"eta\",))"
-            ),
-        ));
-    }
-    let translation = axis < 3;
-    let d_minus = given.d_minus.unwrap_or(if translation { 0.01 } else { 0.04 });
-    let d_plus = given.d_plus.unwrap_or(if translation { 0.10 } else { 0.40 });
-    if d_minus >= d_plus {
-        return Err(Error::limit(format!("axes.{name}.d_minus"), d_minus, format!("[0, d_plus = {d_plus})")));
-    }
-    let soft_step = match (paper, translation) {
-        (true, true) => 0.1,
-        (true, false) => 0.5,
-        (false, _) => f64::INFINITY,
-    };
-    Ok(Row {
-        axis,
-        soft,
-        firm,
-        hold,
-        yields: yields.sides().map(|on| f64::from(u8::from(on))),
-        eta: given.eta,
-        d_minus,
-        d_plus,
-        band: d_minus * settings.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 }),
-        profile: given.profile,
-        step_limit: given.step_limit.unwrap_or(if translation { 0.4 } else { 2.0 }),
-        soft_step_limit: given.soft_step_limit.unwrap_or(soft_step),
     })
 }
 

@@ -1,0 +1,147 @@
+"""Arms that ship with the package: primitive geometry, round numbers, servos attached.
+
+| name | joints | servos |
+|---|---|---|
+| `arm7` | 7, anthropomorphic, after the description of Cosero's arm | EX-106+ and RX-64 |
+| `so101` | 5 and a gripper, SO-101-like | STS3215 at 7.4 V, P gain 16 |
+| `koch` | 5 and a gripper, Koch-like | XL430 at 11.1 V (pan, lift), XL330 at 5 V, factory gains |
+
+None of them is a copy or a measurement of a robot; a table of real servos and a real URDF come from the user.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import pliant
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pliant import Model, Servos
+
+#: One encoder count of a 12-bit servo [rad].
+COUNT_12_BIT = 2.0 * np.pi / 4096
+
+
+def arm7(**options: Any) -> Model:
+    """Seven joints, tool in the open hand: EX-106+ in shoulder and elbow, RX-64 in the wrist.
+
+    Args:
+        **options: As `pliant.Model.from_urdf` (`payload`, `gravity`, `limits`, `servos`, ...).
+
+    Returns:
+        The model from `base` to `tool`; its servos' damping includes the back-EMF, so they count as `current`.
+    """
+    return _load("arm7.urdf", _arm7_servos, options)
+
+
+def so101(**options: Any) -> Model:
+    """Five joints and a gripper that stays off the chain, STS3215 servos at 7.4 V with P gain 16.
+
+    Args:
+        **options: As `pliant.Model.from_urdf`; the gripper is locked at 0 unless `locked` says otherwise.
+
+    Returns:
+        The model from `base` to `tool`.
+    """
+    return _load("so101_like.urdf", _so101_servos, options)
+
+
+def koch(**options: Any) -> Model:
+    """Five joints and a gripper that stays off the chain, XL430 and XL330 servos with factory gains.
+
+    Args:
+        **options: As `pliant.Model.from_urdf`; the gripper is locked at 0 unless `locked` says otherwise.
+
+    Returns:
+        The model from `base` to `tool`.
+    """
+    return _load("koch_like.urdf", _koch_servos, options)
+
+
+_ARMS: dict[str, Callable[..., Model]] = {"arm7": arm7, "so101": so101, "koch": koch}
+
+
+def names() -> tuple[str, ...]:
+    """Names that `load` knows."""
+    return tuple(_ARMS)
+
+
+def load(name: str, **options: Any) -> Model:
+    """Return a built-in arm by name.
+
+    Args:
+        name: One of `names()`.
+        **options: As `pliant.Model.from_urdf`.
+
+    Returns:
+        A fresh model with servos attached.
+
+    Raises:
+        ConfigError: The name is unknown; the message lists those there are.
+    """
+    if name not in _ARMS:
+        raise pliant.ConfigError(f"no built-in arm {name!r}; there are {', '.join(_ARMS)}")
+    return _ARMS[name](**options)
+
+
+def _load(file: str, servos: Callable[[], Servos], options: dict[str, Any]) -> Model:
+    text = files(__name__).joinpath(file).read_text(encoding="utf-8")
+    return pliant.Model.from_urdf_str(
+        text, **{"base": "base", "tip": "tool", "servos": servos(), **options}
+    )
+
+
+def _arm7_servos() -> Servos:
+    """Four strong servos, three of the wrist; the damping is that of gears and back-EMF together."""
+    return pliant.Servos(
+        kp=[150.0] * 4 + [60.0] * 3,
+        torque=[10.7] * 4 + [6.4] * 3,
+        friction=[0.20] * 4 + [0.10] * 3,
+        damping=[1.2] * 4 + [0.8] * 3,
+        kv=[1.5] * 4 + [0.5] * 3,
+        armature=[0.012] * 4 + [0.008] * 3,
+        kp_known=True,
+    )
+
+
+def _so101_servos() -> Servos:
+    """STS3215 at 7.4 V: stall 1.9 N·m, 52 rpm, a duty limit; kp = 0.166 P stall with P = 16.
+
+    Gears and back-EMF together damp with 0.6 N·m·s/rad; the back-EMF's share is stall over no-load speed.
+    """
+    stall, no_load = 1.9, 5.45
+    return pliant.Servos(
+        kp=[5.1] * 5,
+        torque=[stall] * 5,
+        friction=[0.08] * 5,
+        damping=[0.6 - stall / no_load] * 5,
+        armature=[0.028] * 5,
+        count=[COUNT_12_BIT] * 5,
+        kind="duty",
+        no_load_speed=[no_load] * 5,
+        kp_known=True,
+    )
+
+
+def _koch_servos() -> Servos:
+    """XL430-W250 at 11.1 V and XL330-M288 at 5 V: kp = 0.00576 P stall with the factory's P of 640 and 400.
+
+    Stall and no-load speed are the maker's, 1.4 N·m and 57 rpm, 0.52 N·m and 103 rpm; friction, gear damping and rotor
+    inertia are not published and are guesses.
+    """
+    return pliant.Servos(
+        kp=[5.2] * 2 + [1.2] * 3,
+        torque=[1.4] * 2 + [0.52] * 3,
+        friction=[0.05] * 2 + [0.02] * 3,
+        damping=[0.05] * 2 + [0.012] * 3,
+        armature=[0.008] * 2 + [0.002] * 3,
+        count=[COUNT_12_BIT] * 5,
+        kind="duty",
+        no_load_speed=[6.0] * 2 + [10.8] * 3,
+        kp_known=True,
+    )

@@ -1,0 +1,190 @@
+"""The parts of a body in a MuJoCo specification: joints with gears, mass, a drawing, servos."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant.sim._mujoco import mujoco
+from pliant.sim.tree import as_matrix, kind_of, unit
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pliant.sim.gains import Gains
+    from pliant.sim.spec import Build
+    from pliant.sim.tree import Group, Matrix, Robot
+
+#: Mass [kg] and inertia [kg·m²] given to a moving group for which the description knows none.
+LEAST_MASS, LEAST_INERTIA = 1e-4, 1e-7
+#: Effort [N·m] of an off-chain joint whose description names none.
+OFF_CHAIN_EFFORT = 1.0
+#: Time constant [s] of the equality that makes a mimic joint follow.
+MIMIC_TIME = 0.005
+
+
+def add_joint(
+    out: Build, body: mujoco.MjsBody, index: int, gains: Gains, backlash: NDArray[np.float64] | None
+) -> None:
+    """Add the joint a group moves about, with its gears; play sits between the gears and the link."""
+    joint = out.model.joints[index]
+    sliding = kind_of(joint) == "prismatic"
+    mj = body.add_joint(name=joint.name, axis=unit(joint.axis))
+    mj.type = mujoco.mjtJoint.mjJNT_SLIDE if sliding else mujoco.mjtJoint.mjJNT_HINGE
+    if (
+        joint.lower is not None
+        and joint.upper is not None
+        and np.isfinite([joint.lower, joint.upper]).all()
+    ):
+        mj.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        mj.range = (joint.lower, joint.upper)
+    if joint.q_index is not None and joint.mimic is None:
+        i = joint.q_index
+        lower, upper = float(out.model.lower[i]), float(out.model.upper[i])
+        if np.isfinite([lower, upper]).all():
+            mj.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            mj.range = (lower, upper)
+        else:
+            mj.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+        mj.armature = gains.armature[i]
+        mj.frictionloss = gains.friction[i]
+        set_damping(mj, gains.damping[i])
+        if backlash is not None and backlash[i] > 0.0:
+            play = body.add_joint(name=f"play:{joint.name}", axis=unit(joint.axis), type=mj.type)
+            play.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            play.range = (-backlash[i] / 2, backlash[i] / 2)
+            play.armature = 0.02 * gains.armature[i]
+            set_damping(play, 0.01 * gains.damping[i])
+    elif joint.mimic is None:
+        effort = joint.effort or OFF_CHAIN_EFFORT
+        mj.armature = 2e-3 * effort
+        set_damping(mj, 0.1 * effort)
+        angle = float(getattr(joint, "locked_at", None) or 0.0)
+        if mj.limited == mujoco.mjtLimited.mjLIMITED_TRUE:
+            angle = float(np.clip(angle, joint.lower, joint.upper))
+        out.held[joint.name] = angle
+    else:
+        mj.armature = 1e-4
+
+
+def add_mass(
+    model: Robot,
+    body: mujoco.MjsBody,
+    group: Group,
+    moving: bool,
+    payload: tuple[float, NDArray[np.float64]] | None,
+) -> None:
+    """Sum the inertials of a group, of the model's own payload and of an unknown one, about the common centre."""
+    parts: list[tuple[float, Matrix, Matrix]] = []
+    for index, pose in group.members:
+        inertial = model.links[index].inertial
+        if inertial is not None:
+            turn = pose[:3, :3] @ np.asarray(inertial.rotation, dtype=np.float64)
+            spread = turn @ np.asarray(inertial.inertia, dtype=np.float64) @ turn.T
+            parts.append(
+                (
+                    float(inertial.mass),
+                    pose[:3, :3] @ np.asarray(inertial.com) + pose[:3, 3],
+                    spread,
+                )
+            )
+        if model.links[index].name == model.tip:
+            loads = [payload, own_payload(model)]
+            parts += [
+                (m, pose[:3, :3] @ c + pose[:3, 3], np.zeros((3, 3)))
+                for m, c in filter(None, loads)
+            ]
+    mass = sum(m for m, _, _ in parts)
+    if mass < LEAST_MASS:
+        if not moving:
+            return
+        parts.append((LEAST_MASS, np.zeros(3), np.zeros((3, 3))))
+        mass += LEAST_MASS
+    com = sum(m * c for m, c, _ in parts) / mass
+    inertia = np.zeros((3, 3))
+    for m, c, spread in parts:
+        r = c - com
+        inertia += spread + m * (r @ r * np.eye(3) - np.outer(r, r))
+    if np.linalg.eigvalsh(inertia)[0] < LEAST_INERTIA:
+        inertia += LEAST_INERTIA * np.eye(3)
+    body.explicitinertial = True
+    body.mass = mass
+    body.ipos = com
+    body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def own_payload(model: Robot) -> tuple[float, NDArray[np.float64]] | None:
+    """Mass and centre of the load the model knows about."""
+    load = getattr(model, "payload", None)
+    return None if load is None else (float(load.mass), np.asarray(load.com, dtype=np.float64))
+
+
+def add_skin(model: Robot, body: mujoco.MjsBody, group: Group) -> None:
+    """Draw a group as capsules from its joint to the joints and the tool it carries."""
+    members = dict(group.members)
+    ends = [members[j.parent] @ as_matrix(j.origin) for j in model.joints if j.parent in members]
+    reach = [float(np.linalg.norm(end[:3, 3])) for end in ends]
+    thick = float(np.clip(0.12 * max(reach, default=0.0), 0.008, 0.035))
+    for end, length in zip(ends, reach, strict=True):
+        if length > thick:
+            geom = body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(thick, 0.0, 0.0), contype=0, conaffinity=0
+            )
+            geom.fromto = (0.0, 0.0, 0.0, *end[:3, 3])
+            geom.rgba = (0.75, 0.77, 0.80, 1.0)
+
+
+def add_mimics(out: Build, groups: list[Group]) -> None:
+    """Tie followers to their drivers; a follower of a joint that does not move is tied to the offset."""
+    moving = {group.joint for group in groups}
+    for index in sorted(j for j in moving if j is not None):
+        joint = out.model.joints[index]
+        if joint.mimic is None:
+            continue
+        driver = joint.mimic.joint
+        tie = out.spec.add_equality(
+            name=f"mimic:{joint.name}", name1=joint.name, type=mujoco.mjtEq.mjEQ_JOINT
+        )
+        tie.objtype = mujoco.mjtObj.mjOBJ_JOINT
+        if driver in moving:
+            tie.name2 = out.model.joints[driver].name
+        tie.data[:5] = joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0
+        tie.solref = (MIMIC_TIME, 1.0)
+
+
+def add_servos(out: Build, gains: Gains) -> None:
+    """One position actuator per chain joint, and one per held off-chain joint.
+
+    `forcelimited` is fixed at compile time; without it MuJoCo ignores a `forcerange` that is changed later.
+    """
+    out.chain = list(out.model.joint_names)
+    for name, kp, kv, torque in zip(out.chain, gains.kp, gains.kv, gains.torque, strict=True):
+        servo(out.spec, name, kp, kv, torque)
+        if any(j.name == f"play:{name}" for j in out.spec.joints):
+            out.backlash.append(f"play:{name}")
+    by_name = {joint.name: joint for joint in out.model.joints}
+    for name in out.held:
+        effort = by_name[name].effort or OFF_CHAIN_EFFORT
+        servo(out.spec, name, effort / 0.07, 0.0, effort)
+
+
+def servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, torque: float) -> None:
+    """Position servo ``clip(kp (ctrl - q) - kv dq, ±torque)``."""
+    act = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    act.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+    act.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    act.gainprm[0] = kp
+    act.biasprm[:3] = 0.0, -kp, -kv
+    act.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    act.forcerange = (-torque, torque)
+
+
+def set_damping(joint: mujoco.MjsJoint, value: float) -> None:
+    """Set the linear damping of a joint; MuJoCo 4 keeps a polynomial where MuJoCo 3 has one number."""
+    if np.ndim(joint.damping):
+        joint.damping = (value, 0.0, 0.0)
+    else:
+        joint.damping = value
+
+

@@ -1,0 +1,80 @@
+"""A light recorder: named signals, one row per call, NumPy arrays at the end."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import ShapeError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant.sim.plant import Plant
+
+
+class Recorder:
+    """Keeps the truth of a run, and whatever else the caller adds.
+
+    Signals of every row: `t` [s], `q`, `dq` (n,) [rad, rad/s], `tool` (4, 4), `torque` (n,) mean servo torque of the
+    period [N·m], and per hand k `force{k}`, `torque{k}` (3,), means of the period [N, N·m].
+
+    Example:
+        >>> record = Recorder(plant)
+        >>> record.add(compliance=controller.compliance)
+        >>> record["tool"][:, 1, 3]  # y of the tool over time
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        """Start empty."""
+        self._plant = plant
+        self._rows: dict[str, list[NDArray[np.float64]]] = {}
+        self._count = 0
+
+    def add(self, **signals: ArrayLike) -> None:
+        """Add a row: the plant's truth after `advance`, and the given signals, the same ones in every call.
+
+        Raises:
+            ShapeError: A signal appears late, is missing, or changes its shape.
+        """
+        plant = self._plant
+        row: dict[str, ArrayLike] = {
+            "t": plant.time,
+            "q": plant.q,
+            "dq": plant.dq,
+            "tool": plant.tool,
+        }
+        row["torque"] = plant.torque
+        for k, felt in enumerate(plant.hands):
+            row[f"force{k}"], row[f"torque{k}"] = felt.force, felt.torque
+        row.update(signals)
+        if self._count and row.keys() != self._rows.keys():
+            odd = ", ".join(sorted(row.keys() ^ self._rows.keys()))
+            raise ShapeError(f"every row of a record has the same signals; these differ: {odd}")
+        arrays = {name: np.array(value, dtype=np.float64) for name, value in row.items()}
+        for name, array in arrays.items():
+            if self._count and array.shape != self._rows[name][0].shape:
+                was = self._rows[name][0].shape
+                raise ShapeError(f"signal {name!r} changed its shape from {was} to {array.shape}")
+        for name, array in arrays.items():
+            self._rows.setdefault(name, []).append(array)
+        self._count += 1
+
+    def __len__(self) -> int:
+        """Rows so far."""
+        return self._count
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """Return one signal, shape (rows, ...).
+
+        Raises:
+            KeyError: There is no such signal; the message lists those there are.
+        """
+        if name not in self._rows:
+            raise KeyError(f"no signal {name!r}; there are {', '.join(self._rows) or 'none yet'}")
+        return np.stack(self._rows[name])
+
+    def arrays(self) -> dict[str, NDArray[np.float64]]:
+        """Return all signals by name, each of shape (rows, ...)."""
+        return {name: np.stack(rows) for name, rows in self._rows.items()}

@@ -1,0 +1,64 @@
+"""Plain records at the plant's interface: what the bus reports, what is on its way, what a hand did."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from pliant.sim.hand import Hand
+
+    Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class State:
+    """What the bus reports.
+
+    Attributes:
+        q: Joint positions (n,) [rad], as old as the read delay.
+        dq: Joint velocities (n,) where the servo reports them; the simulated one does not.
+        time: When the sample was taken [s].
+        fresh: False when this tick's reading was lost and the last one is repeated.
+        extra: Positions of off-chain joints by name (a gripper) [rad].
+    """
+
+    q: Array
+    dq: Array | None = None
+    time: float = 0.0
+    fresh: bool = True
+    extra: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class Felt:
+    """What one hand did: means over the last control period and the largest value of any physics step since reset.
+
+    Attributes:
+        hand: The hand.
+        force: Mean force (3,) [N].
+        torque: Mean torque (3,) [N·m].
+        peak_force: Largest norm of the force [N].
+        peak_torque: Largest norm of the torque [N·m].
+    """
+
+    hand: Hand
+    force: Array = field(default_factory=lambda: np.zeros(3))
+    torque: Array = field(default_factory=lambda: np.zeros(3))
+    peak_force: float = 0.0
+    peak_torque: float = 0.0
+
+
+@dataclass(frozen=True)
+class Order:
+    """One write on its way to the servos."""
+
+    goal: Array
+    limit: Array
+    extra: Mapping[str, tuple[float, float]]

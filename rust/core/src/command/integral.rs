@@ -1,0 +1,50 @@
+//! The integrating goal of stiff axes, leashed to what the limits can use.
+
+use crate::law::inverse::{Cholesky, times, transpose_times, weighted_gram};
+use crate::plan::Plan;
+use crate::{AxisVec, JointVec, Rows};
+
+/// Lead [rad] that may be stored where nothing is known of the servos.
+const LEAD_UNKNOWN: f64 = 0.3;
+
+/// What one tick adds to the stored lead.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Addition<'a> {
+    /// Lead of the stiff axes and of the null space [rad].
+    pub(crate) lead: &'a JointVec,
+    /// Share of it that is stored: rate × dt.
+    pub(crate) share: f64,
+    /// Gravity in the limits, with its factor [N·m].
+    pub(crate) gravity: &'a JointVec,
+    /// Softness of each axis.
+    pub(crate) softness: &'a AxisVec,
+    /// Task rows.
+    pub(crate) rows: &'a Rows,
+    /// λ² of each row.
+    pub(crate) damping: &'a AxisVec,
+}
+
+impl Addition<'_> {
+    /// Adds to `stored` [rad] and takes out again what would act on soft axes: on those nothing is stored.
+    pub(crate) fn store(&self, stored: &mut JointVec, plan: &Plan) {
+        let (k, n, servos) = (plan.k, plan.n, &plan.servos);
+        for i in 0..n {
+            let room = servos.torque[i] - self.gravity[i].abs();
+            let usable = room.is_finite() && servos.has_kp;
+            let leash = if usable { room.max(0.0) * servos.compliance[i] } else { LEAD_UNKNOWN };
+            stored[i] = (stored[i] + self.share * self.lead[i]).clamp(-leash, leash);
+        }
+        if self.softness.iter().all(|&w| w <= 0.0) {
+            return;
+        }
+        // The wrench that the stored lead exerts, W = (C + λ²/k̄)⁻¹ J z; its soft rows go.
+        let mut compliance = weighted_gram(self.rows, &servos.compliance, k, n);
+        for (r, row) in compliance.iter_mut().enumerate().take(k) {
+            row[r] += self.damping[r] / servos.kp_mean;
+        }
+        let mut wrench = Cholesky::new(&compliance, k).solve(&times(self.rows, stored, k));
+        (0..k).for_each(|r| wrench[r] *= self.softness[r]);
+        let torque = transpose_times(self.rows, &wrench, k);
+        (0..n).for_each(|i| stored[i] -= servos.compliance[i] * torque[i]);
+    }
+}

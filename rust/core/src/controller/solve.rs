@@ -1,0 +1,137 @@
+//! Lines 7 to 11: the law, run anew without every joint that meets a position limit.
+
+use crate::command::goal::lock;
+use crate::controller::memory::Memory;
+use crate::controller::record::update_singular;
+use crate::controller::step::{Input, Seen};
+use crate::law::activation::Activation;
+use crate::law::feedforward::{damping_squared, fade, resistance};
+use crate::law::inverse::times;
+use crate::law::{Motion, Tick, motion, weighted_manipulability};
+use crate::plan::Plan;
+use crate::settings::{Law, Settings};
+use crate::task::wish::Wish;
+use crate::{AxisVec, JointVec, MAX_JOINTS, Rows};
+
+/// Iterations that find the extreme singular vectors from nothing, and that follow them from tick to tick.
+const ITERATIONS: (usize, usize) = (30, 2);
+
+/// What the law came to.
+#[derive(Clone, Copy)]
+pub(super) struct Solution {
+    pub(super) motion: Motion,
+    /// Only where the law makes its limits from it.
+    pub(super) shares: Option<Activation>,
+    /// Task rows, columns of locked joints zero.
+    pub(super) rows: Rows,
+    pub(super) locked: [bool; MAX_JOINTS],
+    /// Lead that locked joints still have [rad].
+    pub(super) fixed_lead: JointVec,
+    /// Goals before slew and position limits [rad].
+    pub(super) goal: JointVec,
+    pub(super) gradient: JointVec,
+    pub(super) feed_forward: JointVec,
+    /// λ².
+    pub(super) damping: f64,
+    /// λ² of each row.
+    pub(super) row_damping: AxisVec,
+}
+
+/// Solves for the goals; `memory` gets the new γ and singular vectors.
+pub(super) fn solve(
+    plan: &Plan,
+    settings: &Settings,
+    input: &Input,
+    seen: &Seen,
+    wish: &Wish,
+    memory: &mut Memory,
+) -> Solution {
+    let (k, n) = (plan.k, plan.n);
+    let (mut locked, mut fixed_lead) = ([false; MAX_JOINTS], [0.0; MAX_JOINTS]);
+    let mut rows = seen.rows;
+    loop {
+        let scaled = plan.scale_rows(&rows);
+        let damping = condition(plan, &scaled, memory);
+        let row_damping = plan.damping_scale.map(|scale| scale * damping);
+        let feed_forward = resist(plan, settings, memory);
+        let gradient = cost_gradient(plan, input, seen, &scaled, memory);
+        let done = times(&seen.rows, &fixed_lead, k);
+        let mut bounded_step = wish.bounded;
+        (0..k).for_each(|r| bounded_step[r] -= done[r]);
+        let (motion, shares) = motion(&Tick {
+            plan,
+            horizon: settings.horizon,
+            rows: &rows,
+            scaled_rows: &scaled,
+            singular: &memory.singular,
+            damping: &row_damping,
+            softness: &wish.softness,
+            strength: &wish.strength,
+            most: &wish.most,
+            step: &wish.step,
+            bounded_step: &bounded_step,
+            gradient: &gradient,
+            locked: &locked,
+            fixed_lead: &fixed_lead,
+            gravity: &seen.gravity_in_goal,
+            feed_forward: &feed_forward,
+            integral: &memory.integral,
+        });
+        let (mut without_lead, mut goal) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        for i in 0..n {
+            without_lead[i] = seen.q[i]
+                + feed_forward[i] * plan.servos.compliance[i]
+                + seen.gravity_in_goal[i] / plan.kg[i]
+                + memory.integral[i];
+            goal[i] = without_lead[i] + motion.lead[i] + motion.null[i];
+        }
+        if !lock(&goal, &without_lead, &plan.lower, &plan.upper, &mut locked, &mut fixed_lead, n) {
+            return Solution {
+                motion,
+                shares,
+                rows,
+                locked,
+                fixed_lead,
+                goal,
+                gradient,
+                feed_forward,
+                damping,
+                row_damping,
+            };
+        }
+        for row in &mut rows {
+            (0..n).filter(|&i| locked[i]).for_each(|i| row[i] = 0.0);
+        }
+    }
+}
+
+/// Line 7: follows σ, sets γ, returns λ².
+fn condition(plan: &Plan, scaled: &Rows, memory: &mut Memory) -> f64 {
+    let iterations = if memory.cold { ITERATIONS.0 } else { ITERATIONS.1 };
+    update_singular(&mut memory.singular, scaled, plan.k, plan.n, iterations);
+    memory.cold = false;
+    let (sigma, damping) = (memory.singular.smallest, plan.damping);
+    memory.gamma = fade(sigma, damping.sigma_0);
+    damping_squared(sigma, damping.lambda_0, damping.sigma_0, damping.lambda_max)
+}
+
+/// Line 10; law `paper` has no feed-forward.
+fn resist(plan: &Plan, settings: &Settings, memory: &Memory) -> JointVec {
+    if plan.law == Law::Paper {
+        return [0.0; MAX_JOINTS];
+    }
+    let (servos, shares) = (&plan.servos, (settings.friction_share, settings.damping_share));
+    let v = &memory.filter.velocity;
+    resistance(v, &servos.friction, &servos.damping, shares, settings.friction_speed, memory.gamma, plan.n)
+}
+
+/// Gradient of the null-space cost, all its parts.
+fn cost_gradient(plan: &Plan, input: &Input, seen: &Seen, scaled: &Rows, memory: &Memory) -> JointVec {
+    let mut gradient = plan.cost.gradient(&seen.q, &input.rest, plan.n);
+    if plan.cost.manipulability > 0.0 {
+        let more = weighted_manipulability(plan, &seen.world, scaled, &seen.base_from_task, &memory.singular);
+        (0..plan.n).for_each(|i| gradient[i] += more[i]);
+    }
+    (0..plan.n).for_each(|i| gradient[i] += input.gradient[i]);
+    gradient
+}
