@@ -25,7 +25,10 @@ export OMP_NUM_THREADS ?= 1
 export PIP_ROOT_USER_ACTION := ignore
 
 UV := $(shell command -v uv 2>/dev/null)
-PIP_INSTALL = $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,$(BIN)/python -m pip install --quiet)
+# uv shall trust what the machine trusts, as pip does.
+export UV_SYSTEM_CERTS ?= 1
+# pip starts maturin by name: ours comes first, not one that happens to be on the machine.
+PIP_INSTALL = PATH="$(CURDIR)/$(BIN):$$PATH" $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,$(BIN)/python -m pip install --quiet)
 # CI must not change the lock file, and keeps no incremental state.
 ifneq ($(strip $(CI)),)
 LOCKED := --locked
@@ -137,7 +140,7 @@ $(WHEELS)/.built: $(RUST) $(PY_SOURCES) pyproject.toml README.md LICENSE
 	$(call say,wheel)
 	@rm -rf $(WHEELS)
 	@$(BIN)/maturin build --release $(LOCKED) --quiet --interpreter $(BIN)/python --out $(WHEELS)
-	@$(BIN)/maturin sdist --quiet --out $(WHEELS)
+	@$(BIN)/maturin sdist --out $(WHEELS)
 	@touch $@
 
 fmt: setup ## Format all sources

@@ -1,4 +1,4 @@
-"""Rules of the house: one version, light imports, short files, documents that run, a complete wheel."""
+"""Rules of the house: one version, light import, short files, documents that run, whole wheel."""
 
 from __future__ import annotations
 

@@ -6,7 +6,8 @@
 | `so101` | 5 and a gripper, SO-101-like | STS3215 at 7.4 V, P gain 16 |
 | `koch` | 5 and a gripper, Koch-like | XL430 at 11.1 V (pan, lift), XL330 at 5 V, factory gains |
 
-None of them is a copy or a measurement of a robot; a table of real servos and a real URDF come from the user.
+None of them is a copy or a measurement of a robot; a table of real servos and a real URDF come from
+the user.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ def arm7(**options: Any) -> Model:
         **options: As `pliant.Model.from_urdf` (`payload`, `gravity`, `limits`, `servos`, ...).
 
     Returns:
-        The model from `base` to `tool`; its servos' damping includes the back-EMF, so they count as `current`.
+        The model from `base` to `tool`; its servos' damping includes the back-EMF, so they count as
+        `current`.
     """
     return _load("arm7.urdf", _arm7_servos, options)
 
@@ -43,7 +45,8 @@ def so101(**options: Any) -> Model:
     """Five joints and a gripper that stays off the chain, STS3215 servos at 7.4 V with P gain 16.
 
     Args:
-        **options: As `pliant.Model.from_urdf`; the gripper is locked at 0 unless `locked` says otherwise.
+        **options: As `pliant.Model.from_urdf`; the gripper is locked at 0 unless `locked` says
+        otherwise.
 
     Returns:
         The model from `base` to `tool`.
@@ -52,10 +55,11 @@ def so101(**options: Any) -> Model:
 
 
 def koch(**options: Any) -> Model:
-    """Five joints and a gripper that stays off the chain, XL430 and XL330 servos with factory gains.
+    """Five joints and a gripper that stays off the chain, XL430 and XL330 servos.
 
     Args:
-        **options: As `pliant.Model.from_urdf`; the gripper is locked at 0 unless `locked` says otherwise.
+        **options: As `pliant.Model.from_urdf`; the gripper is locked at 0 unless `locked` says
+        otherwise.
 
     Returns:
         The model from `base` to `tool`.
@@ -97,7 +101,7 @@ def _load(file: str, servos: Callable[[], Servos], options: dict[str, Any]) -> M
 
 
 def _arm7_servos() -> Servos:
-    """Four strong servos, three of the wrist; the damping is that of gears and back-EMF together."""
+    """Four strong servos, three of the wrist; damping is gears and back-EMF together."""
     return pliant.Servos(
         kp=[150.0] * 4 + [60.0] * 3,
         torque=[10.7] * 4 + [6.4] * 3,
@@ -112,7 +116,8 @@ def _arm7_servos() -> Servos:
 def _so101_servos() -> Servos:
     """STS3215 at 7.4 V: stall 1.9 N·m, 52 rpm, a duty limit; kp = 0.166 P stall with P = 16.
 
-    Gears and back-EMF together damp with 0.6 N·m·s/rad; the back-EMF's share is stall over no-load speed.
+    Gears and back-EMF together damp with 0.6 N·m·s/rad; the back-EMF's share is stall over no-load
+    speed.
     """
     stall, no_load = 1.9, 5.45
     return pliant.Servos(
@@ -129,10 +134,10 @@ def _so101_servos() -> Servos:
 
 
 def _koch_servos() -> Servos:
-    """XL430-W250 at 11.1 V and XL330-M288 at 5 V: kp = 0.00576 P stall with the factory's P of 640 and 400.
+    """XL430-W250 at 11.1 V, XL330-M288 at 5 V: kp = 0.00576 P stall, factory P 640 and 400.
 
-    Stall and no-load speed are the maker's, 1.4 N·m and 57 rpm, 0.52 N·m and 103 rpm; friction, gear damping and rotor
-    inertia are not published and are guesses.
+    Stall and no-load speed are the maker's, 1.4 N·m and 57 rpm, 0.52 N·m and 103 rpm; friction,
+    gear damping and rotor inertia are not published and are guesses.
     """
     return pliant.Servos(
         kp=[5.2] * 2 + [1.2] * 3,

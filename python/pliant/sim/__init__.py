@@ -1,12 +1,13 @@
-"""Torque-limited position servos on real physics: any model, with hands, doors and walls around it (extra `sim`).
+"""Torque-limited position servos on real physics, with hands, doors and walls (extra `sim`).
 
 >>> import pliant, pliant.sim
 >>> arm = pliant.robots.arm7()
 >>> plant = pliant.sim.Plant(arm, scene=[pliant.sim.STRONG])
 >>> state = plant.reset(q_start)
 
-`Plant.read()` and `Plant.write(goal, limit)` are the interface hardware has; `Plant.q`, `Plant.tool` and `Plant.hands`
-are the truth, for figures and tests. World axes are the model's base axes; all units SI.
+`Plant.read()` and `Plant.write(goal, limit)` are the interface hardware has; `Plant.q`,
+`Plant.tool` and `Plant.hands` are the truth, for figures and tests. World axes are the model's base
+axes; all units SI.
 """
 
 from pliant.sim.doors import Door, Drive, door, fridge, oven

@@ -1,6 +1,7 @@
 """Doors of one leaf on one hinge, gripped at the handle: house door, fridge, oven.
 
-The handle is where the tool is at reset. A `rigid` grip is a weld, a `turning` one lets the handle turn in the grip.
+The handle is where the tool is at reset. A `rigid` grip is a weld, a `turning` one lets the handle
+turn in the grip.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from pliant import ConfigError
 from pliant.sim._mujoco import mujoco
-from pliant.sim.spec import set_damping
+from pliant.sim.parts import set_damping
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,11 +27,14 @@ Grip = Literal["rigid", "turning"]
 
 #: Time constant of the grip [s].
 GRIP_TIME = 0.01
-#: Share of the arm's and leaf's inertia with which the grip insists, near and far from its place: stiffer than MuJoCo's.
+#: Share of the arm's and leaf's inertia with which the grip insists, near and far from its place:
+#: stiffer than MuJoCo's.
 GRIP_IMPEDANCE = (0.95, 0.99)
-#: Path of the handle over which a seal begins to pull [m]: on a closed leaf it does not press on the stop.
+#: Path of the handle over which a seal begins to pull [m]: on a closed leaf it does not press on
+#: the stop.
 SEAL_ONSET = 5e-5
-#: A start of the arm from rest shakes the handle while the servos take up its weight; records begin after this [s].
+#: A start of the arm from rest shakes the handle while the servos take up its weight; records begin
+#: after this [s].
 SETTLE = 0.5
 
 
@@ -110,7 +114,8 @@ class Door:
         low = min(self.mass, self.friction, self.damping, self.seal, self.stop)
         if not low >= 0.0 or self.mass == 0.0 or not self.seal_way > 0.0:
             raise ConfigError(
-                f"Door needs mass and seal_way > 0, friction, damping, seal and stop >= 0, got {self!r}"
+                "Door needs mass and seal_way > 0; friction, damping, seal and stop at least 0; "
+                f"got {self!r}"
             )
 
     def with_(self, **changes: object) -> Door:
@@ -224,7 +229,8 @@ class Door:
         if counts:
             self.peak_force = max(self.peak_force, self.force)
         if self._rows > 3:
-            # The rotational rows of a weld are written for half the rotation vector: they carry twice the torque.
+            # The rotational rows of a weld are written for half the rotation vector: they carry
+            # twice the torque.
             self.torque = 0.5 * float(np.sqrt(rows[3:] @ rows[3:]))
             if counts:
                 self.peak_torque = max(self.peak_torque, self.torque)

@@ -1,7 +1,7 @@
 """Servo numbers of a simulated arm, per joint and in SI units.
 
-The table of a servo (`pliant.Servos`) is what the controller *believes*; the plant may be given the same table, another
-one, or scaled values, so that wrong beliefs can be tried.
+The table of a servo (`pliant.Servos`) is what the controller *believes*; the plant may be given the
+same table, another one, or scaled values, so that wrong beliefs can be tried.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ Kind = Literal["current", "duty"]
 FULL_EFFORT_ERROR = 0.07
 #: Friction and damping of a servo without data, as shares of its effort [1] and [s/rad].
 FRICTION_SHARE, DAMPING_SHARE = 0.02, 0.10
-#: Rotor inertia of a servo without data, as a multiple of its gain [s^2]: keeps the servo's own mode at 100 rad/s.
+#: Rotor inertia of a servo without data, as a multiple of its gain [s^2]: keeps the servo's own
+#: mode at 100 rad/s.
 ARMATURE_SHARE = 1e-4
 
 
@@ -89,8 +90,9 @@ def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> N
 def resolve(model: Any, servos: Any | None, kind: Kind | None) -> Gains:
     """Turn a servo table, or the lack of one, into the numbers of the simulated servos.
 
-    A servo that limits its duty (PWM) gives ``clip(u, ±L) - (torque / w0) dq``: the back-EMF acts outside the limit, so
-    a moving joint has less and a joint pushed backwards has more than L. Current-limited servos have no such term.
+    A servo that limits its duty (PWM) gives ``clip(u, ±L) - (torque / w0) dq``: the back-EMF acts
+    outside the limit, so a moving joint has less and a joint pushed backwards has more than L.
+    Current-limited servos have no such term.
 
     Args:
         model: The robot; `model.servos` and `model.effort_limit` are used when `servos` is missing.
@@ -115,7 +117,7 @@ def resolve(model: Any, servos: Any | None, kind: Kind | None) -> Gains:
     if kind == "duty":
         if table.no_load_speed is None:
             raise ConfigError(
-                "servos of kind 'duty' need no_load_speed [rad/s]: their back-EMF is torque / no_load_speed"
+                "servos of kind 'duty' need no_load_speed [rad/s]: it sets their back-EMF"
             )
         damping = damping + torque / per_joint(
             table.no_load_speed, n, "servos.no_load_speed", low=1e-6
@@ -131,12 +133,13 @@ def resolve(model: Any, servos: Any | None, kind: Kind | None) -> Gains:
 
 
 def _guess(model: Any) -> Gains:
-    """Servos guessed from the efforts of the URDF, for a first look at a robot nobody has identified."""
+    """Servos guessed from the URDF's efforts, for a first look at an unidentified robot."""
     effort = [np.nan if e is None else float(e) for e in model.effort_limit]
     unknown = [name for name, e in zip(model.joint_names, effort, strict=True) if not e > 0.0]
     if unknown:
         raise ConfigError(
-            f"no servo data and no effort limit for {', '.join(unknown)}; pass servos=pliant.Servos(...)"
+            f"nothing is known about the servos of {', '.join(unknown)}: "
+            "no table, no effort in the model; pass servos=pliant.Servos(...)"
         )
     torque = np.array(effort)
     kp = torque / FULL_EFFORT_ERROR

@@ -1,7 +1,8 @@
 """Hands that push, drag and turn the arm with a bounded force.
 
-A hand is a law: from the truth and the time to a force [N] and a torque [N·m] in base axes at one point of the arm. It
-has no state of its own, so that it can be reused, compared and printed; the plant records what it did.
+A hand is a law: from the truth and the time to a force [N] and a torque [N·m] in base axes at one
+point of the arm. It has no state of its own, so that it can be reused, compared and printed; the
+plant records what it did.
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ class Hand(Protocol):
         """Name of the frame it holds: a link, `tool` or `wrist`."""
 
     def force(self, truth: Truth, t: float) -> Wrench:
-        """Return force (3,) [N], torque (3,) [N·m] and the point (3,) [m] of attack, in base axes."""
+        """Return force (3,) [N], torque (3,) [N·m] and point (3,) [m] of attack, base axes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """When a hand acts: from 0 to 1 within [start, start + rise], 1 until end, nothing outside [start, end].
+    """When a hand acts: a ramp from 0 to 1, then 1, then gone.
 
     Attributes:
         start: Beginning [s].
@@ -72,7 +73,7 @@ class Course:
 
 @dataclass(frozen=True, kw_only=True)
 class Drag:
-    """A hand that drags a point along one axis to a place, with a bounded force, free in all other directions.
+    """A hand that drags a point along one axis with a bounded force, free in all other ways.
 
     ``f = clip(stiffness (distance share(t) - shift) - damping v, ±limit)`` along the axis.
 
@@ -112,8 +113,8 @@ class Drag:
 class Twist:
     """A hand that turns a frame about one base axis with a bounded torque.
 
-    ``t = clip(stiffness (angle share(t) - turn) - damping w, ±limit)``; the turn is the component of the rotation vector
-    from the start.
+    ``t = clip(stiffness (angle share(t) - turn) - damping w, ±limit)``; the turn is the component
+    of the rotation vector from the start.
 
     Attributes:
         axis: `roll`, `pitch`, `yaw` or a direction (3,).
@@ -183,7 +184,7 @@ class Push:
 
 @dataclass(frozen=True, kw_only=True)
 class Guide:
-    """Springs that hold some axes of a frame at the start, for pushes that are to be felt along one axis only.
+    """Springs that hold some axes of a frame, for pushes along one axis only.
 
     Attributes:
         axes: Axis names of what is held: any of x y z roll pitch yaw.
@@ -250,7 +251,8 @@ def _not_negative(**values: float) -> None:
             raise ConfigError(f"{name} must be at least 0, got {value!r}")
 
 
-#: The hands of the experiments: 15 N at the wrist centre, a strong one and a robust one at the tool, one that turns.
+#: The hands of the experiments: 15 N at the wrist centre, a strong one and a robust one at the
+#: tool, one that turns.
 LIGHT = Drag()
 STRONG = Drag(distance=0.15, stiffness=3000.0, limit=80.0, at=TOOL)
 ROBUST = Drag(distance=0.20, stiffness=2000.0, limit=30.0, at=TOOL)

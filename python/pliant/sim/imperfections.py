@@ -1,4 +1,7 @@
-"""What separates a real servo and its bus from the ideal ones. Everything is off by default and repeatable by seed."""
+"""What separates a real servo and its bus from the ideal ones.
+
+Everything is off by default and repeatable by seed.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class Overload:
-    """A servo's self-protection: too much torque for too long cuts the torque until it is told otherwise.
+    """A servo's self-protection: too much torque for too long cuts it until reset.
 
     Attributes:
         threshold: Share of the usable torque that counts as overload, in (0, 1].
@@ -52,7 +55,8 @@ class Encoder:
         Args:
             n: Joints.
             count: One count [rad], scalar or (n,); 0 is continuous.
-            flicker: Counts by which a reading toggles: -flicker, 0, 0, +flicker with equal chance per joint and reading.
+            flicker: Counts by which a reading toggles: -flicker, 0, 0, +flicker with equal chance
+                per joint and reading.
             noise: Standard deviation of white noise before rounding [rad], scalar or (n,).
             rng: Source of chance.
 
@@ -88,7 +92,8 @@ class Encoder:
 class Line(Generic[T]):
     """One direction of the bus: a fixed delay in ticks, and losses.
 
-    What arrives in a tick is what was sent `delay` ticks ago; when that one was lost, the last that did arrive.
+    What arrives in a tick is what was sent `delay` ticks ago; when that one was lost, the last that
+    did arrive.
     """
 
     def __init__(self, first: T, *, delay: int, loss: float, rng: np.random.Generator) -> None:
@@ -100,7 +105,7 @@ class Line(Generic[T]):
         self.fresh = True
 
     def pass_on(self, item: T | None, *, silent: bool = False) -> T:
-        """Send one item (None: nothing was sent in this tick), and return what the other end now has."""
+        """Send one item (None: nothing in this tick) and return what the other end has."""
         lost = silent or (self._loss > 0.0 and self._rng.random() < self._loss)
         self._queue.append(
             (item is not None and not lost, item if item is not None else self._last)
@@ -127,7 +132,7 @@ class Latch:
         usable: NDArray[np.float64],
         period: float,
     ) -> NDArray[np.float64]:
-        """Return the limits (n,) [N·m] the servos apply after a period with this mean torque (n,) [N·m]."""
+        """Return the limits (n,) [N·m] in force after a period with this mean torque."""
         if self._rule is None:
             return limit
         over = np.abs(torque) >= self._rule.threshold * usable - 1e-9

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pliant.sim._mujoco import mujoco
-from pliant.sim.tree import as_matrix, kind_of, unit
+from pliant.sim.gains import DAMPING_SHARE, FULL_EFFORT_ERROR
+from pliant.sim.tree import as_matrix, kind_of, locked_angle, unit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,52 +21,63 @@ if TYPE_CHECKING:
 LEAST_MASS, LEAST_INERTIA = 1e-4, 1e-7
 #: Effort [N·m] of an off-chain joint whose description names none.
 OFF_CHAIN_EFFORT = 1.0
+#: Inertia of its servo [kg·m²] per N·m of effort, and of a follower without one [kg·m²].
+OFF_CHAIN_ARMATURE, FOLLOWER_ARMATURE = 2e-3, 1e-4
+#: Share of a joint's rotor inertia and damping that sits behind the play of its gears.
+PLAY_SHARE = 0.02
+#: Teeth in contact: time constant [s], and how firmly they stop (MuJoCo's solimp).
+PLAY_TIME, PLAY_IMPEDANCE = 0.003, (0.99, 0.999, 1e-4)
 #: Time constant [s] of the equality that makes a mimic joint follow.
 MIMIC_TIME = 0.005
 
 
 def add_joint(
-    out: Build, body: mujoco.MjsBody, index: int, gains: Gains, backlash: NDArray[np.float64] | None
+    out: Build, body: mujoco.MjsBody, index: int, gains: Gains, backlash: NDArray[np.float64]
 ) -> None:
-    """Add the joint a group moves about, with its gears; play sits between the gears and the link."""
+    """Add the joint a group moves about, its gears, and play between gears and link."""
     joint = out.model.joints[index]
     sliding = kind_of(joint) == "prismatic"
     mj = body.add_joint(name=joint.name, axis=unit(joint.axis))
     mj.type = mujoco.mjtJoint.mjJNT_SLIDE if sliding else mujoco.mjtJoint.mjJNT_HINGE
-    if (
-        joint.lower is not None
-        and joint.upper is not None
-        and np.isfinite([joint.lower, joint.upper]).all()
-    ):
-        mj.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-        mj.range = (joint.lower, joint.upper)
-    if joint.q_index is not None and joint.mimic is None:
-        i = joint.q_index
-        lower, upper = float(out.model.lower[i]), float(out.model.upper[i])
-        if np.isfinite([lower, upper]).all():
-            mj.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-            mj.range = (lower, upper)
-        else:
-            mj.limited = mujoco.mjtLimited.mjLIMITED_FALSE
-        mj.armature = gains.armature[i]
-        mj.frictionloss = gains.friction[i]
-        set_damping(mj, gains.damping[i])
-        if backlash is not None and backlash[i] > 0.0:
-            play = body.add_joint(name=f"play:{joint.name}", axis=unit(joint.axis), type=mj.type)
-            play.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-            play.range = (-backlash[i] / 2, backlash[i] / 2)
-            play.armature = 0.02 * gains.armature[i]
-            set_damping(play, 0.01 * gains.damping[i])
-    elif joint.mimic is None:
-        effort = joint.effort or OFF_CHAIN_EFFORT
-        mj.armature = 2e-3 * effort
-        set_damping(mj, 0.1 * effort)
-        angle = float(getattr(joint, "locked_at", None) or 0.0)
-        if mj.limited == mujoco.mjtLimited.mjLIMITED_TRUE:
-            angle = float(np.clip(angle, joint.lower, joint.upper))
-        out.held[joint.name] = angle
+    i = joint.q_index if joint.mimic is None else None
+    if i is None:
+        _limit(mj, joint.lower, joint.upper)
+        _loose_joint(out, mj, joint)
+        return
+    _limit(mj, out.model.lower[i], out.model.upper[i])
+    mj.armature = gains.armature[i]
+    mj.frictionloss = gains.friction[i]
+    set_damping(mj, gains.damping[i])
+    if backlash[i] > 0.0:
+        play = body.add_joint(name=f"play:{joint.name}", axis=unit(joint.axis), type=mj.type)
+        _limit(play, -backlash[i] / 2, backlash[i] / 2)
+        play.solref_limit = (PLAY_TIME, 1.0)
+        play.solimp_limit[:3] = PLAY_IMPEDANCE
+        play.armature = PLAY_SHARE * gains.armature[i]
+        set_damping(play, PLAY_SHARE * gains.damping[i])
+        out.backlash.append(joint.name)
+
+
+def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Any) -> None:
+    """An off-chain joint that a servo of its own holds where the model has it, or a follower."""
+    if joint.mimic is not None:
+        mj.armature = FOLLOWER_ARMATURE
+        return
+    effort = joint.effort or OFF_CHAIN_EFFORT
+    mj.armature = OFF_CHAIN_ARMATURE * effort
+    set_damping(mj, DAMPING_SHARE * effort)
+    angle = locked_angle(joint)
+    limited = mj.limited == mujoco.mjtLimited.mjLIMITED_TRUE
+    out.held[joint.name] = float(np.clip(angle, *mj.range)) if limited else angle
+
+
+def _limit(mj: mujoco.MjsJoint, lower: float | None, upper: float | None) -> None:
+    """Give a joint end stops, unless one is absent or infinite."""
+    if lower is None or upper is None or not np.isfinite([lower, upper]).all():
+        mj.limited = mujoco.mjtLimited.mjLIMITED_FALSE
     else:
-        mj.armature = 1e-4
+        mj.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        mj.range = (lower, upper)
 
 
 def add_mass(
@@ -75,7 +87,7 @@ def add_mass(
     moving: bool,
     payload: tuple[float, NDArray[np.float64]] | None,
 ) -> None:
-    """Sum the inertials of a group, of the model's own payload and of an unknown one, about the common centre."""
+    """Sum the inertials of a group and its payloads, known and unknown."""
     parts: list[tuple[float, Matrix, Matrix]] = []
     for index, pose in group.members:
         inertial = model.links[index].inertial
@@ -136,37 +148,37 @@ def add_skin(model: Robot, body: mujoco.MjsBody, group: Group) -> None:
 
 
 def add_mimics(out: Build, groups: list[Group]) -> None:
-    """Tie followers to their drivers; a follower of a joint that does not move is tied to the offset."""
+    """Tie followers to their drivers; one whose driver does not move stays at its offset."""
     moving = {group.joint for group in groups}
     for index in sorted(j for j in moving if j is not None):
         joint = out.model.joints[index]
         if joint.mimic is None:
             continue
-        driver = joint.mimic.joint
-        tie = out.spec.add_equality(
-            name=f"mimic:{joint.name}", name1=joint.name, type=mujoco.mjtEq.mjEQ_JOINT
-        )
-        tie.objtype = mujoco.mjtObj.mjOBJ_JOINT
-        if driver in moving:
-            tie.name2 = out.model.joints[driver].name
-        tie.data[:5] = joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0
+        driver, rule = out.model.joints[joint.mimic.joint], joint.mimic
+        tie = out.spec.add_equality(name=f"mimic:{joint.name}", name1=joint.name)
+        tie.type, tie.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
+        offset = rule.offset
+        if rule.joint in moving:
+            tie.name2 = driver.name
+        else:
+            offset += rule.multiplier * locked_angle(driver)
+        tie.data[:5] = offset, rule.multiplier, 0.0, 0.0, 0.0
         tie.solref = (MIMIC_TIME, 1.0)
 
 
 def add_servos(out: Build, gains: Gains) -> None:
     """One position actuator per chain joint, and one per held off-chain joint.
 
-    `forcelimited` is fixed at compile time; without it MuJoCo ignores a `forcerange` that is changed later.
+    `forcelimited` is fixed at compile time; without it MuJoCo ignores a `forcerange` that is
+    changed later.
     """
     out.chain = list(out.model.joint_names)
     for name, kp, kv, torque in zip(out.chain, gains.kp, gains.kv, gains.torque, strict=True):
         servo(out.spec, name, kp, kv, torque)
-        if any(j.name == f"play:{name}" for j in out.spec.joints):
-            out.backlash.append(f"play:{name}")
     by_name = {joint.name: joint for joint in out.model.joints}
     for name in out.held:
         effort = by_name[name].effort or OFF_CHAIN_EFFORT
-        servo(out.spec, name, effort / 0.07, 0.0, effort)
+        servo(out.spec, name, effort / FULL_EFFORT_ERROR, 0.0, effort)
 
 
 def servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, torque: float) -> None:
@@ -181,10 +193,8 @@ def servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, torque: float) 
 
 
 def set_damping(joint: mujoco.MjsJoint, value: float) -> None:
-    """Set the linear damping of a joint; MuJoCo 4 keeps a polynomial where MuJoCo 3 has one number."""
+    """Set a joint's linear damping; MuJoCo 4 keeps a polynomial where 3 has one number."""
     if np.ndim(joint.damping):
         joint.damping = (value, 0.0, 0.0)
     else:
         joint.damping = value
-
-

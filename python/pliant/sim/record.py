@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 class Recorder:
     """Keeps the truth of a run, and whatever else the caller adds.
 
-    Signals of every row: `t` [s], `q`, `dq` (n,) [rad, rad/s], `tool` (4, 4), `torque` (n,) mean servo torque of the
-    period [N·m], and per hand k `force{k}`, `torque{k}` (3,), means of the period [N, N·m].
+    Signals of every row: `t` [s], `q`, `dq` (n,) [rad, rad/s], `tool` (4, 4), `torque` (n,) mean
+    servo torque of the period [N·m], and per hand k `force{k}`, `torque{k}` (3,), means of the
+    period [N, N·m].
 
     Example:
         >>> record = Recorder(plant)
@@ -33,7 +34,7 @@ class Recorder:
         self._count = 0
 
     def add(self, **signals: ArrayLike) -> None:
-        """Add a row: the plant's truth after `advance`, and the given signals, the same ones in every call.
+        """Add a row: the plant's truth, and the given signals, the same ones in every call.
 
         Raises:
             ShapeError: A signal appears late, is missing, or changes its shape.

@@ -13,8 +13,6 @@ from pliant.sim.truth import TOOL, WRIST
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from pliant.sim.hand import Hand, Wrench
     from pliant.sim.plant import Plant
     from pliant.sim.spec import Build
@@ -24,7 +22,7 @@ _ZERO = np.zeros(3)
 
 
 class Fixture(Protocol):
-    """A thing with bodies of its own (a door). Hands and walls need none: they are force laws, see `Hand`."""
+    """A thing with bodies of its own (a door); hands and walls are mere force laws."""
 
     def add(self, build: Build) -> None:
         """Add bodies and constraints before the model is compiled."""
@@ -67,7 +65,7 @@ class Wall:
         if not (self.stiffness >= 0.0 and self.damping >= 0.0):
             raise ConfigError(f"Wall.stiffness and damping must be at least 0, got {self!r}")
 
-    def force(self, truth: Truth, t: float) -> Wrench:  # noqa: ARG002 (a wall is always there)
+    def force(self, truth: Truth, t: float) -> Wrench:
         """The wall's push at the frame's origin."""
         frame = truth.frame(self.at)
         into = np.asarray(self.into, dtype=np.float64)
@@ -103,7 +101,7 @@ class Table:
                 f"Table needs a finite height, stiffness and damping at least 0, got {self!r}"
             )
 
-    def force(self, truth: Truth, t: float) -> Wrench:  # noqa: ARG002 (a table is always there)
+    def force(self, truth: Truth, t: float) -> Wrench:
         """The table's push at the frame's origin."""
         frame = truth.frame(self.at)
         depth = self.height - float(frame.position[2])

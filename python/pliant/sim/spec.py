@@ -1,8 +1,9 @@
 """From a `pliant.Model` to a MuJoCo specification.
 
-Links that never move against each other become one body; every link of the description stays as a site of its own name,
-so that frames (a fixed tool frame above all, which MuJoCo's own URDF import drops) can be read and pushed. Meshes are
-not needed: the arm is drawn as capsules between its joints.
+Links that never move against each other become one body; every link of the description stays as a
+site of its own name, so that frames (a fixed tool frame above all, which MuJoCo's own URDF import
+drops) can be read and pushed. Meshes are not needed: the arm is drawn as capsules between its
+joints.
 """
 
 from __future__ import annotations
@@ -30,15 +31,14 @@ class Build:
     Attributes:
         spec: The MuJoCo specification; scene objects add their bodies to it.
         model: The robot.
-        bodies: Body name by link name.
         chain: MuJoCo joint per chain coordinate, length n.
-        held: MuJoCo joint by name of an off-chain joint with an actuator of its own, and its angle at rest.
-        backlash: MuJoCo joint of the play behind each gear, empty without backlash.
+        held: MuJoCo joint by name of an off-chain joint with an actuator of its own, and its angle
+            at rest.
+        backlash: Joints with play behind the gear.
     """
 
     spec: mujoco.MjSpec
     model: Robot
-    bodies: dict[str, mujoco.MjsBody] = field(default_factory=dict)
     chain: list[str] = field(default_factory=list)
     held: dict[str, float] = field(default_factory=dict)
     backlash: list[str] = field(default_factory=list)
@@ -51,20 +51,22 @@ def build(
     dt: float,
     off_chain: OffChain = "held",
     payload: tuple[float, NDArray[np.float64]] | None = None,
-    backlash: NDArray[np.float64] | None = None,
+    backlash: NDArray[np.float64],
 ) -> Build:
     """Make the specification of an arm with one torque-limited position servo per chain joint.
 
-    The world frame is the model's base frame. Off-chain joints that ride on the chain (a gripper) are `held` by
-    actuators of their own at the model's locked angle, or `welded`; the others (another arm) are always welded.
+    The world frame is the model's base frame. Off-chain joints that ride on the chain (a gripper)
+    are `held` by actuators of their own at the model's locked angle, or `welded`; the others
+    (another arm) are always welded.
 
     Args:
         model: The robot.
         gains: Servos of the n chain joints.
         dt: Physics step [s].
         off_chain: What becomes of joints beyond the chain.
-        payload: Mass [kg] and centre (3,) [m] in the tool frame of a load that is fixed to the tool.
-        backlash: Full play behind each gear (n,) [rad], or None.
+        payload: Mass [kg] and centre (3,) [m] in the tool frame of a load that is fixed to the
+            tool.
+        backlash: Full play behind each gear (n,) [rad].
 
     Returns:
         The specification and its names; contacts are off, the integrator is `implicitfast`.
@@ -85,9 +87,9 @@ def build(
     spec.compiler.degree = False
 
     out = Build(spec, model)
-    groups = _groups(model, off_chain)
+    cut = groups(model, off_chain)
     made: list[mujoco.MjsBody] = []
-    for group in groups:
+    for group in cut:
         parent = spec.worldbody if group.parent is None else made[group.parent]
         body = parent.add_body(
             name=f"body:{model.links[group.link].name}",
@@ -97,17 +99,14 @@ def build(
         made.append(body)
         moving = group.joint is not None
         if group.joint is not None:
-            add_joint(out, body, group.joint, gains, backlash)
-        add_mass(model, body, group, moving, payload)
+            parts.add_joint(out, body, group.joint, gains, backlash)
+        parts.add_mass(model, body, group, moving, payload)
         for index, pose in group.members:
             link = model.links[index]
             body.add_site(
                 name=link.name, pos=pose[:3, 3], quat=quat_of(pose), size=(0.004, 0.0, 0.0), group=4
             )
-            out.bodies[link.name] = body
-        add_skin(model, body, group)
-    add_mimics(out, groups)
-    add_servos(out, gains)
+        parts.add_skin(model, body, group)
+    parts.add_mimics(out, cut)
+    parts.add_servos(out, gains)
     return out
-
-

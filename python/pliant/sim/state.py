@@ -1,4 +1,4 @@
-"""Plain records at the plant's interface: what the bus reports, what is on its way, what a hand did."""
+"""Records at the plant's interface: what the bus reports, what is sent, what a hand did."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class State:
 
 @dataclass
 class Felt:
-    """What one hand did: means over the last control period and the largest value of any physics step since reset.
+    """What one hand did: means of the last period, peaks of all physics steps since reset.
 
     Attributes:
         hand: The hand.
@@ -53,6 +53,22 @@ class Felt:
     torque: Array = field(default_factory=lambda: np.zeros(3))
     peak_force: float = 0.0
     peak_torque: float = 0.0
+
+    def begin(self) -> None:
+        """Start a period."""
+        self.force, self.torque = np.zeros(3), np.zeros(3)
+
+    def add(self, force: Array, torque: Array) -> None:
+        """Add one physics step."""
+        self.force += force
+        self.torque += torque
+        self.peak_force = max(self.peak_force, float(np.sqrt(force @ force)))
+        self.peak_torque = max(self.peak_torque, float(np.sqrt(torque @ torque)))
+
+    def end(self, steps: int) -> None:
+        """Turn the sums of a period into means."""
+        self.force /= max(steps, 1)
+        self.torque /= max(steps, 1)
 
 
 @dataclass(frozen=True)

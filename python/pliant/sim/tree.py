@@ -23,7 +23,7 @@ OffChain = Literal["held", "welded"]
 
 @dataclass
 class Group:
-    """A rigid group of links: one MuJoCo body whose frame is that of the link behind the moving joint."""
+    """Links that never move against each other: one body, its frame the first link's."""
 
     link: int
     joint: int | None
@@ -55,7 +55,7 @@ def groups(model: Robot, off_chain: OffChain) -> list[Group]:
                 groups.append(Group(joint.child, index, group, at))
                 stack.append((joint.child, len(groups) - 1, np.eye(4), rides))
             else:
-                stack.append((joint.child, group, at @ _moved(joint), rides))
+                stack.append((joint.child, group, at @ _moved(model, joint), rides))
     groups[0].pose = np.linalg.inv(base_pose)
     return groups
 
@@ -67,7 +67,8 @@ def _moves(model: Robot, joint: Any, carried: bool, off_chain: OffChain) -> bool
         return False
     if kind not in {"revolute", "continuous", "prismatic"}:
         raise ConfigError(
-            f"joint {joint.name!r} is {kind!r}; the simulator knows revolute, continuous, prismatic, fixed"
+            f"joint {joint.name!r} is {kind!r}; "
+            "the simulator knows revolute, continuous, prismatic and fixed"
         )
     if joint.q_index is not None:
         return True
@@ -76,10 +77,18 @@ def _moves(model: Robot, joint: Any, carried: bool, off_chain: OffChain) -> bool
     return carried and off_chain == "held"
 
 
-def _moved(joint: Any) -> Matrix:
-    """Displacement of a welded joint at its locked angle."""
+def locked_angle(joint: Any) -> float:
+    """Where the model locks an off-chain joint [rad]."""
+    return float(getattr(joint, "locked_at", None) or 0.0)
+
+
+def _moved(model: Robot, joint: Any) -> Matrix:
+    """Displacement of a welded joint at its locked angle, or its driver's."""
     pose = np.eye(4)
-    angle = float(getattr(joint, "locked_at", None) or 0.0)
+    angle = locked_angle(joint)
+    if joint.mimic is not None:
+        driver = model.joints[joint.mimic.joint]
+        angle = joint.mimic.offset + joint.mimic.multiplier * locked_angle(driver)
     if kind_of(joint) == "fixed" or angle == 0.0:
         return pose
     axis = unit(joint.axis)
@@ -115,3 +124,14 @@ def quat_of(pose: Matrix) -> NDArray[np.float64]:
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).reshape(9))
     return quat
+
+
+def last_moving(model: Robot) -> str:
+    """Name of the last link the chain moves; its origin is the wrist centre."""
+    link = next(i for i, item in enumerate(model.links) if item.name == model.tip)
+    while model.links[link].parent_joint is not None:
+        joint = model.joints[model.links[link].parent_joint]
+        if joint.q_index is not None:
+            break
+        link = joint.parent
+    return str(model.links[link].name)

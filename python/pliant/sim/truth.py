@@ -17,7 +17,7 @@ TOOL, WRIST = "tool", "wrist"
 
 
 class Frame:
-    """One frame of the robot: where it is, how it moves, and where it was at the last reset. World = base axes."""
+    """One frame of the robot, in base axes: where it is, moves, and was at the last reset."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, site: int) -> None:
         """Look at a site."""
@@ -88,7 +88,8 @@ class Truth:
         link = name if name in names else self._aliases.get(name, name)
         if link not in names:
             raise FrameNotFound(
-                f"no frame {name!r} in the simulation; there are {', '.join([*self._aliases, *names])}"
+                f"no frame {name!r} in the simulation; "
+                f"there are {', '.join([*self._aliases, *names])}"
             )
         found = self._frames[name] = Frame(self.model, self.data, self.model.site(link).id)
         return found

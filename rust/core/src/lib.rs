@@ -18,6 +18,8 @@ pub mod law;
 pub mod model;
 mod plan;
 pub mod pose;
+mod pose_forms;
+mod presets;
 pub mod servos;
 pub mod settings;
 mod survey;

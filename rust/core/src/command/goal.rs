@@ -66,9 +66,23 @@ pub(crate) fn lock(
 }
 
 /// Moves `from` toward `to` by at most `step`, then into the position limits.
+///
+/// A `to` that is not a number stays one (`f64::max` would drop it), so that the step can refuse to send it.
 #[inline]
 pub(crate) fn slew(from: f64, to: f64, step: f64, lower: f64, upper: f64) -> f64 {
-    to.max(from - step).min(from + step).max(lower).min(upper)
+    at_most(at_least(at_most(at_least(to, from - step), from + step), lower), upper)
+}
+
+/// The larger of two numbers; NaN where `value` is.
+#[inline]
+pub(crate) fn at_least(value: f64, bound: f64) -> f64 {
+    if value < bound { bound } else { value }
+}
+
+/// The smaller of two numbers; NaN where `value` is.
+#[inline]
+pub(crate) fn at_most(value: f64, bound: f64) -> f64 {
+    if value > bound { bound } else { value }
 }
 
 /// Joint speeds [rad/s] that keep the tool within its `[linear, angular]` speed by one joint alone, and the joint's own.
@@ -101,6 +115,13 @@ mod tests {
         assert_eq!(scale_to_fit(&base, [&soft, &stiff], &bound, 2), [0.0, 0.5]);
         let bound = vector(&[20.0, 9.0]);
         assert_eq!(scale_to_fit(&base, [&soft, &stiff], &bound, 2), [1.0, 1.0]);
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_not_hidden() {
+        assert!(slew(0.5, f64::NAN, 0.1, -1.0, 1.0).is_nan());
+        assert!((slew(0.5, 2.0, 0.1, -1.0, 1.0) - 0.6).abs() < 1e-15);
+        assert!((slew(0.5, -2.0, f64::INFINITY, -1.0, 1.0) + 1.0).abs() < 1e-15);
     }
 
     #[test]

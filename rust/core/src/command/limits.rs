@@ -1,5 +1,6 @@
 //! Joint torque limits.
 
+use crate::command::goal::{at_least, at_most};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// What the limits are made from; all torques in N·m, one per joint.
@@ -26,7 +27,7 @@ impl Load<'_> {
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..n.min(MAX_JOINTS) {
             let wanted = self.gravity[i] + self.task[i] + self.feed_forward[i] + self.offset[i];
-            out[i] = (self.gravity_scale * self.gravity[i].abs()).max(wanted.abs()) + self.margin[i];
+            out[i] = at_least(wanted.abs(), self.gravity_scale * self.gravity[i].abs()) + self.margin[i];
         }
         out
     }
@@ -78,9 +79,9 @@ pub(crate) fn finish(
 ) -> JointVec {
     let mut out = [0.0; MAX_JOINTS];
     for i in 0..n.min(MAX_JOINTS) {
-        let mut limit = wanted[i].max(floor[i]).min(ceiling[i]);
+        let mut limit = at_most(at_least(wanted[i], floor[i]), ceiling[i]);
         if let Some(before) = before {
-            limit = limit.min(before[i] + rise[i]);
+            limit = at_most(limit, before[i] + rise[i]);
         }
         out[i] = limit;
     }

@@ -11,6 +11,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::error::{Error, Result};
 use crate::kinematics::Masses;
+use crate::law::feedforward::SPEED_BOUND;
 use crate::model::{Model, Payload};
 use crate::plan::Plan;
 use crate::pose::{COORDINATE_BOUND, Pose};
@@ -24,9 +25,6 @@ use memory::Memory;
 
 /// Longest time between two steps [s].
 const LONGEST_PERIOD: f64 = 10.0;
-
-/// Largest speed [m/s, rad/s] that is taken for a real one.
-const SPEED_BOUND: f64 = 1e3;
 
 /// What the servos get: one entry per joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -187,9 +185,16 @@ impl Controller {
         if let Some(kg) = self.captured {
             plan.kg = kg;
         }
-        self.delay = settings.delay;
+        // A measured delay stays, unless these settings believe in another one than the last.
+        if settings.delay.to_bits() != self.settings.delay.to_bits() {
+            self.delay = settings.delay;
+        }
+        plan.derate(self.delay, &settings);
         self.settings = settings;
         self.plan = plan;
+        if self.settings.integrate <= 0.0 {
+            self.memory.integral = [0.0; MAX_JOINTS];
+        }
         self.memory.singular = crate::law::inverse::SingularValues::start();
         self.memory.cold = true;
         Ok(())
@@ -232,8 +237,7 @@ impl Controller {
             return Err(Error::limit("delay [s]", delay, "[0, 0.5]"));
         }
         self.delay = delay;
-        let bound = self.plan.gain_bound(delay, 1.0 / self.settings.rate);
-        self.plan.kx_derating = (bound / self.plan.gain(self.settings.horizon)).min(1.0);
+        self.plan.derate(delay, &self.settings);
         Ok(())
     }
 
@@ -262,6 +266,12 @@ impl Controller {
             if holding[i].abs() > 3.0 * servos.friction[i] {
                 let compliance = (goal[i] - q[i]) / holding[i];
                 kg[i] = 1.0 / compliance.clamp(servos.compliance[i] / 3.0, servos.compliance[i] / 0.3);
+            }
+        }
+        // What the integrating goal holds of this offset must not count twice.
+        if self.settings.gravity.in_goal() {
+            for i in 0..self.plan.n {
+                self.memory.integral[i] -= holding[i] / kg[i] - holding[i] / self.plan.kg[i];
             }
         }
         self.captured = Some(kg);

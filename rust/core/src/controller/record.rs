@@ -36,9 +36,10 @@ pub struct Record {
     pub feed_forward: JointVec,
     /// Gradient of the null-space cost.
     pub gradient: JointVec,
-    /// Task rows (k × n) as solved: columns of locked joints are zero.
+    /// Task rows (k × n) in the task frame.
     pub rows: Rows,
-    /// Smallest singular value of the task rows, translations divided by the arm's length.
+    /// Smallest singular value of the task rows as solved (without locked joints), translations divided by the arm's
+    /// length.
     pub sigma_min: f64,
     /// Largest singular value of the same rows.
     pub sigma_max: f64,
@@ -100,15 +101,11 @@ impl Record {
         }
     }
 
-    fn shares(&self, plan: &Plan) -> Activation {
+    /// A of (10) over all joints, locked ones too.
+    pub(crate) fn shares(&self, plan: &Plan) -> Activation {
         let projector = (plan.k < plan.n).then(|| self.projector(plan));
         let null = projector.as_ref().map(|matrix| (matrix, &self.gradient));
         activation(&self.pseudo_inverse(plan), null, plan.k, plan.n)
-    }
-
-    /// The null-space column of A.
-    pub(crate) fn activation_null(&self, plan: &Plan) -> JointVec {
-        self.shares(plan).null
     }
 
     /// Activation matrix A of (10), n × (k + 1), the null-space column last.

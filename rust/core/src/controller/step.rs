@@ -119,11 +119,7 @@ impl Controller {
         let predicted = self.predict(q, input, &mut memory);
         let speed = settings.max_tool_speed;
         let reference = memory.governor.follow(target, speed, settings.max_tool_acceleration, dt);
-        let twist = match &input.twist {
-            Some(_) if speed.iter().any(|v| v.is_finite()) => *memory.governor.velocity(),
-            Some(twist) => *twist,
-            None => [0.0; MAX_AXES],
-        };
+        let twist = input.twist.map_or([0.0; MAX_AXES], |twist| memory.governor.velocity(&twist, speed));
         let seen = self.look(&predicted, &reference);
         let wish = Wish::new(plan, settings, &seen.error, &into_frame(&seen.base_from_task, &twist));
         let solution = solve(plan, settings, input, &seen, &wish, &mut memory);
@@ -223,11 +219,15 @@ impl Controller {
             margin: &plan.margin,
         };
         match (&solution.shares, plan.limits) {
+            (Some(_), _) if solution.locked.contains(&true) => {
+                // A joint that has left the inverse kinematics still carries its share.
+                load.budget(&record.shares(plan).distribute(&wish.most, plan.null_torque, k), n)
+            }
             (Some(shares), _) => load.budget(&shares.distribute(&wish.most, plan.null_torque, k), n),
             (None, LimitRule::Demand) => load.demand(n),
             (None, LimitRule::Sum) => {
-                let null = record.activation_null(plan).map(|share| share * plan.null_torque);
-                load.sum(&solution.rows, &wish.most, &null, k, n)
+                let null = record.shares(plan).null.map(|share| share * plan.null_torque);
+                load.sum(&seen.rows, &wish.most, &null, k, n)
             }
         }
     }
@@ -261,7 +261,7 @@ fn note(seen: &Seen, wish: &Wish, solution: &Solution, memory: &Memory, horizon:
         gravity: seen.holding,
         feed_forward: solution.feed_forward,
         gradient: solution.gradient,
-        rows: solution.rows,
+        rows: seen.rows,
         sigma_min: memory.singular.smallest,
         sigma_max: memory.singular.largest,
         damping: solution.damping.sqrt(),

@@ -2,6 +2,9 @@
 
 use crate::{JointVec, MAX_JOINTS};
 
+/// Largest speed [m/s, rad/s] that is taken for a real one.
+pub(crate) const SPEED_BOUND: f64 = 1e3;
+
 /// Joint velocity from measured positions: differences behind one encoder count of play, then a one-pole filter.
 ///
 /// The play acts on this path only. Without it one toggling count is a velocity of `count / (T_f + dt)`, and once that
@@ -26,7 +29,8 @@ impl VelocityFilter {
         let share = dt / (time_constant + dt);
         for i in 0..MAX_JOINTS {
             let held = self.held[i].max(q[i] - count[i]).min(q[i] + count[i]);
-            let raw = (held - self.held[i]) / dt;
+            // Nothing turns faster: a vanishing dt must not make an infinity that the filter would keep.
+            let raw = ((held - self.held[i]) / dt).clamp(-SPEED_BOUND, SPEED_BOUND);
             self.velocity[i] += share * (raw - self.velocity[i]);
             self.held[i] = held;
         }

@@ -2,6 +2,8 @@
 
 mod rows;
 
+use nalgebra::DMatrix;
+
 use crate::error::{Error, Result};
 use crate::law::nullspace::Cost;
 use crate::model::Model;
@@ -95,7 +97,9 @@ impl Plan {
         for (r, &axis) in axes.iter().enumerate() {
             if axis < 3 {
                 row_scale[r] = 1.0 / unit;
-                damping_scale[r] = if matches!(settings.damping, Damping::Fixed(_)) { 1.0 } else { unit * unit };
+                // λ as printed in (3) adds to rows in mixed units; with more axes than joints it is what weighs them.
+                let as_printed = matches!(settings.damping, Damping::Fixed(_)) && k <= n;
+                damping_scale[r] = if as_printed { 1.0 } else { unit * unit };
             }
         }
         let redundant = k < n;
@@ -142,7 +146,7 @@ impl Plan {
         // Joint weights of J⁺ are those of the cost; the pseudo-inverse wants their inverse.
         plan.joint_weight = plan.joint_weight.map(|w| 1.0 / w);
         plan.kx = compact(&settings.kx.spread("kx", if matches!(settings.kx, crate::settings::Gain::Scalar(_)) { MAX_AXES } else { k })?, k);
-        plan.kx_derating = derating(settings, &plan)?;
+        check_gain(settings, &plan)?;
         for i in 0..n {
             let usable = plan.servos.torque[i];
             let share = if usable.is_finite() { settings.margin * usable } else { 0.0 };
@@ -176,9 +180,15 @@ impl Plan {
         if well_damped { 3.0 } else { (GAIN_DELAY_BOUND / effective_delay).clamp(1.0, 3.0) }
     }
 
-    /// The largest K_x h of an axis.
+    /// The largest K_x h in any direction of the task: the largest singular value.
     pub(crate) fn gain(&self, horizon: f64) -> f64 {
-        (0..self.k).map(|r| self.kx[r][r] * horizon).fold(0.0, f64::max)
+        horizon * DMatrix::from_fn(self.k, self.k, |r, c| self.kx[r][c]).singular_values().max()
+    }
+
+    /// Sets the factor on K_x that a measured delay [s] demands; law `paper` has no such bound.
+    pub(crate) fn derate(&mut self, delay: f64, settings: &Settings) {
+        let (gain, bound) = (self.gain(settings.horizon), self.gain_bound(delay, 1.0 / settings.rate));
+        self.kx_derating = if self.law == Law::Cap && gain > bound { bound / gain } else { 1.0 };
     }
 }
 
@@ -194,7 +204,7 @@ fn compact(full: &[[f64; MAX_AXES]; MAX_AXES], k: usize) -> [[f64; MAX_AXES]; MA
     out
 }
 
-fn derating(settings: &Settings, plan: &Plan) -> Result<f64> {
+fn check_gain(settings: &Settings, plan: &Plan) -> Result<()> {
     let (gain, bound) = (plan.gain(settings.horizon), plan.gain_bound(settings.delay, 1.0 / settings.rate));
     if settings.law == Law::Cap && gain > bound * (1.0 + 1e-12) {
         return Err(Error::limit(
@@ -206,7 +216,7 @@ fn derating(settings: &Settings, plan: &Plan) -> Result<f64> {
             ),
         ));
     }
-    Ok(1.0)
+    Ok(())
 }
 
 fn check_gravity(model: &Model, settings: &Settings) -> Result<()> {

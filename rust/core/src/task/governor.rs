@@ -7,29 +7,50 @@ use crate::task::deviation::{pose_error, rotation_matrix};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Governor {
     pose: Pose,
-    /// Linear [m/s] and angular [rad/s], base axes.
+    /// Linear [m/s] and angular [rad/s], base axes; zero where no speed is set.
     velocity: [f64; 6],
+    /// Whether the last step ended at the target: position, rotation.
+    arrived: [bool; 2],
+    /// Target of the last step, and how fast it moved then [m/s, rad/s].
+    target: Pose,
+    target_speed: [f64; 2],
 }
 
 impl Governor {
     /// At rest in `pose`.
     pub(crate) fn new(pose: Pose) -> Self {
-        Self { pose, velocity: [0.0; 6] }
+        Self { pose, velocity: [0.0; 6], arrived: [true; 2], target: pose, target_speed: [0.0; 2] }
     }
 
-    /// Velocity of the reference (6,), base axes.
-    pub(crate) fn velocity(&self) -> &[f64; 6] {
-        &self.velocity
+    /// Velocity of the reference (6,), base axes: the target's own `twist` once it is caught, within `speed`.
+    pub(crate) fn velocity(&self, twist: &[f64; 6], speed: [f64; 2]) -> [f64; 6] {
+        let mut out = self.velocity;
+        for (block, (&arrived, &most)) in self.arrived.iter().zip(&speed).enumerate() {
+            if arrived {
+                let from = 3 * block;
+                let bounded = within([twist[from], twist[from + 1], twist[from + 2]], most);
+                out[from..from + 3].copy_from_slice(&bounded);
+            }
+        }
+        out
     }
 
     /// Moves the reference toward `target` for `dt` [s] and returns it.
     ///
-    /// Each of translation and rotation brakes so that it can stop at the target: v ≤ √(2 a d). An infinite speed hands
-    /// the target through.
+    /// A target that moves within the bounds is passed on as it is. Otherwise each of translation and rotation follows it
+    /// and brakes so that it can stop there, v ≤ √(2 a d). An infinite speed hands the target through.
     pub(crate) fn follow(&mut self, target: &Pose, speed: [f64; 2], acceleration: [f64; 2], dt: f64) -> Pose {
-        let e = pose_error(&self.pose, target);
-        let (linear, at_position) = approach([e[0], e[1], e[2]], self.part(0), speed[0], acceleration[0], dt);
-        let (angular, at_rotation) = approach([e[3], e[4], e[5]], self.part(3), speed[1], acceleration[1], dt);
+        let (e, moved) = (pose_error(&self.pose, target), pose_error(&self.target, target));
+        let mut block = |b: usize| {
+            let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
+            let own = target_velocity(part(&moved), speed[b], dt);
+            // Whoever follows may brake as hard as its target does: it must not run past.
+            let braked = (self.target_speed[b] - norm(own)).max(0.0);
+            self.target_speed[b] = norm(own);
+            approach(part(&e), part(&self.velocity), own, speed[b], [acceleration[b], braked], dt)
+        };
+        let ((linear, at_position), (angular, at_rotation)) = (block(0), block(1));
+        self.target = *target;
         if at_position {
             self.pose.position = target.position;
         } else {
@@ -44,31 +65,44 @@ impl Governor {
             self.pose.rotation = orthonormal(&multiply(&turn, &self.pose.rotation));
         }
         self.velocity = [linear[0], linear[1], linear[2], angular[0], angular[1], angular[2]];
+        self.arrived = [at_position, at_rotation];
         self.pose
-    }
-
-    fn part(&self, from: usize) -> [f64; 3] {
-        [self.velocity[from], self.velocity[from + 1], self.velocity[from + 2]]
     }
 }
 
-/// Velocity of the next period toward a point at distance `d`, and whether the point is reached in it.
-fn approach(d: [f64; 3], v: [f64; 3], speed: f64, acceleration: f64, dt: f64) -> ([f64; 3], bool) {
-    let distance = norm(d);
+/// Velocity of a target that moved by `moved` in `dt`; zero for a jump, which is faster than `speed`.
+fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> [f64; 3] {
+    let velocity = moved.map(|x| x / dt);
+    if norm(velocity) <= speed { velocity } else { [0.0; 3] }
+}
+
+/// Velocity of the next period toward a point at distance `d` that moves with `own`, and whether it is reached in it.
+///
+/// `most` holds the acceleration and what the velocity may change beside it in this period.
+fn approach(d: [f64; 3], v: [f64; 3], own: [f64; 3], speed: f64, most: [f64; 2], dt: f64) -> ([f64; 3], bool) {
     if !speed.is_finite() {
-        return (d.map(|x| x / dt), true);
+        return ([0.0; 3], true);
     }
-    // The speed from which a braking of `acceleration` per period ends exactly at the point: the discrete √(2 a d).
-    let step = acceleration * dt;
-    let braking = 0.5 * step * ((1.0 + 8.0 * distance / (step * dt)).sqrt() - 1.0);
-    let wanted = speed.min(braking).min(distance / dt);
-    let direction = if distance > 0.0 { d.map(|x| x / distance) } else { [0.0; 3] };
-    let change = [0, 1, 2].map(|i| wanted * direction[i] - v[i]);
-    let size = norm(change);
-    let share = if size > step { step / size } else { 1.0 };
-    let next = [0, 1, 2].map(|i| v[i] + share * change[i]);
+    // A speed limit that was lowered while moving holds at once.
+    let v = within(v, speed);
+    let behind = [0, 1, 2].map(|i| d[i] - own[i] * dt);
+    let distance = norm(behind);
+    // The speed from which `periods` of braking end exactly at the point: the discrete √(2 a d).
+    let step = most[0] * dt;
+    let periods = (0.5 * ((1.0 + 8.0 * distance / (step * dt)).sqrt() - 1.0)).ceil().max(1.0);
+    let braking = distance / (periods * dt) + 0.5 * step * (periods - 1.0);
+    let closing = if distance > 0.0 { braking / distance } else { 0.0 };
+    let wanted = within([0, 1, 2].map(|i| own[i] + closing * behind[i]), speed);
+    let change = within([0, 1, 2].map(|i| wanted[i] - v[i]), step + most[1]);
+    let next = [0, 1, 2].map(|i| v[i] + change[i]);
     let miss = [0, 1, 2].map(|i| d[i] - next[i] * dt);
-    (next, norm(miss) <= 1e-12 + 1e-9 * distance)
+    (next, norm(miss) <= 1e-12 + 1e-9 * norm(d))
+}
+
+/// `v`, scaled to a length of at most `most`.
+fn within(v: [f64; 3], most: f64) -> [f64; 3] {
+    let size = norm(v);
+    if size > most { v.map(|x| x * (most / size)) } else { v }
 }
 
 fn norm(v: [f64; 3]) -> f64 {
@@ -108,7 +142,7 @@ mod tests {
         let mut before = [0.0; 6];
         for tick in 0..400 {
             let pose = governor.follow(&target, [0.25, 1.0], [1.0, 4.0], 0.01);
-            let v = *governor.velocity();
+            let v = governor.velocity;
             let linear = norm([v[0], v[1], v[2]]);
             let angular = norm([v[3], v[4], v[5]]);
             assert!(linear <= 0.25 + 1e-12 && angular <= 1.0 + 1e-12, "tick {tick}: {linear} {angular}");
@@ -119,6 +153,35 @@ mod tests {
                 assert_eq!(pose, target);
                 assert!(linear < 1e-9 && angular < 1e-9);
             }
+        }
+    }
+
+    #[test]
+    fn a_lowered_speed_holds_at_once_and_a_caught_target_has_its_own_velocity() {
+        let far = Pose { position: [5.0, 0.0, 0.0], ..Pose::IDENTITY };
+        let mut governor = Governor::new(Pose::IDENTITY);
+        for _ in 0..100 {
+            governor.follow(&far, [1.0, 1.0], [2.0, 4.0], 0.01);
+        }
+        let before = governor.pose.position[0];
+        let after = governor.follow(&far, [0.1, 1.0], [2.0, 4.0], 0.01).position[0];
+        assert!(after - before <= 0.1 * 0.01 + 1e-15);
+        let twist = [0.3, 0.4, 0.0, 0.1, 0.0, 0.0];
+        let velocity = governor.velocity(&twist, [0.1, 1.0]);
+        assert!((velocity[0] - 0.1).abs() < 1e-12 && velocity[1].abs() < 1e-12 && (velocity[3] - 0.1).abs() < 1e-15);
+        assert_eq!(Governor::new(far).velocity(&twist, [0.25, 1.0])[..2], [0.15, 0.2]);
+    }
+
+    #[test]
+    fn a_slow_target_is_passed_on_as_it_is_and_not_run_past() {
+        let at = |t: f64| Pose { position: [0.1 * t.min(1.0), 0.0, 0.0], ..Pose::IDENTITY };
+        let mut governor = Governor::new(Pose::IDENTITY);
+        for tick in 1..200 {
+            let target = at(f64::from(tick) * 0.01);
+            let x = governor.follow(&target, [0.25, 1.0], [1.0, 4.0], 0.01).position[0];
+            assert!(x <= target.position[0] + 1e-12, "tick {tick}: {x}");
+            // From rest the reference needs 0.1 s to the target's speed, and a while to catch up.
+            assert!(tick < 40 || (x - target.position[0]).abs() < 1e-9, "tick {tick}: {x}");
         }
     }
 

@@ -3,7 +3,9 @@
 
 use std::path::PathBuf;
 
-use pliant_core::model::{Model, ModelOptions};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use pliant_core::model::{JointKind, Model, ModelOptions};
+use pliant_core::pose::Pose;
 use serde_json::Value;
 
 /// The workspace's root.
@@ -35,6 +37,74 @@ pub(crate) fn matrix(value: &Value) -> Vec<Vec<f64>> {
 /// The built-in arm.
 pub(crate) fn arm7() -> Model {
     Model::from_urdf_file(root().join("tests/data/golden/arm7.urdf"), &ModelOptions::default()).unwrap()
+}
+
+/// A robot of `data/robots`.
+pub(crate) fn robot(name: &str) -> Model {
+    Model::from_urdf_file(data("robots").join(name).with_extension("urdf"), &between("base", "tool")).unwrap()
+}
+
+/// Pose of every link in the base by plain recursion over the whole tree: the slow way, as a check of the fast one.
+pub(crate) fn link_poses(model: &Model, q: &[f64]) -> Vec<Isometry3<f64>> {
+    let mut poses = vec![Isometry3::identity(); model.links().len()];
+    let root = model.links().iter().position(|link| link.parent_joint.is_none()).unwrap();
+    let mut stack = vec![root];
+    while let Some(parent) = stack.pop() {
+        for joint in model.joints().iter().filter(|joint| joint.parent == parent) {
+            let value = match (joint.q_index, joint.mimic) {
+                (Some(i), Some(mimic)) => mimic.multiplier * q[i] + mimic.offset,
+                (Some(i), None) => q[i],
+                (None, _) => joint.locked_at.unwrap_or(0.0),
+            };
+            let axis = Vector3::from(joint.axis);
+            let motion = match joint.kind {
+                JointKind::Revolute | JointKind::Continuous => Isometry3::rotation(axis * value),
+                JointKind::Prismatic => Isometry3::translation(axis[0] * value, axis[1] * value, axis[2] * value),
+                JointKind::Fixed | JointKind::Other => Isometry3::identity(),
+            };
+            poses[joint.child] = poses[parent] * isometry(&joint.origin) * motion;
+            stack.push(joint.child);
+        }
+    }
+    let base = model.links().iter().position(|link| link.name == model.base()).unwrap();
+    let root_from_base = poses[base];
+    poses.into_iter().map(|pose| root_from_base.inverse() * pose).collect()
+}
+
+/// Pose of the tool by [`link_poses`].
+pub(crate) fn slow_tool(model: &Model, q: &[f64]) -> Isometry3<f64> {
+    let tip = model.links().iter().position(|link| link.name == model.tip()).unwrap();
+    link_poses(model, q)[tip]
+}
+
+/// Potential energy [J] of every body and the payload by [`link_poses`].
+pub(crate) fn potential_energy(model: &Model, q: &[f64]) -> f64 {
+    let g = Vector3::from(model.gravity_vector());
+    let of = |pose: &Isometry3<f64>, mass: f64, com: [f64; 3]| -mass * g.dot(&(pose * nalgebra::Point3::from(com)).coords);
+    let bodies = link_poses(model, q);
+    let links: f64 = bodies
+        .iter()
+        .zip(model.links())
+        .filter_map(|(pose, link)| link.inertial.map(|i| of(pose, i.mass, i.com)))
+        .sum();
+    links + model.payload().map_or(0.0, |payload| of(&slow_tool(model, q), payload.mass, payload.com))
+}
+
+pub(crate) fn isometry(pose: &Pose) -> Isometry3<f64> {
+    let matrix = Matrix3::from_fn(|i, j| pose.rotation[i][j]);
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
+    Isometry3::from_parts(Translation3::from(Vector3::from(pose.position)), rotation)
+}
+
+/// Joint positions inside the limits (continuous: ±π); `seed` picks them, the same every time.
+pub(crate) fn state(model: &Model, seed: usize) -> Vec<f64> {
+    (0..model.n())
+        .map(|k| {
+            let pi = std::f64::consts::PI;
+            let (lower, upper) = (model.lower()[k].max(-pi), model.upper()[k].min(pi));
+            lower + ((seed * 16 + k) as f64 * 0.618_033_988_749_895).fract() * (upper - lower)
+        })
+        .collect()
 }
 
 /// Options with a base and a tip.

@@ -1,0 +1,114 @@
+"""Controllers that are not ours, for comparison: what one does without this package.
+
+All of them are made for a model and a control period, and step like `pliant.Controller`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pliant.experiments.conditions import FromModel
+
+    Array = NDArray[np.float64]
+
+#: Spring of the impedances: [N/m], [N·m/rad].
+STIFFNESS = (800.0, 20.0)
+#: How far ahead the goal is put where the limit itself is the torque command [rad].
+FAR = 1.0
+
+
+@dataclass(frozen=True)
+class Goals:
+    """Goals (n,) [rad] and torque limits (n,) [N·m]."""
+
+    goal: Array
+    torque_limit: Array
+
+
+class JointPosition:
+    """Inverse kinematics and stiff servos, at full torque or at a fraction of it."""
+
+    def __init__(self, model: pliant.Model, period: float, *, fraction: float = 1.0) -> None:
+        """Take the arm; `fraction` of the servos' torque is the limit of every joint."""
+        self._model = model
+        self._limit = fraction * np.asarray(model.servos.torque)
+
+    def reset(self, q: Array) -> None:
+        """Start in q (n,) [rad]."""
+        self._goal = q.copy()
+
+    def step(self, q: Array, target: Array) -> Goals:
+        """Follow the pose (4, 4) of the target, whatever the arm does."""
+        self._goal = np.asarray(self._model.inverse_kinematics(target, self._goal).q)
+        return Goals(self._goal, self._limit)
+
+
+class Impedance:
+    """A Cartesian spring ``τ = Jᵀ K e + g + N k (q_rest - q)``, without friction compensation.
+
+    As a torque source it is what an arm with torque-controlled joints does: the goal is far on the right side, so that
+    the limit is the torque; the servo's own damping acts against the hand as it does on any other arm. As `servo` it is
+    a goal ``q + τ/k_p`` at full limits.
+    """
+
+    def __init__(
+        self,
+        model: pliant.Model,
+        period: float,
+        *,
+        soft: str = "y",
+        stiffness: tuple[float, float] = STIFFNESS,
+        servo: bool = False,
+    ) -> None:
+        """Take the arm; `soft` axes have no spring, the others `stiffness` [N/m, N·m/rad]."""
+        names = ("x", "y", "z", "roll", "pitch", "yaw")
+        free = [name in soft.split() for name in names]
+        self._spring = np.where(free, 0.0, np.repeat(stiffness, 3))
+        self._model, self._servo = model, servo
+        self._kp = np.asarray(model.servos.kp)
+        self._torque = np.asarray(model.servos.torque)
+
+    def reset(self, q: Array) -> None:
+        """Start in q (n,) [rad], the posture of the null space."""
+        self._rest = q.copy()
+
+    def step(self, q: Array, target: Array) -> Goals:
+        """Turn the pose error into torques."""
+        pose, jacobian = self._model.kinematics(q)
+        force = self._spring * np.asarray(pliant.pose_error(pose, target))
+        inverse = np.linalg.pinv(jacobian)
+        null = self._rest - q
+        null = null - inverse @ (jacobian @ null)
+        torque = jacobian.T @ force + self._model.gravity(q) + 0.1 * self._kp * null
+        if self._servo:
+            return Goals(q + torque / self._kp, self._torque)
+        return Goals(q + np.copysign(FAR, torque), np.minimum(np.abs(torque), self._torque))
+
+
+def stiff_joints() -> FromModel:
+    """Position control of the joints at full torque."""
+    return JointPosition
+
+
+def uniform_limit(fraction: float) -> FromModel:
+    """Position control of the joints, every limit at a fraction of the torque."""
+    return partial(JointPosition, fraction=fraction)
+
+
+def torque_impedance(*, soft: str = "y", stiffness: tuple[float, float] = STIFFNESS) -> FromModel:
+    """Ideal impedance; to be run at 1 kHz."""
+    return partial(Impedance, soft=soft, stiffness=stiffness)
+
+
+def servo_impedance(*, soft: str = "y", stiffness: tuple[float, float] = STIFFNESS) -> FromModel:
+    """Impedance through the goals of position servos."""
+    return partial(Impedance, soft=soft, stiffness=stiffness, servo=True)

@@ -1,0 +1,87 @@
+"""Under which conditions an experiment runs: loop, bus, servos, and what the controller believes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+import numpy as np
+
+import pliant
+from pliant.experiments.setups import arm
+from pliant.sim import Plant
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pliant.experiments.episode import Controlling
+    from pliant.sim import Fixture, Hand
+
+
+@runtime_checkable
+class FromModel(Protocol):
+    """A controller that is not ours, made for the arm when a run begins."""
+
+    def __call__(self, model: pliant.Model, period: float) -> Controlling:
+        """Make one for a control period [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """Loop, bus, servos and beliefs; the defaults are the nominal ones, 100 Hz and everything known.
+
+    Attributes:
+        rate: Control rate [Hz].
+        delay: Ticks from sampling to read(), and from write() to the servo; the controller knows them.
+        believed: Friction and damping as the controller believes them, over their true values.
+        count: Encoder count [rad], known to the controller.
+        flicker: Counts by which readings toggle at random.
+        plant: More options of `pliant.sim.Plant`, of which the controller knows nothing.
+    """
+
+    rate: float = 100.0
+    delay: tuple[int, int] = (0, 0)
+    believed: float = 1.0
+    count: float = 0.0
+    flicker: int = 0
+    plant: Mapping[str, Any] = field(default_factory=dict)
+
+    def with_plant(self, **options: Any) -> Conditions:
+        """Return the same conditions with more options of the plant."""
+        return replace(self, plant={**self.plant, **options})
+
+    def build(self, *scene: Hand | Fixture) -> Plant:
+        """Build the simulated arm with its hands and fixtures."""
+        return Plant(
+            arm(),
+            rate=self.rate,
+            delay=self.delay,
+            count=self.count,
+            flicker=self.flicker,
+            scene=scene,
+            **self.plant,
+        )
+
+    def servos(self) -> pliant.Servos:
+        """Servo table of `arm7` as the controller believes it."""
+        true = arm().servos
+        return true.replace(
+            friction=self.believed * np.asarray(true.friction),
+            damping=self.believed * np.asarray(true.damping),
+            kv=self.believed * np.asarray(true.kv),
+            count=self.count,
+        )
+
+    def controller(self, law: pliant.Settings | FromModel) -> Controlling:
+        """Make the controller for one run: ours from settings, or one that is not ours."""
+        if isinstance(law, pliant.Settings):
+            delay = sum(self.delay) / self.rate
+            settings = law.replace(rate=self.rate, delay=delay)
+            return pliant.Controller(arm(), settings, self.servos())
+        return law(arm(), 1.0 / self.rate)
+
+
+#: 100 Hz, no delay, everything known.
+NOMINAL = Conditions()
+#: What hardware has: a tick each way.
+TICK_EACH_WAY = Conditions(delay=(1, 1))

@@ -1,0 +1,1 @@
+"""Pictures of the experiments (extra `plot`); a function per picture, from outcomes to files."""

@@ -1,0 +1,201 @@
+"""One look for all figures: sober, colour-blind safe, units on every axis, labels at the lines.
+
+Colours after Okabe and Ito. A figure is saved as PNG for slides and as SVG for the report, which turns ink, grid and
+background of the SVG into variables of the page, so that figures follow its dark mode.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pliant import PliantError
+
+try:
+    import matplotlib
+except ImportError as error:
+    raise PliantError("figures need matplotlib: pip install 'pliant[plot]'") from error
+
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Grid = NDArray[np.object_]
+
+INK, MUTED, GRID, CARD = "#1b1f24", "#67707b", "#e3e6ea", "#ffffff"
+BLUE, SKY, GREEN, ORANGE, RED, PURPLE = (
+    "#0072b2",
+    "#56b4e9",
+    "#009e73",
+    "#e69f00",
+    "#d55e00",
+    "#cc79a7",
+)
+#: Axes of the task; rotations take the colour of the axis they turn about.
+AXIS_COLOURS = {"x": RED, "y": GREEN, "z": BLUE, "roll": RED, "pitch": GREEN, "yaw": BLUE}
+#: Controllers, the same in every figure.
+LAW_COLOURS = {
+    "paper": RED,
+    "paper + gravity": ORANGE,
+    "cap": BLUE,
+    "stiff": MUTED,
+    "impedance": GREEN,
+    "uniform": PURPLE,
+}
+#: Width of a figure that fills the report [inch].
+WIDE = 11.0
+PIXELS_PER_INCH = 150
+
+RC: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.facecolor": "none",
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "lines.linewidth": 1.5,
+    "lines.solid_capstyle": "round",
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "text.color": INK,
+    "figure.facecolor": CARD,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "pliant",
+    "path.simplify_threshold": 0.3,
+}
+
+
+@contextmanager
+def canvas(
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    size: tuple[float, float] = (WIDE, 4.0),
+    **grid: Any,
+) -> Iterator[tuple[Figure, Grid]]:
+    """A figure in the style of the house and its axes (rows, columns).
+
+    Args:
+        rows, columns: Of the grid of axes.
+        size: Width and height [inch].
+        **grid: As `Figure.subplots` (`sharex`, `width_ratios`, ...).
+
+    Yields:
+        The figure and its axes, always a two-dimensional array.
+    """
+    with matplotlib.rc_context(RC):
+        figure = Figure(figsize=size, layout="constrained")
+        yield figure, figure.subplots(rows, columns, squeeze=False, **grid)
+
+
+def save(figure: Figure, folder: Path, name: str) -> None:
+    """Write `name.png` and `name.svg`, without dates and addresses, so that equal runs give equal files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    figure.savefig(folder / f"{name}.png", dpi=PIXELS_PER_INCH, metadata={"Software": None})
+    figure.savefig(folder / f"{name}.svg", metadata=nothing)
+
+
+def thin(t: Array, *, rate: float = 25.0) -> slice:
+    """Every how many ticks a curve needs a point."""
+    step = 1 if t.size < 2 else max(1, round(1.0 / (rate * float(t[1] - t[0]))))
+    return slice(None, None, step)
+
+
+def label_end(ax: Axes, x: float, labels: Sequence[tuple[float, str, str]], *, size: float = 8.0) -> None:
+    """Write names beside the ends of lines, moved apart until they do not touch.
+
+    Args:
+        ax: Axes whose limits are final.
+        x: Where the lines end, data units.
+        labels: Height in data units, text, colour.
+        size: Of the type [pt].
+    """
+    low, high = ax.get_ylim()
+    figure = ax.get_figure()
+    if figure is None:
+        return
+    height = ax.get_position().height * figure.get_figheight() * 72.0  # pt; before the layout: generous
+    gap = 1.15 * size * (high - low) / max(height, 1.0)
+    order = sorted(labels)
+    places = [np.clip(y, low, high) for y, _, _ in order]
+    for _ in range(100):
+        crowded = False
+        for i in range(len(places) - 1):
+            lack = gap - (places[i + 1] - places[i])
+            if lack > 1e-9 * gap:
+                places[i] -= lack / 2
+                places[i + 1] += lack / 2
+                crowded = True
+        if not crowded:
+            break
+    for place, (_, text, colour) in zip(places, order, strict=True):
+        ax.annotate(
+            text,
+            (x, place),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            ha="left",
+            color=colour,
+            fontsize=size,
+            annotation_clip=False,
+        )
+
+
+def shade(ax: Axes, start: float, end: float, text: str = "") -> None:
+    """Mark a span of time, e.g. while a hand holds on."""
+    ax.axvspan(start, end, color=MUTED, alpha=0.10, linewidth=0)
+    if text:
+        ax.annotate(
+            text,
+            ((start + end) / 2, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, -3),
+            textcoords="offset points",
+            ha="center",
+            va="top",
+            fontsize=7.5,
+            color=MUTED,
+        )
+
+
+def level(ax: Axes, y: float, text: str = "", *, colour: str = MUTED, at: float = 0.01) -> None:
+    """A dashed line at a height, with its name."""
+    ax.axhline(y, color=colour, linewidth=0.9, linestyle=(0, (4, 3)))
+    if text:
+        ax.annotate(
+            text,
+            (at, y),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, 2),
+            textcoords="offset points",
+            fontsize=7.5,
+            color=colour,
+        )

@@ -1,0 +1,84 @@
+"""The host dies: the servos keep their last goals and limits, and a hand comes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant.experiments import metrics
+from pliant.experiments.conditions import NOMINAL
+from pliant.experiments.episode import Trace, run
+from pliant.experiments.setups import AXES, VERTICAL, arm, tool
+from pliant.sim.hand import STRONG, Course
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pliant.experiments.conditions import Conditions
+    from pliant.experiments.hands import Law
+
+    Array = NDArray[np.float64]
+
+#: When the bus falls silent, and how long the hand takes for its way [s].
+DEATH, RISE = 1.9, 7.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Survived:
+    """What a hand felt that moved an arm whose host had died.
+
+    Attributes:
+        force: Largest force against the hand, mean over a tick [N].
+        formula: min over the joints of (L + τ_f + s g)/|a|, a = Jᵀd, at the pose where that force was felt [N].
+        moved: Largest deviation of the tool from its place until the hand came, or without a hand [m].
+        trace: The run.
+    """
+
+    force: float
+    formula: float
+    moved: float
+    trace: Trace
+
+
+def static_force(q: Array, limit: Array, direction: Array) -> float:
+    """Push [N] along `direction` (3,) at the tool under which the first joint gives way at q (n,), limits (n,) [N·m]."""
+    model = arm()
+    _, jacobian = model.kinematics(q)
+    lever = jacobian[:3].T @ direction
+    friction = np.asarray(model.servos.friction)
+    room = limit + friction + np.sign(lever) * model.gravity(q)
+    felt = np.abs(lever) > 1e-9
+    return float((room[felt] / np.abs(lever[felt])).min())
+
+
+def die(law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL) -> Survived:
+    """Silence the bus at 1.9 s, then let a strong hand move the tool by 0.15 m within 7.5 s.
+
+    Args:
+        law: Settings of our controller, or one that is not ours.
+        push: Sign and axis of the hand, None for no hand.
+        conditions: Loop, bus and beliefs.
+
+    Returns:
+        The figures and the run.
+    """
+    silent = conditions.with_plant(silent=(DEATH, np.inf))
+    hands = []
+    direction = np.zeros(3)
+    if push is not None:
+        direction[AXES.index(push[1:])] = -1.0 if push[0] == "-" else 1.0
+        course = Course(start=2.0, rise=RISE, end=np.inf)
+        hands.append(replace(STRONG, axis=tuple(direction), course=course))
+    trace = run(silent.build(*hands), silent.controller(law), tool(VERTICAL), 2.0 + RISE, q=VERTICAL)
+    felt = trace.force @ direction
+    worst = int(np.argmax(felt))
+    limit = trace.limit[trace.at(DEATH)]
+    rest = trace.t <= 2.0 if push is not None else trace.t > 0.0
+    return Survived(
+        force=float(felt[worst]),
+        formula=static_force(trace.q[worst], limit, direction) if push is not None else np.inf,
+        moved=metrics.largest(trace.moved[rest, :3]),
+        trace=trace,
+    )

@@ -1,0 +1,139 @@
+"""The promised cap, measured: what an axis pushes back with in random poses, against what the law says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import Axis, Settings
+from pliant.experiments.conditions import NOMINAL
+from pliant.experiments.episode import run
+from pliant.experiments.laws import UNBLURRED
+from pliant.experiments.setups import AXES, arm
+from pliant.sim import Guide
+from pliant.sim.hand import Course, Drag, Twist
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from pliant.experiments.conditions import Conditions
+
+    Array = NDArray[np.float64]
+
+#: Caps that are tried: 15, 30, 60 % of the arm's median capacity [N], 7, 14 % for rotations [N·m].
+FORCES, TORQUES = (5.0, 10.0, 20.0), (0.5, 1.0)
+#: How far the hand goes [m, rad], when it begins to hold still and how long the force is then taken [s].
+WAY, SETTLED, END = (0.08, 0.5), 2.5, 3.0
+#: Poses whose smallest singular value lies below this share of the median are left out.
+LEAST_SIGMA = 0.65
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One promise: a pose, an axis, a side, a cap."""
+
+    q: Array
+    axis: str
+    sign: float
+    cap: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """One promise and what came of it.
+
+    Attributes:
+        case: Pose, axis, side and cap.
+        promise: min(F, K_x h (1 - η)|e| / C_jj) at the measured deviation [N or N·m].
+        measured: What the hand felt [N or N·m].
+        friction: Σ_i |J⁺_ij| τ_f,i, what the joints' friction may hide of it [N or N·m].
+    """
+
+    case: Case
+    promise: float
+    measured: float
+    friction: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the force is within 15 % of the cap and the friction of its promise."""
+        return abs(self.measured - self.promise) <= 0.15 * self.case.cap + self.friction
+
+
+def _sigma(q: Array) -> float:
+    return float(np.linalg.svd(arm().jacobian(q), compute_uv=False)[-1])
+
+
+@cache
+def poses(count: int, seed: int = 0) -> tuple[Array, ...]:
+    """Random poses (7,) [rad] within the joint limits, well away from singular ones."""
+    model, rng = arm(), np.random.default_rng(seed)
+    sample = rng.uniform(model.lower, model.upper, (512, model.n))
+    sigmas = np.array([_sigma(q) for q in sample])
+    good = sample[sigmas > LEAST_SIGMA * np.median(sigmas)]
+    return tuple(good[:count])
+
+
+def capacity(q: Array, axis: int, sign: float) -> float:
+    """Largest push [N or N·m] toward `sign` of an axis (index) that the servos can hold at q (7,)."""
+    model = arm()
+    lever = sign * model.jacobian(q)[axis]
+    felt = np.abs(lever) > 1e-6
+    room = np.asarray(model.servos.torque) + np.sign(lever) * model.gravity(q)
+    return float((room[felt] / np.abs(lever[felt])).min())
+
+
+def cases(count: int, seed: int = 0) -> Iterator[Case]:
+    """Promises for `count` poses: every axis and sign, a cap at random, those that the torques refuse left out."""
+    rng = np.random.default_rng(seed + 1)
+    for q in poses(count, seed):
+        for index, axis in enumerate(AXES):
+            for sign in (1.0, -1.0):
+                cap = float(rng.choice(FORCES if index < 3 else TORQUES))
+                if capacity(q, index, sign) >= cap:
+                    yield Case(q=q, axis=axis, sign=sign, cap=cap)
+
+
+def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) -> Kept:
+    """Drag one axis away from its target, hold it still, and compare the force with the promise.
+
+    Args:
+        case: Pose, axis, side and cap.
+        guided: Whether springs hold the other axes.
+        conditions: Loop, bus and beliefs.
+
+    Returns:
+        The promise and the force.
+    """
+    index = AXES.index(case.axis)
+    course = Course(start=0.5, rise=1.0, end=np.inf)
+    way = case.sign * WAY[index // 3]
+    if index < 3:
+        hand = Drag(axis=case.axis, distance=way, stiffness=3000.0, limit=80.0, at="tool", course=course)
+    else:
+        hand = Twist(axis=case.axis, angle=way, stiffness=60.0, limit=8.0, course=course)
+    scene = [hand]
+    if guided:
+        scene.append(Guide(axes=" ".join(name for name in AXES if name != case.axis)))
+    soft = Axis(soft=case.cap, firm=case.cap)
+    settings = Settings(axes={case.axis: soft}, **UNBLURRED)
+    target = arm().forward_kinematics(case.q)
+    trace = run(conditions.build(*scene), conditions.controller(settings), target, END, q=case.q)
+    still = trace.between(SETTLED, END)
+    felt = (trace.force if index < 3 else trace.moment)[still, index % 3]
+    servos = arm().servos
+    jacobian = arm().jacobian(trace.q[-1])
+    compliance = float((jacobian[index] ** 2) @ (1.0 / np.asarray(servos.kp)))
+    lead = abs(float(trace.error[-1, index]))
+    inverse = np.linalg.pinv(jacobian)
+    return Kept(
+        case=case,
+        promise=min(case.cap, lead / compliance),
+        measured=case.sign * float(felt.mean()),
+        friction=float(np.abs(inverse[:, index]) @ np.asarray(servos.friction)),
+    )

@@ -1,0 +1,160 @@
+"""Opening and closing a door by feel: the end of a motion is recognised by its resistance, from positions alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant.experiments.conditions import NOMINAL
+from pliant.experiments.doors import SCENES
+from pliant.experiments.episode import Trace, run
+from pliant.experiments.setups import arm, displaced, tool
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    import pliant
+    from pliant.experiments.conditions import Conditions
+    from pliant.experiments.episode import Commanded, Controlling
+    from pliant.experiments.hands import Law
+    from pliant.sim.doors import Grip
+
+    Array = NDArray[np.float64]
+
+#: End stop of the leaf [deg].
+STOP = 45.0
+#: Force that means "it goes no further" [N], and for how long it must last [s].
+THRESHOLD, PERSISTENCE = 15.0, 0.2
+#: Speed of the target [m/s], rest between opening and closing [s], first motion [s].
+SPEED, REST, BEGIN = 0.05, 1.0, 1.0
+#: Longest a motion may take [s].
+LONGEST = 8.0
+
+
+class Feeler:
+    """Estimates the wrench on the tool from goals, limits and measured positions.
+
+    ``F = -C⁻¹ J K_p⁻¹ (clip(k_p (goal - q), ±limit) - g - τ_f tanh(v/v₀) - d v)``, C = J K_p⁻¹ Jᵀ: what the servos give,
+    less what gravity and the joints take. v is the measured velocity behind a filter of 20 ms, d what gears, back-EMF
+    and the servo's own damping resist.
+    """
+
+    def __init__(self, model: pliant.Model, servos: pliant.Servos, period: float) -> None:
+        """Take the arm and the believed servos; `period` in s."""
+        self._model, self._period = model, period
+        self._kp = np.asarray(servos.kp)
+        self._friction = np.asarray(servos.friction)
+        self._damping = np.asarray(servos.damping) + np.asarray(servos.kv)
+        self._torque = np.asarray(servos.torque)
+
+    def reset(self, q: Array) -> None:
+        """Start at rest in q (n,) [rad]."""
+        self._q, self._v = q.copy(), np.zeros_like(q)
+        self._goal, self._limit = q.copy(), self._torque
+
+    def feel(self, q: Array) -> Array:
+        """Wrench (6,) of the surroundings on the tool, base axes [N, N·m], from the reading q (n,) [rad]."""
+        raw = (q - self._q) / self._period
+        self._v = self._v + self._period / (0.02 + self._period) * (raw - self._v)
+        self._q = q.copy()
+        given = np.clip(self._kp * (self._goal - q), -self._limit, self._limit)
+        taken = self._model.gravity(q) + self._friction * np.tanh(self._v / 0.05) + self._damping * self._v
+        _, jacobian = self._model.kinematics(q)
+        scaled = jacobian / self._kp
+        wrench: Array = -np.linalg.solve(scaled @ jacobian.T, scaled @ (given - taken))
+        return wrench
+
+    def tell(self, command: Commanded) -> None:
+        """Remember what the servos were told after the reading."""
+        self._goal, self._limit = command.goal.copy(), command.torque_limit.copy()
+
+
+class ByResistance:
+    """A controller that moves its own target: pulls until it feels resistance, rests, pushes back until it does again.
+
+    Attributes:
+        ends: Times at which an end was recognised [s].
+    """
+
+    def __init__(self, inner: Controlling, feeler: Feeler, period: float) -> None:
+        """Wrap a controller; `period` in s."""
+        self._inner, self._feeler, self._period = inner, feeler, period
+        self.ends: list[float] = []
+
+    def reset(self, q: Array) -> None:
+        """Start at rest in q (n,) [rad]."""
+        self._inner.reset(q)
+        self._feeler.reset(q)
+        self._way, self._time, self._pressed, self._resting = 0.0, 0.0, 0.0, BEGIN
+        self.ends = []
+
+    @property
+    def compliance(self) -> Array:
+        """c of the controller inside."""
+        return np.asarray(getattr(self._inner, "compliance", np.full(6, np.nan)))
+
+    def step(self, q: Array, target: Array) -> Commanded:
+        """One tick; `target` is the pose (4, 4) at the closed door."""
+        force = float(self._feeler.feel(q)[0])
+        if self._resting > 0.0:
+            self._resting -= self._period
+        elif len(self.ends) < 2:
+            direction = -1.0 if not self.ends else 1.0
+            self._way += direction * SPEED * self._period
+            against = -direction * force > THRESHOLD
+            self._pressed = self._pressed + self._period if against else 0.0
+            if self._pressed >= PERSISTENCE - 1e-9:
+                self.ends.append(self._time)
+                self._pressed, self._resting = 0.0, REST
+        self._time += self._period
+        command = self._inner.step(q, displaced(target, "x", self._way))
+        self._feeler.tell(command)
+        return command
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenedAndClosed:
+    """What was recognised, and at what price.
+
+    Attributes:
+        ends: Opening of the leaf when each end was recognised [deg]; fewer than two: an end was missed.
+        force: Largest force at the handle [N].
+        trace: The run.
+    """
+
+    ends: tuple[float, ...]
+    force: float
+    trace: Trace
+
+
+def open_and_close(
+    law: Callable[..., Law], scene: str = "door", grip: Grip = "rigid", *, conditions: Conditions = NOMINAL
+) -> OpenedAndClosed:
+    """Open a door with an end stop at 45 deg until it resists, rest 1 s, and close it until it resists.
+
+    Args:
+        law: Makes the settings from the soft axes of the scene, `soft`, and null-space gain, `alpha`.
+        scene: Name of one of `doors.SCENES` whose base stands still.
+        grip: `rigid` or `turning`.
+        conditions: Loop, bus and beliefs.
+
+    Returns:
+        The figures and the run.
+    """
+    setup = SCENES[scene]
+    leaf = setup.leaf(grip=grip, stop=float(np.deg2rad(STOP)))
+    period = 1.0 / conditions.rate
+    feeler = Feeler(arm(), conditions.servos(), period)
+    inner = conditions.controller(law(soft=setup.soft, alpha=1.0))
+    controller = ByResistance(inner, feeler, period)
+    duration = BEGIN + 2.0 * LONGEST
+    trace = run(conditions.build(leaf), controller, tool(setup.start), duration, q=setup.start)
+    return OpenedAndClosed(
+        ends=tuple(float(np.rad2deg(trace.leaf[trace.at(end)])) for end in controller.ends),
+        force=leaf.peak_force,
+        trace=trace,
+    )

@@ -1,0 +1,123 @@
+"""Poses and targets of the experiments on `arm7`. Base axes: x forward, y left, z up; SI units."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+from pliant import robots
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Target = Callable[[float], Array]
+
+
+def _posture(*angles: float) -> Array:
+    """Joint angles (7,) [rad] that nobody can change by accident."""
+    q = np.array(angles)
+    q.flags.writeable = False
+    return q
+
+
+#: Grasp poses, tool at (0.38, 0, -0.28) m: tool axes as the base's, and turned by +90 deg about x.
+VERTICAL = _posture(-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657)
+HORIZONTAL = _posture(-0.0426, -0.4950, 0.5438, -1.7376, -0.4434, -0.0602, -0.5572)
+#: Starts at a door or fridge (tool at (0.54, 0, -0.25) m), the same with the horizontal grasp, and
+#: at an oven (tool at (0.52, 0, -0.10) m, turned by +90 deg about x).
+AT_DOOR = _posture(-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115)
+AT_DOOR_HORIZONTAL = _posture(-0.559, -0.343, 0.605, -1.194, -0.566, -0.039, -0.384)
+AT_OVEN = _posture(-0.677, -0.440, 0.523, -1.623, -0.720, 0.426, -0.547)
+
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+
+#: Amplitudes of the sinusoids [m, rad]: large, yet inside the workspace around the vertical grasp.
+AMPLITUDE = {"x": 0.12, "y": 0.15, "z": 0.12, "roll": 0.5, "pitch": 0.4, "yaw": 0.5}
+#: Their period [s].
+PERIOD = 8.0
+
+#: Path of the target that leaves the arm's reach: height [m], nearest and farthest x [m].
+REACH_HEIGHT, REACH_NEAR, REACH_FAR = -0.15, 0.40, 0.80
+
+
+@cache
+def arm() -> pliant.Model:
+    """The arm of all experiments."""
+    return robots.arm7()
+
+
+def tool(q: Array) -> Array:
+    """Pose (4, 4) of the tool at q (7,) [rad]."""
+    pose: Array = arm().forward_kinematics(q)
+    return pose
+
+
+def turn(vector: Array) -> Array:
+    """Rotation matrix (3, 3) of a rotation vector (3,) [rad] (Rodrigues' formula)."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    k = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
+
+
+def displaced(start: Array, axis: str, amount: float) -> Array:
+    """Pose (4, 4): `start` moved along, or turned about, a base axis by `amount` [m or rad]."""
+    pose = start.copy()
+    index = AXES.index(axis)
+    if index < 3:
+        pose[index, 3] += amount
+    else:
+        pose[:3, :3] = turn(amount * np.eye(3)[index - 3]) @ start[:3, :3]
+    return pose
+
+
+def sinusoid(start: Array, axis: str, amplitude: float) -> Target:
+    """Target that swings by `amplitude` [m or rad] about `start`, two periods from 1 s on."""
+
+    def target(t: float) -> Array:
+        phase = 2.0 * np.pi * (max(t, 1.0) - 1.0) / PERIOD
+        return displaced(start, axis, amplitude * float(np.sin(phase)))
+
+    return target
+
+
+def pull(
+    start: Array, distance: float, *, axis: str = "x", speed: float = -0.05, begin: float = 1.0
+) -> Target:
+    """Target that leaves `start` at `begin` [s] along a base axis, at `speed` [m/s], by `distance` [m] ≥ 0."""
+
+    def target(t: float) -> Array:
+        way = min(max(abs(speed) * (t - begin), 0.0), distance)
+        return displaced(start, axis, float(np.copysign(way, speed)))
+
+    return target
+
+
+def tilted(start: Array, vector: tuple[float, float, float] = (0.25, -0.2, 0.3)) -> Target:
+    """Target that jumps at 1 s: `start` turned by a rotation vector [rad] in base axes."""
+    pose = start.copy()
+    pose[:3, :3] = turn(np.array(vector)) @ start[:3, :3]
+    return lambda t: pose if t >= 1.0 else start
+
+
+def beyond_reach(t: float) -> Array:
+    """Target (4, 4) that goes out of reach within 1 to 6 s and comes back within 8 to 13 s."""
+    out = np.clip((t - 1.0) / 5.0, 0.0, 1.0) - np.clip((t - 8.0) / 5.0, 0.0, 1.0)
+    pose = np.eye(4)
+    pose[:3, 3] = (REACH_NEAR + (REACH_FAR - REACH_NEAR) * out, 0.0, REACH_HEIGHT)
+    return pose
+
+
+@cache
+def at_reach_start() -> Array:
+    """Posture (7,) [rad] where `beyond_reach` starts, found from the vertical grasp."""
+    solution = arm().inverse_kinematics(beyond_reach(0.0), VERTICAL)
+    return _posture(*solution.q)

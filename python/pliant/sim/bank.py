@@ -1,0 +1,145 @@
+"""The servos of an arm: goals and limits in, torques out, and what happens between two writes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant.sim._mujoco import mujoco
+from pliant.sim.imperfections import Latch
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pliant.sim.gains import Gains
+    from pliant.sim.imperfections import Overload
+    from pliant.sim.spec import Build
+    from pliant.sim.state import Order
+
+    Array = NDArray[np.float64]
+
+
+class ServoBank:
+    """The n servos of the chain and those of off-chain joints, wired to a compiled model.
+
+    Attributes:
+        torque: Mean torque of the servos over the last period (n,) [N·m], inside their limits.
+        held: Goal at rest [rad] and largest torque [N·m] of each off-chain joint with a servo.
+    """
+
+    def __init__(
+        self,
+        built: Build,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        gains: Gains,
+        *,
+        deadband: Array,
+        speed: Array | None,
+        overload: Overload | None,
+    ) -> None:
+        """Look up the joints and actuators of a build in the compiled model."""
+        self._model, self._data, self._gains = model, data, gains
+        joints = [model.joint(name) for name in built.chain]
+        self._qpos = np.array([joint.qposadr[0] for joint in joints])
+        self._dof = np.array([joint.dofadr[0] for joint in joints])
+        self._servo = np.array([model.actuator(name).id for name in built.chain])
+        plays = [model.joint(f"play:{name}") for name in built.backlash]
+        self._play = np.array([joint.qposadr[0] for joint in plays], dtype=int)
+        self._play_dof = np.array([joint.dofadr[0] for joint in plays], dtype=int)
+        self._play_of = np.array([built.chain.index(name) for name in built.backlash], dtype=int)
+        self.held = {
+            name: (rest, float(model.actuator(name).forcerange[1]))
+            for name, rest in built.held.items()
+        }
+        self._deadband, self._speed, self._overload = deadband, speed, overload
+        self._inner = bool(deadband.any()) or speed is not None or bool(self._play.size)
+
+    def reset(self, q: Array) -> None:
+        """Put all joints at rest: the chain at q (n,) [rad], the others at their rest angles."""
+        n = q.size
+        self._data.qpos[self._qpos] = q
+        for name, (rest, _) in self.held.items():
+            self._data.qpos[self._model.joint(name).qposadr[0]] = rest
+        self._place_followers()
+        self._latch = Latch(n, self._overload)
+        self._reference = q.copy()
+        self.torque, self._sum, self._steps = np.zeros(n), np.zeros(n), 0
+
+    def _place_followers(self) -> None:
+        """Start mimic joints where their drivers put them."""
+        model, qpos = self._model, self._data.qpos
+        for tie in range(model.neq):
+            if model.eq_type[tie] != mujoco.mjtEq.mjEQ_JOINT:
+                continue
+            follower, driver = int(model.eq_obj1id[tie]), int(model.eq_obj2id[tie])
+            angle = float(qpos[model.jnt_qposadr[driver]]) if driver >= 0 else 0.0
+            offset, slope = model.eq_data[tie, :2]
+            qpos[model.jnt_qposadr[follower]] = offset + slope * angle
+
+    @property
+    def q(self) -> Array:
+        """True positions of the links (n,) [rad]."""
+        q: Array = self._data.qpos[self._qpos]
+        if self._play.size:
+            q[self._play_of] += self._data.qpos[self._play]
+        return q
+
+    @property
+    def dq(self) -> Array:
+        """True velocities of the links (n,) [rad/s]."""
+        dq: Array = self._data.qvel[self._dof]
+        if self._play.size:
+            dq[self._play_of] += self._data.qvel[self._play_dof]
+        return dq
+
+    @property
+    def tripped(self) -> NDArray[np.bool_]:
+        """Which servos have cut their torque (n,)."""
+        return self._latch.tripped.copy()
+
+    def angles(self) -> dict[str, float]:
+        """Positions of the off-chain joints by name [rad]."""
+        return {name: float(self._data.joint(name).qpos[0]) for name in self.held}
+
+    def apply(self, order: Order, period: float) -> None:
+        """Let a command take effect: limits first, lest a far goal meets an old high limit."""
+        usable = self._gains.torque
+        limit = self._latch.limit(order.limit, self.torque, usable, period)
+        force = self._model.actuator_forcerange
+        force[self._servo, 0], force[self._servo, 1] = -limit, limit
+        self._goal = order.goal
+        self._data.ctrl[self._servo] = order.goal
+        for name, (goal, most) in order.extra.items():
+            index = self._model.actuator(name).id
+            force[index] = (-most, most)
+            self._data.ctrl[index] = goal
+        self._sum[:] = 0.0
+        self._steps = 0
+
+    def drive(self, dt: float) -> None:
+        """What a servo does by itself before a physics step: walk to its goal, dead band, play.
+
+        The encoder sits on the link, so a servo with play controls the link, not its motor.
+        """
+        if not self._inner:
+            return
+        if self._speed is None:
+            self._reference = self._goal
+        else:
+            most = self._speed * dt
+            self._reference = self._reference + np.clip(self._goal - self._reference, -most, most)
+        error = self._reference - self.q
+        ctrl = self._reference - np.clip(error, -self._deadband, self._deadband)
+        ctrl[self._play_of] -= self._data.qpos[self._play]
+        self._data.ctrl[self._servo] = ctrl
+
+    def count(self) -> None:
+        """Add the torques of a finished physics step to the period's mean."""
+        self._sum += self._data.actuator_force[self._servo]
+        self._steps += 1
+
+    def close(self) -> None:
+        """End the period."""
+        self.torque = self._sum / max(self._steps, 1)

@@ -1,0 +1,312 @@
+//! Lines 7 to 9 and law `paper`, with matrices inverted as they are printed.
+
+use pliant_core::settings::{Follow, Projector};
+
+use super::{Matrix, Oracle, Vector};
+
+/// What a law is asked.
+pub(super) struct Want<'a> {
+    pub(super) oracle: &'a Oracle,
+    /// Columns of locked joints are zero.
+    pub(super) rows: &'a Matrix,
+    pub(super) scaled: &'a Matrix,
+    pub(super) row_lambda2: &'a Vector,
+    pub(super) sigma: [f64; 2],
+    pub(super) softness: &'a Vector,
+    pub(super) strength: &'a Vector,
+    pub(super) most: &'a Vector,
+    pub(super) soft_step: &'a Vector,
+    /// Within the per-axis limits, less what locked joints do.
+    pub(super) step: &'a Vector,
+    pub(super) gradient: &'a Vector,
+    pub(super) locked: &'a [bool],
+    pub(super) fixed: &'a Vector,
+    /// Gravity and feed-forward.
+    pub(super) base: &'a Vector,
+}
+
+/// What it answers.
+pub(super) struct Motion {
+    pub(super) lead: Vector,
+    pub(super) null: Vector,
+    pub(super) wrench: Vector,
+    pub(super) factors: [f64; 3],
+}
+
+fn inverse(m: &Matrix) -> Matrix {
+    m.clone().lu().try_inverse().unwrap()
+}
+
+fn diagonal(v: &Vector) -> Matrix {
+    Matrix::from_diagonal(v)
+}
+
+/// Largest factor in [0, 1] on `part` that brings `others + part` within ± `bound` in every joint where it is beyond.
+fn fit(others: &Vector, part: &Vector, bound: &Vector) -> f64 {
+    let mut factor: f64 = 1.0;
+    for i in 0..part.len() {
+        let all = others[i] + part[i];
+        if all.abs() > bound[i] && part[i] != 0.0 {
+            factor = factor.min(((bound[i] * all.signum() - others[i]) / part[i]).max(0.0).min(1.0));
+        }
+    }
+    factor
+}
+
+fn beyond(sum: &Vector, bound: &Vector) -> bool {
+    (0..sum.len()).any(|i| sum[i].abs() > bound[i])
+}
+
+impl Want<'_> {
+    fn n(&self) -> usize {
+        self.rows.ncols()
+    }
+
+    fn k(&self) -> usize {
+        self.rows.nrows()
+    }
+
+    /// `C = J K_p⁻¹ Jᵀ`.
+    fn c(&self) -> Matrix {
+        self.rows * inverse(&diagonal(&self.oracle.kp())) * self.rows.transpose()
+    }
+
+    /// `λ²/k̄`, a diagonal.
+    fn damping(&self) -> Matrix {
+        diagonal(self.row_lambda2) / self.oracle.kp().mean()
+    }
+
+    fn follow(&self) -> Follow {
+        self.oracle.settings.effective_follow()
+    }
+
+    /// First half of line 8: `(C_RR + diag(C_jj w/(1 − w)) + λ²/k̄ I)⁻¹ s_R` over rows with w < 1, spread to all rows.
+    fn stiff(&self, s: &Vector) -> Vector {
+        let (c, damping) = (self.c(), self.damping());
+        let remaining: Vec<usize> = (0..self.k()).filter(|&r| self.softness[r] < 1.0).collect();
+        let mut out = Vector::zeros(self.k());
+        if remaining.is_empty() {
+            return out;
+        }
+        let m = Matrix::from_fn(remaining.len(), remaining.len(), |a, b| {
+            let (r, t) = (remaining[a], remaining[b]);
+            let own = if a == b { c[(r, r)] * self.softness[r] / (1.0 - self.softness[r]) } else { 0.0 };
+            c[(r, t)] + damping[(r, t)] + own
+        });
+        let w = inverse(&m) * Vector::from_fn(remaining.len(), |a, _| s[remaining[a]]);
+        remaining.iter().zip(w.iter()).for_each(|(&r, &value)| out[r] = value);
+        out
+    }
+
+    pub(super) fn cap(&self) -> Motion {
+        let (n, k, kp) = (self.n(), self.k(), self.oracle.kp());
+        let settings = &self.oracle.settings;
+        let c = self.c();
+        let (mut soft, mut stiff) = (Vector::zeros(k), Vector::zeros(k));
+        if self.follow() == Follow::Free {
+            stiff = self.stiff(self.step);
+            for j in 0..k {
+                let f = self.strength[j];
+                let force = if self.soft_step[j] == 0.0 { 0.0 } else { self.soft_step[j] / c[(j, j)] };
+                soft[j] = self.softness[j] * force.max(-f).min(f);
+            }
+        } else {
+            let s = Vector::from_fn(k, |j, _| {
+                let most = self.strength[j] * c[(j, j)];
+                (1.0 - self.softness[j]) * self.step[j] + self.softness[j] * self.step[j].max(-most).min(most)
+            });
+            let w = inverse(&(&c + self.damping())) * s;
+            for j in 0..k {
+                soft[j] = self.softness[j] * w[j];
+                stiff[j] = (1.0 - self.softness[j]) * w[j];
+            }
+        }
+
+        // 9: −α h N ∇cost, Σ k_p |null| ≤ τ₀, own speed limit.
+        let shares = self.shares();
+        let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
+        let mut null = shares.projector() * self.gradient * (-alpha * settings.horizon);
+        (0..n).filter(|&i| self.locked[i]).for_each(|i| null[i] = 0.0);
+        let torque: f64 = (0..n).map(|i| kp[i] * null[i].abs()).sum();
+        let most = settings.null_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
+        let fastest = null.amax() / settings.horizon;
+        let mut scale: f64 = 1.0;
+        if torque > most {
+            scale = most / torque;
+        }
+        if fastest > settings.null_speed {
+            scale = scale.min(settings.null_speed / fastest);
+        }
+        null *= scale;
+
+        // Over the ceiling W is scaled, soft first, then stiff; gravity and feed-forward never.
+        let ceiling = self.oracle.ceiling();
+        let base = self.base + kp.component_mul(&(&null + self.fixed));
+        let (tau_soft, tau_stiff) = (self.rows.transpose() * &soft, self.rows.transpose() * &stiff);
+        let (mut f_soft, mut f_stiff) = (1.0, 1.0);
+        if beyond(&(&base + &tau_soft + &tau_stiff), &ceiling) {
+            f_soft = fit(&(&base + &tau_stiff), &tau_soft, &ceiling);
+            if beyond(&(&base + &tau_soft * f_soft + &tau_stiff), &(&ceiling * (1.0 + 1e-14))) {
+                f_stiff = fit(&(&base + &tau_soft * f_soft), &tau_stiff, &ceiling);
+            }
+        }
+        // At a joint speed limit null, soft, stiff.
+        let lead_soft = (tau_soft * f_soft).component_div(&kp);
+        let lead_stiff = (tau_stiff * f_stiff).component_div(&kp);
+        let [f_null, g_soft, g_stiff] = self.slower(&null, &lead_soft, &lead_stiff);
+        Motion {
+            lead: self.fixed + lead_soft * g_soft + lead_stiff * g_stiff,
+            null: null * f_null,
+            wrench: soft * (f_soft * g_soft) + stiff * (f_stiff * g_stiff),
+            factors: [f_null, f_soft * g_soft, f_stiff * g_stiff],
+        }
+    }
+
+    /// Factors that keep `(null + soft + stiff) / h` within the joints' speed limits; each gives way in its turn.
+    fn slower(&self, null: &Vector, soft: &Vector, stiff: &Vector) -> [f64; 3] {
+        let settings = &self.oracle.settings;
+        let bound = Vector::from_fn(self.n(), |i, _| {
+            let speed = match &settings.joint_speed {
+                Some(speed) => speed[i],
+                None => self.oracle.model.velocity_limit()[i].unwrap_or(f64::INFINITY),
+            };
+            speed * settings.horizon
+        });
+        let loose = &bound * (1.0 + 1e-14);
+        let mut factors = [1.0; 3];
+        if beyond(&(null + soft + stiff), &bound) {
+            factors[0] = fit(&(soft + stiff), null, &bound);
+            if beyond(&(null * factors[0] + soft + stiff), &loose) {
+                factors[1] = fit(&(null * factors[0] + stiff), soft, &bound);
+                if beyond(&(null * factors[0] + soft * factors[1] + stiff), &loose) {
+                    factors[2] = fit(&(null * factors[0] + soft * factors[1]), stiff, &bound);
+                }
+            }
+        }
+        factors
+    }
+
+    /// `h K_q (J⁺Δx − αN∇g)`, or with soft rows out of the inverse.
+    pub(super) fn paper(&self) -> Motion {
+        let (n, k, kp) = (self.n(), self.k(), self.oracle.kp());
+        let settings = &self.oracle.settings;
+        let (h, shares) = (settings.horizon, self.shares());
+        let pinv = shares.pseudo_inverse();
+        let mut s = self.step.clone();
+        if settings.budget_on_goal {
+            for j in 0..k {
+                let reach: f64 = (0..n).map(|i| kp[i] * pinv[(i, j)].abs()).sum();
+                let most = self.most[j] / (h * reach) * h;
+                s[j] = s[j].max(-most).min(most);
+            }
+        }
+        let task = if self.follow() == Follow::Hold {
+            &pinv * &s
+        } else {
+            let kappa = inverse(&(self.c() + self.damping()));
+            let mut w = self.stiff(&s);
+            (0..k).for_each(|j| w[j] += self.softness[j] * kappa[(j, j)] * s[j]);
+            (self.rows.transpose() * w).component_div(&kp)
+        };
+        let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
+        let null = shares.projector() * self.gradient * (-alpha * h);
+        let kq = Oracle::gain(&settings.kq, n);
+        let (lead, mut null) = (&kq * task, &kq * null);
+        let zero = Vector::zeros(n);
+        let [f_null, f_task, _] = self.slower(&null, &lead, &zero);
+        null *= f_null;
+        (0..n).filter(|&i| self.locked[i]).for_each(|i| null[i] = 0.0);
+        Motion { lead: lead * f_task + self.fixed, null, wrench: Vector::zeros(k), factors: [f_null, f_task, f_task] }
+    }
+
+    fn shares(&self) -> Shares<'_> {
+        Shares {
+            oracle: self.oracle,
+            rows: self.rows,
+            scaled: self.scaled,
+            row_lambda2: self.row_lambda2,
+            sigma: self.sigma,
+        }
+    }
+}
+
+/// α as K_x, where it is not given.
+fn largest(settings: &pliant_core::Settings) -> f64 {
+    use pliant_core::settings::Gain;
+    match &settings.kx {
+        Gain::Scalar(k) => *k,
+        Gain::Diagonal(d) => d.iter().copied().fold(0.0, f64::max),
+        Gain::Matrix(m) => m.iter().flatten().copied().fold(0.0, f64::max),
+    }
+}
+
+/// Pseudo-inverse, projector, responsibility and activation of some rows.
+pub(super) struct Shares<'a> {
+    pub(super) oracle: &'a Oracle,
+    pub(super) rows: &'a Matrix,
+    pub(super) scaled: &'a Matrix,
+    pub(super) row_lambda2: &'a Vector,
+    pub(super) sigma: [f64; 2],
+}
+
+impl Shares<'_> {
+    /// Inverse of the joints' weights.
+    fn joint_weight(&self) -> Matrix {
+        let n = self.rows.ncols();
+        let weights = self.oracle.settings.joint_weights.as_ref();
+        diagonal(&Vector::from_fn(n, |i, _| weights.map_or(1.0, |w| 1.0 / w[i])))
+    }
+
+    /// (3): `J⁺ = D Jᵀ (J D Jᵀ + λ²)⁻¹`.
+    pub(super) fn pseudo_inverse(&self) -> Matrix {
+        let (j, d) = (self.rows, self.joint_weight());
+        &d * j.transpose() * inverse(&(j * &d * j.transpose() + diagonal(self.row_lambda2)))
+    }
+
+    pub(super) fn projector(&self) -> Matrix {
+        let (k, n) = self.rows.shape();
+        if k > n {
+            return Matrix::zeros(n, n);
+        }
+        let d = self.joint_weight();
+        match self.oracle.settings.projector {
+            Projector::Paper => Matrix::identity(n, n) - self.pseudo_inverse() * self.rows,
+            Projector::Exact => {
+                let j = self.scaled;
+                let mu_1 = 1e-3 * self.sigma[1];
+                let mu = mu_1 * (2.0 - self.sigma[0] / mu_1).max(0.0).min(1.0);
+                let gram = j * &d * j.transpose() + Matrix::identity(k, k) * (mu * mu);
+                Matrix::identity(n, n) - &d * j.transpose() * inverse(&gram) * j
+            }
+        }
+    }
+
+    /// (6)(7): `|J⁺ diag(Δx)|` and `|α N∇g|`.
+    pub(super) fn responsibility(&self, dx: &Vector, gradient: &Vector) -> Matrix {
+        let settings = &self.oracle.settings;
+        let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
+        let task = (self.pseudo_inverse() * diagonal(dx)).abs();
+        let null = (self.projector() * gradient * alpha).abs();
+        let k = task.ncols();
+        let mut out = task.resize_horizontally(k + 1, 0.0);
+        out.set_column(k, &null);
+        out
+    }
+
+    /// (10), with the size of Δx cancelled; the last column is that of the null space.
+    pub(super) fn activation(&self, gradient: &Vector) -> Matrix {
+        let (k, n) = self.rows.shape();
+        let pinv = self.pseudo_inverse().abs();
+        let share = |v: Vector| if v.sum() > 0.0 { &v / v.sum() } else { v };
+        let mut out = Matrix::zeros(n, k + 1);
+        (0..k).for_each(|j| out.set_column(j, &share(pinv.column(j).into_owned())));
+        if k < n {
+            let projector = self.projector();
+            let motion = (&projector * gradient).abs();
+            let norms = Vector::from_fn(n, |i, _| projector.row(i).norm());
+            let blend = (motion.sum() / 1e-3 - 1.0).max(0.0).min(1.0);
+            out.set_column(k, &(share(motion) * blend + share(norms) * (1.0 - blend)));
+        }
+        out
+    }
+}

@@ -1,0 +1,495 @@
+//! The control step once more: slow, readable, written from the printed lines 1 to 12 and the equations of law `paper`.
+//!
+//! Nothing is shared with the fast one but pose, Jacobian and gravity of the model, and the estimate of σ, which the fast
+//! one may get wrong by a percent and which is therefore fed in. The tool's speed limit is not part of it.
+#![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
+use pliant_core::settings::{Damping, Gain, Law, LimitRule, Settings};
+use pliant_core::task::axes::{Frame, Profile, Yields};
+use pliant_core::{Model, Pose, Reference, ServoKind, Servos, StepInput};
+
+mod law;
+
+pub(crate) type Vector = DVector<f64>;
+pub(crate) type Matrix = DMatrix<f64>;
+
+/// Controller of the twelve lines, with what it remembers.
+pub(crate) struct Oracle {
+    pub(crate) model: Arc<Model>,
+    pub(crate) settings: Settings,
+    pub(crate) servos: Option<Servos>,
+    /// λ₀, σ₀, λ_max.
+    pub(crate) damping: [f64; 3],
+    pub(crate) delay: f64,
+    pub(crate) kg: Vector,
+    pub(crate) memory: Memory,
+}
+
+#[derive(Clone)]
+pub(crate) struct Memory {
+    held: Vector,
+    velocity: Vector,
+    gamma: f64,
+    goal: Vector,
+    limit: Option<Vector>,
+    rest: Vector,
+}
+
+/// Everything that one tick came to; one entry per row of the task, or per joint.
+#[derive(Clone)]
+pub(crate) struct Tick {
+    pub(crate) q: Vector,
+    pub(crate) velocity: Vector,
+    pub(crate) rows: Matrix,
+    pub(crate) deviation: Vector,
+    pub(crate) adapted: Vector,
+    pub(crate) softness: Vector,
+    pub(crate) compliance: Vector,
+    pub(crate) strength: Vector,
+    pub(crate) most: Vector,
+    pub(crate) dx: Vector,
+    pub(crate) gradient: Vector,
+    pub(crate) gravity: Vector,
+    pub(crate) feed_forward: Vector,
+    pub(crate) wrench: Vector,
+    pub(crate) factors: [f64; 3],
+    pub(crate) activation: Matrix,
+    pub(crate) responsibility: Matrix,
+    pub(crate) lambda: f64,
+    pub(crate) gamma: f64,
+    pub(crate) locked: Vec<bool>,
+    pub(crate) goal: Vector,
+    pub(crate) limit: Vector,
+    /// Smallest and largest singular value of the solved rows, by SVD.
+    pub(crate) sigma: [f64; 2],
+}
+
+/// One row of the task, lines 3 to 6.
+struct Row {
+    e: f64,
+    adapted: f64,
+    w: f64,
+    c: f64,
+    strength: f64,
+    most: f64,
+}
+
+impl Oracle {
+    pub(crate) fn new(model: &Arc<Model>, settings: &Settings, servos: Option<&Servos>, damping: [f64; 3]) -> Self {
+        let n = model.n();
+        let servos = servos.map(|s| s.for_joints(n).unwrap());
+        let kg = servos.as_ref().map_or(Vector::repeat(n, 1.0), |s| Vector::from_column_slice(&s.kp));
+        let zero = Vector::zeros(n);
+        Self {
+            model: Arc::clone(model),
+            settings: settings.clone(),
+            servos,
+            damping,
+            delay: settings.delay,
+            kg,
+            memory: Memory {
+                held: zero.clone(),
+                velocity: zero.clone(),
+                gamma: 1.0,
+                goal: zero.clone(),
+                limit: None,
+                rest: zero,
+            },
+        }
+    }
+
+    pub(crate) fn reset(&mut self, q: &[f64]) {
+        let q = Vector::from_column_slice(q);
+        self.memory = Memory {
+            held: q.clone(),
+            velocity: Vector::zeros(q.len()),
+            gamma: 1.0,
+            goal: q.clone(),
+            limit: None,
+            rest: q,
+        };
+    }
+
+    fn n(&self) -> usize {
+        self.model.n()
+    }
+
+    /// Indices of the task's axes among x, y, z, roll, pitch, yaw.
+    pub(crate) fn axes(&self) -> Vec<usize> {
+        (0..6).filter(|&axis| self.settings.task.axes[axis]).collect()
+    }
+
+    /// What a metre is divided by to compare with a radian: reach / 0.71 m, or the length that the task gives.
+    fn length(&self) -> f64 {
+        if self.axes().len() > self.n() { self.settings.task.length.unwrap() } else { self.model.reach() / 0.71 }
+    }
+
+    fn joint(&self, of: impl Fn(&Servos) -> &Vec<f64>, otherwise: f64) -> Vector {
+        self.servos.as_ref().map_or(Vector::repeat(self.n(), otherwise), |s| Vector::from_column_slice(of(s)))
+    }
+
+    fn kp(&self) -> Vector {
+        self.joint(|s| &s.kp, 1.0)
+    }
+
+    /// Gears, the servo's own damping and, for a duty limit, back-EMF τ_stall / w₀.
+    fn resistance(&self) -> Vector {
+        let back_emf = match self.servos.as_ref() {
+            Some(s) if s.kind == ServoKind::Duty => {
+                self.joint(|s| &s.torque, 0.0).component_div(&self.joint(|s| s.no_load_speed.as_ref().unwrap(), 1.0))
+            }
+            _ => Vector::zeros(self.n()),
+        };
+        self.joint(|s| &s.damping, 0.0) + self.joint(|s| &s.kv, 0.0) + back_emf
+    }
+
+    fn ceiling(&self) -> Vector {
+        match &self.servos {
+            Some(s) => Vector::from_column_slice(&s.torque),
+            None => Vector::from_fn(self.n(), |i, _| self.model.effort_limit()[i].unwrap_or(f64::INFINITY)),
+        }
+    }
+
+    /// m = max(share of the usable torque, 2 τ_f).
+    fn margin(&self) -> Vector {
+        let friction = self.joint(|s| &s.friction, 0.0);
+        let usable = self.ceiling().map(|t| if t.is_finite() { self.settings.margin * t } else { 0.0 });
+        usable.zip_map(&friction, |m, f| m.max(2.0 * f))
+    }
+
+    fn base_from_task(&self, tool: &Pose) -> Matrix3<f64> {
+        let of = |r: &[[f64; 3]; 3]| Matrix3::from_fn(|i, j| r[i][j]);
+        match &self.settings.task.frame {
+            Frame::Base => Matrix3::identity(),
+            Frame::Tool => of(&tool.rotation),
+            Frame::Rotation(r) => of(r),
+        }
+    }
+
+    /// Rows of the task's axes at `q`, in the task frame.
+    pub(crate) fn rows(&self, q: &Vector) -> Matrix {
+        let (tool, jacobian) = self.model.kinematics(q.as_slice(), Reference::WorldAligned).unwrap();
+        let turn = self.base_from_task(&tool).transpose();
+        let linear = turn * jacobian.fixed_rows::<3>(0);
+        let angular = turn * jacobian.fixed_rows::<3>(3);
+        let axes = self.axes();
+        Matrix::from_fn(axes.len(), self.n(), |r, i| {
+            if axes[r] < 3 { linear[(axes[r], i)] } else { angular[(axes[r] - 3, i)] }
+        })
+    }
+
+    /// The rows with translations divided by the length.
+    pub(crate) fn scaled(&self, rows: &Matrix) -> Matrix {
+        let (axes, length) = (self.axes(), self.length());
+        Matrix::from_fn(rows.nrows(), rows.ncols(), |r, i| if axes[r] < 3 { rows[(r, i)] / length } else { rows[(r, i)] })
+    }
+
+    /// (1)(2): position difference, rotation vector of `R_d Rᵀ`, turned into the task frame; then only the task's axes.
+    fn deviation(&self, tool: &Pose, target: &Pose) -> Vector {
+        let of = |r: &[[f64; 3]; 3]| Rotation3::from_matrix_unchecked(Matrix3::from_fn(|i, j| r[i][j]));
+        let turn = (of(&target.rotation) * of(&tool.rotation).inverse()).scaled_axis();
+        let position = Vector3::from(target.position) - Vector3::from(tool.position);
+        self.in_task(tool, &position, &turn)
+    }
+
+    fn in_task(&self, tool: &Pose, linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector {
+        let turn = self.base_from_task(tool).transpose();
+        let (linear, angular) = (turn * linear, turn * angular);
+        let axes = self.axes();
+        Vector::from_fn(axes.len(), |r, _| if axes[r] < 3 { linear[axes[r]] } else { angular[axes[r] - 3] })
+    }
+
+    /// Lines 3 to 5 of one axis.
+    fn row(&self, axis: usize, e: f64) -> Row {
+        let (given, paper) = (&self.settings.axes[axis], self.settings.law == Law::Paper);
+        let translation = axis < 3;
+        let d_minus = given.d_minus.unwrap_or(if translation { 0.01 } else { 0.04 });
+        let d_plus = given.d_plus.unwrap_or(if translation { 0.1 } else { 0.4 });
+        let band = d_minus * self.settings.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 });
+        // Pushed toward +: the tool is beyond its target, e < 0.
+        let toward_plus = if e <= -band && (band > 0.0 || e < 0.0) {
+            1.0
+        } else if e >= band {
+            0.0
+        } else {
+            0.5 - 0.5 * e / band
+        };
+        let mix = |pair: [f64; 2]| pair[0] * (1.0 - toward_plus) + pair[1] * toward_plus;
+        let w = match given.effective_yields() {
+            Yields::Both => 1.0,
+            Yields::None => 0.0,
+            Yields::Plus => toward_plus,
+            Yields::Minus => 1.0 - toward_plus,
+        };
+        let adapted = e - given.eta * w * e;
+        let seen = if self.settings.raw_deviation { e.abs() } else { adapted.abs() };
+        let c = if seen <= d_minus {
+            1.0
+        } else if seen >= d_plus {
+            0.0
+        } else {
+            1.0 - (seen - d_minus) / (d_plus - d_minus)
+        };
+        let (soft, firm) = (mix(given.soft.unwrap()), mix(given.firm.unwrap()));
+        let strength = match given.profile {
+            Profile::Firming => c * soft + (1.0 - c) * firm,
+            Profile::Constant => soft,
+            Profile::Yielding => c * firm + (1.0 - c) * soft,
+        };
+        Row { e, adapted, w, c, strength, most: w * strength + (1.0 - w) * given.hold.unwrap() }
+    }
+
+    /// Limit of the commanded task velocity of an axis of softness `w`: its own while stiff, another while soft.
+    fn velocity_limit(&self, axis: usize, w: f64) -> f64 {
+        let given = &self.settings.axes[axis];
+        let stiff = given.step_limit.unwrap_or(if axis < 3 { 0.4 } else { 2.0 });
+        let soft = self.soft_velocity_limit(axis);
+        match w {
+            w if w <= 0.0 => stiff,
+            w if w >= 1.0 => soft,
+            w if stiff.is_finite() && soft.is_finite() => (1.0 - w) * stiff + w * soft,
+            _ => stiff,
+        }
+    }
+
+    fn soft_velocity_limit(&self, axis: usize) -> f64 {
+        self.settings.axes[axis].soft_step_limit.unwrap_or(match (self.settings.law, axis < 3) {
+            (Law::Paper, true) => 0.1,
+            (Law::Paper, false) => 0.5,
+            (Law::Cap, _) => f64::INFINITY,
+        })
+    }
+
+    fn gain(gain: &Gain, size: usize) -> Matrix {
+        match gain {
+            Gain::Scalar(k) => Matrix::identity(size, size) * *k,
+            Gain::Diagonal(d) => Matrix::from_diagonal(&Vector::from_column_slice(d)),
+            Gain::Matrix(m) => Matrix::from_fn(size, size, |i, j| m[i][j]),
+        }
+    }
+
+    /// Line 9, first half: gradient of posture, joint limits, manipulability (by differences) and the caller's own.
+    fn gradient(&self, q: &Vector, input: &StepInput<'_>) -> Vector {
+        let n = self.n();
+        let rest = match (input.posture, &self.settings.posture) {
+            (Some(p), _) => Vector::from_column_slice(p),
+            (None, Some(p)) => Vector::from_column_slice(p),
+            (None, None) => self.memory.rest.clone(),
+        };
+        let mut out = Vector::zeros(n);
+        for i in 0..n {
+            let weight = self.settings.posture_weights.as_ref().map_or(1.0, |w| w[i]);
+            out[i] = weight * (q[i] - rest[i]) + input.gradient.map_or(0.0, |g| g[i]);
+            let (lower, upper) = (self.model.lower()[i], self.model.upper()[i]);
+            if lower.is_finite() && upper.is_finite() {
+                let half = 0.5 * (upper - lower);
+                out[i] += self.settings.limit_avoidance * (q[i] - lower - half) / (half * half);
+            }
+        }
+        out
+    }
+
+    /// One tick; `sigma` holds the smallest and largest singular value that the fast step believes.
+    pub(crate) fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>, sigma: [f64; 2]) -> Tick {
+        let (n, settings) = (self.n(), self.settings.clone());
+        let dt = input.dt.unwrap_or(1.0 / settings.rate);
+        let h = settings.horizon;
+        let axes = self.axes();
+        let (k, kp, cap) = (axes.len(), self.kp(), settings.law == Law::Cap);
+
+        // 1
+        let measured = Vector::from_column_slice(q);
+        self.filter(&measured, input, dt);
+        let velocity = self.memory.velocity.clone();
+        let mut q = measured.clone();
+        if cap {
+            q += &velocity * (self.memory.gamma * settings.prediction_share * self.delay);
+        }
+        // 2
+        let tool = self.model.forward_kinematics(q.as_slice()).unwrap();
+        let rows = self.rows(&q);
+        let e = self.deviation(&tool, target);
+        let twist = input.twist.copied().unwrap_or_default();
+        let twist = self.in_task(&tool, &Vector3::new(twist[0], twist[1], twist[2]), &Vector3::new(twist[3], twist[4], twist[5]));
+        // 3, 4, 5
+        let wishes: Vec<Row> = (0..k).map(|r| self.row(axes[r], e[r])).collect();
+        let of = |f: fn(&Row) -> f64| Vector::from_iterator(k, wishes.iter().map(f));
+        let (adapted, softness, strength, most) = (of(|r| r.adapted), of(|r| r.w), of(|r| r.strength), of(|r| r.most));
+        // 6
+        let s = (Self::gain(&settings.kx, k) * &adapted + &twist) * h;
+        let clip = |value: f64, bound: f64| value.max(-bound).min(bound);
+        let soft_step = Vector::from_fn(k, |r, _| clip(s[r], h * self.soft_velocity_limit(axes[r])));
+        let step = Vector::from_fn(k, |r, _| clip(s[r], h * self.velocity_limit(axes[r], softness[r])));
+        // 7
+        let [lambda_0, sigma_0, lambda_max] = self.damping;
+        let mut lambda2 = lambda_0 * lambda_0;
+        if sigma[0] < sigma_0 {
+            lambda2 += (1.0 - (sigma[0] / sigma_0).powi(2)) * lambda_max * lambda_max;
+        }
+        let gamma = if sigma_0 > 0.0 { (3.0 * sigma[0] / sigma_0).max(0.5).min(1.0) } else { 1.0 };
+        let length = self.length();
+        let scale_lambda = !matches!(settings.damping, Damping::Fixed(_)) || k > n;
+        let row_lambda2 =
+            Vector::from_fn(k, |r, _| if axes[r] < 3 && scale_lambda { lambda2 * length * length } else { lambda2 });
+        // 10
+        let gravity = self.model.gravity(q.as_slice()).unwrap();
+        let (friction, resistance) = (self.joint(|s| &s.friction, 0.0), self.resistance());
+        let feed_forward = Vector::from_fn(n, |i, _| {
+            let dry = settings.friction_share * friction[i] * (velocity[i] / settings.friction_speed).tanh();
+            if cap { gamma * (dry + settings.damping_share * resistance[i] * velocity[i]) } else { 0.0 }
+        });
+        let in_goal = if settings.gravity == pliant_core::settings::GravityUse::Both
+            || settings.gravity == pliant_core::settings::GravityUse::Goal
+        {
+            gravity.clone()
+        } else {
+            Vector::zeros(n)
+        };
+        let in_limit = if settings.gravity == pliant_core::settings::GravityUse::Both
+            || settings.gravity == pliant_core::settings::GravityUse::Limits
+        {
+            gravity.clone()
+        } else {
+            Vector::zeros(n)
+        };
+        let gradient = self.gradient(&q, input);
+
+        // 8, 9, 11: anew without every joint that meets a position limit.
+        let mut locked = vec![false; n];
+        let mut fixed = Vector::zeros(n);
+        let (motion, goal, solved) = loop {
+            let mut solved = rows.clone();
+            (0..n).filter(|&i| locked[i]).for_each(|i| solved.column_mut(i).fill(0.0));
+            let want = law::Want {
+                oracle: self,
+                rows: &solved,
+                scaled: &self.scaled(&solved),
+                row_lambda2: &row_lambda2,
+                sigma,
+                softness: &softness,
+                strength: &strength,
+                most: &most,
+                soft_step: &soft_step,
+                step: &(&step - &rows * &fixed),
+                gradient: &gradient,
+                locked: &locked,
+                fixed: &fixed,
+                base: &(&in_goal + &feed_forward),
+            };
+            let motion = if cap { want.cap() } else { want.paper() };
+            let without_lead = &q + feed_forward.component_div(&kp) + in_goal.component_div(&self.kg);
+            let goal = &without_lead + &motion.lead + &motion.null;
+            let mut again = false;
+            for i in 0..n {
+                let (lower, upper) = (self.model.lower()[i], self.model.upper()[i]);
+                if !locked[i] && !(lower..=upper).contains(&goal[i]) {
+                    fixed[i] = goal[i].max(lower).min(upper) - without_lead[i];
+                    (locked[i], again) = (true, true);
+                }
+            }
+            if !again {
+                break (motion, goal, solved);
+            }
+        };
+
+        // 12
+        let ahead = dt.min(0.1);
+        let every = law::Shares { oracle: self, rows: &rows, scaled: &self.scaled(&rows), row_lambda2: &row_lambda2, sigma };
+        let activation = every.activation(&gradient);
+        let null_torque = settings.null_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
+        let wanted = if cap && settings.limits == LimitRule::Demand {
+            let bounded = Vector::from_fn(k, |r, _| clip(motion.wrench[r], most[r]));
+            let asked = &in_limit
+                + solved.transpose() * bounded
+                + &feed_forward
+                + kp.component_mul(&(&motion.null + &fixed + &q - &measured));
+            asked.zip_map(&in_limit, |a, g| a.abs().max(settings.gravity_scale * g.abs())) + self.margin()
+        } else if cap {
+            in_limit.abs() * settings.gravity_scale
+                + rows.abs().transpose() * &most
+                + activation.column(k) * null_torque
+                + feed_forward.abs()
+        } else {
+            let mut budget = most.clone().resize_vertically(k + 1, 0.0);
+            budget[k] = null_torque;
+            &activation * budget + in_limit.abs() * settings.gravity_scale
+        };
+        let floor = settings.floor.as_ref().map_or(friction.clone(), |f| Vector::from_column_slice(f));
+        let ceiling = self.ceiling();
+        let mut limit = Vector::from_fn(n, |i, _| wanted[i].max(floor[i]).min(ceiling[i]));
+        if let Some(before) = &self.memory.limit {
+            for i in 0..n {
+                let rise = if settings.stiffening_time > 0.0 { ceiling[i] / settings.stiffening_time * ahead } else { f64::INFINITY };
+                limit[i] = limit[i].min(before[i] + rise);
+            }
+        }
+        let mut goal = goal;
+        for i in 0..n {
+            if !cap {
+                let most = settings.lead_limit.unwrap_or(if self.servos.is_some() {
+                    (limit[i] + self.margin()[i]) / kp[i]
+                } else {
+                    0.3
+                });
+                let lead = motion.lead[i] + motion.null[i];
+                goal[i] = goal[i] - lead + clip(lead, most);
+            }
+            let (from, slew) = (self.memory.goal[i], settings.goal_slew * ahead);
+            goal[i] = goal[i].max(from - slew).min(from + slew).max(self.model.lower()[i]).min(self.model.upper()[i]);
+        }
+        let singular = self.scaled(&solved).singular_values();
+
+        self.memory.gamma = gamma;
+        self.memory.goal.clone_from(&goal);
+        self.memory.limit = Some(limit.clone());
+        Tick {
+            responsibility: every.responsibility(&(&step / h), &gradient),
+            dx: step / h,
+            deviation: e,
+            compliance: of(|r| r.c),
+            factors: motion.factors,
+            wrench: motion.wrench,
+            lambda: lambda2.sqrt(),
+            sigma: [singular.min(), singular.max()],
+            q,
+            velocity,
+            rows,
+            adapted,
+            softness,
+            strength,
+            most,
+            gradient,
+            gravity,
+            feed_forward,
+            activation,
+            gamma,
+            locked,
+            goal,
+            limit,
+        }
+    }
+
+    /// Differences behind a play of one count on each side, then one pole of T_f.
+    fn filter(&mut self, q: &Vector, input: &StepInput<'_>, dt: f64) {
+        let memory = &mut self.memory;
+        if let Some(dq) = input.dq {
+            memory.held.clone_from(q);
+            memory.velocity = Vector::from_column_slice(dq);
+            return;
+        }
+        for i in 0..q.len() {
+            let count = self.servos.as_ref().map_or(0.0, |s| s.count[i]);
+            let before = memory.held[i];
+            if q[i] - before > count {
+                memory.held[i] = q[i] - count;
+            } else if before - q[i] > count {
+                memory.held[i] = q[i] + count;
+            }
+            let rate = (memory.held[i] - before) / dt;
+            memory.velocity[i] += dt / (self.settings.velocity_filter + dt) * (rate - memory.velocity[i]);
+        }
+    }
+}

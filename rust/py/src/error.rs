@@ -1,0 +1,148 @@
+//! The core's errors as Python exceptions: one class per cause, the facts as attributes.
+
+use pliant_core::Error;
+use pyo3::exceptions::{PyException, PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+use pyo3::types::{PyDict, PyTuple, PyType};
+
+/// The exception classes.
+struct Classes {
+    urdf: Py<PyType>,
+    frame: Py<PyType>,
+    limit: Py<PyType>,
+    shape: Py<PyType>,
+    config: Py<PyType>,
+}
+
+static CLASSES: PyOnceLock<Classes> = PyOnceLock::new();
+
+/// Makes the classes and adds them to the module.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    let py = module.py();
+    let class = |name: &str, bases: &[&Bound<'_, PyType>], doc: &str| -> PyResult<Py<PyType>> {
+        let namespace = PyDict::new(py);
+        namespace.set_item("__module__", "pliant")?;
+        namespace.set_item("__doc__", doc)?;
+        let made = py.get_type::<PyType>().call1((name, PyTuple::new(py, bases)?, namespace))?;
+        let made = made.cast_into::<PyType>()?;
+        module.add(name, &made)?;
+        Ok(made.unbind())
+    };
+    let base = class("PliantError", &[&py.get_type::<PyException>()], "Everything that pliant raises.")?;
+    let base = base.bind(py);
+    let servo = class("ServoError", &[base], "A servo or its bus did not do what was asked.")?;
+    class("ServoTimeout", &[servo.bind(py)], "A servo did not answer in time.")?;
+    class("ServoFault", &[servo.bind(py)], "A servo reports a fault of its own.")?;
+    let classes = Classes {
+        urdf: class("UrdfError", &[base], "The robot description cannot be used: `source`, `line`, `column`.")?,
+        frame: class("FrameNotFound", &[base], "No such link: `frame`, and those there are: `available`.")?,
+        limit: class("LimitError", &[base], "A number outside its bounds: `what`, `value`, `bound`.")?,
+        shape: class(
+            "ShapeError",
+            &[base, &py.get_type::<PyValueError>()],
+            "An array of the wrong shape: `what`, `got`, `expected`.",
+        )?,
+        config: class("ConfigError", &[base], "Settings, servos and model do not go together: `key`.")?,
+    };
+    CLASSES.get_or_init(py, || classes);
+    Ok(())
+}
+
+/// A core error as the exception of its class.
+fn raised(error: Error) -> PyErr {
+    Python::attach(|py| build(py, &error).unwrap_or_else(|failure| failure))
+}
+
+fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
+    let Some(classes) = CLASSES.get(py) else { return Ok(PyValueError::new_err(error.to_string())) };
+    let make = |class: &Py<PyType>| class.bind(py).call1((error.to_string(),));
+    let value = match error {
+        Error::Urdf { source_name, at, .. } => {
+            let value = make(&classes.urdf)?;
+            value.setattr("source", source_name)?;
+            value.setattr("line", at.0.map(|(line, _)| line))?;
+            value.setattr("column", at.0.map(|(_, column)| column))?;
+            value
+        }
+        Error::FrameNotFound { frame, available } => {
+            let value = make(&classes.frame)?;
+            value.setattr("frame", frame)?;
+            value.setattr("available", PyTuple::new(py, available)?)?;
+            value
+        }
+        Error::Limit { what, value: number, bound } => {
+            let value = make(&classes.limit)?;
+            value.setattr("what", what)?;
+            value.setattr("value", number)?;
+            value.setattr("bound", bound)?;
+            value
+        }
+        Error::Shape { what, got, expected } => {
+            let value = make(&classes.shape)?;
+            value.setattr("what", what)?;
+            value.setattr("got", got)?;
+            value.setattr("expected", expected)?;
+            value
+        }
+        Error::Config { key, .. } => {
+            let value = make(&classes.config)?;
+            value.setattr("key", key)?;
+            value
+        }
+        // A cause that this binding does not know yet is still one of ours.
+        other => return Ok(PyValueError::new_err(other.to_string())),
+    };
+    Ok(PyErr::from_value(value))
+}
+
+/// Turns a core result into a Python one.
+pub(crate) trait OrRaise<T> {
+    /// The value, or the exception of the error's class.
+    fn or_raise(self) -> PyResult<T>;
+}
+
+impl<T> OrRaise<T> for pliant_core::Result<T> {
+    fn or_raise(self) -> PyResult<T> {
+        self.map_err(raised)
+    }
+}
+
+/// A `ConfigError`.
+pub(crate) fn config(key: &str, message: impl Into<String>) -> PyErr {
+    raised(Error::Config { key: key.into(), message: message.into() })
+}
+
+/// A `ShapeError`.
+pub(crate) fn shape(what: &str, got: &[usize], expected: impl Into<String>) -> PyErr {
+    raised(Error::Shape { what: what.into(), got: tuple(got), expected: expected.into() })
+}
+
+/// A `TypeError` that shows the value.
+pub(crate) fn wrong_type(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyErr {
+    PyTypeError::new_err(format!("{name} must be {expected}, got {}", shown(value)))
+}
+
+/// A value and its type, short enough for a message.
+pub(crate) fn shown(value: &Bound<'_, PyAny>) -> String {
+    let text = value.repr().map_or_else(|_| String::new(), |repr| repr.to_string());
+    let kind = value.get_type().name().map_or_else(|_| String::new(), |name| name.to_string());
+    if text.is_empty() || text.chars().count() > 60 { kind } else { format!("{text} ({kind})") }
+}
+
+/// A shape as Python prints it.
+pub(crate) fn tuple(shape: &[usize]) -> String {
+    match shape {
+        [one] => format!("({one},)"),
+        many => format!("({})", many.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")),
+    }
+}
+
+/// `; did you mean 'x'?` where one of the names is close, by Python's own difflib.
+pub(crate) fn suggestion(py: Python<'_>, word: &str, names: &[&str]) -> String {
+    let close = || -> PyResult<Option<String>> {
+        let matches = py.import("difflib")?.call_method1("get_close_matches", (word, names.to_vec(), 1))?;
+        matches.extract::<Vec<String>>().map(|found| found.into_iter().next())
+    };
+    close().ok().flatten().map_or_else(String::new, |name| format!("; did you mean '{name}'?"))
+}

@@ -1,0 +1,135 @@
+//! Frozen, keyword-only value classes over a struct of the core: reading, showing, comparing, repr and pickle.
+
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyFloat, PyList, PyTuple};
+
+use crate::error::{config, suggestion};
+
+/// A value class over a struct of the core, made by [`fields!`](crate::fields::fields).
+pub(crate) trait Fields: Sized {
+    /// The core's struct.
+    type Core: Clone;
+
+    /// Name of the class.
+    const CLASS: &'static str;
+
+    /// Names of the fields, in order.
+    const NAMES: &'static [&'static str];
+
+    /// Sets one field; `false` for a name that is none of [`Fields::NAMES`].
+    fn set(core: &mut Self::Core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<bool>;
+
+    /// The fields in which `core` differs from `base`, as plain Python values.
+    fn changed<'py>(core: &Self::Core, base: &Self::Core, py: Python<'py>) -> PyResult<Bound<'py, PyDict>>;
+
+    /// Wraps a core struct after validating it.
+    fn validated(core: Self::Core) -> PyResult<Self>;
+
+    /// `base` with some fields replaced, validated.
+    fn with(mut base: Self::Core, changes: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        for (key, value) in changes.into_iter().flatten() {
+            let name: String = key.extract()?;
+            if !Self::set(&mut base, &name, &value)? {
+                let hint = suggestion(key.py(), &name, Self::NAMES);
+                let known = Self::NAMES.join(", ");
+                return Err(config(&name, format!("{} has no such field{hint} Fields: {known}", Self::CLASS)));
+            }
+        }
+        Self::validated(base)
+    }
+}
+
+/// `Class(name=value, …)` with the given fields.
+pub(crate) fn call_text(class: &str, fields: &Bound<'_, PyDict>) -> PyResult<String> {
+    let parts = fields.iter().map(|(name, value)| Ok(format!("{name}={}", text(&value)?)));
+    Ok(format!("{class}({})", parts.collect::<PyResult<Vec<_>>>()?.join(", ")))
+}
+
+/// As Python's repr, but infinity in a form that can be pasted.
+pub(crate) fn text(value: &Bound<'_, PyAny>) -> PyResult<String> {
+    if let Ok(number) = value.cast::<PyFloat>() {
+        return Ok(match number.value() {
+            x if x == f64::INFINITY => "float('inf')".into(),
+            x if x == f64::NEG_INFINITY => "-float('inf')".into(),
+            _ => number.repr()?.to_string(),
+        });
+    }
+    let parts = |items: Vec<Bound<'_, PyAny>>| items.iter().map(text).collect::<PyResult<Vec<_>>>();
+    if let Ok(list) = value.cast::<PyList>() {
+        return Ok(format!("[{}]", parts(list.iter().collect())?.join(", ")));
+    }
+    if let Ok(tuple) = value.cast::<PyTuple>() {
+        let comma = if tuple.len() == 1 { "," } else { "" };
+        return Ok(format!("({}{comma})", parts(tuple.iter().collect())?.join(", ")));
+    }
+    Ok(value.repr()?.to_string())
+}
+
+/// Whether two values differ.
+pub(crate) fn differ<T: PartialEq>(a: &T, b: &T) -> bool {
+    a != b
+}
+
+/// Implements [`Fields`] and the Python methods that follow from it, and adds those in `methods`.
+macro_rules! fields {
+    (
+        $class:ident($name:literal) of $core:ty {
+            $($field:ident: $kind:ty,)*
+        }
+        $(#[$attribute:meta])*
+        methods { $($methods:tt)* }
+    ) => {
+        impl $crate::fields::Fields for $class {
+            type Core = $core;
+
+            const CLASS: &'static str = $name;
+
+            const NAMES: &'static [&'static str] = &[$(stringify!($field)),*];
+
+            fn set(core: &mut $core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<bool> {
+                match name {
+                    $(stringify!($field) => core.$field = <$kind as $crate::kinds::Kind>::read(name, value)?,)*
+                    _ => return Ok(false),
+                }
+                Ok(true)
+            }
+
+            fn changed<'py>(core: &$core, base: &$core, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+                let out = PyDict::new(py);
+                $(if $crate::fields::differ(&core.$field, &base.$field) {
+                    out.set_item(stringify!($field), <$kind as $crate::kinds::Kind>::plain(&core.$field, py)?)?;
+                })*
+                Ok(out)
+            }
+
+            fn validated(core: $core) -> PyResult<Self> {
+                $class::check(core)
+            }
+        }
+
+        #[pymethods]
+        impl $class {
+            $(#[getter]
+            fn $field<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+                <$kind as $crate::kinds::Kind>::show(&self.0.$field, py)
+            })*
+
+            #[pyo3(signature = (**changes))]
+            fn replace(&self, changes: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+                <Self as $crate::fields::Fields>::with(self.0.clone(), changes)
+            }
+
+            fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+                $crate::fields::call_text($name, &self.fields(py)?)
+            }
+
+            fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyTuple>, Bound<'py, PyDict>)> {
+                Ok((PyTuple::empty(py), self.fields(py)?))
+            }
+
+            $($methods)*
+        }
+    };
+}
+
+pub(crate) use fields;

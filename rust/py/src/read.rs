@@ -1,0 +1,156 @@
+//! Arguments that are arrays and poses: the plain ones by copying, everything else by NumPy or with an explanation.
+
+use numpy::{PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
+use pliant_core::{JointVec, MAX_JOINTS, Pose as CorePose};
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList, PyTuple};
+
+use crate::convert;
+use crate::error::{OrRaise, shape, shown, wrong_type};
+use crate::pose::Pose;
+
+/// Attributes and methods under which libraries keep a homogeneous matrix.
+const ACCESSORS: [&str; 6] = ["homogeneous", "as_matrix", "to_matrix", "matrix", "A", "mat"];
+
+/// Why a bare vector of seven numbers is no pose.
+const SEVEN: &str = "(4, 4): seven numbers do not say whether w comes first or last; \
+                     use pliant.Pose.from_wxyz(position, quaternion) or pliant.Pose.from_xyzw(position, quaternion)";
+
+/// Any array-like as shape and float64 values, row by row.
+pub(crate) fn numbers(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<usize>, Vec<f64>)> {
+    let py = value.py();
+    let numpy = py.import("numpy")?;
+    let expected = "an array of numbers (float64)";
+    let refused = |cause: PyErr| {
+        let error = PyTypeError::new_err(format!("{name} must be {expected}, got {}: {cause}", shown(value)));
+        error.set_cause(py, Some(cause));
+        error
+    };
+    let array = numpy.call_method1("asarray", (value,)).map_err(refused)?;
+    let kind: String = array.getattr("dtype")?.getattr("kind")?.extract()?;
+    if !matches!(kind.as_str(), "f" | "i" | "u") {
+        let dtype = array.getattr("dtype")?;
+        return Err(if value.is_instance(&numpy.getattr("ndarray")?)? {
+            PyTypeError::new_err(format!("{name} must be {expected}, got an array of dtype {dtype}"))
+        } else {
+            wrong_type(name, expected, value)
+        });
+    }
+    let options = PyDict::new(py);
+    options.set_item("dtype", "float64")?;
+    options.set_item("order", "C")?;
+    let array = numpy.call_method("array", (array,), Some(&options)).map_err(refused)?;
+    let array = array.cast::<PyArrayDyn<f64>>()?;
+    Ok((array.shape().to_vec(), array.readonly().as_slice()?.to_vec()))
+}
+
+/// An array of one shape into `out`.
+#[inline]
+pub(crate) fn array_into(name: &str, value: &Bound<'_, PyAny>, expected: &[usize], out: &mut [f64]) -> PyResult<()> {
+    if convert::copy(value, expected, out) { Ok(()) } else { array_slowly(name, value, expected, out) }
+}
+
+#[cold]
+fn array_slowly(name: &str, value: &Bound<'_, PyAny>, expected: &[usize], out: &mut [f64]) -> PyResult<()> {
+    let (got, values) = numbers(name, value)?;
+    if got != expected {
+        return Err(shape(name, &got, crate::error::tuple(expected)));
+    }
+    for (slot, value) in out.iter_mut().zip(values) {
+        *slot = value;
+    }
+    Ok(())
+}
+
+/// One number per joint; entries beyond `n` are 0.
+#[inline]
+pub(crate) fn joints(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult<JointVec> {
+    let mut out = [0.0; MAX_JOINTS];
+    array_into(name, value, &[n], &mut out)?;
+    Ok(out)
+}
+
+/// A vector of three.
+pub(crate) fn vector3(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
+    let mut out = [0.0; 3];
+    array_into(name, value, &[3], &mut out)?;
+    Ok(out)
+}
+
+/// A 3×3 matrix, row-major.
+pub(crate) fn matrix3(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[[f64; 3]; 3]> {
+    let mut m = [0.0; 9];
+    array_into(name, value, &[3, 3], &mut m)?;
+    Ok([[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]])
+}
+
+/// A matrix of any shape, or a vector as one row: rows, columns, values row by row.
+pub(crate) fn matrix(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(usize, usize, Vec<f64>)> {
+    let (got, values) = numbers(name, value)?;
+    match got[..] {
+        [rows, columns] => Ok((rows, columns, values)),
+        _ => Err(shape(name, &got, "a matrix (rows, columns)")),
+    }
+}
+
+/// A vector of any length.
+pub(crate) fn vector(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
+    let (got, values) = numbers(name, value)?;
+    match got[..] {
+        [_] => Ok(values),
+        _ => Err(shape(name, &got, "a vector (n,)")),
+    }
+}
+
+/// A pose: 4×4 array, `Pose`, any object with a 4×4 accessor, or, where `position_only`, a position (3,).
+#[inline]
+pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
+    let mut m = [0.0; 16];
+    if convert::copy(value, &[4, 4], &mut m) { from_numbers(&m) } else { pose_slowly(name, value, position_only) }
+}
+
+#[cold]
+fn pose_slowly(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
+    if let Ok(pose) = value.cast::<Pose>() {
+        return Ok(pose.get().0);
+    }
+    let plain = value.is_instance_of::<PyList>()
+        || value.is_instance_of::<PyTuple>()
+        || value.is_instance(&value.py().import("numpy")?.getattr("ndarray")?)?;
+    if !plain {
+        for accessor in ACCESSORS {
+            if let Some(found) = value.getattr_opt(accessor)? {
+                let found = if found.is_callable() { found.call0()? } else { found };
+                return from_array(&format!("{name}.{accessor}"), &found, false);
+            }
+        }
+    }
+    from_array(name, value, position_only)
+}
+
+fn from_array(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
+    let (got, values) = numbers(name, value)?;
+    match (&got[..], &values[..]) {
+        ([4, 4], m) => {
+            let mut all = [0.0; 16];
+            all.copy_from_slice(m);
+            from_numbers(&all)
+        }
+        ([3], &[x, y, z]) if position_only => Ok(CorePose { position: [x, y, z], ..CorePose::IDENTITY }),
+        ([3], _) => Err(shape(name, &got, "(4, 4); a position alone says nothing of the task's rotations")),
+        ([7], _) => Err(shape(name, &got, SEVEN)),
+        _ => Err(shape(name, &got, if position_only { "(4, 4) or (3,)" } else { "(4, 4)" })),
+    }
+}
+
+#[inline]
+fn from_numbers(m: &[f64; 16]) -> PyResult<CorePose> {
+    let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
+    CorePose::from_rows(&[row(0), row(1), row(2), row(3)]).or_raise()
+}
+
+/// A number; booleans are none.
+pub(crate) fn number(value: &Bound<'_, PyAny>) -> Option<f64> {
+    if value.is_instance_of::<pyo3::types::PyBool>() { None } else { value.extract().ok() }
+}

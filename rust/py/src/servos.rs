@@ -1,0 +1,73 @@
+//! `Servos`.
+
+use pliant_core::servos::{ServoKind, Servos as CoreServos};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+use crate::error::{OrRaise, config};
+use crate::fields::{Fields, fields};
+use crate::kinds::{Flag, Joints, Optional};
+use crate::words::Word;
+
+/// What the controller believes about the servos, one entry per joint.
+#[pyclass(name = "Servos", module = "pliant", frozen, eq, from_py_object)]
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Servos(pub(crate) CoreServos);
+
+impl Servos {
+    /// Spreads single numbers to the longest list.
+    fn check(core: CoreServos) -> PyResult<Self> {
+        for (name, values) in [("kp", &core.kp), ("torque", &core.torque)] {
+            if values.is_empty() {
+                return Err(config(&format!("servos.{name}"), "is required: one number per joint, or one for all"));
+            }
+        }
+        let lists = [&core.kp, &core.torque, &core.friction, &core.damping, &core.kv, &core.armature, &core.count];
+        let speeds = core.no_load_speed.as_ref().map_or(0, Vec::len);
+        let n = lists.into_iter().map(Vec::len).max().unwrap_or(1).max(speeds);
+        core.for_joints(n).or_raise().map(Self)
+    }
+
+    fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let rest = vec![0.0; self.0.kp.len()];
+        let base = CoreServos {
+            friction: rest.clone(),
+            damping: rest.clone(),
+            kv: rest.clone(),
+            armature: rest.clone(),
+            count: rest,
+            ..CoreServos::new(Vec::new(), Vec::new())
+        };
+        Self::changed(&self.0, &base, py)
+    }
+}
+
+fields! {
+    Servos("Servos") of CoreServos {
+        kp: Joints,
+        torque: Joints,
+        friction: Joints,
+        damping: Joints,
+        kv: Joints,
+        armature: Joints,
+        count: Joints,
+        kind: Word<ServoKind>,
+        no_load_speed: Optional<Joints>,
+        kp_known: Flag,
+    }
+    methods {
+        #[new]
+        #[pyo3(
+            signature = (**fields),
+            text_signature = "(*, kp, torque, friction=0.0, damping=0.0, kv=0.0, armature=0.0, count=0.0, \
+                              kind='current', no_load_speed=None, kp_known=False)"
+        )]
+        fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+            Self::with(CoreServos::new(Vec::new(), Vec::new()), fields)
+        }
+
+        fn __len__(&self) -> usize {
+            self.0.kp.len()
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! `Settings`.
+
+use pliant_core::task::axes::Axis;
+use pliant_core::settings::{Follow, Law, LimitRule, Projector, Settings as CoreSettings};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple, PyType};
+
+use crate::error::OrRaise;
+use crate::fields::{Fields, fields};
+use crate::kinds::{Dampings, Flag, Gains, Gravity, Joints, Kind, Names, Number, Optional, Speeds};
+use crate::task::{AxesField, TaskField, merged};
+use crate::words::Word;
+
+/// All settings of a controller.
+#[pyclass(name = "Settings", module = "pliant", frozen, eq, from_py_object)]
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Settings(pub(crate) CoreSettings);
+
+impl Settings {
+    fn check(core: CoreSettings) -> PyResult<Self> {
+        core.validate().or_raise()?;
+        Ok(Self(core))
+    }
+
+    fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        Self::changed(&self.0, &CoreSettings::default(), py)
+    }
+
+    /// A preset with some fields replaced; axes that are not named keep what the preset says.
+    ///
+    /// `all` presets speak of axes that a smaller task need not have.
+    fn preset(mut core: CoreSettings, all: bool, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let Some(overrides) = overrides else { return Self::check(core) };
+        let rest = overrides.copy()?;
+        if let Some(task) = rest.get_item("task")? {
+            core.task = TaskField::read("task", &task)?;
+            for (axis, on) in core.axes.iter_mut().zip(core.task.axes) {
+                if all && !on {
+                    *axis = Axis::default();
+                }
+            }
+        }
+        if let Some(axes) = rest.get_item("axes")? {
+            core.axes = merged("axes", &axes, core.axes)?;
+            rest.del_item("axes")?;
+        }
+        Self::with(core, Some(&rest))
+    }
+}
+
+fields! {
+    Settings("Settings") of CoreSettings {
+        task: TaskField,
+        axes: AxesField,
+        law: Word<Law>,
+        follow: Optional<Word<Follow>>,
+        limits: Word<LimitRule>,
+        projector: Word<Projector>,
+        kx: Gains,
+        horizon: Number,
+        kq: Gains,
+        alpha: Optional<Number>,
+        rate: Number,
+        damping: Dampings,
+        posture: Optional<Joints>,
+        posture_weights: Optional<Joints>,
+        limit_avoidance: Number,
+        manipulability: Number,
+        null_torque: Optional<Number>,
+        null_speed: Number,
+        gravity: Gravity,
+        gravity_scale: Number,
+        friction_share: Number,
+        damping_share: Number,
+        prediction_share: Number,
+        friction_speed: Number,
+        velocity_filter: Number,
+        delay: Number,
+        goal_slew: Number,
+        stiffening_time: Number,
+        max_tool_speed: Speeds,
+        max_tool_acceleration: Speeds,
+        joint_speed: Optional<Joints>,
+        floor: Optional<Joints>,
+        margin: Number,
+        direction_band: Optional<Number>,
+        raw_deviation: Flag,
+        budget_on_goal: Flag,
+        joint_weights: Optional<Joints>,
+        lead_limit: Optional<Number>,
+        integrate: Number,
+        accept: Names,
+    }
+    methods {
+        #[new]
+        #[pyo3(
+            signature = (**fields),
+            text_signature = "(*, task='xyz rpy', axes={}, law='cap', follow=None, limits='demand', projector='exact', kx=4.0, \
+                              horizon=0.25, kq=1.0, alpha=None, rate=100.0, damping=None, posture=None, \
+                              posture_weights=None, limit_avoidance=0.0, manipulability=0.0, null_torque=None, \
+                              null_speed=None, gravity=True, gravity_scale=1.1, friction_share=0.9, damping_share=0.8, \
+                              prediction_share=0.9, friction_speed=0.05, velocity_filter=0.02, delay=0.0, goal_slew=1.0, \
+                              stiffening_time=0.2, max_tool_speed=(0.25, 1.0), max_tool_acceleration=(1.0, 4.0), \
+                              joint_speed=None, floor=None, margin=0.1, direction_band=None, raw_deviation=False, \
+                              budget_on_goal=False, joint_weights=None, lead_limit=None, integrate=0.0, accept=())"
+        )]
+        fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+            Self::with(CoreSettings::default(), fields)
+        }
+
+        #[classmethod]
+        #[pyo3(signature = (**overrides))]
+        fn paper(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+            Self::preset(CoreSettings::paper(), true, overrides)
+        }
+
+        #[classmethod]
+        #[pyo3(signature = (axes, **overrides))]
+        fn soft(_class: &Bound<'_, PyType>, axes: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+            Self::preset(CoreSettings::soft(axes).or_raise()?, false, overrides)
+        }
+
+        #[classmethod]
+        #[pyo3(signature = (**overrides))]
+        fn firm(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+            Self::preset(CoreSettings::firm(), true, overrides)
+        }
+
+        #[classmethod]
+        #[pyo3(signature = (**overrides))]
+        fn door(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+            Self::preset(CoreSettings::door(), true, overrides)
+        }
+
+        #[classmethod]
+        #[pyo3(signature = (**overrides))]
+        fn hand_guiding(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+            Self::preset(CoreSettings::hand_guiding(), true, overrides)
+        }
+    }
+}

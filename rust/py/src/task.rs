@@ -1,0 +1,172 @@
+//! `Task` and `Axis`.
+
+use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis, Profile, Task as CoreTask, Yields, parse_axes};
+use pliant_core::MAX_AXES;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyMapping, PyMappingProxy, PyTuple};
+
+use crate::error::{OrRaise, config, shown};
+use crate::fields::{Fields, fields};
+use crate::kinds::{AxisKey, Kind, Number, Optional, Sides, TaskFrame};
+use crate::words::Word;
+
+/// Which axes are controlled, and in which frame.
+#[pyclass(name = "Task", module = "pliant", frozen, eq, from_py_object)]
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Task(pub(crate) CoreTask);
+
+impl Task {
+    fn check(core: CoreTask) -> PyResult<Self> {
+        core.validate().or_raise()?;
+        Ok(Self(core))
+    }
+
+    fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        Self::changed(&self.0, &CoreTask::default(), py)
+    }
+}
+
+fields! {
+    Task("Task") of CoreTask {
+        axes: AxisKey,
+        frame: TaskFrame,
+        length: Optional<Number>,
+    }
+    methods {
+        #[new]
+        #[pyo3(signature = (axes = None, **fields), text_signature = "(axes='xyz rpy', *, frame='base', length=None)")]
+        fn new(axes: Option<&Bound<'_, PyAny>>, fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+            let mut core = CoreTask::default();
+            if let Some(axes) = axes {
+                core.axes = AxisKey::read("axes", axes)?;
+            }
+            Self::with(core, fields)
+        }
+
+        #[getter]
+        fn names<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+            PyTuple::new(py, AXIS_NAMES.iter().zip(self.0.axes).filter(|(_, on)| *on).map(|(name, _)| name))
+        }
+
+        fn __len__(&self) -> usize {
+            self.0.len()
+        }
+    }
+}
+
+/// What is asked of one task axis; `None` takes the default, which for the strengths depends on law and arm.
+#[pyclass(name = "Axis", module = "pliant", frozen, eq, from_py_object)]
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Axis(pub(crate) CoreAxis);
+
+impl Axis {
+    fn check(core: CoreAxis) -> PyResult<Self> {
+        core.validate("*").or_raise()?;
+        Ok(Self(core))
+    }
+
+    fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        Self::changed(&self.0, &CoreAxis::default(), py)
+    }
+}
+
+fields! {
+    Axis("Axis") of CoreAxis {
+        soft: Optional<Sides>,
+        firm: Optional<Sides>,
+        hold: Optional<Number>,
+        yields: Optional<Word<Yields>>,
+        eta: Number,
+        d_minus: Optional<Number>,
+        d_plus: Optional<Number>,
+        profile: Word<Profile>,
+        step_limit: Optional<Number>,
+        soft_step_limit: Optional<Number>,
+    }
+    methods {
+        #[new]
+        #[pyo3(
+            signature = (**fields),
+            text_signature = "(*, soft=None, firm=None, hold=None, yields=None, eta=0.0, d_minus=None, d_plus=None, \
+                              profile='firming', step_limit=None, soft_step_limit=None)"
+        )]
+        fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+            Self::with(CoreAxis::default(), fields)
+        }
+    }
+}
+
+/// The field `task` of the settings: a `Task`, or its axis key.
+pub(crate) struct TaskField;
+
+impl Kind for TaskField {
+    type Core = CoreTask;
+
+    fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<CoreTask> {
+        if let Ok(task) = value.cast::<Task>() {
+            return Ok(task.get().0.clone());
+        }
+        match value.extract::<String>() {
+            Ok(key) => CoreTask::of(&key).or_raise(),
+            Err(_) => Err(config(name, format!("must be a Task or an axis key such as 'xyz rpy', got {}", shown(value)))),
+        }
+    }
+
+    fn plain<'py>(core: &CoreTask, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        Ok(Bound::new(py, Task(core.clone()))?.into_any())
+    }
+}
+
+/// The field `axes` of the settings: axis key → `Axis`.
+pub(crate) struct AxesField;
+
+impl Kind for AxesField {
+    type Core = [CoreAxis; MAX_AXES];
+
+    fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Self::Core> {
+        merged(name, value, Self::Core::default())
+    }
+
+    fn plain<'py>(core: &Self::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let out = PyDict::new(py);
+        for (name, axis) in AXIS_NAMES.iter().zip(core).filter(|(_, axis)| **axis != CoreAxis::default()) {
+            out.set_item(name, Axis(*axis).into_pyobject(py)?)?;
+        }
+        Ok(out.into_any())
+    }
+
+    fn show<'py>(core: &Self::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let out = PyDict::new(py);
+        for (name, axis) in AXIS_NAMES.iter().zip(core) {
+            out.set_item(name, Axis(*axis).into_pyobject(py)?)?;
+        }
+        Ok(PyMappingProxy::new(py, out.as_mapping()).into_any())
+    }
+}
+
+/// `axes` with those replaced that the mapping names.
+pub(crate) fn merged(
+    name: &str,
+    value: &Bound<'_, PyAny>,
+    mut axes: [CoreAxis; MAX_AXES],
+) -> PyResult<[CoreAxis; MAX_AXES]> {
+    let no_mapping = |_| config(name, format!("must be a dict such as {{'y': Axis(soft=4.0)}}, got {}", shown(value)));
+    let mapping = value.cast::<PyMapping>().map_err(no_mapping)?;
+    let mut owner: [Option<String>; MAX_AXES] = Default::default();
+    for item in mapping.items()?.iter() {
+        let (key, axis): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract()?;
+        let key: String = key.extract().map_err(|_| config(name, format!("keys are axis names, got {}", shown(&key))))?;
+        let axis = axis
+            .cast::<Axis>()
+            .map_err(|_| config(&format!("axes.{key}"), format!("must be an Axis, got {}", shown(&axis))))?;
+        let named = parse_axes(name, &key).or_raise()?;
+        for i in (0..MAX_AXES).filter(|&i| named[i]) {
+            if let Some(before) = owner[i].replace(key.clone()) {
+                let message = format!("'{}' is named by both '{before}' and '{key}'", AXIS_NAMES[i]);
+                return Err(config(name, message));
+            }
+            axes[i] = axis.get().0;
+        }
+    }
+    Ok(axes)
+}

@@ -1,0 +1,71 @@
+//! Fields that are a choice of words.
+
+use std::marker::PhantomData;
+
+use pliant_core::servos::ServoKind;
+use pliant_core::settings::{Follow, Law, LimitRule, Projector};
+use pliant_core::task::axes::{Profile, Yields};
+use pyo3::prelude::*;
+use pyo3::types::PyString;
+
+use crate::error::{config, shown, suggestion};
+use crate::kinds::Kind;
+
+/// A choice of words.
+pub(crate) struct Word<E>(PhantomData<E>);
+
+/// An enum whose variants are words.
+pub(crate) trait Words: Copy + PartialEq + 'static {
+    /// The words.
+    const WORDS: &'static [(&'static str, Self)];
+}
+
+impl<E: Words> Kind for Word<E> {
+    type Core = E;
+
+    fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<E> {
+        let word: Option<String> = value.extract().ok();
+        if let Some((_, found)) = E::WORDS.iter().find(|(known, _)| Some(*known) == word.as_deref()) {
+            return Ok(*found);
+        }
+        let names: Vec<&str> = E::WORDS.iter().map(|(known, _)| *known).collect();
+        let hint = word.map_or_else(String::new, |word| suggestion(value.py(), &word, &names));
+        let list = names.iter().map(|known| format!("'{known}'")).collect::<Vec<_>>().join(", ");
+        Err(config(name, format!("must be one of {list}, got {}{hint}", shown(value))))
+    }
+
+    fn plain<'py>(core: &E, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let word = E::WORDS.iter().find(|(_, known)| known == core).map_or("", |(word, _)| word);
+        Ok(PyString::new(py, word).into_any())
+    }
+}
+
+impl Words for Law {
+    const WORDS: &'static [(&'static str, Self)] = &[("cap", Self::Cap), ("paper", Self::Paper)];
+}
+
+impl Words for Follow {
+    const WORDS: &'static [(&'static str, Self)] = &[("free", Self::Free), ("hold", Self::Hold)];
+}
+
+impl Words for LimitRule {
+    const WORDS: &'static [(&'static str, Self)] = &[("demand", Self::Demand), ("sum", Self::Sum)];
+}
+
+impl Words for Projector {
+    const WORDS: &'static [(&'static str, Self)] = &[("exact", Self::Exact), ("paper", Self::Paper)];
+}
+
+impl Words for Profile {
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("firming", Self::Firming), ("constant", Self::Constant), ("yielding", Self::Yielding)];
+}
+
+impl Words for Yields {
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("both", Self::Both), ("+", Self::Plus), ("-", Self::Minus), ("none", Self::None)];
+}
+
+impl Words for ServoKind {
+    const WORDS: &'static [(&'static str, Self)] = &[("current", Self::Current), ("duty", Self::Duty)];
+}

@@ -1,0 +1,34 @@
+"""What the plant's tests share: the arm, a pose, and a loop that lets it float."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="the simulator's tests need the extra sim")
+
+import pliant.robots
+
+#: A grasp pose of arm7, tool at (0.38, 0, -0.28), its frame along the base's.
+GRASP = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
+
+
+@pytest.fixture(scope="session")
+def arm():
+    return pliant.robots.arm7()
+
+
+@pytest.fixture
+def grasp():
+    return GRASP.copy()
+
+
+@pytest.fixture
+def floating():
+    """Run a plant for so many ticks with goals that carry gravity and follow the arm."""
+
+    def run(plant, ticks):
+        for _ in range(ticks):
+            gravity = np.asarray(plant.model.gravity(plant.q))
+            plant.write(plant.q + gravity / plant.gains.kp, plant.gains.torque)
+            plant.advance()
+
+    return run
