@@ -1,5 +1,5 @@
 //! Time of each stage of the kinematics, natively, on the bench arm; 64 states in turn, so that nothing is remembered.
-#![expect(missing_docs, reason = "criterion's macros make undocumented items")]
+#![expect(clippy::expect_used, reason = "a bench without its robot cannot go on")]
 
 use std::hint::black_box;
 use std::path::Path;
@@ -80,7 +80,8 @@ fn kinematics(criterion: &mut Criterion) {
         b.iter(|| model.inverse_kinematics(black_box(&target), start, &pliant_core::IkOptions::default()));
     });
     let text = include_str!("arm7_bench.urdf");
-    criterion.bench_function("from_urdf", |b| b.iter(|| Model::from_urdf_str(black_box(text), &ModelOptions::default())));
+    criterion
+        .bench_function("from_urdf", |b| b.iter(|| Model::from_urdf_str(black_box(text), &ModelOptions::default())));
 }
 
 criterion_group!(benches, kinematics);

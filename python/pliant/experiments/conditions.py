@@ -36,7 +36,7 @@ class Conditions:
         believed: Friction and damping as the controller believes them, over their true values.
         count: Encoder count [rad], known to the controller.
         flicker: Counts by which readings toggle at random.
-        plant: More options of `pliant.sim.Plant`, of which the controller knows nothing.
+        plant: More options of `pliant.sim.Plant`, of which the controller knows nothing; they win over the above.
     """
 
     rate: float = 100.0
@@ -52,15 +52,14 @@ class Conditions:
 
     def build(self, *scene: Hand | Fixture) -> Plant:
         """Build the simulated arm with its hands and fixtures."""
-        return Plant(
-            arm(),
-            rate=self.rate,
-            delay=self.delay,
-            count=self.count,
-            flicker=self.flicker,
-            scene=scene,
+        options: dict[str, Any] = {
+            "rate": self.rate,
+            "delay": self.delay,
+            "count": self.count,
+            "flicker": self.flicker,
             **self.plant,
-        )
+        }
+        return Plant(arm(), scene=scene, **options)
 
     def servos(self) -> pliant.Servos:
         """Servo table of `arm7` as the controller believes it."""

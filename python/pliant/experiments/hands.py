@@ -183,7 +183,6 @@ class Idle:
         angle: Angle of the tool from its target at the end [rad].
         speed: Rms speed of the joints in the last 2 s [rad/s].
         walk: Change of the position in the last 2 s [m].
-        jerk: Largest change of a servo's mean torque from tick to tick in the last 2 s [N·m].
         trace: The run.
     """
 
@@ -191,7 +190,6 @@ class Idle:
     angle: float
     speed: float
     walk: float
-    jerk: float
     trace: Trace
 
 
@@ -204,6 +202,5 @@ def idle(law: Law, duration: float = 4.0, *, q: Array = VERTICAL, conditions: Co
         angle=float(np.linalg.norm(trace.error[-1, 3:])),
         speed=metrics.speed(trace, duration - 2.0, duration),
         walk=float(np.linalg.norm(trace.position[-1] - trace.position[late][0])),
-        jerk=metrics.largest(np.diff(trace.torque[late], axis=0)),
         trace=trace,
     )

@@ -32,7 +32,7 @@ class Survived:
     Attributes:
         force: Largest force against the hand, mean over a tick [N].
         formula: min over the joints of (L + τ_f + s g)/|a|, a = Jᵀd, at the pose where that force was felt [N].
-        moved: Largest deviation of the tool from its place until the hand came, or without a hand [m].
+        moved: How far the tool moved between the death and the hand, or without a hand at all [m].
         trace: The run.
     """
 
@@ -74,11 +74,12 @@ def die(law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL) 
     trace = run(silent.build(*hands), silent.controller(law), tool(VERTICAL), 2.0 + RISE, q=VERTICAL)
     felt = trace.force @ direction
     worst = int(np.argmax(felt))
-    limit = trace.limit[trace.at(DEATH)]
-    rest = trace.t <= 2.0 if push is not None else trace.t > 0.0
+    death = trace.at(DEATH)
+    limit = trace.limit[death]
+    alone = trace.between(DEATH, 2.0 if push is not None else np.inf)
     return Survived(
         force=float(felt[worst]),
         formula=static_force(trace.q[worst], limit, direction) if push is not None else np.inf,
-        moved=metrics.largest(trace.moved[rest, :3]),
+        moved=metrics.largest(trace.moved[alone, :3] - trace.moved[death, :3]),
         trace=trace,
     )

@@ -15,7 +15,7 @@ All of them run without tool speed limit and stiffening rate, which would blur w
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     Steps = tuple[float, float]
-    Gravity = Literal["both", "goal", "limits", "off"]
 
 NONE = float("inf")
 #: Neither a speed limit of the tool nor a stiffening rate.
@@ -49,7 +48,7 @@ def paper(
     *,
     soft: str = "y",
     eta: float = 0.999,
-    gravity: Gravity = "off",
+    gravity: bool = False,
     steps: Steps = STIFF_STEPS,
     soft_steps: Steps = SOFT_STEPS_WITHOUT_GRAVITY,
     **more: Any,
@@ -60,7 +59,7 @@ def paper(
         torque: Budget T of each axis [N·m].
         soft: Axes that yield, by name; "" for none.
         eta: Target adaptation of these.
-        gravity: Where the gravity model is used.
+        gravity: Whether goals and limits contain gravity.
         steps: Step limits of stiff axes [m/s, rad/s].
         soft_steps: The same of soft axes.
         **more: Further settings.
@@ -76,11 +75,11 @@ def paper(
                 firm=torque,
                 hold=torque,
                 eta=eta,
-                stiff_speed=steps[index // 3],
-                soft_speed=soft_steps[index // 3],
+                step_limit=steps[index // 3],
+                soft_step_limit=soft_steps[index // 3],
             )
         else:
-            axes[name] = Axis(hold=torque, stiff_speed=steps[index // 3])
+            axes[name] = Axis(hold=torque, step_limit=steps[index // 3])
     settings: dict[str, Any] = {
         "law": "paper",
         "axes": axes,
@@ -104,7 +103,7 @@ def limits_only(torque: float = 6.0, *, soft: str = "y", eta: float = 0.0, **mor
 
 def rec(torque: float = 8.0, *, soft: str = "y", eta: float = 0.999, **more: Any) -> Settings:
     """`paper` with gravity in goals and limits and soft steps of 0.05 m/s, 0.25 rad/s."""
-    options = {"gravity": "both", "soft_steps": SOFT_STEPS, **more}
+    options = {"gravity": True, "soft_steps": SOFT_STEPS, **more}
     return paper(torque, soft=soft, eta=eta, **options)
 
 
@@ -142,7 +141,7 @@ def cap(*, soft: str = "y", eta: float = 0.999, axis: Mapping[str, Any] | None =
 
 def cap_at_edge(**more: Any) -> Settings:
     """`cap` without a soft axis and with the small steps that the edge of the workspace asks for."""
-    axes = {"xyz": Axis(stiff_speed=EDGE_STEPS[0]), "rpy": Axis(stiff_speed=EDGE_STEPS[1])}
+    axes = {"xyz": Axis(step_limit=EDGE_STEPS[0]), "rpy": Axis(step_limit=EDGE_STEPS[1])}
     return cap(soft="", axes=axes, **more)
 
 

@@ -50,6 +50,5 @@ def drift(trace: Trace, columns: list[int]) -> float:
 
 
 def speed(trace: Trace, start: float, end: float) -> float:
-    """Rms speed of the joints within a time span [rad/s]: the root of the mean squared norm."""
-    dq = trace.dq[trace.between(start, end)]
-    return float(np.sqrt(np.mean(np.sum(dq**2, axis=1))))
+    """Rms speed within a time span, over all ticks and joints [rad/s]."""
+    return rms(trace.dq[trace.between(start, end)])

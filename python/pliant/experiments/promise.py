@@ -27,8 +27,10 @@ if TYPE_CHECKING:
 
 #: Caps that are tried: 15, 30, 60 % of the arm's median capacity [N], 7, 14 % for rotations [N·m].
 FORCES, TORQUES = (5.0, 10.0, 20.0), (0.5, 1.0)
-#: How far the hand goes [m, rad], when it begins to hold still and how long the force is then taken [s].
-WAY, SETTLED, END = (0.08, 0.5), 2.5, 3.0
+#: How far the hand goes: as far as the cap alone would let the axis, times this, and a little more [m, rad].
+WAY, MORE = 1.25, (0.005, 0.03)
+#: When the hand holds still and its force is taken [s].
+SETTLED, END = 2.5, 3.0
 #: Poses whose smallest singular value lies below this share of the median are left out.
 LEAST_SIGMA = 0.65
 
@@ -67,6 +69,12 @@ class Kept:
 
 def _sigma(q: Array) -> float:
     return float(np.linalg.svd(arm().jacobian(q), compute_uv=False)[-1])
+
+
+def _compliance(q: Array, axis: int) -> float:
+    """C_jj: how far the servos let an axis go per unit of force at q (7,) [m/N or rad/(N·m)]."""
+    row = arm().jacobian(q)[axis]
+    return float(row**2 @ (1.0 / np.asarray(arm().servos.kp)))
 
 
 @cache
@@ -112,7 +120,7 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
     """
     index = AXES.index(case.axis)
     course = Course(start=0.5, rise=1.0, end=np.inf)
-    way = case.sign * WAY[index // 3]
+    way = case.sign * (WAY * case.cap * _compliance(case.q, index) + MORE[index // 3])
     if index < 3:
         hand = Drag(axis=case.axis, distance=way, stiffness=3000.0, limit=80.0, at="tool", course=course)
     else:
@@ -127,13 +135,11 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
     still = trace.between(SETTLED, END)
     felt = (trace.force if index < 3 else trace.moment)[still, index % 3]
     servos = arm().servos
-    jacobian = arm().jacobian(trace.q[-1])
-    compliance = float((jacobian[index] ** 2) @ (1.0 / np.asarray(servos.kp)))
     lead = abs(float(trace.error[-1, index]))
-    inverse = np.linalg.pinv(jacobian)
+    inverse = np.linalg.pinv(arm().jacobian(trace.q[-1]))
     return Kept(
         case=case,
-        promise=min(case.cap, lead / compliance),
+        promise=min(case.cap, lead / _compliance(trace.q[-1], index)),
         measured=case.sign * float(felt.mean()),
         friction=float(np.abs(inverse[:, index]) @ np.asarray(servos.friction)),
     )

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Literal
+from typing import Any, Literal
 
-#: Numbers by name; nested, so that `results.json` can be read by people.
-Numbers = Mapping[str, "float | str | bool | Sequence[object] | Numbers"]
+#: Numbers, texts, lists of them and further maps by name, so that `results.json` can be read by people.
+Numbers = Mapping[str, Any]
 
 #: Who said what is judged: the paper, or the study made before the package, whose bands are our tests.
 Source = Literal["paper", "study"]

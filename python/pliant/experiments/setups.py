@@ -34,6 +34,8 @@ HORIZONTAL = _posture(-0.0426, -0.4950, 0.5438, -1.7376, -0.4434, -0.0602, -0.55
 AT_DOOR = _posture(-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115)
 AT_DOOR_HORIZONTAL = _posture(-0.559, -0.343, 0.605, -1.194, -0.566, -0.039, -0.384)
 AT_OVEN = _posture(-0.677, -0.440, 0.523, -1.623, -0.720, 0.426, -0.547)
+#: Where the target starts that leaves the arm's reach (tool at (0.40, 0, -0.15) m).
+AT_REACH = _posture(-0.4038, -0.7315, 0.7274, -2.0369, 0.9780, 0.8364, 0.3106)
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -114,10 +116,3 @@ def beyond_reach(t: float) -> Array:
     pose = np.eye(4)
     pose[:3, 3] = (REACH_NEAR + (REACH_FAR - REACH_NEAR) * out, 0.0, REACH_HEIGHT)
     return pose
-
-
-@cache
-def at_reach_start() -> Array:
-    """Posture (7,) [rad] where `beyond_reach` starts, found from the vertical grasp."""
-    solution = arm().inverse_kinematics(beyond_reach(0.0), VERTICAL)
-    return _posture(*solution.q)

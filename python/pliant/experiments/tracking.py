@@ -12,11 +12,11 @@ from pliant.experiments.conditions import NOMINAL
 from pliant.experiments.episode import Trace, run
 from pliant.experiments.setups import (
     AMPLITUDE,
+    AT_REACH,
     AXES,
     HORIZONTAL,
     PERIOD,
     VERTICAL,
-    at_reach_start,
     beyond_reach,
     sinusoid,
     tilted,
@@ -119,8 +119,7 @@ class Reached:
 
 def leave_reach(law: Law, *, conditions: Conditions = NOMINAL) -> Reached:
     """Lead the target to x = 0.80 m, where the arm ends at 0.71 m from its shoulder, and back."""
-    q = at_reach_start()
-    trace = run(conditions.build(), conditions.controller(law), beyond_reach, 15.0, q=q)
+    trace = run(conditions.build(), conditions.controller(law), beyond_reach, 15.0, q=AT_REACH)
     return Reached(
         farthest=float(trace.position[:, 0].max()),
         speed=metrics.speed(trace, 7.0, 8.0),

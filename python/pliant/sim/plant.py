@@ -6,7 +6,7 @@ physics of one control period.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from pliant import ConfigError, ShapeError
 from pliant.sim import spec as spec_module
 from pliant.sim._mujoco import mujoco
 from pliant.sim.bank import ServoBank
+from pliant.sim.bus import Bus
 from pliant.sim.gains import per_joint, resolve
-from pliant.sim.imperfections import Encoder, Line, Overload, delays, share
 from pliant.sim.state import Felt, Order, State
 from pliant.sim.tree import last_moving
 from pliant.sim.truth import TOOL, WRIST, Truth
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from pliant.sim.gains import Kind
     from pliant.sim.hand import Hand
+    from pliant.sim.imperfections import Overload
     from pliant.sim.scene import Fixture
     from pliant.sim.tree import OffChain, Robot
 
@@ -121,11 +122,18 @@ class Plant:
         self.steps = _steps(dt, rate)
         self.period = 1.0 / self.rate
         self.gains = resolve(model, servos, kind).scaled(kp_scale, friction_scale, damping_scale)
-        self._delay, self._silent, self._seed = delays(delay), silent, seed
-        self._loss = share(read_loss, "read_loss"), share(write_loss, "write_loss")
-        self._encoder_args = {"count": count, "flicker": flicker, "noise": noise}
-        scene = tuple(scene)
-        self._fixtures: list[Fixture] = [item for item in scene if hasattr(item, "add")]
+        self._bus = Bus(
+            n,
+            delay=delay,
+            count=count,
+            flicker=flicker,
+            noise=noise,
+            read_loss=read_loss,
+            write_loss=write_loss,
+            silent=silent,
+            seed=seed,
+        )
+        hands, self._fixtures = _split(scene)
         built = spec_module.build(
             model,
             self.gains,
@@ -155,7 +163,7 @@ class Plant:
         names = {TOOL: model.tip, WRIST: last_moving(model)}
         self.truth = Truth(self.mj_model, self.mj_data, names)
         self._tool, self._wrist = self.truth.frame(TOOL), self.truth.frame(WRIST)
-        self.set_hands(item for item in scene if not hasattr(item, "add"))
+        self.set_hands(hands)
         lower, upper = np.asarray(model.lower), np.asarray(model.upper)
         finite = np.isfinite(lower) & np.isfinite(upper)
         self.reset(np.where(finite, (np.where(finite, lower, 0) + upper) / 2, 0.0))
@@ -164,7 +172,7 @@ class Plant:
 
     def read(self) -> State:
         """Return what the bus reports in this tick: delayed, rounded, or repeated when lost."""
-        return self._state
+        return self._bus.state
 
     def write(
         self,
@@ -185,10 +193,10 @@ class Plant:
             ConfigError: Not finite, a negative limit, an unknown joint. Nothing is sent.
         """
         goal = self._vector(goal, "goal")
-        limit = self._sent.limit if limit is None else self._vector(limit, "limit")
+        limit = self._bus.sent.limit if limit is None else self._vector(limit, "limit")
         if np.any(limit < 0.0):
             raise ConfigError(f"limit must be at least 0 N·m, got {limit.min():g}")
-        pairs = dict(self._sent.extra)
+        pairs = dict(self._bus.sent.extra)
         for name, pair in (extra or {}).items():
             if name not in self._bank.held:
                 known = ", ".join(self._bank.held) or "none"
@@ -197,19 +205,18 @@ class Plant:
             if not (np.isfinite(angle) and most >= 0.0):
                 raise ConfigError(f"extra[{name!r}] is a goal and a limit >= 0, got {pair!r}")
             pairs[name] = (angle, min(most, self._bank.held[name][1]))
-        limit = np.minimum(limit, self.gains.torque)
-        self._sent = self._pending = Order(self.encoder.round(goal), limit, pairs)
+        self._bus.send(Order(goal, np.minimum(limit, self.gains.torque), pairs))
 
     def advance(self, n_steps: int | None = None) -> None:
         """Run the physics for one control period, or `n_steps` physics steps, and sample.
+
+        Every call is one tick of the bus, however long.
 
         Raises:
             ConfigError: The physics diverged.
         """
         steps = self.steps if n_steps is None else int(n_steps)
-        order = self._writes.pass_on(self._pending, silent=self._is_silent())
-        self._pending = None
-        self._bank.apply(order, self.period)
+        self._bank.apply(self._bus.deliver(self.time), self.period)
         for felt in self.hands:
             felt.begin()
         for _ in range(steps):
@@ -222,7 +229,7 @@ class Plant:
                 f"the simulation diverged at t = {self.time:.3f} s with dt {self.dt:g} s"
             )
         self._forward()
-        self._sample()
+        self._bus.sample(self.q, self._bank.angles(), self.time)
 
     def reset(self, q: ArrayLike) -> State:
         """Put the arm at rest: goals at q, limits at the usable torque, time at 0.
@@ -241,12 +248,7 @@ class Plant:
         """
         q = self._vector(q, "q")
         mujoco.mj_resetData(self.mj_model, self.mj_data)
-        seeds = np.random.SeedSequence(self._seed).spawn(3)
-        chance = [np.random.default_rng(seed) for seed in seeds]
-        self.encoder = Encoder(self.n, rng=chance[0], **self._encoder_args)
-        first = Order(q.copy(), self.gains.torque.copy(), dict(self._bank.held))
-        self._sent, self._pending = first, None
-        self._writes = Line(first, delay=self._delay[1], loss=self._loss[1], rng=chance[2])
+        first = Order(q, self.gains.torque.copy(), dict(self._bank.held))
         self._bank.reset(q)
         self._bank.apply(first, self.period)
         self._forward()
@@ -255,10 +257,9 @@ class Plant:
         self._forward()
         self.truth.remember()
         self.set_hands(felt.hand for felt in self.hands)
-        state = State(self.encoder.round(q), extra=self._bank.angles())
-        self._reads = Line(state, delay=self._delay[0], loss=self._loss[0], rng=chance[1])
-        self._sample()
-        return self._state
+        self._bus.reset(first, self._bank.angles())
+        self._bus.sample(self.q, self._bank.angles(), 0.0)
+        return self.read()
 
     # The truth: what only a simulation has.
 
@@ -332,15 +333,6 @@ class Plant:
         for fixture in self._fixtures:
             fixture.after(self)
 
-    def _sample(self) -> None:
-        """Take this tick's reading and put it on the bus."""
-        now = State(self.encoder.read(self.q), time=self.time, extra=self._bank.angles())
-        old = self._reads.pass_on(now, silent=self._is_silent())
-        self._state = State(old.q.copy(), None, old.time, self._reads.fresh, old.extra)
-
-    def _is_silent(self) -> bool:
-        return self._silent is not None and self._silent[0] <= self.time < self._silent[1]
-
     def _forward(self) -> None:
         """Bring frames up to the present joint positions."""
         mujoco.mj_kinematics(self.mj_model, self.mj_data)
@@ -366,6 +358,18 @@ def _steps(dt: float, rate: float) -> int:
     if steps < 1 or abs(steps * rate * dt - 1.0) > 1e-9:
         raise ConfigError(f"a period of 1/{rate:g} s is no whole number of steps of {dt:g} s")
     return steps
+
+
+def _split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
+    """Tell force laws from things with bodies."""
+    hands: list[Hand] = []
+    fixtures: list[Fixture] = []
+    for item in scene:
+        if hasattr(item, "add"):
+            fixtures.append(cast("Fixture", item))
+        else:
+            hands.append(item)
+    return hands, fixtures
 
 
 def _load(payload: Any) -> tuple[float, Array] | None:

@@ -41,7 +41,7 @@ def groups(model: Robot, off_chain: OffChain) -> list[Group]:
     base = next(i for i, link in enumerate(model.links) if link.name == model.base)
     groups = [Group(root, None, None, np.eye(4))]
     stack = [(root, 0, np.eye(4), False)]
-    base_pose = np.eye(4)
+    base_pose: Matrix = np.eye(4)
     while stack:
         link, group, pose, carried = stack.pop()
         groups[group].members.append((link, pose))
@@ -56,7 +56,7 @@ def groups(model: Robot, off_chain: OffChain) -> list[Group]:
                 stack.append((joint.child, len(groups) - 1, np.eye(4), rides))
             else:
                 stack.append((joint.child, group, at @ _moved(model, joint), rides))
-    groups[0].pose = np.linalg.inv(base_pose)
+    groups[0].pose = np.asarray(np.linalg.inv(base_pose), dtype=np.float64)
     return groups
 
 

@@ -13,6 +13,7 @@
 mod command;
 pub mod controller;
 pub mod error;
+pub mod functions;
 pub mod kinematics;
 pub mod law;
 pub mod model;
@@ -26,6 +27,10 @@ mod survey;
 pub mod task;
 
 pub use error::{Error, Result};
+pub use functions::{
+    activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits, null_space_projector,
+    pose_error, responsibility,
+};
 pub use kinematics::{Frames, IkOptions, IkReason, IkSolution, Masses, Reference};
 pub use model::{Model, ModelOptions, Payload};
 pub use controller::{Command, Controller, Record, StepInput};

@@ -73,9 +73,13 @@ mod tests {
 
     #[test]
     fn presets_are_valid() {
-        for settings in
-            [Settings::paper(), Settings::firm(), Settings::door(), Settings::hand_guiding(), Settings::soft("y yaw").unwrap()]
-        {
+        for settings in [
+            Settings::paper(),
+            Settings::firm(),
+            Settings::door(),
+            Settings::hand_guiding(),
+            Settings::soft("y yaw").unwrap(),
+        ] {
             settings.validate().unwrap();
         }
         assert!(Settings::soft("q").is_err());

@@ -1,4 +1,11 @@
 //! Every guard around the URDF reader refuses its file, and says which thing, which value, and what would be right.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "tests fail by panicking and say what they skip"
+)]
 
 mod common;
 
@@ -51,10 +58,13 @@ fn guard_03_velocity_that_nobody_filled_in_is_absent() {
 
 #[test]
 fn guard_04_mimics_lead_to_a_joint_that_moves() {
-    refused("04_mimic_itself", &["joint 'k' ", "mimic of 'k' leads back to itself"]);
-    refused("04_mimic_ring", &["leads back to itself; one joint of the ring must lead"]);
+    refused("04_mimic_itself", &["joint 'k' is in a ring of mimics that leads back to 'k'; one joint must lead"]);
+    refused("04_mimic_ring", &["joint 'j' is in a ring of mimics that leads back to", "one joint must lead"]);
     refused("04_mimic_unknown", &["joint 'k' mimics 'J', which does not exist; joints: j, k"]);
-    refused("04_mimic_fixed_on_chain", &["joint 'k' mimics 'j', which is of type 'fixed' and never moves", "locked = {\"k\": value}"]);
+    refused(
+        "04_mimic_fixed_on_chain",
+        &["joint 'k' mimics 'j', which is of type 'fixed' and never moves", "locked = {\"k\": value}"],
+    );
     refused("04_mimic_zero", &["joint 'k' mimics 'j' with multiplier 0; make the joint fixed"]);
 }
 
@@ -66,7 +76,10 @@ fn guard_05_axes_point_somewhere() {
 
 #[test]
 fn guard_06_numbers_are_numbers() {
-    refused("06_four_tokens", &["xyz of <origin> is \"abc 1 2 3\"; 'abc' is not a finite number; expected 3 finite numbers, got 4"]);
+    refused(
+        "06_four_tokens",
+        &["xyz of <origin> is \"abc 1 2 3\"; 'abc' is not a finite number; expected 3 finite numbers, got 4"],
+    );
     refused("06_expression", &["xyz of <origin> is \"${x} 0 0 1\"", "xacro robot.urdf.xacro > robot.urdf"]);
     refused("06_two_tokens", &["rpy of <origin> is \"0 1\"; expected 3 finite numbers, got 2 words"]);
     refused("06_infinite", &["xyz of <origin> is \"0 inf 0\"; 'inf' is not a finite number"]);
@@ -119,13 +132,22 @@ fn guard_10_no_program_is_started_for_a_file_by_its_name() {
 
 #[test]
 fn guard_11_joints_without_one_coordinate() {
-    refused("11_floating_on_chain", &["joint 'float' is of type 'floating', which has no single coordinate", "choose a base below it"]);
-    refused("11_unknown_type", &["joint 'j': type is 'screw'; it must be one of revolute, continuous, prismatic, fixed"]);
+    refused(
+        "11_floating_on_chain",
+        &["joint 'float' is of type 'floating', which has no single coordinate", "choose a base below it"],
+    );
+    refused(
+        "11_unknown_type",
+        &["joint 'j': type is 'screw'; it must be one of revolute, continuous, prismatic, fixed"],
+    );
 }
 
 #[test]
 fn guard_12_inertials_are_whole() {
-    refused("12_no_inertia", &["link 'arm': <inertial> without <inertia ixx=", "leave <inertial> out for a massless link", ":4:5: "]);
+    refused(
+        "12_no_inertia",
+        &["link 'arm': <inertial> without <inertia ixx=", "leave <inertial> out for a massless link", ":4:5: "],
+    );
     refused("12_no_mass", &["link 'arm': <inertial> without <mass value=\"...\"/>"]);
 }
 
@@ -157,6 +179,6 @@ fn size_depth_and_count_are_bounded() {
     assert!(load(&unclosed).contains("</robot> is missing"));
     let long = format!("<robot name=\"r\"><link name=\"a\"/><!--{}--></robot>", " ".repeat(16 << 20));
     assert!(load(&long).contains("bytes of text, at most 16777216"));
-    let links: String = (0..100_000).map(|i| format!("<link name=\"l{i}\"/>")).collect();
+    let links = "<link name=\"x\"/>".repeat(100_000);
     assert!(load(&format!("<robot name=\"r\">{links}</robot>")).contains("more than 10000 links"));
 }

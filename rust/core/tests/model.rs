@@ -1,8 +1,16 @@
 //! Base, tip, locks, limits, mimics, masses: what a user chooses, and what a model then says.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "tests fail by panicking and say what they skip"
+)]
 
 mod common;
 
 use std::collections::BTreeMap;
+use std::fmt::Write as _;
 
 use common::{arm7, between, close, data, robot};
 use pliant_core::error::Error;
@@ -38,7 +46,10 @@ fn arm7_is_what_its_file_says() {
     assert_eq!(model.frames().len(), 9);
     close("reach", model.reach(), 0.71, 1e-15);
     let elbow = &model.joints()[3];
-    assert_eq!((elbow.name.as_str(), elbow.kind, elbow.q_index, elbow.locked_at), ("elbow_pitch", JointKind::Revolute, Some(3), None));
+    assert_eq!(
+        (elbow.name.as_str(), elbow.kind, elbow.q_index, elbow.locked_at),
+        ("elbow_pitch", JointKind::Revolute, Some(3), None)
+    );
     assert_eq!((elbow.damping, elbow.friction), (Some(1.2), Some(0.2)));
     let tool = model.joints().last().unwrap();
     assert_eq!((tool.kind, tool.damping, tool.q_index), (JointKind::Fixed, None, None));
@@ -85,7 +96,11 @@ fn base_may_be_any_link_fixed_to_the_root_of_the_chain() {
     let moving = message("hobby_5dof", &between("finger", "tool"));
     assert!(moving.contains("no joint between base and tip can move"), "{moving}");
     let across = message("mimics", &between("w", "tool"));
-    assert!(across.contains("base: 'w' is not rigidly fixed to 'l2', where the chain to 'tool' starts: joint 'weight' moves"), "{across}");
+    assert!(
+        across
+            .contains("base: 'w' is not rigidly fixed to 'l2', where the chain to 'tool' starts: joint 'weight' moves"),
+        "{across}"
+    );
     let same = message("planar_2r", &between("tool", "tool"));
     assert!(same.starts_with("tip: no joint between base and tip can move; choose another base or tip"), "{same}");
 }
@@ -118,7 +133,8 @@ fn a_joint_of_the_chain_can_be_locked_too() {
     let whole = robot("twisted_6r");
     let short = load("twisted_6r", &locked("j3", 0.7)).unwrap();
     assert_eq!(short.joint_names(), ["j1", "j2", "j4", "j5", "j6"]);
-    let (a, b) = (whole.gravity(&[0.1, 0.2, 0.7, 0.4, 0.5, 0.6]).unwrap(), short.gravity(&[0.1, 0.2, 0.4, 0.5, 0.6]).unwrap());
+    let (a, b) =
+        (whole.gravity(&[0.1, 0.2, 0.7, 0.4, 0.5, 0.6]).unwrap(), short.gravity(&[0.1, 0.2, 0.4, 0.5, 0.6]).unwrap());
     for (k, i) in [0, 1, 3, 4, 5].into_iter().enumerate() {
         close("gravity", b[k], a[i], 1e-14);
     }
@@ -143,7 +159,10 @@ fn limits_can_be_given_where_the_file_has_none() {
         let text = message("hobby_5dof", &limited("lift", lower, upper));
         assert!(text.contains("must be finite, within ±1e6, the lower one first"), "{text}");
     }
-    assert!(message("hobby_5dof", &limited("lifd", 0.0, 1.0)).starts_with("limits.lifd: no joint of that name; joints: lift, "));
+    assert!(
+        message("hobby_5dof", &limited("lifd", 0.0, 1.0))
+            .starts_with("limits.lifd: no joint of that name; joints: lift, ")
+    );
     assert!(message("hobby_5dof", &limited("grasp", 0.0, 1.0)).contains("a joint of type 'fixed' has no limits"));
 }
 
@@ -181,7 +200,8 @@ fn sizes_beyond_the_bound_are_refused_with_the_count() {
     let chain = |joints: usize| {
         let mut text = String::from("<robot name=\"r\"><link name=\"l0\"/>");
         for i in 1..=joints {
-            text += &format!(
+            let _ = write!(
+                text,
                 "<link name=\"l{i}\"/><joint name=\"j{i}\" type=\"continuous\"><parent link=\"l{}\"/><child link=\"l{i}\"/></joint>",
                 i - 1
             );
@@ -193,16 +213,24 @@ fn sizes_beyond_the_bound_are_refused_with_the_count() {
     assert!(error.starts_with("tip: 17 moving joints between base and tip, at most 16; lock some"), "{error}");
     let long = chain(16).replace("</robot>", "<link name=\"x\"/><joint name=\"x\" type=\"continuous\"><parent link=\"l3\"/><child link=\"x\"/><mimic joint=\"j2\"/></joint></robot>");
     let error = Model::from_urdf_str(&long, &between("l0", "l16")).unwrap_err().to_string();
-    assert!(error.contains("more than 16 moving joints: those that follow a joint of the chain by mimic count too") && error.contains("'j2'"), "{error}");
+    assert!(
+        error.contains("more than 16 moving joints: those that follow a joint of the chain by mimic count too")
+            && error.contains("'j2'"),
+        "{error}"
+    );
 }
 
 #[test]
 fn options_are_checked() {
     let gravity = ModelOptions { gravity: [0.0, f64::NAN, 0.0], ..ModelOptions::default() };
     assert_eq!(message("planar_2r", &gravity), "gravity.y [m/s²] = NaN is outside ±1e6 and finite");
-    let payload = |mass: f64, com: [f64; 3]| ModelOptions { payload: Some(Payload { mass, com }), ..ModelOptions::default() };
+    let payload =
+        |mass: f64, com: [f64; 3]| ModelOptions { payload: Some(Payload { mass, com }), ..ModelOptions::default() };
     assert_eq!(message("planar_2r", &payload(-1.0, [0.0; 3])), "payload.mass [kg] = -1 is outside 0 to 1e6");
-    assert!(message("planar_2r", &payload(1.0, [0.0, 0.0, f64::INFINITY])).starts_with("payload.com.z [m] = inf is outside"));
+    assert!(
+        message("planar_2r", &payload(1.0, [0.0, 0.0, f64::INFINITY]))
+            .starts_with("payload.com.z [m] = inf is outside")
+    );
 }
 
 #[test]
@@ -210,7 +238,9 @@ fn quaternions_are_used_as_they_stand() {
     // Within 0.2° of pitch 90°, where a detour over roll, pitch, yaw would snap.
     let half: f64 = (std::f64::consts::FRAC_PI_2 - 0.003) / 2.0;
     let text = std::fs::read_to_string(data("guards/14_quat_in_1_0.urdf")).unwrap();
-    let text = text.replace("name=\"r\"", "name=\"r\" version=\"1.1\"").replace("0 0 0.6 0.8", &format!("0 {} 0 {}", half.sin(), half.cos()));
+    let text = text
+        .replace("name=\"r\"", "name=\"r\" version=\"1.1\"")
+        .replace("0 0 0.6 0.8", &format!("0 {} 0 {}", half.sin(), half.cos()));
     let model = Model::from_urdf_str(&text, &ModelOptions::default()).unwrap();
     let pose = model.forward_kinematics(&[0.0]).unwrap();
     close("R[2][2]", pose.rotation[2][2], 0.003_f64.sin(), 1e-15);

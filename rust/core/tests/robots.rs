@@ -1,4 +1,11 @@
 //! Third-party robots, where their folder lies beside the repository.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "tests fail by panicking and say what they skip"
+)]
 
 mod common;
 
@@ -19,7 +26,7 @@ fn folder() -> Option<PathBuf> {
 
 fn agrees(robot: &str, file: &str) {
     let Some(folder) = folder().map(|f| f.join(robot)) else { return };
-    let reference = json(folder.join(file));
+    let reference = json(&folder.join(file));
     let text = |key: &str| Some(reference[key].as_str().unwrap().to_owned());
     let options = ModelOptions { base: text("base"), tip: text("tip"), ..ModelOptions::default() };
     let model = Model::from_urdf_file(folder.join(text("urdf").unwrap()), &options).unwrap();

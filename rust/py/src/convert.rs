@@ -55,7 +55,7 @@ fn structure<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize], flags: i32) -> Op
         }
     }
     // SAFETY: every array has a descriptor; the fields read here are at the same place in all versions of NumPy.
-    let (type_number, order) = unsafe { ((*fields.descr).type_num, (*fields.descr).byteorder) };
+    let (type_number, order) = unsafe { ((*fields.descr).fields.type_num, (*fields.descr).fields.byteorder) };
     (type_number == NPY_TYPES::NPY_DOUBLE as i32 && order.cast_unsigned() == NATIVE).then_some(fields)
 }
 
@@ -70,6 +70,11 @@ pub(crate) fn copy(array: &Bound<'_, PyAny>, shape: &[usize], out: &mut [f64]) -
     // SAFETY: the array is C-contiguous, aligned and holds `count` float64 values; `out` has room and is ours alone.
     unsafe { std::ptr::copy_nonoverlapping(fields.data.cast::<f64>().cast_const(), out.as_mut_ptr(), count) };
     true
+}
+
+/// Whether [`write`] would write.
+pub(crate) fn writable(array: &Bound<'_, PyAny>, shape: &[usize]) -> bool {
+    structure(array, shape, WRITABLE).is_some()
 }
 
 /// Writes numbers into a plain, writable array of this shape; `false` and nothing done for any other object.

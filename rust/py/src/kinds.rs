@@ -280,7 +280,8 @@ impl Kind for AxisKey {
     }
 
     fn plain<'py>(core: &[bool; 6], py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let chosen = |range: std::ops::Range<usize>| range.filter(|&i| core[i]).map(|i| AXIS_NAMES[i]).collect::<Vec<_>>();
+        let chosen =
+            |range: std::ops::Range<usize>| range.filter(|&i| core[i]).map(|i| AXIS_NAMES[i]).collect::<Vec<_>>();
         let (linear, angular) = (chosen(0..3).concat(), chosen(3..6));
         let angular = if angular.len() == 3 { "rpy".into() } else { angular.join(" ") };
         Ok(PyString::new(py, format!("{linear} {angular}").trim()).into_any())

@@ -1,1 +1,67 @@
-//! Python binding of `pliant-core`.
+//! Python binding of `pliant-core`: every function converts, calls the core once, and converts back.
+#![deny(unsafe_code)]
+
+mod command;
+mod controller;
+mod convert;
+mod error;
+mod fields;
+mod functions;
+mod kinds;
+mod kinematics;
+mod model;
+mod pose;
+mod read;
+mod servos;
+mod settings;
+mod solution;
+mod task;
+mod tree;
+mod words;
+
+/// The compiled part of `pliant`.
+///
+/// Needs the interpreter lock: whether a command may be reused is read off reference counts.
+#[pyo3::pymodule(gil_used = true)]
+mod _core {
+    use pyo3::exceptions::PyRuntimeWarning;
+    use pyo3::prelude::*;
+
+    #[pymodule_export]
+    use crate::command::Command;
+    #[pymodule_export]
+    use crate::controller::Controller;
+    #[pymodule_export]
+    use crate::functions::{
+        activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,
+        null_space_projector, pose_error, responsibility,
+    };
+    #[pymodule_export]
+    use crate::model::{Model, Payload};
+    #[pymodule_export]
+    use crate::pose::{Pose, as_pose};
+    #[pymodule_export]
+    use crate::servos::Servos;
+    #[pymodule_export]
+    use crate::settings::Settings;
+    #[pymodule_export]
+    use crate::solution::IkSolution;
+    #[pymodule_export]
+    use crate::task::{Axis, Task};
+    #[pymodule_export]
+    use crate::tree::{Inertial, Joint, Link, Mimic};
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        let py = module.py();
+        module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+        crate::convert::initialise(py)?;
+        crate::error::register(module)?;
+        if cfg!(debug_assertions) {
+            let category = py.get_type::<PyRuntimeWarning>();
+            let text = c"pliant was built without optimisation: steps take a hundred times as long as they should";
+            PyErr::warn(py, &category, text, 1)?;
+        }
+        Ok(())
+    }
+}

@@ -1,10 +1,11 @@
 //! `Model` and `Payload`.
+#![expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use pliant_core::{JointVec, MAX_AXES, MAX_JOINTS, Model as CoreModel, ModelOptions, Payload as CorePayload, Pose, Reference};
+use pliant_core::{IkOptions, Model as CoreModel, ModelOptions, Payload as CorePayload, Reference};
 use pyo3::exceptions::PyFileNotFoundError;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -12,12 +13,14 @@ use pyo3::types::PyTuple;
 
 use crate::convert::{freeze, new_array};
 use crate::error::{OrRaise, config, shown};
+use crate::kinds::Kind;
+use crate::kinematics::{self, positions};
 use crate::pose::matrix;
-use crate::read::{joints, number, vector3};
+use crate::read::{number, vector3};
 use crate::servos::Servos;
+use crate::solution::{IkSolution, search};
 use crate::tree::{Joint, Link};
 use crate::words::{Word, Words};
-use crate::kinds::Kind;
 
 impl Words for Reference {
     const WORDS: &'static [(&'static str, Self)] = &[("world_aligned", Self::WorldAligned), ("local", Self::Local)];
@@ -33,7 +36,8 @@ impl Payload {
     #[new]
     #[pyo3(signature = (mass, com = None))]
     fn new(mass: &Bound<'_, PyAny>, com: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
-        let mass = number(mass).ok_or_else(|| config("payload.mass", format!("must be a number, got {}", shown(mass))))?;
+        let mass =
+            number(mass).ok_or_else(|| config("payload.mass", format!("must be a number, got {}", shown(mass))))?;
         let payload = CorePayload { mass, com: com.map_or(Ok([0.0; 3]), |com| vector3("payload.com", com))? };
         payload.validate().or_raise()?;
         Ok(Self(payload))
@@ -60,7 +64,6 @@ impl Payload {
 
 /// One kinematic chain with every body it carries; immutable.
 #[pyclass(module = "pliant", frozen)]
-#[derive(Debug)]
 pub(crate) struct Model {
     pub(crate) core: Arc<CoreModel>,
     /// Spread to the chain's joints.
@@ -262,8 +265,101 @@ impl Model {
         self.joints.get_or_try_init(py, made).map(|joints| joints.clone_ref(py))
     }
 
+    #[pyo3(signature = (q, reference = None, out = None), text_signature = "($self, q, reference='world_aligned', out=None)")]
+    fn kinematics<'py>(
+        &self,
+        q: &Bound<'py, PyAny>,
+        reference: Option<&Bound<'py, PyAny>>,
+        out: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        kinematics::both(&self.core, q, axes_of(reference)?, out)
+    }
+
+    fn forward_kinematics<'py>(&self, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        let pose = self.core.forward_kinematics(&positions(&self.core, q)?[..self.core.n()]).or_raise()?;
+        Ok(matrix(q.py(), &pose))
+    }
+
+    #[pyo3(signature = (q, reference = None), text_signature = "($self, q, reference='world_aligned')")]
+    fn jacobian<'py>(
+        &self,
+        q: &Bound<'py, PyAny>,
+        reference: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        kinematics::jacobian(&self.core, q, axes_of(reference)?)
+    }
+
+    fn gravity<'py>(&self, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        let n = self.core.n();
+        let torque = self.core.gravity(&positions(&self.core, q)?[..n]).or_raise()?;
+        Ok(new_array(q.py(), &[n], torque.as_slice()))
+    }
+
+    #[pyo3(
+        signature = (target, q0, *, axes = None, position_tolerance = 1e-8, rotation_tolerance = 1e-8, max_iterations = 100, restarts = 8),
+        text_signature = "($self, target, q0, *, axes='xyz rpy', position_tolerance=1e-08, rotation_tolerance=1e-08, \
+                          max_iterations=100, restarts=8)"
+    )]
+    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    fn inverse_kinematics(
+        &self,
+        target: &Bound<'_, PyAny>,
+        q0: &Bound<'_, PyAny>,
+        axes: Option<&Bound<'_, PyAny>>,
+        position_tolerance: f64,
+        rotation_tolerance: f64,
+        max_iterations: usize,
+        restarts: usize,
+    ) -> PyResult<IkSolution> {
+        let options =
+            IkOptions { position_tolerance, rotation_tolerance, max_iterations, restarts, ..IkOptions::default() };
+        search(self, target, q0, axes, options)
+    }
+
+    #[pyo3(signature = (Q, reference = None), text_signature = "($self, Q, reference='world_aligned')")]
+    fn kinematics_batch<'py>(
+        &self,
+        Q: &Bound<'py, PyAny>,
+        reference: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        Ok((kinematics::poses(&self.core, Q)?, kinematics::jacobians(&self.core, Q, axes_of(reference)?)?))
+    }
+
+    fn forward_kinematics_batch<'py>(&self, Q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        kinematics::poses(&self.core, Q)
+    }
+
+    #[pyo3(signature = (Q, reference = None), text_signature = "($self, Q, reference='world_aligned')")]
+    fn jacobian_batch<'py>(
+        &self,
+        Q: &Bound<'py, PyAny>,
+        reference: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        kinematics::jacobians(&self.core, Q, axes_of(reference)?)
+    }
+
+    fn gravity_batch<'py>(&self, Q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        kinematics::gravities(&self.core, Q)
+    }
+
     fn __repr__(&self) -> String {
         let core = &self.core;
         format!("<Model '{}': {} joints, {} to {}>", core.name(), core.n(), core.base(), core.tip())
     }
+}
+
+fn axes_of(reference: Option<&Bound<'_, PyAny>>) -> PyResult<Reference> {
+    reference.map_or(Ok(Reference::WorldAligned), |word| Word::<Reference>::read("reference", word))
+}
+
+/// A read-only vector.
+fn frozen<'py>(py: Python<'py>, values: &[f64]) -> PyResult<Bound<'py, PyAny>> {
+    let array = new_array(py, &[values.len()], values);
+    freeze(&array)?;
+    Ok(array)
+}
+
+/// NaN where there is no value.
+fn present(values: &[Option<f64>]) -> Vec<f64> {
+    values.iter().map(|value| value.unwrap_or(f64::NAN)).collect()
 }

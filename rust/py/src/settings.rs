@@ -1,7 +1,7 @@
 //! `Settings`.
 
-use pliant_core::task::axes::Axis;
 use pliant_core::settings::{Follow, Law, LimitRule, Projector, Settings as CoreSettings};
+use pliant_core::task::axes::Axis;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
 

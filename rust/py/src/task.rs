@@ -1,7 +1,7 @@
 //! `Task` and `Axis`.
 
-use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis, Profile, Task as CoreTask, Yields, parse_axes};
 use pliant_core::MAX_AXES;
+use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis, Profile, Task as CoreTask, Yields, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping, PyMappingProxy, PyTuple};
 
@@ -45,7 +45,8 @@ fields! {
 
         #[getter]
         fn names<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-            PyTuple::new(py, AXIS_NAMES.iter().zip(self.0.axes).filter(|(_, on)| *on).map(|(name, _)| name))
+            let chosen: Vec<_> = AXIS_NAMES.iter().zip(self.0.axes).filter(|(_, on)| *on).map(|(name, _)| name).collect();
+            PyTuple::new(py, chosen)
         }
 
         fn __len__(&self) -> usize {
@@ -108,7 +109,9 @@ impl Kind for TaskField {
         }
         match value.extract::<String>() {
             Ok(key) => CoreTask::of(&key).or_raise(),
-            Err(_) => Err(config(name, format!("must be a Task or an axis key such as 'xyz rpy', got {}", shown(value)))),
+            Err(_) => {
+                Err(config(name, format!("must be a Task or an axis key such as 'xyz rpy', got {}", shown(value))))
+            }
         }
     }
 
@@ -155,7 +158,8 @@ pub(crate) fn merged(
     let mut owner: [Option<String>; MAX_AXES] = Default::default();
     for item in mapping.items()?.iter() {
         let (key, axis): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract()?;
-        let key: String = key.extract().map_err(|_| config(name, format!("keys are axis names, got {}", shown(&key))))?;
+        let key: String =
+            key.extract().map_err(|_| config(name, format!("keys are axis names, got {}", shown(&key))))?;
         let axis = axis
             .cast::<Axis>()
             .map_err(|_| config(&format!("axes.{key}"), format!("must be an Axis, got {}", shown(&axis))))?;

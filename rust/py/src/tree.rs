@@ -7,7 +7,7 @@ use crate::convert::new_array;
 use crate::pose::Pose;
 
 /// Mass, centre of mass and inertia of a link.
-#[pyclass(module = "pliant", frozen, skip_from_py_object)]
+#[pyclass(module = "pliant", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Inertial(model::Inertial);
 
@@ -39,7 +39,7 @@ impl Inertial {
 }
 
 /// A rigid body, or a mere frame.
-#[pyclass(module = "pliant", frozen, skip_from_py_object)]
+#[pyclass(module = "pliant", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Link(pub(crate) model::Link);
 
@@ -66,7 +66,7 @@ impl Link {
 }
 
 /// A joint that follows another: `multiplier * q + offset`.
-#[pyclass(module = "pliant", frozen, skip_from_py_object)]
+#[pyclass(module = "pliant", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Mimic(model::Mimic);
 
@@ -93,7 +93,7 @@ impl Mimic {
 }
 
 /// A joint of the tree.
-#[pyclass(module = "pliant", frozen, skip_from_py_object)]
+#[pyclass(module = "pliant", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Joint(pub(crate) model::Joint);
 

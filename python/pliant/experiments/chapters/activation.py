@@ -52,7 +52,7 @@ REFERENCE: Mapping[str, tuple[tuple[float, ...], ...]] = {
 def matrix(pose: str) -> Array:
     """Activation matrix (7, 7) of a grasp pose, by the controller that the other chapters run."""
     q = POSES[pose]
-    settings = laws.paper(soft="")
+    settings = laws.paper(soft="", damping=0.0)
     controller = pliant.Controller(arm(), settings)
     controller.reset(q)
     controller.step(q, tool(q))

@@ -25,7 +25,9 @@ pub(crate) fn scale_to_fit<const P: usize>(
             }
             let part = parts[p][i];
             let all = others + part;
-            if all.abs() > bound[i] {
+            // What the part before has just brought to the bound is not beyond it by a rounding error: a part that
+            // hardly moves this joint would vanish for it.
+            if all.abs() > bound[i] * (1.0 + 1e-12) {
                 fits = false;
                 let edge = bound[i].copysign(all);
                 let share = if part == 0.0 { 1.0 } else { ((edge - others) / part).clamp(0.0, 1.0) };
@@ -115,6 +117,18 @@ mod tests {
         assert_eq!(scale_to_fit(&base, [&soft, &stiff], &bound, 2), [0.0, 0.5]);
         let bound = vector(&[20.0, 9.0]);
         assert_eq!(scale_to_fit(&base, [&soft, &stiff], &bound, 2), [1.0, 1.0]);
+    }
+
+    #[test]
+    fn a_rounding_error_at_the_bound_takes_nothing_away() {
+        let base = vector(&[-4.1, 0.0]);
+        for bound in [10.3, 10.7, 9.9, 6.4] {
+            for soft in [17.3, 21.9, 30.1] {
+                let parts = [&vector(&[soft, 0.0]), &vector(&[1e-17, 3.0])];
+                let factors = scale_to_fit(&base, parts, &vector(&[bound, 9.0]), 2);
+                assert!((factors[1] - 1.0).abs() < 1e-9, "{factors:?}");
+            }
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::law::activation::{Activation, activation};
+use crate::law::activation::{Activation, activation, responsibility};
 use crate::law::inverse::{SingularValues, pseudo_inverse};
 use crate::law::nullspace::{NullSpace, fade_squared};
 use crate::plan::Plan;
@@ -110,21 +110,13 @@ impl Record {
 
     /// Activation matrix A of (10), n × (k + 1), the null-space column last.
     pub(crate) fn activation(&self, plan: &Plan) -> DMatrix<f64> {
-        let shares = self.shares(plan);
-        DMatrix::from_fn(plan.n, plan.k + 1, |i, r| if r < plan.k { shares.task[r][i] } else { shares.null[i] })
+        self.shares(plan).matrix(plan.k, plan.n)
     }
 
     /// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|` and `|α N∇g|`.
     pub(crate) fn responsibility(&self, plan: &Plan) -> DMatrix<f64> {
-        let (pinv, projector) = (self.pseudo_inverse(plan), self.projector(plan));
-        DMatrix::from_fn(plan.n, plan.k + 1, |i, r| {
-            if r < plan.k {
-                (pinv[r][i] * self.dx[r]).abs()
-            } else {
-                let motion: f64 = (0..plan.n).map(|j| projector[i][j] * self.gradient[j]).sum();
-                (plan.alpha * motion).abs()
-            }
-        })
+        let null = (&self.projector(plan), &self.gradient);
+        responsibility(&self.pseudo_inverse(plan), &self.dx, null, plan.alpha, plan.k, plan.n).matrix(plan.k, plan.n)
     }
 
     /// The task rows, k × n.

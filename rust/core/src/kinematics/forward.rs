@@ -85,7 +85,8 @@ impl Chain {
     fn advance(&self, k: usize, r: &Mat3, p: &Vec3, (s, c, slide): (f64, f64, f64)) -> (Mat3, Vec3) {
         let (st, ct) = self.tilt[k];
         let (x1, x2, y1, y2) = (ct * s, st * s, ct * c, st * c);
-        let row = |v: &Vec3| [v[0] * c + (v[1] * x1 + v[2] * x2), (v[1] * y1 + v[2] * y2) - v[0] * s, v[2] * ct - v[1] * st];
+        let row =
+            |v: &Vec3| [v[0] * c + (v[1] * x1 + v[2] * x2), (v[1] * y1 + v[2] * y2) - v[0] * s, v[2] * ct - v[1] * st];
         let rotation = [row(&r[0]), row(&r[1]), row(&r[2])];
         let mut origin = add(p, &rotate(r, &self.offset[k]));
         for i in 0..3 {

@@ -127,9 +127,14 @@ impl Model {
 
 impl IkOptions {
     fn validate(&self) -> Result<()> {
-        for (key, value) in [("position_tolerance", self.position_tolerance), ("rotation_tolerance", self.rotation_tolerance)] {
+        for (key, value) in
+            [("position_tolerance", self.position_tolerance), ("rotation_tolerance", self.rotation_tolerance)]
+        {
             if !(value >= 1e-12 && value.is_finite()) {
-                return Err(Error::config(key, format!("is {value}; must be finite and at least 1e-12, which rounding allows")));
+                return Err(Error::config(
+                    key,
+                    format!("is {value}; must be finite and at least 1e-12, which rounding allows"),
+                ));
             }
         }
         if self.max_iterations == 0 {
@@ -221,7 +226,8 @@ impl Search<'_> {
         let mut free = [true; MAX_JOINTS];
         let damping = 0.5 * error.norm_squared() + 1e-14;
         let solve = |free: &[bool; MAX_JOINTS]| {
-            let column = |k: usize| Vector6::from_fn(|i, _| if self.options.axes[i] && free[k] { rows[i][k] } else { 0.0 });
+            let column =
+                |k: usize| Vector6::from_fn(|i, _| if self.options.axes[i] && free[k] { rows[i][k] } else { 0.0 });
             let mut square = Matrix6::identity() * damping;
             for k in 0..n {
                 square += column(k) * column(k).transpose();
@@ -234,7 +240,7 @@ impl Search<'_> {
             Some(step)
         };
         for _ in 0..=n {
-            let mut step = solve(&free)?;
+            let step = solve(&free)?;
             let outward = |k: usize| {
                 (step[k] > 0.0 && q[k] >= self.model.upper()[k]) || (step[k] < 0.0 && q[k] <= self.model.lower()[k])
             };
@@ -245,8 +251,7 @@ impl Search<'_> {
                     return None;
                 }
                 let scale = (LARGEST_STEP / largest).min(1.0);
-                step.iter_mut().for_each(|dq| *dq *= scale);
-                return Some(step);
+                return Some(step.map(|dq| dq * scale));
             }
             for k in blocked {
                 free[k] = false;
@@ -291,7 +296,8 @@ impl Search<'_> {
             return IkReason::OutOfReach { distance, reach };
         }
         let near = |x: f64, limit: f64| (x - limit).abs() <= 1e-9;
-        let at_limit = |k: &usize| near(found.q[*k], self.model.lower()[*k]) || near(found.q[*k], self.model.upper()[*k]);
+        let at_limit =
+            |k: &usize| near(found.q[*k], self.model.lower()[*k]) || near(found.q[*k], self.model.upper()[*k]);
         let joints: Vec<usize> = (0..self.model.n()).filter(at_limit).collect();
         if joints.is_empty() { IkReason::Stalled } else { IkReason::JointLimit { joints } }
     }

@@ -82,3 +82,38 @@ pub(crate) fn sin_cos(angle: f64) -> (f64, f64) {
     let cosine_sign = (quadrant.wrapping_add(1) & 2) << 62;
     (f64::from_bits((s ^ exchanged) ^ sine_sign), f64::from_bits((c ^ exchanged) ^ cosine_sign))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::sin_cos;
+
+    /// Largest difference to the system's functions over a dense walk with irrational step.
+    fn worst(largest: f64) -> f64 {
+        (0..400_000)
+            .map(|i| {
+                let angle = (f64::from(i) * 0.618_033_988_749_895).fract() * 2.0 * largest - largest;
+                let (sine, cosine) = sin_cos(angle);
+                (sine - angle.sin()).abs().max((cosine - angle.cos()).abs())
+            })
+            .fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn sines_are_right_to_rounding() {
+        for largest in [1e-9, 0.8, 3.2, 100.0, 1e4, 1e6] {
+            let off = worst(largest);
+            assert!(off <= 2.3e-16, "within ±{largest}: {off:e}");
+        }
+    }
+
+    #[test]
+    fn sines_at_multiples_of_a_quarter_turn() {
+        for i in -1000..1000_i32 {
+            let angle = f64::from(i) * std::f64::consts::FRAC_PI_2;
+            let (sine, cosine) = sin_cos(angle);
+            assert!((sine - angle.sin()).abs() <= 1.2e-16 && (cosine - angle.cos()).abs() <= 1.2e-16, "{i}");
+        }
+        assert_eq!(sin_cos(0.0).0.to_bits(), 0.0_f64.to_bits());
+        assert_eq!(sin_cos(0.0).1.to_bits(), 1.0_f64.to_bits());
+    }
+}

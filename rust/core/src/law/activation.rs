@@ -1,5 +1,7 @@
 //! Responsibility (6), (7), activation (10) and the joint torque limits of (11).
 
+use nalgebra::DMatrix;
+
 use crate::law::nullspace::JointSquare;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -31,6 +33,26 @@ pub(crate) fn activation(
     Activation { task, null }
 }
 
+/// (6), (7): `|J⁺ diag(Δx)|` and `|α N∇g|`, the shares of [`activation`] before they are divided by their sums.
+pub(crate) fn responsibility(
+    pinv_transposed: &Rows,
+    dx: &AxisVec,
+    (projector, gradient): (&JointSquare, &JointVec),
+    alpha: f64,
+    k: usize,
+    n: usize,
+) -> Activation {
+    let mut task = [[0.0; MAX_JOINTS]; MAX_AXES];
+    for (row, (source, speed)) in task.iter_mut().zip(pinv_transposed.iter().zip(dx)).take(k) {
+        *row = source.map(|value| (value * speed).abs());
+    }
+    let mut null = [0.0; MAX_JOINTS];
+    for (share, row) in null.iter_mut().zip(projector).take(n) {
+        *share = (alpha * (0..n.min(MAX_JOINTS)).map(|j| row[j] * gradient[j]).sum::<f64>()).abs();
+    }
+    Activation { task, null }
+}
+
 /// Shares of the joints in the null-space motion: `|N∇g|`, blended into the row norms of `N` where it vanishes.
 fn null_column(projector: &JointSquare, gradient: &JointVec, n: usize) -> JointVec {
     let n = n.min(MAX_JOINTS);
@@ -56,6 +78,11 @@ fn shares(sizes: &JointVec, n: usize) -> JointVec {
 }
 
 impl Activation {
+    /// As an n × (k + 1) matrix, the null-space column last.
+    pub(crate) fn matrix(&self, k: usize, n: usize) -> DMatrix<f64> {
+        DMatrix::from_fn(n, k + 1, |i, r| if r < k { self.task[r][i] } else { self.null[i] })
+    }
+
     /// (11): `τ^q = A τ^x` [N·m], the null-space torque last.
     pub(crate) fn distribute(&self, strength: &AxisVec, null_torque: f64, k: usize) -> JointVec {
         let mut out = self.null.map(|share| share * null_torque);

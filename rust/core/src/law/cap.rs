@@ -151,10 +151,8 @@ pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
 fn bound_null(null: &mut JointVec, tick: &Tick<'_>) {
     let plan = tick.plan;
     let (mut torque, mut fastest) = (0.0, 0.0_f64);
+    tick.without_locked(null);
     for i in 0..plan.n.min(MAX_JOINTS) {
-        if tick.locked[i] {
-            null[i] = 0.0;
-        }
         torque += plan.servos.kp[i] * null[i].abs();
         fastest = fastest.max(null[i].abs());
     }

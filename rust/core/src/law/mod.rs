@@ -90,6 +90,16 @@ impl Tick<'_> {
         }
     }
 
+    /// Takes locked joints out of a motion.
+    #[inline]
+    pub(crate) fn without_locked(&self, motion: &mut JointVec) {
+        for (value, &locked) in motion.iter_mut().zip(self.locked) {
+            if locked {
+                *value = 0.0;
+            }
+        }
+    }
+
     /// Line 9: `−α h N ∇cost` [rad], before any scaling.
     #[inline]
     pub(crate) fn null_motion(&self) -> JointVec {

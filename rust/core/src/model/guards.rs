@@ -4,11 +4,10 @@
 //! text that goes on to the reader holds links, inertials and joints alone: what it cannot see cannot break it.
 
 use std::collections::HashMap;
-use std::fmt::Write as _;
 
 use roxmltree::Node;
 
-use super::text::{MAX_LINKS, Source, xacro};
+use super::text::{MAX_LINKS, Source, shortened};
 use crate::error::{Position, Result};
 use crate::pose::COORDINATE_BOUND;
 
@@ -28,11 +27,11 @@ pub(super) struct JointFacts {
     pub(super) name: String,
     pub(super) at: Position,
     pub(super) type_name: String,
-    /// Position limits that are there and finite.
-    pub(super) lower: bool,
-    pub(super) upper: bool,
-    pub(super) damping: bool,
-    pub(super) friction: bool,
+    /// Numbers that are there, and finite.
+    pub(super) lower: Option<f64>,
+    pub(super) upper: Option<f64>,
+    pub(super) damping: Option<f64>,
+    pub(super) friction: Option<f64>,
     pub(super) quaternion: Option<[f64; 4]>,
 }
 
@@ -135,7 +134,9 @@ impl Guard<'_> {
             let name = child.tag_name().name();
             for (part, _) in parts.iter_mut().zip(names).filter(|(_, n)| **n == name) {
                 if part.replace(child).is_some() {
-                    return Err(self.source.error_at(child, format!("{owner}: a second <{name}>; at most one is allowed")));
+                    return Err(self
+                        .source
+                        .error_at(child, format!("{owner}: a second <{name}>; at most one is allowed")));
                 }
             }
             self.keep(child, &[]);
@@ -144,7 +145,7 @@ impl Guard<'_> {
     }
 
     fn link(&mut self, node: Node) -> Result<LinkFacts> {
-        let name = self.name(node, "link")?;
+        let name = self.source.named(node, "link")?;
         let owner = format!("link '{name}'");
         let at = self.source.at(node.range().start);
         let inertials = self.keep(node, &["inertial"]);
@@ -159,7 +160,7 @@ impl Guard<'_> {
         let Some(mass) = mass else {
             return Err(self.source.error_at(inertial, format!("{owner}: <inertial> without <mass value=\"...\"/>")));
         };
-        let kilograms = self.required(mass, "value", &owner)?;
+        let kilograms = self.source.required(mass, "value", &owner)?;
         if !(0.0..=COORDINATE_BOUND).contains(&kilograms) {
             let message = format!("{owner}: mass is {kilograms} kg; it must be between 0 and {COORDINATE_BOUND:e}");
             return Err(self.source.error_at(mass, message));
@@ -172,25 +173,31 @@ impl Guard<'_> {
             return Err(self.source.error_at(inertial, message));
         };
         for entry in INERTIA {
-            self.required(inertia, entry, &owner)?;
+            self.source.required(inertia, entry, &owner)?;
         }
         Ok(LinkFacts { name, at, inertial: true, quaternion })
     }
 
     fn joint(&mut self, node: Node) -> Result<JointFacts> {
-        let name = self.name(node, "joint")?;
+        let name = self.source.named(node, "joint")?;
         let owner = format!("joint '{name}'");
         let at = self.source.at(node.range().start);
         let type_name = node.attribute("type").unwrap_or_default().to_owned();
         if !JOINT_TYPES.contains(&type_name.as_str()) {
-            let message = format!("{owner}: type is '{type_name}'; it must be one of {}", JOINT_TYPES.join(", "));
+            let message = format!(
+                "{owner}: type is '{}'; it must be one of {}",
+                shortened(&type_name, 40),
+                JOINT_TYPES.join(", ")
+            );
             return Err(self.source.error_at(node, message));
         }
         let [origin, parent, child, axis, limit, mimic, dynamics] = self.parts(node, &JOINT_PARTS, &owner)?;
         for (part, what) in [(parent, "parent"), (child, "child")] {
-            if part.and_then(|part| part.attribute("link")).is_none_or(str::is_empty) {
+            let named = part.and_then(|part| part.attribute("link")).is_some_and(|link| !link.is_empty());
+            if !named {
                 return Err(self.source.error_at(node, format!("{owner}: <{what} link=\"...\"/> is missing")));
             }
+            self.source.refuse_long(part, "link")?;
         }
         let quaternion = self.origin(origin, &owner)?;
         if let Some(axis) = axis {
@@ -204,17 +211,18 @@ impl Guard<'_> {
             if mimic.attribute("joint").is_none_or(str::is_empty) {
                 return Err(self.source.error_at(mimic, format!("{owner}: <mimic> without joint=\"...\"")));
             }
-            self.number(mimic, "multiplier", &owner)?;
-            self.number(mimic, "offset", &owner)?;
+            self.source.refuse_long(Some(mimic), "joint")?;
+            self.source.number(mimic, "multiplier", &owner)?;
+            self.source.number(mimic, "offset", &owner)?;
         }
         if let Some(dynamics) = dynamics {
             for (entry, present) in [("damping", &mut facts.damping), ("friction", &mut facts.friction)] {
-                if let Some(value) = self.number(dynamics, entry, &owner)? {
+                if let Some(value) = self.source.number(dynamics, entry, &owner)? {
                     if value < 0.0 {
                         let message = format!("{owner}: {entry} is {value}; it must be 0 or more");
                         return Err(self.source.error_at(dynamics, message));
                     }
-                    *present = true;
+                    *present = Some(value);
                 }
             }
         }
@@ -222,14 +230,15 @@ impl Guard<'_> {
     }
 
     fn axis(&self, axis: Node, owner: &str, type_name: &str) -> Result<()> {
-        let Some(xyz) = self.vector::<3>(axis, "xyz", owner)? else {
+        let Some(xyz) = self.source.vector::<3>(axis, "xyz", owner)? else {
             let message = format!("{owner}: <axis> without xyz=\"...\"; leave <axis> out for \"1 0 0\"");
             return Err(self.source.error_at(axis, message));
         };
         let length = xyz[0].hypot(xyz[1]).hypot(xyz[2]);
         let turns = ["revolute", "continuous", "prismatic"].contains(&type_name);
         if turns && !(1e-6..=COORDINATE_BOUND).contains(&length) {
-            let message = format!("{owner}: axis {xyz:?} has length {length:e}; it must point somewhere, e.g. \"0 0 1\"");
+            let message =
+                format!("{owner}: axis {xyz:?} has length {length:e}; it must point somewhere, e.g. \"0 0 1\"");
             return Err(self.source.error_at(axis, message));
         }
         Ok(())
@@ -237,10 +246,10 @@ impl Guard<'_> {
 
     fn limit(&mut self, limit: Node, owner: &str, facts: &mut JointFacts) -> Result<()> {
         for (entry, present) in [("lower", &mut facts.lower), ("upper", &mut facts.upper)] {
-            *present = self.number_or_infinite(limit, entry, owner)?.is_some_and(f64::is_finite);
+            *present = self.source.number_or_infinite(limit, entry, owner)?.filter(|value| value.is_finite());
         }
-        self.number_or_infinite(limit, "effort", owner)?;
-        if self.number_or_infinite(limit, "velocity", owner)?.is_none() {
+        self.source.number_or_infinite(limit, "effort", owner)?;
+        if self.source.number_or_infinite(limit, "velocity", owner)?.is_none() {
             // The reader demands it; many real files leave it out.
             let start = limit.range().start;
             let name = self.text.get(start..).and_then(|tag| tag.find([' ', '\t', '\r', '\n', '/', '>']));
@@ -253,14 +262,14 @@ impl Guard<'_> {
     /// Checks an `<origin>`; its quaternion, if it has one.
     fn origin(&self, origin: Option<Node>, owner: &str) -> Result<Option<[f64; 4]>> {
         let Some(origin) = origin else { return Ok(None) };
-        if let Some(xyz) = self.vector::<3>(origin, "xyz", owner)?
+        if let Some(xyz) = self.source.vector::<3>(origin, "xyz", owner)?
             && let Some(far) = xyz.iter().find(|x| x.abs() > COORDINATE_BOUND)
         {
             let message = format!("{owner}: <origin> is {far:e} m away; at most {COORDINATE_BOUND:e}");
             return Err(self.source.error_at(origin, message));
         }
-        self.vector::<3>(origin, "rpy", owner)?;
-        let Some(quaternion) = self.vector::<4>(origin, "quat_xyzw", owner)? else { return Ok(None) };
+        self.source.vector::<3>(origin, "rpy", owner)?;
+        let Some(quaternion) = self.source.vector::<4>(origin, "quat_xyzw", owner)? else { return Ok(None) };
         if !self.quaternions {
             let message = format!(
                 "{owner}: quat_xyzw needs <robot version=\"1.1\"> or later and would be ignored without; set the version \
@@ -269,7 +278,9 @@ impl Guard<'_> {
             return Err(self.source.error_at(origin, message));
         }
         if origin.has_attribute("rpy") {
-            return Err(self.source.error_at(origin, format!("{owner}: <origin> has both rpy and quat_xyzw; keep one")));
+            return Err(self
+                .source
+                .error_at(origin, format!("{owner}: <origin> has both rpy and quat_xyzw; keep one")));
         }
         let norm = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
         if !((norm - 1.0).abs() <= 1e-3) {
@@ -277,64 +288,6 @@ impl Guard<'_> {
             return Err(self.source.error_at(origin, message));
         }
         Ok(Some(quaternion.map(|x| x / norm)))
-    }
-
-    fn name(&self, node: Node, what: &str) -> Result<String> {
-        match node.attribute("name") {
-            Some(name) if is_xacro(name) => Err(self.source.error_at(node, xacro(&format!("the name '{name}'")))),
-            Some(name) if !name.trim().is_empty() => Ok(name.to_owned()),
-            _ => Err(self.source.error_at(node, format!("a {what} without a name; give it name=\"...\""))),
-        }
-    }
-
-    fn required(&self, node: Node, attribute: &str, owner: &str) -> Result<f64> {
-        self.number(node, attribute, owner)?.ok_or_else(|| {
-            self.source.error_at(node, format!("{owner}: <{}> without {attribute}=\"...\"", node.tag_name().name()))
-        })
-    }
-
-    fn number(&self, node: Node, attribute: &str, owner: &str) -> Result<Option<f64>> {
-        Ok(self.vector::<1>(node, attribute, owner)?.map(|[value]| value))
-    }
-
-    fn number_or_infinite(&self, node: Node, attribute: &str, owner: &str) -> Result<Option<f64>> {
-        match node.attribute(attribute).and_then(|value| value.trim().parse::<f64>().ok()) {
-            Some(value) if value.is_infinite() => Ok(Some(value)),
-            _ => self.number(node, attribute, owner),
-        }
-    }
-
-    /// Exactly `N` finite numbers, or an error that shows them.
-    fn vector<const N: usize>(&self, node: Node, attribute: &str, owner: &str) -> Result<Option<[f64; N]>> {
-        let Some(value) = node.attribute(attribute) else { return Ok(None) };
-        let mut numbers = [0.0; N];
-        let mut count = 0;
-        let mut fault = None;
-        for token in value.split_whitespace() {
-            match token.parse::<f64>() {
-                Ok(number) if number.is_finite() => {
-                    if let Some(slot) = numbers.get_mut(count) {
-                        *slot = number;
-                    }
-                }
-                _ => fault = fault.or(Some(token)),
-            }
-            count += 1;
-        }
-        if fault.is_none() && count == N {
-            return Ok(Some(numbers));
-        }
-        let mut message = format!("{owner}: {attribute} of <{}> is \"{}\"; ", node.tag_name().name(), shortened(value));
-        if is_xacro(value) {
-            message.push_str(&xacro("the expression"));
-        } else {
-            if let Some(token) = fault {
-                let _ = write!(message, "'{}' is not a finite number; ", shortened(token));
-            }
-            let plural = if N == 1 { "" } else { "s" };
-            let _ = write!(message, "expected {N} finite number{plural}, got {count} word{}", if count == 1 { "" } else { "s" });
-        }
-        Err(self.source.error_at(node, message))
     }
 
     /// The text of `range` after all edits.
@@ -350,13 +303,4 @@ impl Guard<'_> {
         text.push_str(self.text.get(from..range.end).unwrap_or_default());
         text
     }
-}
-
-fn is_xacro(value: &str) -> bool {
-    value.contains("${") || value.contains("$(")
-}
-
-/// At most forty characters, so that a message stays readable.
-fn shortened(value: &str) -> String {
-    if value.chars().count() <= 40 { value.to_owned() } else { value.chars().take(40).chain(['…']).collect() }
 }

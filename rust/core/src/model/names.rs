@@ -1,5 +1,7 @@
 //! Lists of names in messages: short, and the likeliest first.
 
+use std::fmt::Write as _;
+
 /// Most names that a message lists.
 pub(super) const SHOWN: usize = 40;
 
@@ -8,7 +10,7 @@ pub(super) fn some<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String 
     let rest = names.len().saturating_sub(SHOWN);
     let mut list = names.take(SHOWN).collect::<Vec<_>>().join(", ");
     if rest > 0 {
-        list.push_str(&format!(" and {rest} more"));
+        let _ = write!(list, " and {rest} more");
     }
     list
 }

@@ -1,5 +1,7 @@
 //! The text as XML: what is refused before any reader of robots sees it.
 
+use std::cell::Cell;
+
 use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::error::{Error, Position, Result};
@@ -11,6 +13,9 @@ pub(super) const MAX_BYTES: usize = 16 << 20;
 /// overflow its stack, which ends the process.
 pub(super) const MAX_DEPTH: usize = 64;
 
+/// Most attributes of one element. Real robots stay below 30; the XML parser compares each with all others.
+pub(super) const MAX_ATTRIBUTES: usize = 64;
+
 /// Most XML nodes, and most links: both bound the time that a hostile text can take to about a second.
 const MAX_NODES: u32 = 2_000_000;
 pub(super) const MAX_LINKS: usize = 10_000;
@@ -21,12 +26,14 @@ pub(super) struct Source<'a> {
     name: &'a str,
     text: &'a str,
     line_starts: Vec<usize>,
+    /// Offset asked for last, its line's start and its column: in a file of one line the next count goes on from there.
+    last: Cell<(usize, usize, usize)>,
 }
 
 impl<'a> Source<'a> {
     pub(super) fn new(name: &'a str, text: &'a str) -> Self {
         let line_starts = std::iter::once(0).chain(text.match_indices('\n').map(|(i, _)| i + 1)).collect();
-        Self { name, text, line_starts }
+        Self { name, text, line_starts, last: Cell::new((0, 0, 1)) }
     }
 
     pub(super) const fn name(&self) -> &'a str {
@@ -37,7 +44,10 @@ impl<'a> Source<'a> {
     pub(super) fn at(&self, offset: usize) -> Position {
         let line = self.line_starts.partition_point(|&start| start <= offset);
         let start = self.line_starts.get(line.wrapping_sub(1)).copied().unwrap_or(0);
-        let column = self.text.get(start..offset).map_or(0, |head| head.chars().count()) + 1;
+        let (last, last_start, last_column) = self.last.get();
+        let (from, counted) = if last_start == start && last <= offset { (last, last_column) } else { (start, 1) };
+        let column = counted + self.text.get(from..offset).map_or(0, |part| part.chars().count());
+        self.last.set((offset, start, column));
         match (u32::try_from(line), u32::try_from(column)) {
             (Ok(line), Ok(column)) => Position(Some((line, column))),
             _ => Position(None),
@@ -62,6 +72,7 @@ impl<'a> Source<'a> {
         if self.text.trim().is_empty() {
             return Err(self.error(Position(None), "the text is empty; a URDF starts with <robot name=\"...\">"));
         }
+        self.refuse_wide()?;
         let options = ParsingOptions { nodes_limit: MAX_NODES, ..ParsingOptions::default() };
         let document = Document::parse_with_options(self.text, options).map_err(|error| self.malformed(&error))?;
         self.refuse_deep(&document)?;
@@ -76,18 +87,45 @@ impl<'a> Source<'a> {
                 let at = self.text.find("<!DOCTYPE").map_or(Position(None), |offset| self.at(offset));
                 self.error(at, "a DOCTYPE is refused, because its entities can grow without bound; remove it")
             }
-            roxmltree::Error::UnknownEntityReference(name, _) => {
-                self.error(at, format!("unknown entity '&{name};'; only &amp; &lt; &gt; &quot; &apos; exist in a URDF"))
+            roxmltree::Error::UnknownEntityReference(name, _) => self.error(
+                at,
+                format!(
+                    "unknown entity '&{};'; only &amp; &lt; &gt; &quot; &apos; exist in a URDF",
+                    shortened(name, 40)
+                ),
+            ),
+            roxmltree::Error::UnknownNamespace(prefix, _) if prefix == "xacro" => {
+                self.error(at, xacro("an xacro element"))
             }
-            roxmltree::Error::UnknownNamespace(prefix, _) if prefix == "xacro" => self.error(at, xacro("an xacro element")),
             roxmltree::Error::NodesLimitReached => {
                 self.error(Position(None), format!("more than {MAX_NODES} XML nodes; a robot has some thousands"))
             }
             roxmltree::Error::UnclosedRootNode | roxmltree::Error::UnexpectedEndOfStream => {
                 self.error(Position(None), "the text ends too early; </robot> is missing")
             }
-            other => self.error(at, format!("not well-formed XML: {other}")),
+            other => self.error(at, format!("not well-formed XML: {}", shortened(&other.to_string(), 300))),
         }
+    }
+
+    /// Counts `="` and `='` between one `<` and the next, which is never less than the attributes of that element.
+    fn refuse_wide(&self) -> Result<()> {
+        let (mut tag, mut attributes, mut equals) = (0, 0, false);
+        for (offset, byte) in self.text.bytes().enumerate() {
+            match byte {
+                b'<' => (tag, attributes, equals) = (offset, 0, false),
+                b'=' => equals = true,
+                b' ' | b'\t' | b'\r' | b'\n' => {}
+                b'"' | b'\'' if equals => {
+                    (attributes, equals) = (attributes + 1, false);
+                    if attributes > MAX_ATTRIBUTES {
+                        let message = format!("an element with more than {MAX_ATTRIBUTES} attributes");
+                        return Err(self.error(self.at(tag), message));
+                    }
+                }
+                _ => equals = false,
+            }
+        }
+        Ok(())
     }
 
     fn refuse_deep(&self, document: &Document) -> Result<()> {
@@ -117,7 +155,9 @@ impl<'a> Source<'a> {
         let root = document.root_element();
         let is_xacro = |node: &Node| node.tag_name().namespace().is_some_and(|uri| uri.contains("xacro"));
         if let Some(node) = document.descendants().find(|node| node.is_element() && is_xacro(node)) {
-            return Err(self.error_at(node, xacro(&format!("the element <xacro:{}>", node.tag_name().name()))));
+            return Err(
+                self.error_at(node, xacro(&format!("the element <xacro:{}>", shortened(node.tag_name().name(), 40))))
+            );
         }
         let name = root.tag_name().name();
         let hint = match name {
@@ -128,11 +168,16 @@ impl<'a> Source<'a> {
             "html" | "HTML" => "this is a web page; download the raw file",
             _ => "give a URDF",
         };
-        Err(self.error_at(root, format!("the root element is <{name}>, not <robot>: {hint}")))
+        Err(self.error_at(root, format!("the root element is <{}>, not <robot>: {hint}", shortened(name, 40))))
     }
 }
 
 /// Why an xacro file is refused, and the command that helps.
 pub(super) fn xacro(what: &str) -> String {
     format!("{what} shows that xacro was not run; expand the file first: xacro robot.urdf.xacro > robot.urdf")
+}
+
+/// At most so many characters, so that a message stays readable.
+pub(super) fn shortened(value: &str, most: usize) -> String {
+    if value.chars().count() <= most { value.to_owned() } else { value.chars().take(most).chain(['…']).collect() }
 }

@@ -1,110 +1,12 @@
-//! Links and joints of the whole robot, as the file gives them.
+//! Links and joints → one tree with one root, mimics resolved.
 
 use std::collections::HashMap;
 
 use super::names::{SHOWN, distance, listed, some};
+use super::parts::{Joint, Link, Mimic};
 use super::text::Source;
 use super::urdf::Robot;
 use crate::error::{Error, Position, Result};
-use crate::pose::Pose;
-
-/// Mass, centre of mass and inertia of a link.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Inertial {
-    /// Mass [kg], finite, ≥ 0.
-    pub mass: f64,
-    /// Centre of mass in the link's frame [m].
-    pub com: [f64; 3],
-    /// Axes in which the inertia is given: `link_from_inertia`, row-major.
-    pub rotation: [[f64; 3]; 3],
-    /// Inertia about the centre of mass, in those axes [kg·m²].
-    pub inertia: [[f64; 3]; 3],
-}
-
-/// A rigid body, or a mere frame.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Link {
-    /// Unique, not empty.
-    pub name: String,
-    /// Joint above it; `None` for the root.
-    pub parent_joint: Option<usize>,
-    /// `None`: no `<inertial>`, a massless link.
-    pub inertial: Option<Inertial>,
-}
-
-/// How a joint moves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum JointKind {
-    /// About an axis, between limits.
-    Revolute,
-    /// About an axis, without end.
-    Continuous,
-    /// Along an axis.
-    Prismatic,
-    /// Not at all.
-    Fixed,
-    /// Floating, planar, spherical: held at its zero pose, and refused between base and tip.
-    Other,
-}
-
-impl JointKind {
-    /// Whether the joint has one coordinate.
-    pub const fn is_actuated(self) -> bool {
-        matches!(self, Self::Revolute | Self::Continuous | Self::Prismatic)
-    }
-}
-
-/// A joint that follows another: its coordinate is `multiplier · q + offset`.
-///
-/// Resolved: `joint` follows nobody, also where the file chains one mimic to another.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Mimic {
-    /// The joint that leads (index into [`Model::joints`](super::Model::joints)).
-    pub joint: usize,
-    /// Ratio, finite, not 0.
-    pub multiplier: f64,
-    /// Offset [rad or m].
-    pub offset: f64,
-}
-
-/// A joint of the tree.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Joint {
-    /// Unique, not empty.
-    pub name: String,
-    /// How it moves.
-    pub kind: JointKind,
-    /// The file's word for `kind`.
-    pub type_name: String,
-    /// Link above (index into [`Model::links`](super::Model::links)).
-    pub parent: usize,
-    /// Link below.
-    pub child: usize,
-    /// `parent_from_child` at zero.
-    pub origin: Pose,
-    /// Unit axis in the joint's frame; z for joints that have none.
-    pub axis: [f64; 3],
-    /// Lower position limit [rad or m]; `None`: absent.
-    pub lower: Option<f64>,
-    /// Upper position limit [rad or m]; `None`: absent.
-    pub upper: Option<f64>,
-    /// Speed limit [rad/s or m/s]; `None`: absent, 0 or infinite.
-    pub velocity: Option<f64>,
-    /// Torque or force limit [N·m or N]; `None`: absent, 0 or infinite.
-    pub effort: Option<f64>,
-    /// Damping [N·m·s/rad or N·s/m].
-    pub damping: Option<f64>,
-    /// Dry friction [N·m or N].
-    pub friction: Option<f64>,
-    /// The joint that it follows.
-    pub mimic: Option<Mimic>,
-    /// Coordinate of the chain that moves it, as the coordinate's own joint or by mimic.
-    pub q_index: Option<usize>,
-    /// Where it is held [rad or m], for actuated joints that no coordinate moves.
-    pub locked_at: Option<f64>,
-    /// Line and column of the joint's element.
-    pub(crate) at: Position,
-}
 
 /// All links and joints; a tree with one root, mimics resolved.
 #[derive(Debug, Clone, PartialEq)]
@@ -116,13 +18,6 @@ pub(super) struct Tree {
     /// Joints below each link, in the file's order.
     pub(super) children: Vec<Vec<usize>>,
     pub(super) root: usize,
-}
-
-impl Joint {
-    /// Where the joint is held when nobody says: 0, or the limit nearest to it.
-    pub(super) fn resting_value(&self) -> f64 {
-        0.0_f64.max(self.lower.unwrap_or(f64::NEG_INFINITY)).min(self.upper.unwrap_or(f64::INFINITY))
-    }
 }
 
 impl Tree {
@@ -143,7 +38,10 @@ impl Tree {
             let find = |what: &str, name: &str| {
                 link_index.get(name).copied().ok_or_else(|| {
                     let links = listed(&links, |link| &link.name, name);
-                    source.error(raw.at, format!("joint '{}': {what} link '{name}' does not exist; links: {links}", raw.name))
+                    source.error(
+                        raw.at,
+                        format!("joint '{}': {what} link '{name}' does not exist; links: {links}", raw.name),
+                    )
                 })
             };
             let (parent, child) = (find("parent", &raw.parent)?, find("child", &raw.child)?);
@@ -188,7 +86,8 @@ impl Tree {
                 at: raw.at,
             });
         }
-        let mut tree = Self { name: robot.name, source_name: source.name().to_owned(), links, joints, children, root: 0 };
+        let mut tree =
+            Self { name: robot.name, source_name: source.name().to_owned(), links, joints, children, root: 0 };
         tree.root = tree.find_root(&positions)?;
         tree.resolve_mimics(&mimics)?;
         Ok(tree)
@@ -203,7 +102,10 @@ impl Tree {
                 let message = format!("{} links have no parent joint ({names}); a robot has one root", roots.len());
                 return Err(self.error(positions[second], message));
             }
-            return Err(self.error(Position(None), "every link has a parent joint, so the joints form a loop; a robot has one root"));
+            return Err(self.error(
+                Position(None),
+                "every link has a parent joint, so the joints form a loop; a robot has one root",
+            ));
         };
         let mut reached = vec![false; self.links.len()];
         let mut stack = vec![root];
@@ -223,7 +125,8 @@ impl Tree {
 
     /// Follows every chain of mimics to the joint that leads it.
     fn resolve_mimics(&mut self, raw: &[Option<(String, f64, f64)>]) -> Result<()> {
-        let index: HashMap<String, usize> = self.joints.iter().enumerate().map(|(j, joint)| (joint.name.clone(), j)).collect();
+        let index: HashMap<String, usize> =
+            self.joints.iter().enumerate().map(|(j, joint)| (joint.name.clone(), j)).collect();
         // Direct leaders first, so that a chain can be followed by index.
         let mut direct: Vec<Option<Mimic>> = vec![None; raw.len()];
         for (j, entry) in raw.iter().enumerate() {
@@ -233,7 +136,10 @@ impl Tree {
                 return Err(self.joint_error(j, format!("mimics '{leader}', which does not exist; joints: {joints}")));
             };
             if multiplier.abs() < 1e-9 {
-                return Err(self.joint_error(j, format!("mimics '{leader}' with multiplier {multiplier}; make the joint fixed instead")));
+                return Err(self.joint_error(
+                    j,
+                    format!("mimics '{leader}' with multiplier {multiplier}; make the joint fixed instead"),
+                ));
             }
             direct[j] = Some(Mimic { joint, multiplier: *multiplier, offset: *offset });
         }
@@ -244,7 +150,10 @@ impl Tree {
             let mut j = start;
             while let (Some(mimic), None) = (direct[j], resolved[j]) {
                 if waiting.len() > direct.len() {
-                    let message = format!("the mimic of '{}' leads back to itself; one joint of the ring must lead", self.joints[j].name);
+                    let message = format!(
+                        "is in a ring of mimics that leads back to '{}'; one joint must lead",
+                        self.joints[j].name
+                    );
                     return Err(self.joint_error(start, message));
                 }
                 waiting.push(j);

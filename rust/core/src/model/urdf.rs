@@ -3,8 +3,8 @@
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion};
 
 use super::guards::{Checked, JointFacts, LinkFacts};
-use super::text::Source;
-use super::tree::{Inertial, JointKind};
+use super::parts::{Inertial, JointKind};
+use super::text::{Source, shortened};
 use crate::error::{Error, Position, Result};
 use crate::pose::Pose;
 
@@ -46,8 +46,10 @@ pub(super) struct RawJoint {
 /// Checks a text and reads it.
 pub(super) fn read(source: &Source, text: &str) -> Result<Robot> {
     let checked = super::guards::check(source, text)?;
-    let robot = urdf_rs::read_from_string(&checked.text)
-        .map_err(|error| source.error(Position(None), format!("the URDF reader refuses this file: {error}")))?;
+    let robot = urdf_rs::read_from_string(&checked.text).map_err(|error| {
+        source
+            .error(Position(None), format!("the URDF reader refuses this file: {}", shortened(&error.to_string(), 300)))
+    })?;
     same_names(source, &checked, &robot)?;
     Ok(Robot {
         name: robot.name,
@@ -59,7 +61,10 @@ pub(super) fn read(source: &Source, text: &str) -> Result<Robot> {
 /// The two XML readers must have seen the same things in the same order, or facts would go to the wrong joint.
 fn same_names(source: &Source, checked: &Checked, robot: &urdf_rs::Robot) -> Result<()> {
     let differ = |what: &str, at: Position, name: &str| -> Error {
-        source.error(at, format!("{what} '{name}' is read differently by two XML readers; use plain characters in its name"))
+        source.error(
+            at,
+            format!("{what} '{name}' is read differently by two XML readers; use plain characters in its name"),
+        )
     };
     for (i, facts) in checked.links.iter().enumerate() {
         if robot.links.get(i).is_none_or(|link| link.name != facts.name) {
@@ -98,7 +103,6 @@ fn raw_joint(joint: urdf_rs::Joint, facts: JointFacts) -> RawJoint {
     };
     // 0, negative and infinite all mean that nobody filled it in.
     let positive = |value: f64| (value > 0.0 && value.is_finite()).then_some(value);
-    let dynamics = joint.dynamics.unwrap_or_default();
     let continuous = kind == JointKind::Continuous;
     RawJoint {
         name: facts.name,
@@ -109,12 +113,12 @@ fn raw_joint(joint: urdf_rs::Joint, facts: JointFacts) -> RawJoint {
         child: joint.child.link,
         origin: pose(&joint.origin, facts.quaternion),
         axis: if kind.is_actuated() { unit(joint.axis.xyz.0) } else { [0.0, 0.0, 1.0] },
-        lower: (facts.lower && !continuous).then_some(joint.limit.lower),
-        upper: (facts.upper && !continuous).then_some(joint.limit.upper),
+        lower: facts.lower.filter(|_| !continuous),
+        upper: facts.upper.filter(|_| !continuous),
         velocity: positive(joint.limit.velocity),
         effort: positive(joint.limit.effort),
-        damping: facts.damping.then_some(dynamics.damping),
-        friction: facts.friction.then_some(dynamics.friction),
+        damping: facts.damping,
+        friction: facts.friction,
         mimic: joint.mimic.map(|m| (m.joint, m.multiplier.unwrap_or(1.0), m.offset.unwrap_or(0.0))),
     }
 }

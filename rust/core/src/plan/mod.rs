@@ -10,7 +10,7 @@ use crate::model::Model;
 use crate::servos::{ServoArrays, Servos};
 use crate::settings::{Damping, Follow, Law, LimitRule, Projector, Settings};
 use crate::survey;
-use crate::task::axes::Frame;
+use crate::task::axes::{AXIS_NAMES, Frame};
 
 pub(crate) use rows::Row;
 use rows::resolve_rows;
@@ -125,7 +125,7 @@ impl Plan {
             kq: settings.kq.spread("kq", n)?,
             kx_derating: 1.0,
             alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
-            damping: resolve_damping(model, settings, &axes, unit),
+            damping: resolve_damping(model, settings, &axes, unit)?,
             cost: resolve_cost(model, settings)?,
             null_torque: settings.null_torque.unwrap_or(if redundant { 2.0 } else { 0.0 }),
             null_speed: settings.null_speed,
@@ -229,7 +229,7 @@ fn check_gravity(model: &Model, settings: &Settings) -> Result<()> {
         "gravity",
         format!(
             "no mass is known of what joints {} move, so gravity cannot be compensated there: add <inertial> to the URDF, \
-             or give floor=[...] [N·m] for the limits, or gravity=\"off\"",
+             or give floor=[...] [N·m] for the limits, or gravity=False",
             names.join(", ")
         ),
     ))
@@ -258,15 +258,26 @@ fn check_kp(settings: &Settings, servos: &ServoArrays, model: &Model) -> Result<
     })
 }
 
-fn resolve_damping(model: &Model, settings: &Settings, axes: &[usize], length: f64) -> DampingPlan {
-    match settings.damping {
+fn resolve_damping(model: &Model, settings: &Settings, axes: &[usize], length: f64) -> Result<DampingPlan> {
+    Ok(match settings.damping {
         Damping::Fixed(lambda) => DampingPlan { lambda_0: lambda, sigma_0: 0.0, lambda_max: 0.0 },
         Damping::Adaptive { lambda_0, sigma_0, lambda_max } => DampingPlan { lambda_0, sigma_0, lambda_max },
         Damping::Auto => {
             let sigma_0 = 2.0 * survey::median_sigma(model, axes, &settings.task.frame, length);
-            DampingPlan { lambda_0: (0.13 * sigma_0).max(1e-6), sigma_0, lambda_max: sigma_0 }
+            if sigma_0 < 1e-6 {
+                let names: Vec<&str> = axes.iter().map(|&axis| AXIS_NAMES[axis]).collect();
+                return Err(Error::config(
+                    "task.axes",
+                    format!(
+                        "this arm cannot move {} independently of each other in most of its poses: take an axis away, \
+                         or choose the damping yourself",
+                        names.join(", ")
+                    ),
+                ));
+            }
+            DampingPlan { lambda_0: 0.13 * sigma_0, sigma_0, lambda_max: sigma_0 }
         }
-    }
+    })
 }
 
 fn resolve_cost(model: &Model, settings: &Settings) -> Result<Cost> {

@@ -1,7 +1,7 @@
 //! What the test files share: data, finite differences, comparison.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use pliant_core::model::{JointKind, Model, ModelOptions};
@@ -19,8 +19,8 @@ pub(crate) fn data(name: &str) -> PathBuf {
 }
 
 /// JSON of a file.
-pub(crate) fn json(path: PathBuf) -> Value {
-    let text = std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+pub(crate) fn json(path: &Path) -> Value {
+    let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     serde_json::from_str(&text).unwrap()
 }
 
@@ -80,7 +80,8 @@ pub(crate) fn slow_tool(model: &Model, q: &[f64]) -> Isometry3<f64> {
 /// Potential energy [J] of every body and the payload by [`link_poses`].
 pub(crate) fn potential_energy(model: &Model, q: &[f64]) -> f64 {
     let g = Vector3::from(model.gravity_vector());
-    let of = |pose: &Isometry3<f64>, mass: f64, com: [f64; 3]| -mass * g.dot(&(pose * nalgebra::Point3::from(com)).coords);
+    let of =
+        |pose: &Isometry3<f64>, mass: f64, com: [f64; 3]| -mass * g.dot(&(pose * nalgebra::Point3::from(com)).coords);
     let bodies = link_poses(model, q);
     let links: f64 = bodies
         .iter()

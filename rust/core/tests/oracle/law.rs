@@ -46,7 +46,7 @@ fn fit(others: &Vector, part: &Vector, bound: &Vector) -> f64 {
     let mut factor: f64 = 1.0;
     for i in 0..part.len() {
         let all = others[i] + part[i];
-        if all.abs() > bound[i] && part[i] != 0.0 {
+        if all.abs() > bound[i] * (1.0 + 1e-12) && part[i] != 0.0 {
             factor = factor.min(((bound[i] * all.signum() - others[i]) / part[i]).max(0.0).min(1.0));
         }
     }
@@ -54,7 +54,7 @@ fn fit(others: &Vector, part: &Vector, bound: &Vector) -> f64 {
 }
 
 fn beyond(sum: &Vector, bound: &Vector) -> bool {
-    (0..sum.len()).any(|i| sum[i].abs() > bound[i])
+    (0..sum.len()).any(|i| sum[i].abs() > bound[i] * (1.0 + 1e-12))
 }
 
 impl Want<'_> {
@@ -146,7 +146,7 @@ impl Want<'_> {
         let (mut f_soft, mut f_stiff) = (1.0, 1.0);
         if beyond(&(&base + &tau_soft + &tau_stiff), &ceiling) {
             f_soft = fit(&(&base + &tau_stiff), &tau_soft, &ceiling);
-            if beyond(&(&base + &tau_soft * f_soft + &tau_stiff), &(&ceiling * (1.0 + 1e-14))) {
+            if beyond(&(&base + &tau_soft * f_soft + &tau_stiff), &ceiling) {
                 f_stiff = fit(&(&base + &tau_soft * f_soft), &tau_stiff, &ceiling);
             }
         }
@@ -172,13 +172,12 @@ impl Want<'_> {
             };
             speed * settings.horizon
         });
-        let loose = &bound * (1.0 + 1e-14);
         let mut factors = [1.0; 3];
         if beyond(&(null + soft + stiff), &bound) {
             factors[0] = fit(&(soft + stiff), null, &bound);
-            if beyond(&(null * factors[0] + soft + stiff), &loose) {
+            if beyond(&(null * factors[0] + soft + stiff), &bound) {
                 factors[1] = fit(&(null * factors[0] + stiff), soft, &bound);
-                if beyond(&(null * factors[0] + soft * factors[1] + stiff), &loose) {
+                if beyond(&(null * factors[0] + soft * factors[1] + stiff), &bound) {
                     factors[2] = fit(&(null * factors[0] + soft * factors[1]), stiff, &bound);
                 }
             }
@@ -209,13 +208,13 @@ impl Want<'_> {
             (self.rows.transpose() * w).component_div(&kp)
         };
         let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
-        let null = shares.projector() * self.gradient * (-alpha * h);
+        let unlocked = Vector::from_fn(n, |i, _| if self.locked[i] { 0.0 } else { 1.0 });
+        let null = (shares.projector() * self.gradient * (-alpha * h)).component_mul(&unlocked);
         let kq = Oracle::gain(&settings.kq, n);
-        let (lead, mut null) = (&kq * task, &kq * null);
+        let (lead, mut null) = ((&kq * task).component_mul(&unlocked), (&kq * null).component_mul(&unlocked));
         let zero = Vector::zeros(n);
         let [f_null, f_task, _] = self.slower(&null, &lead, &zero);
         null *= f_null;
-        (0..n).filter(|&i| self.locked[i]).for_each(|i| null[i] = 0.0);
         Motion { lead: lead * f_task + self.fixed, null, wrench: Vector::zeros(k), factors: [f_null, f_task, f_task] }
     }
 

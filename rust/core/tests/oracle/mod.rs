@@ -271,7 +271,7 @@ impl Oracle {
         }
     }
 
-    /// Line 9, first half: gradient of posture, joint limits, manipulability (by differences) and the caller's own.
+    /// Line 9, first half: gradient of posture, joint limits and the caller's own (manipulability has its own test).
     fn gradient(&self, q: &Vector, input: &StepInput<'_>) -> Vector {
         let n = self.n();
         let rest = match (input.posture, &self.settings.posture) {
@@ -399,6 +399,7 @@ impl Oracle {
         let ahead = dt.min(0.1);
         let every = law::Shares { oracle: self, rows: &rows, scaled: &self.scaled(&rows), row_lambda2: &row_lambda2, sigma };
         let activation = every.activation(&gradient);
+        let responsibility = every.responsibility(&(&step / h), &gradient);
         let null_torque = settings.null_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
         let wanted = if cap && settings.limits == LimitRule::Demand {
             let bounded = Vector::from_fn(k, |r, _| clip(motion.wrench[r], most[r]));
@@ -446,7 +447,7 @@ impl Oracle {
         self.memory.goal.clone_from(&goal);
         self.memory.limit = Some(limit.clone());
         Tick {
-            responsibility: every.responsibility(&(&step / h), &gradient),
+            responsibility,
             dx: step / h,
             deviation: e,
             compliance: of(|r| r.c),

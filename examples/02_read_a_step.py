@@ -1,0 +1,40 @@
+"""What one control step knows: deviation, compliance, strength, activation, damping, gravity."""
+
+import numpy as np
+
+import pliant
+import pliant.robots
+
+model = pliant.robots.arm7()
+settings = pliant.Settings(
+    axes={
+        "y": pliant.Axis(soft=4.0, firm=(15.0, 25.0), eta=0.5),  # a pair: (pushed toward -, toward +)
+        "yaw": pliant.Axis(soft=0.8, firm=1.5),  # [N·m]
+    },
+)
+controller = pliant.Controller(model, settings)
+
+q = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])  # [rad]
+target = model.forward_kinematics(q)
+controller.reset(q)
+
+# Somebody holds the tool 6 cm to the left of its target.
+pushed = model.inverse_kinematics(pliant.Pose.from_matrix(target) @ pliant.Pose.from_wxyz((0.0, 0.06, 0.0), (1.0, 0.0, 0.0, 0.0)), q)
+command = controller.step(pushed.q, target)
+
+names = ["x", "y", "z", "roll", "pitch", "yaw"]
+np.set_printoptions(precision=3, suppress=True)
+print("axis      deviation  adapted  softness  compliance  strength   wrench")
+for k, name in enumerate(names):
+    print(
+        f"{name:6} {controller.deviation[k]:12.4f} {controller.adapted_deviation[k]:8.4f}"
+        f" {controller.softness[k]:9.2f} {controller.compliance[k]:11.2f}"
+        f" {controller.holding_torque[k]:9.2f} {controller.wrench[k]:8.2f}"
+    )
+print("\njoint            goal - q   torque limit   gravity")
+for k, name in enumerate(model.joint_names):
+    lead = command.goal[k] - pushed.q[k]
+    print(f"{name:16} {lead:+8.4f} {command.torque_limit[k]:12.2f} {controller.gravity[k]:10.2f}")
+print(f"\nsmallest singular value {controller.sigma_min:.3f}, damping {controller.damping:.3f}")
+print("activation (joints × axes, the null space last):")
+print(controller.activation)

@@ -1,0 +1,37 @@
+"""A joint-space policy becomes soft without a change: `step_joints` takes joint positions as target.
+
+A "policy" swings the arm; a wall stands in the way. Stiff, the arm leans on the wall with what its
+servos have; with the cap it leans with the force that was asked for, and goes on when it is free.
+"""
+
+import os
+
+import numpy as np
+
+import pliant
+import pliant.robots
+import pliant.sim
+
+SECONDS = 2.0 if os.environ.get("PLIANT_SHORT") else 6.0
+START = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])  # [rad]
+
+model = pliant.robots.arm7()
+
+
+def policy(time: float) -> np.ndarray:
+    """Joint positions (7,) [rad] of some policy that knows nothing of forces."""
+    return START + 0.35 * np.sin(2 * np.pi * time / 4.0) * np.array([1.0, 0, 0, 0.6, 0, 0, 0])
+
+
+for name, axes in {"stiff": {}, "soft": {"xyz": pliant.Axis(soft=10.0, firm=10.0)}}.items():
+    controller = pliant.Controller(model, pliant.Settings(axes=axes))
+    wall = pliant.sim.Wall(into=(1.0, 0.0, 0.0), distance=0.03, stiffness=2e3, damping=40.0)
+    arm = pliant.sim.Plant(model, scene=[wall])
+    arm.reset(START)
+    lag = 0.0
+    for _ in range(round(SECONDS * arm.rate)):
+        command = controller.step_joints(arm.read().q, policy(arm.time))
+        arm.write(command.goal, command.torque_limit)
+        arm.advance()
+        lag = max(lag, float(np.abs(controller.deviation[:3]).max()))
+    print(f"{name:5}: largest force on the wall {arm.hands[0].peak_force:5.1f} N, largest lag {1e3 * lag:5.1f} mm")

@@ -1,0 +1,88 @@
+"""The command `pliant`: one file per command, loaded only when it is called."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import pliant
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+#: Module and summary of each command; the module has a function `run` whose arguments are the flags.
+COMMANDS = {
+    "demo": ("pliant.cli.demo", "run the paper's experiments on the simulator and leave a report"),
+}
+#: Exit code of an error that was explained, as of a flag that does not exist.
+EXPLAINED = 2
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        arguments: Without the name of the program; default those of the process.
+
+    Returns:
+        Exit code: 0, 2 for an error that was explained in one line, 130 after Ctrl-C.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    first = given[0] if given else "--help"
+    if first in {"--version", "-V"}:
+        print(f"pliant {pliant.__version__}")
+        return 0
+    if first in {"--help", "-h"}:
+        print(usage())
+        return 0
+    if first not in COMMANDS:
+        close = difflib.get_close_matches(first, COMMANDS, n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        kind = "flag" if first.startswith("-") else "command"
+        return _explain(f"there is no {kind} {first!r}{hint} (pliant --help lists the commands)")
+    module, summary = COMMANDS[first]
+    try:
+        import tyro
+
+        command = import_module(module).run
+        tyro.cli(
+            command,
+            prog=f"pliant {first}",
+            description=summary[0].upper() + summary[1:] + ".",
+            args=given[1:],
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+    except pliant.PliantError as error:
+        return _explain(str(error))
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else EXPLAINED
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    return 0
+
+
+def usage() -> str:
+    """What `pliant --help` prints."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {summary}" for name, (_, summary) in COMMANDS.items()]
+    return "\n".join(
+        (
+            "usage: pliant COMMAND [FLAGS]",
+            "",
+            "Compliant task-space control for arms with back-drivable position servos.",
+            "",
+            "commands:",
+            *lines,
+            "",
+            "pliant COMMAND --help explains the flags of a command; pliant --version prints the version.",
+        )
+    )
+
+
+def _explain(message: str) -> int:
+    """Print an error as one line."""
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    return EXPLAINED

@@ -1,0 +1,6 @@
+"""`python -m pliant.cli`, for environments without the script."""
+
+from pliant.cli import main
+
+if __name__ == "__main__":
+    raise SystemExit(main())

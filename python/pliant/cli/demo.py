@@ -1,0 +1,155 @@
+"""`pliant demo`: the experiments, with plots and a report."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from pliant import ConfigError, PliantError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pliant.experiments.demo import Demonstration, Subject
+
+#: Beyond this many processes the longest run decides.
+MOST_JOBS = 16
+
+
+def run(
+    out: Path = Path("pliant-demo"),
+    only: Annotated[str, tyro.conf.arg(metavar="1,3")] = "",
+    quick: bool = False,
+    robot: Literal["arm7", "so101", "koch"] = "arm7",
+    urdf: Path | None = None,
+    base: str | None = None,
+    tip: str | None = None,
+    jobs: int = 2,
+) -> None:
+    """Run the experiments and leave a report.
+
+    Args:
+        out: Folder of the report, the pictures and the numbers.
+        only: Numbers of the experiments, separated by commas; all by default.
+        quick: Do everything once, in a few seconds, with few runs.
+        robot: Built-in arm. Arms other than arm7 get experiments that suit any arm.
+        urdf: Your own arm instead.
+        base: Where its chain begins; may be left out when there is only one choice.
+        tip: Where its chain ends; may be left out when there is only one choice.
+        jobs: Processes.
+    """
+    if not 1 <= jobs <= MOST_JOBS:
+        raise ConfigError(f"--jobs must be within 1 and {MOST_JOBS}, got {jobs}")
+    if urdf is None and (base or tip):
+        raise ConfigError("--base and --tip belong to --urdf, which was not given")
+    wanted = numbers(only)
+    # Chosen before MuJoCo is loaded, here and in the processes that inherit it.
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        os.environ.setdefault("MUJOCO_GL", "egl")
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    experiments = _load()
+    console = Console()
+    with Bar(console) as bar:
+        subject = _subject(robot, urdf, base, tip)
+        done = experiments(out, subject=subject, only=wanted, quick=quick, jobs=jobs, watcher=bar)
+    _close(console, done)
+
+
+def numbers(text: str) -> tuple[int, ...]:
+    """Parse `1,3`.
+
+    Raises:
+        ConfigError: It is no list of numbers.
+    """
+    parts = [part.strip() for part in text.split(",") if part.strip()]
+    if not all(part.isdecimal() for part in parts):
+        raise ConfigError(f"--only takes numbers of experiments such as 1,3; got {text!r}")
+    return tuple(int(part) for part in parts)
+
+
+def _load() -> Callable[..., Demonstration]:
+    """Import what the extras bring, and say in one line how to get them."""
+    try:
+        import matplotlib as matplotlib
+        import mujoco as mujoco
+    except ImportError as error:
+        raise PliantError(
+            f"the demo needs {error.name or 'its extras'}: pip install 'pliant[demo]'"
+        ) from error
+    from pliant.experiments import demo
+
+    return demo.run
+
+
+def _subject(robot: str, urdf: Path | None, base: str | None, tip: str | None) -> Subject:
+    from pliant.experiments import demo
+    from pliant.experiments.chapters import anyarm
+
+    if urdf is not None:
+        return anyarm.subject(anyarm.Source(urdf=str(urdf), base=base, tip=tip))
+    return demo.ARM7 if robot == "arm7" else anyarm.subject(anyarm.Source(name=robot))
+
+
+class Bar:
+    """A progress bar that is told how many steps there are."""
+
+    def __init__(self, console: Console) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=40),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+        )
+
+    def __enter__(self) -> Bar:
+        """Show it."""
+        self._progress.start()
+        self._task = self._progress.add_task("experiments", total=None)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Take it away."""
+        self._progress.stop()
+
+    def expect(self, steps: int) -> None:
+        """So many steps there are."""
+        self._progress.update(self._task, total=steps)
+
+    def done(self, step: str) -> None:
+        """One is done."""
+        self._progress.update(self._task, advance=1)
+
+
+def _close(console: Console, done: Demonstration) -> None:
+    """Print what came out, the path of the report last."""
+    from pliant.experiments.result import Verdict
+
+    table = Table(show_edge=False, pad_edge=False, title_justify="left")
+    table.add_column("experiment")
+    table.add_column("paper: agrees / differs / does not", justify="right")
+    table.add_column("bands kept", justify="right")
+    table.add_column("numbers")
+    for chapter in done.chapters:
+        counts = [chapter.count(verdict, "paper") for verdict in Verdict]
+        ours = chapter.statements("study")
+        kept = sum(s.verdict is Verdict.AGREES for s in ours)
+        facts = "\n".join(f"{name}: [bold]{value}[/]" for name, value in chapter.headline)
+        table.add_row(
+            f"{chapter.number} {chapter.title}",
+            " / ".join(map(str, counts)) if sum(counts) else "–",
+            f"{kept} of {len(ours)}",
+            facts,
+        )
+    console.print(table)
+    console.print(f"\n{len(done.pictures)} figures, every number in {done.results.name}, {done.seconds:.0f} s")
+    # Not by rich: a path that wraps cannot be clicked.
+    print(done.report.resolve())

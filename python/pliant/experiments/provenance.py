@@ -1,0 +1,64 @@
+"""Where numbers come from: versions, commit, machine."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+import pliant
+
+#: Packages whose versions decide numbers or pictures.
+PACKAGES = ("numpy", "mujoco", "matplotlib")
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What somebody needs who wants the same numbers again.
+
+    Attributes:
+        versions: By package, Python among them.
+        commit: Of the working copy the package runs from, None for an installed wheel.
+        machine: Processor and system.
+    """
+
+    versions: dict[str, str]
+    commit: str | None
+    machine: str
+
+
+def collect() -> Facts:
+    """Look around."""
+    versions = {"pliant": pliant.__version__, "Python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    machine = f"{platform.system()} {platform.machine()}"
+    return Facts(versions, commit(Path(__file__).resolve().parent), machine)
+
+
+def commit(folder: Path) -> str | None:
+    """Short hash of the commit that holds this package, with `+` for uncommitted changes; None if there is none."""
+    top = _git(folder, "rev-parse", "--show-toplevel")
+    # An installed copy may lie inside somebody else's repository: only our own source tree counts.
+    if top is None or not (Path(top) / "python" / "pliant").is_dir():
+        return None
+    head = _git(folder, "rev-parse", "--short=10", "HEAD")
+    if head is None:
+        return None
+    return head + ("+" if _git(folder, "status", "--porcelain", "--untracked-files=no") else "")
+
+
+def _git(folder: Path, *args: str) -> str | None:
+    """Output of a git command, None where there is no git or no repository."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *args], capture_output=True, text=True, timeout=10, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None

@@ -1,0 +1,79 @@
+//! From matrices of any size to the bounded arrays of the kernels, checked.
+
+use nalgebra::DMatrix;
+
+use crate::error::{Error, Result};
+use crate::law::nullspace::JointSquare;
+use crate::{MAX_AXES, MAX_JOINTS, Rows};
+
+/// [`Error::Limit`] unless `ok`.
+pub(super) fn check(what: impl Into<String>, value: f64, ok: bool, bound: &str) -> Result<()> {
+    if ok { Ok(()) } else { Err(Error::limit(what, value, bound)) }
+}
+
+/// A list has as many entries as it should.
+pub(super) fn same_length(what: &str, got: usize, expected: usize) -> Result<()> {
+    if got == expected { Ok(()) } else { Err(Error::length(what, got, expected)) }
+}
+
+/// Every entry is a number.
+pub(super) fn finite(what: &str, m: &DMatrix<f64>) -> Result<()> {
+    for (i, row) in m.row_iter().enumerate() {
+        for (j, value) in row.iter().enumerate() {
+            check(format!("{what}[{i}, {j}]"), *value, value.is_finite(), "finite")?;
+        }
+    }
+    Ok(())
+}
+
+/// A list of `size` finite numbers, padded with zeros.
+pub(super) fn array<const N: usize>(what: &str, values: &[f64], size: usize) -> Result<[f64; N]> {
+    same_length(what, values.len(), size)?;
+    let mut out = [0.0; N];
+    for (i, (slot, value)) in out.iter_mut().zip(values).enumerate() {
+        check(format!("{what}[{i}]"), *value, value.is_finite(), "finite")?;
+        *slot = *value;
+    }
+    Ok(out)
+}
+
+/// At most six finite rows over at most sixteen joints: rows, k, n.
+pub(super) fn task_rows(what: &str, m: &DMatrix<f64>) -> Result<(Rows, usize, usize)> {
+    let (k, n) = m.shape();
+    if k == 0 || k > MAX_AXES || n == 0 || n > MAX_JOINTS {
+        let expected = format!("(1 to {MAX_AXES} axes, 1 to {MAX_JOINTS} joints)");
+        return Err(Error::Shape { what: what.into(), got: format!("({k}, {n})"), expected });
+    }
+    finite(what, m)?;
+    let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+    for (r, row) in rows.iter_mut().enumerate().take(k) {
+        (0..n).for_each(|i| row[i] = m[(r, i)]);
+    }
+    Ok((rows, k, n))
+}
+
+/// The rows of a transposed pseudo-inverse (n × k): rows, k, n.
+pub(super) fn inverse_rows(pseudo_inverse: &DMatrix<f64>) -> Result<(Rows, usize, usize)> {
+    let (n, k) = pseudo_inverse.shape();
+    task_rows("J_pinv", &pseudo_inverse.transpose()).map_err(|error| match error {
+        Error::Shape { what, .. } => {
+            let expected = format!("(1 to {MAX_JOINTS} joints, 1 to {MAX_AXES} axes)");
+            Error::Shape { what, got: format!("({n}, {k})"), expected }
+        }
+        other => other,
+    })
+}
+
+/// A finite n × n matrix.
+pub(super) fn square(what: &str, m: &DMatrix<f64>, n: usize) -> Result<JointSquare> {
+    if m.shape() != (n, n) {
+        let got = format!("({}, {})", m.nrows(), m.ncols());
+        return Err(Error::Shape { what: what.into(), got, expected: format!("({n}, {n})") });
+    }
+    finite(what, m)?;
+    let mut out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+    for (i, row) in out.iter_mut().enumerate().take(n) {
+        (0..n).for_each(|j| row[j] = m[(i, j)]);
+    }
+    Ok(out)
+}

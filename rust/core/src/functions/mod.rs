@@ -1,0 +1,272 @@
+//! The mathematics on its own, for people with their own kinematics.
+//!
+//! Equation numbers are the paper's. Matrices are nalgebra's: `J` is k × n with at most six rows, one per task axis, and
+//! at most sixteen columns, one per joint; `J⁺` is n × k. Nothing here knows of a robot or keeps anything.
+
+mod arrays;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::error::{Error, Result};
+use crate::law::activation::{self, Activation};
+use crate::law::inverse;
+use crate::law::nullspace::{NullSpace, fade_squared};
+use crate::pose::Pose;
+use crate::settings::Projector;
+use crate::task::{adapt, compliance as task_compliance, deviation as task_deviation};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
+
+use arrays::{array, check, finite, inverse_rows, same_length, square, task_rows};
+
+/// λ² as a share of tr(JJᵀ) below which JJᵀ + λ²I has lost λ to rounding.
+const LOST_DAMPING: f64 = 1e-9;
+
+/// Iterations after which a singular value decomposition is given up.
+const SVD_ITERATIONS: usize = 1000;
+
+/// Damped pseudo-inverse of (3), `J⁺ = Jᵀ (J Jᵀ + λ²I)⁻¹`, n × k.
+///
+/// `damping` is λ, not squared. 0 gives the Moore–Penrose inverse, of rank-deficient matrices too.
+///
+/// # Errors
+/// [`Error::Shape`] beyond six rows or sixteen columns, [`Error::Limit`] for an entry that is not finite or λ < 0.
+pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DMatrix<f64>> {
+    let (rows, k, n) = task_rows("J", jacobian)?;
+    check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
+    let squared = damping * damping;
+    if squared > LOST_DAMPING * jacobian.norm_squared() {
+        let transposed = inverse::pseudo_inverse(&rows, &[1.0; MAX_JOINTS], &[squared; MAX_AXES], k, n);
+        return Ok(DMatrix::from_fn(n, k, |i, r| transposed[r][i]));
+    }
+    let (u, sigma, v_t) = svd(jacobian)?;
+    let cutoff = f64::EPSILON * k.max(n) as f64 * sigma.max();
+    let gains = sigma.map(|s| if s > cutoff { s / (s * s + squared) } else { 0.0 });
+    Ok(v_t.transpose() * DMatrix::from_diagonal(&gains) * u.transpose())
+}
+
+/// Null-space projector of `J`, n × n.
+///
+/// `Exact` is the orthogonal projector `I − Jᵀ (J Jᵀ + μ²I)⁻¹ J`, with μ = 0 but close to singular `J`, where it is faded;
+/// `damping` has no part in it. `Paper` is the printed `I − J⁺J` with J⁺ damped by λ = `damping`.
+///
+/// # Errors
+/// As [`damped_pseudo_inverse`].
+pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Projector) -> Result<DMatrix<f64>> {
+    let (rows, k, n) = task_rows("J", jacobian)?;
+    match kind {
+        Projector::Paper => Ok(DMatrix::identity(n, n) - damped_pseudo_inverse(jacobian, damping)? * jacobian),
+        Projector::Exact => {
+            check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
+            let (_, sigma, _) = svd(jacobian)?;
+            let added = [fade_squared(sigma.min(), sigma.max()); MAX_AXES];
+            let matrix = NullSpace::new(&rows, &[1.0; MAX_JOINTS], &added, k, n).matrix();
+            Ok(DMatrix::from_fn(n, n, |i, j| matrix[i][j]))
+        }
+    }
+}
+
+/// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|`, and `|α N∇g|` as the last column.
+///
+/// # Errors
+/// [`Error::Shape`] where sizes do not go together, [`Error::Limit`] for an entry that is not finite.
+pub fn responsibility(
+    pseudo_inverse: &DMatrix<f64>,
+    dx: &[f64],
+    projector: &DMatrix<f64>,
+    gradient: &[f64],
+    alpha: f64,
+) -> Result<DMatrix<f64>> {
+    let (transposed, k, n) = inverse_rows(pseudo_inverse)?;
+    let dx: AxisVec = array("dx", dx, k)?;
+    let projector = square("N", projector, n)?;
+    let gradient: JointVec = array("gradient", gradient, n)?;
+    check("alpha", alpha, alpha.is_finite(), "finite")?;
+    Ok(activation::responsibility(&transposed, &dx, (&projector, &gradient), alpha, k, n).matrix(k, n))
+}
+
+/// Activation matrix A of (10), n × (k + 1): the columns of `|J⁺|` divided by their sums, the null-space column last.
+///
+/// The size of Δx cancels out of (6) and (10). The last column is `|N∇g|` so normalised, blended into the row norms of `N`
+/// where it vanishes or no gradient is given, and zero without redundancy.
+///
+/// # Errors
+/// As [`responsibility`].
+pub fn activation(
+    pseudo_inverse: &DMatrix<f64>,
+    projector: &DMatrix<f64>,
+    gradient: Option<&[f64]>,
+) -> Result<DMatrix<f64>> {
+    let (transposed, k, n) = inverse_rows(pseudo_inverse)?;
+    let projector = square("N", projector, n)?;
+    let gradient: JointVec = gradient.map_or(Ok([0.0; MAX_JOINTS]), |gradient| array("gradient", gradient, n))?;
+    Ok(activation::activation(&transposed, Some((&projector, &gradient)), k, n).matrix(k, n))
+}
+
+/// Compliance c of (8), one entry per axis: 1 below `d_minus`, 0 above `d_plus`, linear between.
+///
+/// Deviations [m or rad] of any sign: their absolute values count.
+///
+/// # Errors
+/// [`Error::Shape`] for lists of different lengths, [`Error::Limit`] unless `0 ≤ d_minus < d_plus`, all finite.
+pub fn compliance(deviation: &[f64], d_minus: &[f64], d_plus: &[f64]) -> Result<Vec<f64>> {
+    same_length("d_minus", d_minus.len(), deviation.len())?;
+    same_length("d_plus", d_plus.len(), deviation.len())?;
+    let triples = deviation.iter().zip(d_minus).zip(d_plus).enumerate();
+    triples
+        .map(|(i, ((&d, &low), &high))| {
+            check(format!("deviation[{i}]"), d, d.is_finite(), "finite")?;
+            check(format!("d_plus[{i}]"), high, high > 0.0 && high.is_finite(), "(d_minus, ∞)")?;
+            check(format!("d_minus[{i}]"), low, low >= 0.0 && low < high, &format!("[0, d_plus = {high})"))?;
+            Ok(task_compliance::compliance(d, low, high))
+        })
+        .collect()
+}
+
+/// Holding torque τ^x of (9), one entry per axis: `c soft + (1 − c) firm` where the axis is compliant, else `hold`.
+///
+/// Does not ask for soft ≤ firm ≤ hold: that is a matter of settings, not of the equation.
+///
+/// # Errors
+/// [`Error::Shape`] for lists of different lengths, [`Error::Limit`] for c outside [0, 1] or a strength not finite.
+pub fn holding_torque(c: &[f64], soft: &[f64], firm: &[f64], hold: &[f64], compliant: &[bool]) -> Result<Vec<f64>> {
+    let lengths = [("soft", soft.len()), ("firm", firm.len()), ("hold", hold.len()), ("compliant", compliant.len())];
+    for (name, length) in lengths {
+        same_length(name, length, c.len())?;
+    }
+    (0..c.len())
+        .map(|i| {
+            check(format!("c[{i}]"), c[i], (0.0..=1.0).contains(&c[i]), "[0, 1]")?;
+            for (name, value) in [("soft", soft[i]), ("firm", firm[i]), ("hold", hold[i])] {
+                check(format!("{name}[{i}]"), value, value.is_finite(), "finite")?;
+            }
+            Ok(task_compliance::holding_torque(c[i], soft[i], firm[i], hold[i], compliant[i]))
+        })
+        .collect()
+}
+
+/// Joint torque limits of (11), `τ^q = A τ^x` [N·m]: one strength per column of A, that of the null space last.
+///
+/// # Errors
+/// [`Error::Shape`] where sizes do not go together, [`Error::Limit`] for an entry that is not finite.
+pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Result<DVector<f64>> {
+    let (n, columns) = activation.shape();
+    if columns == 0 || columns > MAX_AXES + 1 || n == 0 || n > MAX_JOINTS {
+        let expected = format!("(1 to {MAX_JOINTS} joints, 1 to {} columns)", MAX_AXES + 1);
+        return Err(Error::Shape { what: "A".into(), got: format!("({n}, {columns})"), expected });
+    }
+    finite("A", activation)?;
+    let k = columns - 1;
+    let all: [f64; MAX_AXES + 1] = array("strength", strength, columns)?;
+    let mut shares = Activation { task: [[0.0; MAX_JOINTS]; MAX_AXES], null: [0.0; MAX_JOINTS] };
+    let mut budgets = [0.0; MAX_AXES];
+    budgets[..k].copy_from_slice(&all[..k]);
+    for i in 0..n {
+        (0..k).for_each(|r| shares.task[r][i] = activation[(i, r)]);
+        shares.null[i] = activation[(i, k)];
+    }
+    Ok(DVector::from_column_slice(&shares.distribute(&budgets, all[k], k)[..n]))
+}
+
+/// The intermediate target of (12): `x_d + η (x − x_d)` on the compliant axes (x y z roll pitch yaw of the base).
+///
+/// # Errors
+/// As [`Pose::validate`]; [`Error::Limit`] for η outside [0, 1].
+pub fn adapt_target(actual: &Pose, target: &Pose, eta: f64, compliant: [bool; MAX_AXES]) -> Result<Pose> {
+    actual.validate()?;
+    target.validate()?;
+    check("eta", eta, (0.0..=1.0).contains(&eta), "[0, 1]")?;
+    Ok(adapt::adapt_target(actual, target, eta, compliant))
+}
+
+/// Deviation `e = x_d − x` in base axes [m, rad]: difference of positions, rotation vector of `R_d Rᵀ`.
+///
+/// # Errors
+/// As [`Pose::validate`].
+pub fn pose_error(actual: &Pose, target: &Pose) -> Result<AxisVec> {
+    actual.validate()?;
+    target.validate()?;
+    Ok(task_deviation::pose_error(actual, target))
+}
+
+/// `U`, σ and `Vᵀ` of a finite matrix.
+fn svd(m: &DMatrix<f64>) -> Result<(DMatrix<f64>, DVector<f64>, DMatrix<f64>)> {
+    let failed = || Error::config("J", format!("its singular values were not found in {SVD_ITERATIONS} iterations"));
+    let svd = m.clone().try_svd(true, true, f64::EPSILON, SVD_ITERATIONS).ok_or_else(failed)?;
+    match (svd.u, svd.v_t) {
+        (Some(u), Some(v_t)) => Ok((u, svd.singular_values, v_t)),
+        _ => Err(failed()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn jacobian(k: usize, n: usize) -> DMatrix<f64> {
+        DMatrix::from_fn(k, n, |r, i| (((r * n + i) as f64).powi(2) * 0.7).sin())
+    }
+
+    #[test]
+    fn without_damping_it_is_moore_and_penrose_of_every_shape_and_rank() {
+        let mut deficient = jacobian(6, 7);
+        let copy = deficient.row(1).into_owned() * 2.0;
+        deficient.set_row(4, &copy);
+        for j in [jacobian(6, 7), jacobian(3, 7), jacobian(6, 5), jacobian(6, 16), deficient, DMatrix::zeros(6, 7)] {
+            let p = damped_pseudo_inverse(&j, 0.0).unwrap();
+            let (jp, pj) = (&j * &p, &p * &j);
+            for (a, b) in [(&jp * &j, j.clone()), (&p * &jp, p.clone()), (jp.transpose(), jp), (pj.transpose(), pj)] {
+                assert!((a - b).amax() < 1e-10);
+            }
+        }
+    }
+
+    #[test]
+    fn damping_has_one_value_on_both_ways() {
+        let j = jacobian(6, 7);
+        let lambda = (LOST_DAMPING * j.norm_squared()).sqrt();
+        let (kernel, svd) = (damped_pseudo_inverse(&j, lambda * 1.0001), damped_pseudo_inverse(&j, lambda * 0.9999));
+        let scale = kernel.as_ref().unwrap().amax();
+        assert!((kernel.unwrap() - svd.unwrap()).amax() < 1e-3 * scale);
+        assert!(damped_pseudo_inverse(&DMatrix::zeros(6, 7), 0.1).unwrap().amax() < f64::MIN_POSITIVE);
+    }
+
+    #[test]
+    fn the_exact_projector_annihilates_the_task_and_is_idempotent() {
+        let j = jacobian(4, 7);
+        let n = null_space_projector(&j, 0.1, Projector::Exact).unwrap();
+        assert!((&j * &n).amax() < 1e-12 && (&n * &n - &n).amax() < 1e-12);
+        let damped = null_space_projector(&j, 0.1, Projector::Paper).unwrap();
+        assert!((&j * damped).amax() > 1e-4);
+    }
+
+    #[test]
+    fn columns_of_the_activation_sum_to_one() {
+        let j = jacobian(4, 7);
+        let p = damped_pseudo_inverse(&j, 0.02).unwrap();
+        let n = null_space_projector(&j, 0.0, Projector::Exact).unwrap();
+        for gradient in [None, Some(&[1.0; 7][..]), Some(&[0.0; 7][..])] {
+            let a = activation(&p, &n, gradient).unwrap();
+            assert!(a.column_iter().all(|column| (column.sum() - 1.0).abs() < 1e-12));
+        }
+        let r = responsibility(&p, &[0.1; 4], &n, &[1.0; 7], 0.5).unwrap();
+        let a = activation(&p, &n, Some(&[1.0; 7])).unwrap();
+        let limits = joint_torque_limits(&a, &[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
+        assert!((limits.sum() - 15.0).abs() < 1e-12);
+        assert!((r.column(0) / r.column(0).sum() - a.column(0)).amax() < 1e-12);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_named() {
+        let message = |result: Result<DMatrix<f64>>| result.unwrap_err().to_string();
+        assert_eq!(
+            message(damped_pseudo_inverse(&jacobian(7, 7), 0.1)),
+            "J has shape (7, 7), expected (1 to 6 axes, 1 to 16 joints)"
+        );
+        let mut j = jacobian(6, 7);
+        j[(2, 3)] = f64::NAN;
+        assert_eq!(message(damped_pseudo_inverse(&j, 0.0)), "J[2, 3] = NaN is outside finite");
+        assert_eq!(message(damped_pseudo_inverse(&jacobian(6, 7), -0.1)), "damping = -0.1 is outside [0, ∞)");
+        assert!(compliance(&[0.0], &[0.1], &[0.1]).unwrap_err().to_string().starts_with("d_minus[0] = 0.1"));
+        assert!(holding_torque(&[0.5], &[1.0], &[2.0], &[], &[true]).is_err());
+    }
+}

@@ -1,0 +1,137 @@
+//! Moving joints of the chosen part of a tree, and the rigid bodies between them.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Rotation3, Translation3, Unit, Vector3};
+
+use super::parts::{Joint, JointKind};
+use super::roles::Role;
+use super::tree::Tree;
+use crate::MAX_JOINTS;
+use crate::error::{Error, Result};
+use crate::pose::Pose;
+
+/// Rigid transform of the set-up code.
+pub(super) type Transform = nalgebra::IsometryMatrix3<f64>;
+
+/// A moving joint before its frame is turned.
+pub(super) struct Slot {
+    pub(super) joint: usize,
+    pub(super) parent: Option<usize>,
+    /// Frame before the joint in the frame after its parent joint; z is the axis in both.
+    pub(super) before: Transform,
+    pub(super) coordinate: usize,
+    pub(super) multiplier: f64,
+    pub(super) offset: f64,
+}
+
+/// Pose of a joint's child link in its parent link, at this value.
+pub(super) fn step(joint: &Joint, value: f64) -> Transform {
+    let axis = Unit::new_unchecked(Vector3::from(joint.axis));
+    let motion = match joint.kind {
+        JointKind::Revolute | JointKind::Continuous => {
+            Transform::from_parts(Translation3::identity(), Rotation3::from_axis_angle(&axis, value))
+        }
+        JointKind::Prismatic => Transform::from_parts((axis.into_inner() * value).into(), Rotation3::identity()),
+        JointKind::Fixed | JointKind::Other => Transform::identity(),
+    };
+    transform(&joint.origin) * motion
+}
+
+/// Rotation that takes z to the joint's axis.
+fn z_to_axis(joint: &Joint) -> Transform {
+    let axis = Vector3::from(joint.axis);
+    let rotation = Rotation3::rotation_between(&Vector3::z(), &axis)
+        .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+    Transform::from_parts(Translation3::identity(), rotation)
+}
+
+pub(super) fn transform(pose: &Pose) -> Transform {
+    let rotation = nalgebra::Matrix3::from_fn(|i, j| pose.rotation[i][j]);
+    Transform::from_parts(Translation3::from(pose.position), Rotation3::from_matrix_unchecked(rotation))
+}
+
+pub(super) fn pose(transform: &Transform) -> Pose {
+    let rotation = transform.rotation.matrix();
+    Pose {
+        rotation: [0, 1, 2].map(|i| [0, 1, 2].map(|j| rotation[(i, j)])),
+        position: transform.translation.vector.into(),
+    }
+}
+
+/// Moving joints and the bodies between them, frames not yet turned.
+pub(super) struct Bodies {
+    pub(super) slots: Vec<Slot>,
+    pub(super) path: usize,
+    pub(super) base: Transform,
+    pub(super) tool: Transform,
+    pub(super) mass: Vec<f64>,
+    pub(super) moment: Vec<Vector3<f64>>,
+}
+
+/// Walks the subtree of `anchor`: the path first, then all that hangs on it.
+pub(super) fn collect(tree: &Tree, anchor: usize, base: Transform, path: &[usize], roles: &[Role]) -> Result<Bodies> {
+    let mut bodies =
+        Bodies { slots: Vec::new(), path: 0, base, tool: Transform::identity(), mass: Vec::new(), moment: Vec::new() };
+    // Slot that carries each path joint's child; joints of the path keep their slots in the second walk.
+    let mut slot_of: BTreeMap<usize, usize> = BTreeMap::new();
+    let (mut slot, mut here) = (None, Transform::identity());
+    for &j in path {
+        (slot, here) = bodies.pass(tree, j, slot, &here, roles[j], &mut slot_of)?;
+    }
+    bodies.path = bodies.slots.len();
+    bodies.tool = here;
+
+    let mut stack = vec![(anchor, None, Transform::identity())];
+    while let Some((link, slot, here)) = stack.pop() {
+        if let (Some(slot), Some(inertial)) = (slot, &tree.links[link].inertial) {
+            bodies.mass[slot] += inertial.mass;
+            bodies.moment[slot] += (here * nalgebra::Point3::from(inertial.com)).coords * inertial.mass;
+        }
+        for &j in &tree.children[link] {
+            let (next, pose) = bodies.pass(tree, j, slot, &here, roles[j], &mut slot_of)?;
+            stack.push((tree.joints[j].child, next, pose));
+        }
+    }
+    Ok(bodies)
+}
+
+impl Bodies {
+    /// Crosses joint `j`: the slot that carries its child, and the child's pose in that slot's frame.
+    fn pass(
+        &mut self,
+        tree: &Tree,
+        j: usize,
+        slot: Option<usize>,
+        here: &Transform,
+        role: Role,
+        slot_of: &mut BTreeMap<usize, usize>,
+    ) -> Result<(Option<usize>, Transform)> {
+        let joint = &tree.joints[j];
+        let (coordinate, multiplier, offset) = match role {
+            Role::Still(value) => return Ok((slot, here * step(joint, value))),
+            Role::Moves { coordinate, multiplier, offset } => (coordinate, multiplier, offset),
+        };
+        let turned = z_to_axis(joint);
+        let known = slot_of.get(&j).copied();
+        let own = known.unwrap_or(self.slots.len());
+        if known.is_none() {
+            if own == MAX_JOINTS {
+                return Err(Error::config(
+                    "tip",
+                    format!(
+                        "more than {MAX_JOINTS} moving joints: those that follow a joint of the chain by mimic count too; \
+                         lock the joint that they follow, e.g. '{}'",
+                        joint.mimic.map_or(&joint.name, |m| &tree.joints[m.joint].name)
+                    ),
+                ));
+            }
+            slot_of.insert(j, own);
+            let before = here * transform(&joint.origin) * turned;
+            self.slots.push(Slot { joint: j, parent: slot, before, coordinate, multiplier, offset });
+            self.mass.push(0.0);
+            self.moment.push(Vector3::zeros());
+        }
+        Ok((Some(own), turned.inverse()))
+    }
+}

@@ -1,0 +1,118 @@
+//! Random numbers that are the same on every machine, and arms to use them on.
+#![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
+
+use std::sync::Arc;
+
+use pliant_core::task::deviation::rotation_matrix;
+use pliant_core::{Model, ModelOptions, Pose, Servos};
+
+/// SplitMix64.
+pub(crate) struct Random(u64);
+
+impl Random {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    pub(crate) fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform in [0, 1).
+    pub(crate) fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.unit()
+    }
+
+    /// Uniform in the logarithm.
+    pub(crate) fn scale(&mut self, low: f64, high: f64) -> f64 {
+        self.between(low.ln(), high.ln()).exp()
+    }
+
+    pub(crate) fn chance(&mut self, probability: f64) -> bool {
+        self.unit() < probability
+    }
+
+    pub(crate) fn below(&mut self, count: usize) -> usize {
+        (self.unit() * count as f64) as usize
+    }
+
+    pub(crate) fn pick<T: Clone>(&mut self, of: &[T]) -> T {
+        of[self.below(of.len())].clone()
+    }
+
+    pub(crate) fn vector(&mut self, n: usize, size: f64) -> Vec<f64> {
+        (0..n).map(|_| self.between(-size, size)).collect()
+    }
+
+    pub(crate) fn rotation(&mut self) -> [[f64; 3]; 3] {
+        let v = self.vector(3, 2.5);
+        rotation_matrix([v[0], v[1], v[2]])
+    }
+
+    /// Positions inside the limits (±π where there are none), `share` of the range around its middle.
+    pub(crate) fn joints(&mut self, model: &Model, share: f64) -> Vec<f64> {
+        (0..model.n())
+            .map(|i| {
+                let (low, high) = (model.lower()[i].max(-3.14), model.upper()[i].min(3.14));
+                0.5 * (low + high) + share * self.between(-0.5, 0.5) * (high - low)
+            })
+            .collect()
+    }
+
+    /// A pose near that of `q`.
+    pub(crate) fn target(&mut self, model: &Model, q: &[f64], metres: f64, radians: f64) -> Pose {
+        let mut pose = model.forward_kinematics(q).unwrap();
+        let (p, v) = (self.vector(3, metres), self.vector(3, radians));
+        let turn = rotation_matrix([v[0], v[1], v[2]]);
+        let before = pose.rotation;
+        for i in 0..3 {
+            pose.position[i] += p[i];
+            for j in 0..3 {
+                pose.rotation[i][j] = (0..3).map(|k| turn[i][k] * before[k][j]).sum();
+            }
+        }
+        pose
+    }
+}
+
+/// The built-in arm of seven joints, the one with a rotated mount and tool, and one of five joints.
+pub(crate) fn arm(index: usize, options: &ModelOptions) -> Arc<Model> {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+    let (file, tip) = [
+        ("tests/data/golden/arm7.urdf", Some("tool")),
+        ("benches/arm7_bench.urdf", None),
+        ("python/pliant/robots/so101_like.urdf", Some("tool")),
+    ][index];
+    let options = ModelOptions { tip: tip.map(String::from), ..options.clone() };
+    Arc::new(Model::from_urdf_file(format!("{root}/{file}"), &options).unwrap())
+}
+
+/// Servos of those arms.
+pub(crate) fn servos(index: usize) -> Servos {
+    let spread = |shoulder: f64, wrist: f64| [vec![shoulder; 4], vec![wrist; 3]].concat();
+    if index == 2 {
+        return Servos {
+            friction: vec![0.08],
+            damping: vec![0.6],
+            armature: vec![0.028],
+            kp_known: true,
+            ..Servos::new(vec![5.1], vec![1.9])
+        };
+    }
+    Servos {
+        friction: spread(0.2, 0.1),
+        damping: spread(1.2, 0.8),
+        kv: spread(1.5, 0.5),
+        armature: spread(0.012, 0.008),
+        kp_known: true,
+        ..Servos::new(spread(150.0, 60.0), spread(10.7, 6.4))
+    }
+}

@@ -1,0 +1,136 @@
+//! Random settings, servos and inputs for both transcriptions.
+
+use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
+use pliant_core::task::axes::{Axis, Frame, Profile, Task, Yields};
+use pliant_core::{Model, Servos};
+
+use crate::seeded::Random;
+
+fn axis(random: &mut Random, law: Law, translation: bool, small: bool) -> Axis {
+    let unit = match (law, translation, small) {
+        (Law::Cap, true, false) => 40.0,
+        (Law::Cap, true, true) | (Law::Paper, _, _) => 8.0,
+        (Law::Cap, false, false) => 4.0,
+        (Law::Cap, false, true) => 1.0,
+    };
+    let hold = unit * random.between(0.4, 1.5);
+    let firm = [hold * random.between(0.2, 1.0), hold * random.between(0.2, 1.0)];
+    let yields = random.pick(&[Yields::Both, Yields::Both, Yields::None, Yields::None, Yields::Plus, Yields::Minus]);
+    let d_minus = random.between(0.0, 0.05);
+    Axis {
+        soft: Some([firm[0] * random.unit(), firm[1] * random.unit()]),
+        firm: Some(firm),
+        hold: Some(hold),
+        yields: Some(yields),
+        eta: if yields == Yields::None { 0.0 } else { random.pick(&[0.0, 0.5, 0.9, 0.999]) },
+        d_minus: Some(d_minus),
+        d_plus: Some(d_minus + random.between(0.02, 0.4)),
+        profile: random.pick(&[Profile::Firming, Profile::Constant, Profile::Yielding]),
+        step_limit: random.pick(&[None, Some(0.05), Some(f64::INFINITY)]),
+        soft_step_limit: random.pick(&[None, None, Some(0.1), Some(f64::INFINITY)]),
+    }
+}
+
+fn gain(random: &mut Random, size: usize, most: f64) -> Gain {
+    match random.below(4) {
+        0 => Gain::Diagonal((0..size).map(|_| random.between(0.1, most)).collect()),
+        1 => {
+            // Strong enough on the diagonal to stay within the same bound as a whole.
+            let scale = most / (1.0 + 0.2 * size as f64);
+            let entry = |r: usize, c: usize, random: &mut Random| scale * if r == c { 1.0 } else { random.between(-0.2, 0.2) };
+            Gain::Matrix((0..size).map(|r| (0..size).map(|c| entry(r, c, random)).collect()).collect())
+        }
+        _ => Gain::Scalar(random.between(0.3, most)),
+    }
+}
+
+/// Settings that are valid for `model`; the tool's speed limit is off.
+pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings {
+    let n = model.n();
+    let small = n < 6;
+    let length = (n < 6 && random.chance(0.4)).then(|| random.between(0.1, 0.6));
+    let mut axes: [bool; 6] = std::array::from_fn(|_| random.chance(0.7));
+    if random.chance(0.4) || !axes.contains(&true) {
+        axes = [true; 6];
+    }
+    for axis in [4, 3, 5, 2, 1] {
+        if length.is_none() && axes.iter().filter(|&&on| on).count() > n {
+            axes[axis] = false;
+        }
+    }
+    let k = axes.iter().filter(|&&on| on).count();
+    let frame = match random.below(3) {
+        0 => Frame::Base,
+        1 => Frame::Tool,
+        _ => Frame::Rotation(random.rotation()),
+    };
+    let free_of_kp = law == Law::Paper && random.chance(0.3);
+    let joints = |random: &mut Random, low: f64, high: f64| -> Vec<f64> { (0..n).map(|_| random.between(low, high)).collect() };
+    let per_axis = std::array::from_fn(|a| if axes[a] { axis(random, law, a < 3, small) } else { Axis::default() });
+    Settings {
+        task: Task { axes, frame, length },
+        axes: per_axis,
+        law,
+        follow: if free_of_kp { None } else { random.pick(&[None, Some(Follow::Free), Some(Follow::Hold)]) },
+        limits: random.pick(&[LimitRule::Demand, LimitRule::Demand, LimitRule::Sum]),
+        projector: random.pick(&[Projector::Exact, Projector::Exact, Projector::Paper]),
+        kx: gain(random, k, 4.0),
+        kq: if law == Law::Paper { gain(random, n, 1.5) } else { Gain::Scalar(1.0) },
+        alpha: random.pick(&[None, Some(0.0), Some(2.0)]),
+        damping: random.pick(&[
+            Damping::Auto,
+            Damping::Fixed(0.05),
+            Damping::Fixed(0.3),
+            Damping::Adaptive { lambda_0: 0.02, sigma_0: 0.15, lambda_max: 0.2 },
+        ]),
+        posture: random.chance(0.3).then(|| joints(random, -0.5, 0.5)),
+        posture_weights: random.chance(0.3).then(|| joints(random, 0.0, 1.5)),
+        limit_avoidance: random.pick(&[0.0, 0.0, 0.3]),
+        null_torque: if k < n { random.pick(&[None, Some(0.3), Some(8.0)]) } else { None },
+        null_speed: random.pick(&[f64::INFINITY, 0.05]),
+        gravity: if free_of_kp {
+            GravityUse::Limits
+        } else {
+            random.pick(&[GravityUse::Both, GravityUse::Both, GravityUse::Goal, GravityUse::Limits, GravityUse::Off])
+        },
+        gravity_scale: random.pick(&[1.0, 1.1]),
+        velocity_filter: random.pick(&[0.0, 0.02]),
+        delay: random.pick(&[0.0, 0.01, 0.02]),
+        goal_slew: random.pick(&[1.0, f64::INFINITY]),
+        stiffening_time: random.pick(&[0.2, 0.0]),
+        max_tool_speed: [f64::INFINITY; 2],
+        joint_speed: random.chance(0.3).then(|| joints(random, 0.05, 3.0)),
+        floor: random.chance(0.3).then(|| joints(random, 0.0, 1.0)),
+        margin: random.pick(&[0.1, 0.0, 0.3]),
+        direction_band: random.pick(&[None, Some(0.0), Some(0.5)]),
+        raw_deviation: random.chance(0.2),
+        budget_on_goal: law == Law::Paper && !free_of_kp && random.chance(0.5),
+        joint_weights: if law == Law::Paper && random.chance(0.3) { Some(joints(random, 0.3, 3.0)) } else { None },
+        lead_limit: random.pick(&[None, None, Some(0.05), Some(f64::INFINITY)]),
+        ..Settings::default()
+    }
+}
+
+/// Whether these settings can do without `k_p`.
+pub(crate) fn free_of_kp(settings: &Settings) -> bool {
+    settings.law == Law::Paper
+        && settings.effective_follow() == Follow::Hold
+        && !settings.budget_on_goal
+        && matches!(settings.gravity, GravityUse::Off | GravityUse::Limits)
+}
+
+/// Servos around `nominal`, some of them with a duty limit.
+pub(crate) fn servos(random: &mut Random, nominal: &Servos, n: usize) -> Servos {
+    let mut servos = nominal.for_joints(n).unwrap();
+    for i in 0..n {
+        servos.kp[i] *= random.between(0.7, 1.3);
+        servos.torque[i] *= random.between(0.4, 1.2);
+        servos.friction[i] *= random.between(0.0, 1.5);
+        servos.count[i] = random.pick(&[0.0, 1e-3, 5e-3]);
+    }
+    if random.chance(0.3) {
+        servos.kind = pliant_core::ServoKind::Duty;
+        servos.no_load_speed = Some((0..n).map(|_| random.between(4.0, 10.0)).collect());
+    }
+    servos
+}

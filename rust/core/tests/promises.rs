@@ -1,0 +1,284 @@
+//! Defaults that come from the arm, what is refused, and the estimate of the smallest singular value.
+
+use std::sync::Arc;
+
+use nalgebra::DMatrix;
+use pliant_core::settings::{Damping, Gain, Law};
+use pliant_core::task::axes::{Axis, Task, Yields};
+use pliant_core::{Controller, Error, Model, ModelOptions, Reference, Servos, Settings, StepInput};
+
+#[path = "common/seeded.rs"]
+mod seeded;
+
+use seeded::Random;
+
+fn arm(index: usize) -> (Arc<Model>, Servos) {
+    (seeded::arm(index, &ModelOptions::default()), seeded::servos(index))
+}
+
+fn controller(settings: Settings) -> Result<Controller, Error> {
+    let (model, servos) = arm(0);
+    Controller::new(model, settings, Some(servos))
+}
+
+fn refusal(settings: Settings, servos: Servos) -> String {
+    let (model, _) = arm(0);
+    Controller::new(model, settings, Some(servos)).unwrap_err().to_string()
+}
+
+fn yielding(axes: &str, axis: Axis) -> Settings {
+    let mut settings = Settings::default();
+    settings.set_axes(axes, axis).unwrap();
+    settings
+}
+
+/// Halton's point `index` over the joint ranges, written out once more.
+fn halton(model: &Model, index: u32) -> Vec<f64> {
+    let digit_sum = |mut i: u32, base: u32| {
+        let (mut value, mut place) = (0.0, 1.0 / f64::from(base));
+        while i > 0 {
+            value += f64::from(i % base) * place;
+            place /= f64::from(base);
+            i /= base;
+        }
+        value
+    };
+    [2, 3, 5, 7, 11, 13, 17]
+        .into_iter()
+        .take(model.n())
+        .enumerate()
+        .map(|(i, base)| model.lower()[i] + digit_sum(index, base) * (model.upper()[i] - model.lower()[i]))
+        .collect()
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    0.5 * (values[(values.len() - 1) / 2] + values[values.len() / 2])
+}
+
+fn smallest(model: &Model, q: &[f64], axes: &[usize], length: f64) -> f64 {
+    let jacobian = model.jacobian(q, Reference::WorldAligned).unwrap();
+    DMatrix::from_fn(axes.len(), model.n(), |r, i| jacobian[(axes[r], i)] / if axes[r] < 3 { length } else { 1.0 })
+        .singular_values()
+        .min()
+}
+
+#[test]
+fn arm7_has_its_printed_defaults() {
+    let controller = controller(Settings::default()).unwrap();
+    for (axis, (soft, firm, hold)) in controller.strengths().into_iter().enumerate() {
+        let expected = if axis < 3 { [4.0, 15.0, 40.0] } else { [0.8, 1.5, 4.0] };
+        for (value, expected) in [(soft[0], expected[0]), (soft[1], expected[0]), (firm[0], expected[1]), (hold, expected[2])] {
+            assert!((value - expected).abs() < 1e-12, "axis {axis}: {soft:?} {firm:?} {hold}");
+        }
+    }
+    let [lambda_0, sigma_0, lambda_max] = controller.damping();
+    assert!((sigma_0 - 0.15).abs() < 0.005 && (lambda_0 - 0.02).abs() < 0.001, "{lambda_0} {sigma_0}");
+    assert!((lambda_max - sigma_0).abs() < 1e-15 && (lambda_0 - 0.13 * sigma_0).abs() < 1e-15);
+}
+
+#[test]
+fn damping_is_twice_the_median_over_512_poses() {
+    for (index, axes) in [(0, "all"), (1, "xyz"), (2, "xyz"), (0, "x z pitch"), (2, "xyz pitch roll")] {
+        let (model, servos) = arm(index);
+        let task = Task::of(axes).unwrap();
+        let chosen: Vec<usize> = (0..6).filter(|&a| task.axes[a]).collect();
+        let controller =
+            Controller::new(Arc::clone(&model), Settings { task, ..Settings::default() }, Some(servos)).unwrap();
+        let length = model.reach() / 0.71;
+        let sigma = median((1..=512).map(|i| smallest(&model, &halton(&model, i), &chosen, length)).collect());
+        assert!((controller.damping()[1] - 2.0 * sigma).abs() < 1e-9, "{axes}: {:?} {sigma}", controller.damping());
+    }
+}
+
+#[test]
+fn the_small_arm_has_strengths_of_its_own_size() {
+    let (model, servos) = arm(2);
+    let settings = Settings { task: Task::of("xyz").unwrap(), ..Settings::default() };
+    let controller = Controller::new(model, settings, Some(servos)).unwrap();
+    let (soft, firm, hold) = controller.strengths()[0];
+    for (value, low, high) in [(soft[0], 0.5, 1.5), (firm[0], 2.0, 5.0), (hold, 6.0, 13.0)] {
+        assert!(value >= low && value <= high, "{soft:?} {firm:?} {hold}");
+    }
+}
+
+#[test]
+fn eta_beyond_095_needs_k_p_known_a_captured_gravity_or_a_name() {
+    let bold = || yielding("y", Axis { soft: Some([2.0; 2]), eta: 0.96, ..Axis::default() });
+    let unsure = Servos { kp_known: false, ..seeded::servos(0) };
+    let message = refusal(bold(), unsure.clone());
+    assert!(message.starts_with("axes.y.eta = 0.96 is outside") && message.contains("accept"), "{message}");
+    controller(bold()).unwrap();
+    let make = |settings: Settings| Controller::new(arm(0).0, settings, Some(unsure.clone()));
+    make(Settings { accept: vec!["eta".into()], ..bold() }).unwrap();
+    make(yielding("y", Axis { soft: Some([2.0; 2]), eta: 0.95, ..Axis::default() })).unwrap();
+    let paper = |settings: Settings| Settings { law: Law::Paper, ..settings };
+    make(paper(bold())).unwrap();
+    // Captured while running, then asked for.
+    let mut running = make(Settings::default()).unwrap();
+    assert!(running.update(bold()).is_err());
+    let q = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+    running.capture_gravity(&q, &q.map(|x| x - 0.01)).unwrap();
+    running.update(bold()).unwrap();
+}
+
+#[test]
+fn the_gain_is_bounded_by_the_delay() {
+    let with = |kx: Gain, delay: f64, rate: f64| controller(Settings { kx, delay, rate, ..Settings::default() });
+    // K_x h ≤ max(1, min(3, 0.03 s / (T_d + half a period))).
+    with(Gain::Scalar(12.0), 0.0, 100.0).unwrap();
+    assert!(with(Gain::Scalar(12.1), 0.0, 100.0).is_err());
+    with(Gain::Scalar(4.0), 0.1, 100.0).unwrap();
+    assert!(with(Gain::Scalar(4.1), 0.1, 100.0).is_err());
+    with(Gain::Scalar(7.9), 0.01, 100.0).unwrap();
+    assert!(with(Gain::Scalar(8.1), 0.01, 100.0).is_err());
+    // The bound holds in every direction, not only along the axes.
+    let pair = |off: f64| {
+        let mut m = vec![vec![0.0; 6]; 6];
+        (0..6).for_each(|i| m[i][i] = 4.0);
+        (m[0][1], m[1][0]) = (off, off);
+        Gain::Matrix(m)
+    };
+    with(pair(3.9), 0.01, 100.0).unwrap();
+    assert!(with(pair(4.1), 0.01, 100.0).is_err());
+    // Servos with much damping.
+    let (model, servos) = arm(2);
+    let stiff = Settings { task: Task::of("xyz").unwrap(), kx: Gain::Scalar(12.0), delay: 0.02, ..Settings::default() };
+    Controller::new(model, stiff, Some(servos)).unwrap();
+    // A delay measured later derates instead.
+    let mut running = with(Gain::Scalar(8.0), 0.0, 100.0).unwrap();
+    running.set_delay(0.025).unwrap();
+    assert!((running.gain_factor() - 0.5).abs() < 1e-12);
+    running.update(Settings { kx: Gain::Scalar(6.0), ..Settings::default() }).unwrap();
+    assert!((running.gain_factor() - 4.0 / 6.0).abs() < 1e-12, "an update keeps the measured delay");
+    running.set_delay(0.0).unwrap();
+    assert!((running.gain_factor() - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn more_axes_than_joints_need_a_length_and_it_weighs() {
+    let (model, servos) = arm(2);
+    let make = |length, damping| {
+        let task = Task { length, ..Task::default() };
+        let settings = Settings {
+            task,
+            damping,
+            max_tool_speed: [f64::INFINITY; 2],
+            goal_slew: f64::INFINITY,
+            ..Settings::default()
+        };
+        Controller::new(Arc::clone(&model), settings, Some(servos.clone()))
+    };
+    let message = make(None, Damping::Auto).unwrap_err().to_string();
+    assert!(message.contains("task.length"), "{message}");
+    let q = [0.2, -0.3, 0.3, 0.9, 0.1];
+    let target = {
+        let mut pose = model.forward_kinematics(&q).unwrap();
+        pose.position[1] += 0.02;
+        pose
+    };
+    for damping in [Damping::Auto, Damping::Fixed(0.02)] {
+        // The larger the length, the less a metre counts: the position is met less well.
+        let left = |length: f64| {
+            let mut controller = make(Some(length), damping).unwrap();
+            let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
+            assert!(controller.record().sigma_min > 1e-3, "the smallest of the five");
+            let rows = controller.task_jacobian();
+            let gravity = controller.record().gravity;
+            let lead: Vec<f64> = (0..5).map(|i| command.goal()[i] - q[i] - gravity[i] / 5.1).collect();
+            (0.02 - (0..5).map(|i| rows[(1, i)] * lead[i]).sum::<f64>()).abs()
+        };
+        let (near, far) = (left(0.1), left(1.0));
+        assert!(near < 0.7 * far, "{damping:?}: {near} {far}");
+    }
+}
+
+#[test]
+fn axes_that_an_arm_cannot_move_apart_are_refused() {
+    let (model, servos) = arm(2);
+    let settings = Settings { task: Task::of("xyz pitch yaw").unwrap(), ..Settings::default() };
+    match Controller::new(model, settings, Some(servos)) {
+        Ok(controller) => assert!(controller.damping()[1] > 1e-6),
+        Err(error) => assert!(error.to_string().contains("cannot move"), "{error}"),
+    }
+}
+
+#[test]
+fn a_law_of_forces_needs_k_p() {
+    let (model, _) = arm(0);
+    let message = Controller::new(Arc::clone(&model), Settings::default(), None).unwrap_err().to_string();
+    assert!(message.contains("shoulder_pitch") && message.contains("Servos("), "{message}");
+    let mut paper = Settings { law: Law::Paper, gravity: pliant_core::settings::GravityUse::Off, ..Settings::default() };
+    paper.set_axes("y", Axis { yields: Some(Yields::Both), ..Axis::default() }).unwrap();
+    Controller::new(model, paper, None).unwrap();
+}
+
+/// Largest relative error of the estimate against the SVD along a path, and the largest error in absolute terms.
+fn worst_estimate(index: usize, axes: &str, path: impl Fn(f64) -> Vec<f64>, ticks: usize) -> (f64, f64) {
+    let (model, servos) = arm(index);
+    let settings = Settings { task: Task::of(axes).unwrap(), ..Settings::default() };
+    let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
+    let sigma_0 = controller.damping()[1];
+    let target = model.forward_kinematics(&path(0.0)).unwrap();
+    let (mut relative, mut absolute): (f64, f64) = (0.0, 0.0);
+    for tick in 0..=ticks {
+        let q = path(tick as f64 / ticks as f64);
+        controller.step(&q, &target, &StepInput::default()).unwrap();
+        if controller.record().locked.contains(&true) {
+            continue;
+        }
+        let (got, want) = (controller.record().sigma_min, controller.singular_values().min());
+        if want > 0.1 * sigma_0 {
+            relative = relative.max((got - want).abs() / want);
+        }
+        absolute = absolute.max((got - want).abs() / sigma_0);
+        if (got-want).abs() > 0.05*want.max(0.1*sigma_0) { eprintln!("BAD {axes} tick {tick} got {got:.4} want {want:.4} s0 {sigma_0:.3} {:?}", controller.singular_values().as_slice().iter().map(|x| (x*1e4).round()/1e4).collect::<Vec<_>>()); }
+    }
+    (relative, absolute)
+}
+
+#[test]
+fn sigma_follows_smooth_motions() {
+    let mut random = Random::new(11);
+    let (mut worst, mut errors) = ((0.0_f64, 0.0_f64), Vec::new());
+    for round in 0..60 {
+        let index = round % 3;
+        let (model, _) = arm(index);
+        let (from, to) = (random.joints(&model, 0.95), random.joints(&model, 0.95));
+        // 1.5 s between two poses of the whole range: joints at up to 3 rad/s.
+        let path = |t: f64| (0..model.n()).map(|i| from[i] + (to[i] - from[i]) * t).collect();
+        let (relative, absolute) = worst_estimate(index, if index == 2 { "xyz" } else { "all" }, path, 150);
+        worst = (worst.0.max(relative), worst.1.max(absolute));
+        errors.push(relative);
+    }
+    assert!(median(errors.clone()) < 0.02, "{errors:?}");
+    assert!(worst.0 < 0.1 && worst.1 < 0.05, "{worst:?}");
+}
+
+#[test]
+fn sigma_is_right_at_once_after_a_reset() {
+    let mut random = Random::new(12);
+    for round in 0..150 {
+        let index = round % 3;
+        let (model, servos) = arm(index);
+        let q = random.joints(&model, 0.9);
+        let settings = Settings { task: Task::of("xyz").unwrap(), ..Settings::default() };
+        let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
+        controller.reset(&q).unwrap();
+        controller.step(&q, &model.forward_kinematics(&q).unwrap(), &StepInput::default()).unwrap();
+        let (got, want) = (controller.record().sigma_min, controller.singular_values().min());
+        assert!((got - want).abs() < 0.01 * want, "{got} {want}");
+    }
+}
+
+#[test]
+fn sigma_finds_the_other_block_of_a_planar_arm() {
+    // All roll and yaw joints at exactly zero: `JJᵀ` falls into two blocks, and a vector in one never sees the other.
+    for (from, to) in [(-1.9, -0.02), (-0.02, -1.9)] {
+        for wrist in [0.0, 0.7, 1.5] {
+            let path = |t: f64| vec![0.2, 0.0, 0.0, from + (to - from) * t, 0.0, wrist * t, 0.0];
+            let (relative, absolute) = worst_estimate(0, "all", path, 400);
+            assert!(relative < 0.1 && absolute < 0.05, "{from}: {relative} {absolute}");
+        }
+    }
+}

@@ -1,0 +1,319 @@
+//! What changes while the controller runs: settings, payload, gravity, delay, the captured offset, the integrating goal.
+
+use std::sync::Arc;
+
+use pliant_core::settings::{GravityUse, Law};
+use pliant_core::task::axes::{Axis, Frame, Task, Yields};
+use pliant_core::{Controller, Model, ModelOptions, Payload, Pose, Servos, Settings, StepInput};
+
+#[path = "common/seeded.rs"]
+mod seeded;
+
+use seeded::Random;
+
+/// The grasp pose.
+const Q: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+
+fn arm() -> Arc<Model> {
+    seeded::arm(0, &ModelOptions::default())
+}
+
+fn soft_y(eta: f64) -> Settings {
+    let mut settings = Settings::default();
+    settings.set_axes("y", Axis { yields: Some(Yields::Both), eta, ..Axis::default() }).unwrap();
+    settings
+}
+
+fn make(settings: Settings) -> (Arc<Model>, Controller, Pose) {
+    let model = arm();
+    let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(0))).unwrap();
+    let target = model.forward_kinematics(&Q).unwrap();
+    (model, controller, target)
+}
+
+fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).fold(0.0, |most, (x, y)| most.max((x - y).abs()))
+}
+
+#[test]
+fn the_slew_starts_at_reset_and_the_first_limit_is_not_slewed() {
+    let (_, mut controller, target) = make(Settings::default());
+    let goal_and_limit = |controller: &mut Controller| {
+        let command = *controller.step(&Q, &target, &StepInput::default()).unwrap();
+        (command.goal().to_vec(), command.torque_limit().to_vec())
+    };
+    let (goal, limit) = goal_and_limit(&mut controller);
+    // Gravity wants more than 0.01 rad at the first joint: the goal is on its way.
+    assert!((goal[0] - (Q[0] - 0.01)).abs() < 1e-12, "{goal:?}");
+    let gravity = controller.record().gravity;
+    for i in 0..7 {
+        assert!(limit[i] >= 1.1 * gravity[i].abs(), "{limit:?}");
+    }
+    // A soft axis' limits fall at once, and rise in 0.2 s from zero to the ceiling.
+    let far = {
+        let mut pose = target;
+        pose.position[2] += 0.1;
+        pose
+    };
+    let mut open = Controller::new(arm(), Settings { max_tool_speed: [f64::INFINITY; 2], ..Settings::default() }, Some(seeded::servos(0))).unwrap();
+    open.step(&Q, &target, &StepInput::default()).unwrap();
+    let mut before = limit.clone();
+    let mut rose = false;
+    for _ in 0..30 {
+        let limit = open.step(&Q, &far, &StepInput::default()).unwrap().torque_limit().to_vec();
+        for (i, (now, then)) in limit.iter().zip(&before).enumerate() {
+            let ceiling = if i < 4 { 10.7 } else { 6.4 };
+            assert!(now - then <= ceiling / 0.2 * 0.01 + 1e-12 && *now <= ceiling);
+            rose |= now - then > 0.9 * ceiling / 0.2 * 0.01;
+        }
+        before = limit;
+    }
+    assert!(rose);
+    let relaxed = open.step(&Q, &target, &StepInput::default()).unwrap().torque_limit().to_vec();
+    assert!(largest_difference(&relaxed, &limit) < 1e-9, "{relaxed:?} {limit:?}");
+}
+
+#[test]
+fn new_settings_move_no_goal_beyond_the_slew() {
+    let mut random = Random::new(5);
+    let model = arm();
+    let mut controller = Controller::new(Arc::clone(&model), Settings::default(), Some(seeded::servos(0))).unwrap();
+    controller.reset(&Q).unwrap();
+    let target = random.target(&model, &Q, 0.05, 0.2);
+    let mut goal = Q.to_vec();
+    let mut q = Q.to_vec();
+    for round in 0..400 {
+        if round % 7 == 0 {
+            let task = Task {
+                axes: random.pick(&[[true; 6], [true, true, true, false, false, false], [false, true, true, false, true, false]]),
+                frame: random.pick(&[Frame::Base, Frame::Tool]),
+                length: None,
+            };
+            let mut settings = Settings {
+                law: random.pick(&[Law::Cap, Law::Paper]),
+                gravity: random.pick(&[GravityUse::Both, GravityUse::Off]),
+                integrate: random.pick(&[0.0, 2.0]),
+                max_tool_speed: random.pick(&[[0.25, 1.0], [f64::INFINITY; 2], [0.01, 0.05]]),
+                task,
+                ..Settings::default()
+            };
+            settings.axes[1] = Axis { yields: Some(random.pick(&[Yields::Both, Yields::None])), ..Axis::default() };
+            controller.update(settings).unwrap();
+        }
+        if round % 11 == 0 {
+            controller.set_payload(Some(&Payload { mass: random.unit(), com: [0.0; 3] })).unwrap();
+            controller.set_delay(0.02 * random.unit()).unwrap();
+            controller.set_gravity([random.between(-3.0, 3.0), 0.0, -9.0]).unwrap();
+        }
+        let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
+        assert!(largest_difference(command.goal(), &goal) <= 0.01 + 1e-12, "round {round}");
+        goal = command.goal().to_vec();
+        // The arm follows half of the way.
+        for (position, goal) in q.iter_mut().zip(&goal) {
+            *position += 0.5 * (goal - *position);
+        }
+    }
+}
+
+#[test]
+fn a_lowered_tool_speed_holds_at_once() {
+    let (_, mut controller, mut target) = make(Settings { max_tool_speed: [f64::INFINITY; 2], ..Settings::default() });
+    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    target.position[1] += 0.2;
+    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    controller.update(Settings { max_tool_speed: [0.1, 0.5], ..Settings::default() }).unwrap();
+    let mut before = controller.record().deviation;
+    target.position[1] -= 0.4;
+    for _ in 0..100 {
+        controller.step(&Q, &target, &StepInput::default()).unwrap();
+        let now = controller.record().deviation;
+        assert!((now[1] - before[1]).abs() <= 0.1 * 0.01 + 1e-9, "{now:?} {before:?}");
+        before = now;
+    }
+}
+
+#[test]
+fn payload_gravity_and_delay_act_and_stay() {
+    let (_, mut controller, target) = make(Settings::default());
+    let payload = Payload { mass: 0.4, com: [0.01, 0.0, 0.03] };
+    let vector = [1.0, -2.0, -9.0];
+    controller.set_payload(Some(&payload)).unwrap();
+    controller.set_gravity(vector).unwrap();
+    controller.update(soft_y(0.0)).unwrap();
+    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    let loaded = seeded::arm(0, &ModelOptions { payload: Some(payload), gravity: vector, ..ModelOptions::default() });
+    let want = loaded.gravity(&Q).unwrap();
+    assert!(largest_difference(&controller.record().gravity[..7], want.as_slice()) < 1e-12);
+    controller.set_payload(None).unwrap();
+    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    let want = seeded::arm(0, &ModelOptions { gravity: vector, ..ModelOptions::default() }).gravity(&Q).unwrap();
+    assert!(largest_difference(&controller.record().gravity[..7], want.as_slice()) < 1e-12);
+
+    // q̂ = q + γ b_p T_d v; the delay outlives a change of other settings and a reset.
+    controller.set_delay(0.02).unwrap();
+    controller.update(soft_y(0.5)).unwrap();
+    controller.reset(&Q).unwrap();
+    let dq = [0.5; 7];
+    controller.step(&Q, &target, &StepInput { dq: Some(&dq), ..StepInput::default() }).unwrap();
+    let ahead = controller.record().q[0] - Q[0];
+    assert!((ahead - 0.9 * 0.02 * 0.5).abs() < 1e-12, "{ahead}");
+    for wrong in [-1e-9, 0.51, f64::NAN] {
+        assert!(controller.set_delay(wrong).is_err());
+    }
+    assert!(controller.set_payload(Some(&Payload { mass: -1.0, com: [0.0; 3] })).is_err());
+    assert!(controller.set_gravity([0.0, f64::NAN, 0.0]).is_err());
+}
+
+/// Ideal servos that are stiffer or softer than believed, at rest: `k (goal − q) = g(q)`.
+fn settle(model: &Model, kp: &[f64; 7], goal: &[f64]) -> Vec<f64> {
+    let mut q = goal.to_vec();
+    for _ in 0..200 {
+        let gravity = model.gravity(&q).unwrap();
+        for i in 0..7 {
+            q[i] += 0.3 * (goal[i] - gravity[i] / kp[i] - q[i]);
+        }
+    }
+    q
+}
+
+const BELIEVED: [f64; 7] = [150.0, 150.0, 150.0, 150.0, 60.0, 60.0, 60.0];
+
+/// Runs `ticks` steps, the arm at rest after each.
+fn hold(model: &Model, controller: &mut Controller, kp: &[f64; 7], target: &Pose, q: &mut Vec<f64>, ticks: usize) -> Vec<f64> {
+    let mut goal = q.clone();
+    for _ in 0..ticks {
+        goal = controller.step(q, target, &StepInput::default()).unwrap().goal().to_vec();
+        *q = settle(model, kp, &goal);
+    }
+    goal
+}
+
+fn miss(model: &Model, q: &[f64], target: &Pose) -> f64 {
+    largest_difference(&model.forward_kinematics(q).unwrap().position, &target.position)
+}
+
+#[test]
+fn the_integrating_goal_removes_the_steady_error() {
+    let model = arm();
+    let kp = BELIEVED.map(|k| 0.75 * k);
+    let mut left = [0.0; 2];
+    for (slot, integrate) in [0.0, 2.0].into_iter().enumerate() {
+        let (_, mut controller, target) = make(Settings { integrate, posture: Some(Q.to_vec()), ..Settings::default() });
+        let mut q = Q.to_vec();
+        controller.reset(&q).unwrap();
+        hold(&model, &mut controller, &kp, &target, &mut q, 500);
+        left[slot] = miss(&model, &q, &target);
+    }
+    assert!(left[0] > 2e-3 && left[1] < 2e-5, "{left:?}");
+}
+
+#[test]
+fn nothing_is_stored_on_soft_axes() {
+    let (_, mut controller, mut target) = make(Settings { integrate: 2.0, max_tool_speed: [f64::INFINITY; 2], ..soft_y(0.0) });
+    target.position[1] += 0.05;
+    target.position[2] += 0.01;
+    let mut goal = Vec::new();
+    for _ in 0..200 {
+        goal = controller.step(&Q, &target, &StepInput::default()).unwrap().goal().to_vec();
+    }
+    // What the goal holds beyond gravity, as a wrench at the tool: W of the law and the stored part.
+    let (rows, record) = (controller.task_jacobian(), *controller.record());
+    let lead = nalgebra::DVector::from_fn(7, |i, _| goal[i] - Q[i] - record.gravity[i] / BELIEVED[i]);
+    let compliance = nalgebra::DMatrix::from_fn(6, 6, |r, c| (0..7).map(|i| rows[(r, i)] * rows[(c, i)] / BELIEVED[i]).sum());
+    let wrench = compliance.lu().solve(&(&rows * lead)).unwrap();
+    assert!((wrench[1] - record.wrench[1]).abs() < 0.02 * record.wrench[1].abs(), "{wrench} {:?}", record.wrench);
+    assert!(wrench[2] > 2.0 * record.wrench[2], "z is stiff and has stored: {wrench} {:?}", record.wrench);
+}
+
+#[test]
+fn the_integrating_goal_is_leashed_to_what_the_limit_can_use() {
+    let (_, mut controller, mut target) = make(Settings { integrate: 5.0, ..Settings::default() });
+    target.position[2] += 0.05;
+    let mut goal = Vec::new();
+    for _ in 0..3000 {
+        goal = controller.step(&Q, &target, &StepInput::default()).unwrap().goal().to_vec();
+    }
+    let torque = [10.7, 10.7, 10.7, 10.7, 6.4, 6.4, 6.4];
+    for i in 0..7 {
+        // Stored at most what the ceiling leaves beside gravity; the law's own lead comes on top.
+        assert!((goal[i] - Q[i]).abs() <= 2.0 * torque[i] / BELIEVED[i] + 1e-9, "joint {i}: {goal:?}");
+    }
+}
+
+#[test]
+fn gravity_is_captured_once() {
+    let model = arm();
+    for share in [0.5, 0.75, 1.5, 2.0] {
+        let kp = BELIEVED.map(|k| share * k);
+        let settings = Settings { integrate: 2.0, posture: Some(Q.to_vec()), ..Settings::default() };
+        let (_, mut controller, target) = make(settings.clone());
+        let mut q = Q.to_vec();
+        controller.reset(&q).unwrap();
+        let goal = hold(&model, &mut controller, &kp, &target, &mut q, 800);
+        let kg = controller.capture_gravity(&q, &goal).unwrap();
+        let gravity = model.gravity(&q).unwrap();
+        for i in 0..7 {
+            let friction = if i < 4 { 0.2 } else { 0.1 };
+            let expected = if gravity[i].abs() > 3.0 * friction { kp[i] } else { BELIEVED[i] };
+            assert!((kg[i] / expected - 1.0).abs() < 0.02, "{share}, joint {i}: {} instead of {expected}", kg[i]);
+        }
+        // The offset does not count twice: with the same settings the goal stays where it was.
+        let next = controller.step(&q, &target, &StepInput::default()).unwrap().goal().to_vec();
+        assert!(largest_difference(&next, &goal) < 1e-4, "{share}: {next:?} {goal:?}");
+        // Without the integrating goal nothing of it is left over; it holds elsewhere too, and after a reset.
+        controller.update(Settings { integrate: 0.0, ..settings }).unwrap();
+        hold(&model, &mut controller, &kp, &target, &mut q, 300);
+        assert!(miss(&model, &q, &target) < 1e-3, "{share}: {}", miss(&model, &q, &target));
+        controller.reset(&q).unwrap();
+        let mut lower = target;
+        lower.position[0] -= 0.05;
+        hold(&model, &mut controller, &kp, &lower, &mut q, 600);
+        assert!(miss(&model, &q, &lower) < 2.5e-3, "{share}: {}", miss(&model, &q, &lower));
+    }
+}
+
+#[test]
+fn a_captured_stiffness_is_bounded() {
+    let (_, mut controller, _) = make(Settings::default());
+    // A lead of nothing, a lead far too long, a lead the wrong way.
+    let gravity = controller.model().gravity(&Q).unwrap();
+    for (lead, factor) in [(0.0, 3.0), (1.0, 0.3), (-0.02, 3.0)] {
+        let goal: Vec<f64> = (0..7).map(|i| Q[i] + lead * gravity[i].signum()).collect();
+        let kg = controller.capture_gravity(&Q, &goal).unwrap();
+        assert!((kg[0] - factor * 150.0).abs() < 1e-9 && (kg[5] - 60.0).abs() < 1e-12, "{kg:?}");
+    }
+    assert!(controller.capture_gravity(&Q[..6], &Q).is_err());
+    let paper = Settings { law: Law::Paper, gravity: GravityUse::Off, ..Settings::default() };
+    assert!(Controller::new(arm(), paper, None).unwrap().capture_gravity(&Q, &Q).is_err());
+}
+
+#[test]
+fn a_twist_is_fed_forward_within_the_tool_speed() {
+    let (_, mut controller, target) = make(Settings::default());
+    let twist = [0.0, 0.1, 0.0, 0.0, 0.0, 2.0];
+    controller.step(&Q, &target, &StepInput { twist: Some(&twist), ..StepInput::default() }).unwrap();
+    let dx = controller.record().dx;
+    assert!((dx[1] - 0.1).abs() < 1e-9 && (dx[5] - 1.0).abs() < 1e-9 && dx[0].abs() < 1e-9, "{dx:?}");
+}
+
+#[test]
+fn joint_targets_are_their_pose_and_posture() {
+    let (model, mut controller, _) = make(Settings::default());
+    let mut twin = controller.clone();
+    let wanted: Vec<f64> = Q.iter().map(|x| x + 0.05).collect();
+    let a = *controller.step_joints(&Q, &wanted, &StepInput::default()).unwrap();
+    let pose = model.forward_kinematics(&wanted).unwrap();
+    let b = *twin.step(&Q, &pose, &StepInput { posture: Some(&wanted), ..StepInput::default() }).unwrap();
+    assert_eq!(a, b);
+}
+
+#[test]
+fn duty_servos_feed_their_back_emf_forward() {
+    let duty = Servos { kind: pliant_core::ServoKind::Duty, no_load_speed: Some(vec![5.0]), ..seeded::servos(0) };
+    let mut controller = Controller::new(arm(), Settings::default(), Some(duty)).unwrap();
+    let target = arm().forward_kinematics(&Q).unwrap();
+    let dq = [1.0; 7];
+    controller.step(&Q, &target, &StepInput { dq: Some(&dq), ..StepInput::default() }).unwrap();
+    let want = 0.9 * 0.2 * (1.0_f64 / 0.05).tanh() + 0.8 * (1.2 + 1.5 + 10.7 / 5.0);
+    assert!((controller.record().feed_forward[0] - controller.record().gamma * want).abs() < 1e-12);
+}

@@ -1,0 +1,95 @@
+//! `Command`, and the pool from which steps take theirs.
+
+use pliant_core::Command as CoreCommand;
+use pyo3::prelude::*;
+
+use crate::convert::{new_array, overwrite, references, writable, write};
+use crate::error::wrong_type;
+
+/// What the servos get: one entry per joint.
+#[pyclass(module = "pliant", frozen)]
+#[derive(Debug)]
+pub(crate) struct Command {
+    #[pyo3(get)]
+    goal: Py<PyAny>,
+    #[pyo3(get)]
+    torque_limit: Py<PyAny>,
+    #[pyo3(get)]
+    velocity: Py<PyAny>,
+}
+
+#[pymethods]
+impl Command {
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let text = |array: &Py<PyAny>| array.bind(py).repr().map(|repr| repr.to_string());
+        let (goal, limit, velocity) = (text(&self.goal)?, text(&self.torque_limit)?, text(&self.velocity)?);
+        Ok(format!("Command(goal={goal}, torque_limit={limit}, velocity={velocity})"))
+    }
+}
+
+impl Command {
+    fn new(py: Python<'_>, core: &CoreCommand) -> Self {
+        let array = |values: &[f64]| new_array(py, &[values.len()], values).unbind();
+        Self { goal: array(core.goal()), torque_limit: array(core.torque_limit()), velocity: array(core.velocity()) }
+    }
+
+    fn parts<'a>(&'a self, core: &'a CoreCommand) -> [(&'a Py<PyAny>, &'a [f64]); 3] {
+        [(&self.goal, core.goal()), (&self.torque_limit, core.torque_limit()), (&self.velocity, core.velocity())]
+    }
+
+    /// Fills the arrays if nobody else can see them and they are as they were made.
+    #[inline]
+    fn refill(&self, py: Python<'_>, core: &CoreCommand) -> bool {
+        self.parts(core).into_iter().all(|(array, values)| overwrite(array.bind(py), values))
+    }
+
+    /// A caller's command, if its arrays can take `n` numbers each.
+    pub(crate) fn writable<'a, 'py>(out: &'a Bound<'py, Self>, n: usize) -> PyResult<&'a Bound<'py, Self>> {
+        let command = out.get();
+        for array in [&command.goal, &command.torque_limit, &command.velocity] {
+            let array = array.bind(out.py());
+            if !writable(array, &[n]) {
+                let expected = format!("a command whose arrays are writable float64 of {n} in C order");
+                return Err(wrong_type("out", &expected, array));
+            }
+        }
+        Ok(out)
+    }
+
+    /// Fills the arrays of a caller's command, whoever holds them.
+    pub(crate) fn fill(&self, py: Python<'_>, core: &CoreCommand) {
+        for (array, values) in self.parts(core) {
+            write(array.bind(py), &[values.len()], values);
+        }
+    }
+}
+
+/// Three commands, taken in turn and reused only when nobody else holds the command or one of its arrays.
+///
+/// A plain loop then allocates nothing, and a result that somebody keeps never changes. The count of references says
+/// who holds what only under the interpreter lock: the module declares that it needs it.
+#[derive(Debug, Default)]
+pub(crate) struct Pool {
+    slots: [Option<Py<Command>>; 3],
+    next: usize,
+    /// How many commands were made.
+    pub(crate) made: u64,
+}
+
+impl Pool {
+    /// A command with these numbers.
+    #[inline]
+    pub(crate) fn take(&mut self, py: Python<'_>, core: &CoreCommand) -> PyResult<Py<Command>> {
+        let slot = &mut self.slots[self.next];
+        self.next = (self.next + 1) % 3;
+        if let Some(command) = slot {
+            if references(command.bind(py).as_any()) == 1 && command.get().refill(py, core) {
+                return Ok(command.clone_ref(py));
+            }
+        }
+        let made = Py::new(py, Command::new(py, core))?;
+        self.made += 1;
+        *slot = Some(made.clone_ref(py));
+        Ok(made)
+    }
+}
