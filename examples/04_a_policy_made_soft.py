@@ -1,7 +1,7 @@
 """A joint-space policy becomes soft without a change: `step_joints` takes joint positions as target.
 
-A "policy" swings the arm; a wall stands in the way. Stiff, the arm leans on the wall with what its
-servos have; with the cap it leans with the force that was asked for, and goes on when it is free.
+A "policy" swings the arm; a wall stands in the way. Stiff, the arm leans on the wall as hard as its
+servos can; with a cap it leans with the force that was asked for, and goes on when it is free.
 """
 
 import os
@@ -20,10 +20,11 @@ model = pliant.robots.arm7()
 
 def policy(time: float) -> np.ndarray:
     """Joint positions (7,) [rad] of some policy that knows nothing of forces."""
-    return START + 0.35 * np.sin(2 * np.pi * time / 4.0) * np.array([1.0, 0, 0, 0.6, 0, 0, 0])
+    reach = np.array([-0.30, 0.0, 0.0, 0.36, 0.0, 0.0, 0.0])  # forward, toward the wall
+    return START + np.sin(2 * np.pi * time / 6.0) * reach
 
 
-for name, axes in {"stiff": {}, "soft": {"xyz": pliant.Axis(soft=10.0, firm=10.0)}}.items():
+for name, axes in {"stiff": {}, "soft": {"x": pliant.Axis(soft=8.0, firm=8.0)}}.items():
     controller = pliant.Controller(model, pliant.Settings(axes=axes))
     wall = pliant.sim.Wall(into=(1.0, 0.0, 0.0), distance=0.03, stiffness=2e3, damping=40.0)
     arm = pliant.sim.Plant(model, scene=[wall])

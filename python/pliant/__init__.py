@@ -1,6 +1,106 @@
-"""Compliant task-space control for arms with back-drivable position servos."""
+"""Compliant task-space control for arms with back-drivable position servos.
 
-from pliant._core import *  # noqa: F403 (the compiled module's `__all__` is the list)
-from pliant._core import __all__, __version__
+    >>> import pliant
+    >>> model = pliant.robots.arm7()
+    >>> controller = pliant.Controller(model, pliant.Settings.soft("y"))
 
-__all__ = [*__all__, "__version__"]
+SI units; joints base to tip; task axes x y z roll pitch yaw; 6-vectors linear first; poses
+`base_from_tool` (4, 4); deviations target minus actual; gravity torques are those that hold.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from pliant._core import (
+    Axis,
+    Command,
+    ConfigError,
+    Controller,
+    FrameNotFound,
+    IkSolution,
+    Inertial,
+    Joint,
+    LimitError,
+    Link,
+    Mimic,
+    Model,
+    Payload,
+    PliantError,
+    Pose,
+    ServoError,
+    ServoFault,
+    Servos,
+    ServoTimeout,
+    Settings,
+    ShapeError,
+    Task,
+    UrdfError,
+    __version__,
+    activation,
+    adapt_target,
+    as_pose,
+    compliance,
+    damped_pseudo_inverse,
+    holding_torque,
+    joint_torque_limits,
+    null_space_projector,
+    pose_error,
+    responsibility,
+)
+
+if TYPE_CHECKING:
+    from pliant import experiments as experiments
+    from pliant import robots as robots
+    from pliant import sim as sim
+
+__all__ = [
+    "Axis",
+    "Command",
+    "ConfigError",
+    "Controller",
+    "FrameNotFound",
+    "IkSolution",
+    "Inertial",
+    "Joint",
+    "LimitError",
+    "Link",
+    "Mimic",
+    "Model",
+    "Payload",
+    "PliantError",
+    "Pose",
+    "ServoError",
+    "ServoFault",
+    "ServoTimeout",
+    "Servos",
+    "Settings",
+    "ShapeError",
+    "Task",
+    "UrdfError",
+    "__version__",
+    "activation",
+    "adapt_target",
+    "as_pose",
+    "compliance",
+    "damped_pseudo_inverse",
+    "holding_torque",
+    "joint_torque_limits",
+    "null_space_projector",
+    "pose_error",
+    "responsibility",
+]
+
+#: Parts that are loaded when they are first named: they need extras, or time.
+_PARTS = ("experiments", "robots", "sim")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PARTS:
+        return importlib.import_module(f"pliant.{name}")
+    raise AttributeError(f"module 'pliant' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, *_PARTS])

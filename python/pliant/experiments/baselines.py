@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
+from pliant.experiments.setups import AXES, servos
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,7 +41,7 @@ class JointPosition:
     def __init__(self, model: pliant.Model, period: float, *, fraction: float = 1.0) -> None:
         """Take the arm; `fraction` of the servos' torque is the limit of every joint."""
         self._model = model
-        self._limit = fraction * np.asarray(model.servos.torque)
+        self._limit = fraction * np.asarray(servos(model).torque)
 
     def reset(self, q: Array) -> None:
         """Start in q (n,) [rad]."""
@@ -55,9 +56,9 @@ class JointPosition:
 class Impedance:
     """A Cartesian spring ``τ = Jᵀ K e + g + N k (q_rest - q)``, without friction compensation.
 
-    As a torque source it is what an arm with torque-controlled joints does: the goal is far on the right side, so that
-    the limit is the torque; the servo's own damping acts against the hand as it does on any other arm. As `servo` it is
-    a goal ``q + τ/k_p`` at full limits.
+    As a torque source it is what an arm with torque-controlled joints does: the goal is far on the
+    right side, so that the limit is the torque. As `servo` it is a goal ``q + τ/k_p`` at full
+    limits.
     """
 
     def __init__(
@@ -70,12 +71,11 @@ class Impedance:
         servo: bool = False,
     ) -> None:
         """Take the arm; `soft` axes have no spring, the others `stiffness` [N/m, N·m/rad]."""
-        names = ("x", "y", "z", "roll", "pitch", "yaw")
-        free = [name in soft.split() for name in names]
+        free = [name in soft.split() for name in AXES]
         self._spring = np.where(free, 0.0, np.repeat(stiffness, 3))
         self._model, self._servo = model, servo
-        self._kp = np.asarray(model.servos.kp)
-        self._torque = np.asarray(model.servos.torque)
+        self._kp = np.asarray(servos(model).kp)
+        self._torque = np.asarray(servos(model).torque)
 
     def reset(self, q: Array) -> None:
         """Start in q (n,) [rad], the posture of the null space."""

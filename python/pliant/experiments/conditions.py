@@ -1,4 +1,4 @@
-"""Under which conditions an experiment runs: loop, bus, servos, and what the controller believes."""
+"""Under which conditions an experiment runs: loop, bus, servos, and the controller's beliefs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 import pliant
-from pliant.experiments.setups import arm
+from pliant.experiments.setups import arm, servos
 from pliant.sim import Plant
 
 if TYPE_CHECKING:
@@ -28,15 +28,16 @@ class FromModel(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """Loop, bus, servos and beliefs; the defaults are the nominal ones, 100 Hz and everything known.
+    """Loop, bus, servos and beliefs; by default 100 Hz, no delay, everything known.
 
     Attributes:
         rate: Control rate [Hz].
-        delay: Ticks from sampling to read(), and from write() to the servo; the controller knows them.
+        delay: Ticks from sampling to read() and from write() to the servo; known to the controller.
         believed: Friction and damping as the controller believes them, over their true values.
         count: Encoder count [rad], known to the controller.
         flicker: Counts by which readings toggle at random.
-        plant: More options of `pliant.sim.Plant`, of which the controller knows nothing; they win over the above.
+        plant: More options of `pliant.sim.Plant`, which win over the above; the controller knows
+            nothing of them.
     """
 
     rate: float = 100.0
@@ -63,7 +64,7 @@ class Conditions:
 
     def servos(self) -> pliant.Servos:
         """Servo table of `arm7` as the controller believes it."""
-        true = arm().servos
+        true = servos()
         return true.replace(
             friction=self.believed * np.asarray(true.friction),
             damping=self.believed * np.asarray(true.damping),

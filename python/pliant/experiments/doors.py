@@ -1,4 +1,4 @@
-"""Opening doors: a leaf on a hinge, gripped rigidly or by a handle that turns, target or base moving."""
+"""Opening doors: a leaf on a hinge, gripped rigidly or by a handle that turns."""
 
 from __future__ import annotations
 
@@ -71,12 +71,16 @@ class Opened:
 
 
 def open_door(
-    law: Callable[..., Law], scene: str = "door", grip: Grip = "rigid", *, conditions: Conditions = NOMINAL
+    law: Callable[..., Law],
+    scene: str = "door",
+    grip: Grip = "rigid",
+    *,
+    conditions: Conditions = NOMINAL,
 ) -> Opened:
     """Pull a door open for 9.5 s.
 
     Args:
-        law: Makes the settings from the soft axes of the scene, `soft`, and null-space gain, `alpha`.
+        law: Makes the settings from the scene's soft axes, `soft`, and a null-space gain, `alpha`.
         scene: Name of one of `SCENES`.
         grip: `rigid` or `turning`.
         conditions: Loop, bus and beliefs.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ from pliant.experiments.conditions import NOMINAL
 from pliant.experiments.episode import Trace, run
 from pliant.experiments.setups import AXES, VERTICAL, tool
 from pliant.sim.hand import STRONG, Course, Drag, Push, Twist, tap
+from pliant.sim.truth import WRIST
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Law = pliant.Settings | FromModel
+
+#: A 15 N hand that takes 4 s for 0.08 m: what dry friction costs.
+SLOW = Drag(distance=0.08, course=Course(start=2.0, rise=4.0, end=6.5))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,8 +110,13 @@ def drag(
     )
 
 
+def opposite(hand: Drag) -> Drag:
+    """The same hand, pulling the other way."""
+    return replace(hand, distance=-hand.distance)
+
+
 def _grip(time: float, plant: Plant) -> None:
-    """Let the hand count its way from where the arm is when it comes, not from where it was told to be."""
+    """Let the hand count its way from where the arm is when it comes."""
     if abs(time - metrics.PULLING[0]) < 0.5 * plant.period:
         plant.truth.remember()
 
@@ -131,10 +140,23 @@ class Pushed:
     trace: Trace
 
 
-def push(law: Law, force: float, *, axis: str = "y", conditions: Conditions = NOMINAL) -> Pushed:
-    """Push the wrist with a constant force [N] along a base axis: up in 2 to 3 s, gone at 5 s."""
+def push(
+    law: Law, force: float, *, axis: str = "y", at: str = WRIST, conditions: Conditions = NOMINAL
+) -> Pushed:
+    """Push with a constant force [N] along a base axis: up in 2 to 3 s, gone at 5 s.
+
+    Args:
+        law: Settings of our controller, or one that is not ours.
+        force: The force, with its sign [N].
+        axis: Base axis.
+        at: Frame that is pushed, `wrist` or `tool`.
+        conditions: Loop, bus and beliefs.
+
+    Returns:
+        The figures and the run.
+    """
     index = AXES.index(axis)
-    hand = Push(force_vector=tuple(force * np.eye(3)[index]), at="wrist")
+    hand = Push(force_vector=tuple(force * np.eye(3)[index]), at=at)
     trace = run(conditions.build(hand), conditions.controller(law), tool(VERTICAL), 7.0, q=VERTICAL)
     return Pushed(
         moved=metrics.moved(trace, index),
@@ -193,7 +215,9 @@ class Idle:
     trace: Trace
 
 
-def idle(law: Law, duration: float = 4.0, *, q: Array = VERTICAL, conditions: Conditions = NOMINAL) -> Idle:
+def idle(
+    law: Law, duration: float = 4.0, *, q: Array = VERTICAL, conditions: Conditions = NOMINAL
+) -> Idle:
     """Hold still for `duration` seconds, at least 3."""
     trace = run(conditions.build(), conditions.controller(law), tool(q), duration, q=q)
     late = trace.between(duration - 2.0, duration)

@@ -10,7 +10,7 @@ import numpy as np
 from pliant.experiments import metrics
 from pliant.experiments.conditions import NOMINAL
 from pliant.experiments.episode import Trace, run
-from pliant.experiments.setups import AXES, VERTICAL, arm, tool
+from pliant.experiments.setups import AXES, VERTICAL, arm, servos, tool
 from pliant.sim.hand import STRONG, Course
 
 if TYPE_CHECKING:
@@ -31,7 +31,8 @@ class Survived:
 
     Attributes:
         force: Largest force against the hand, mean over a tick [N].
-        formula: min over the joints of (L + τ_f + s g)/|a|, a = Jᵀd, at the pose where that force was felt [N].
+        formula: min over the joints of (L + τ_f + s g)/|a|, a = Jᵀd, at the pose where that force
+            was felt [N].
         moved: How far the tool moved between the death and the hand, or without a hand at all [m].
         trace: The run.
     """
@@ -43,11 +44,20 @@ class Survived:
 
 
 def static_force(q: Array, limit: Array, direction: Array) -> float:
-    """Push [N] along `direction` (3,) at the tool under which the first joint gives way at q (n,), limits (n,) [N·m]."""
+    """Push at the tool under which the first joint gives way.
+
+    Args:
+        q: Posture (n,) [rad].
+        limit: Torque limits (n,) [N·m].
+        direction: Of the push, a unit vector (3,) in base axes.
+
+    Returns:
+        The force [N].
+    """
     model = arm()
     _, jacobian = model.kinematics(q)
     lever = jacobian[:3].T @ direction
-    friction = np.asarray(model.servos.friction)
+    friction = np.asarray(servos().friction)
     room = limit + friction + np.sign(lever) * model.gravity(q)
     felt = np.abs(lever) > 1e-9
     return float((room[felt] / np.abs(lever[felt])).min())
@@ -71,7 +81,9 @@ def die(law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL) 
         direction[AXES.index(push[1:])] = -1.0 if push[0] == "-" else 1.0
         course = Course(start=2.0, rise=RISE, end=np.inf)
         hands.append(replace(STRONG, axis=tuple(direction), course=course))
-    trace = run(silent.build(*hands), silent.controller(law), tool(VERTICAL), 2.0 + RISE, q=VERTICAL)
+    trace = run(
+        silent.build(*hands), silent.controller(law), tool(VERTICAL), 2.0 + RISE, q=VERTICAL
+    )
     felt = trace.force @ direction
     worst = int(np.argmax(felt))
     death = trace.at(DEATH)

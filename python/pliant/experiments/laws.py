@@ -1,6 +1,6 @@
 """The controllers of the experiments, by name, as settings.
 
-All of them run without tool speed limit and stiffening rate, which would blur what the laws themselves do.
+All of them run without tool speed limit and stiffening rate, which would blur the laws themselves.
 
 | name | what it is |
 |---|---|
@@ -53,7 +53,7 @@ def paper(
     soft_steps: Steps = SOFT_STEPS_WITHOUT_GRAVITY,
     **more: Any,
 ) -> Settings:
-    """The paper's law with budget `torque` [N·m] on every axis, 0.5 on soft ones at small deviations.
+    """The paper's law with one budget for every axis, 0.5 N·m on soft ones at small deviations.
 
     Args:
         torque: Budget T of each axis [N·m].
@@ -122,7 +122,9 @@ def all_stiff(**more: Any) -> Settings:
     return rec(UNLIMITED, soft="", **more)
 
 
-def cap(*, soft: str = "y", eta: float = 0.999, axis: Mapping[str, Any] | None = None, **more: Any) -> Settings:
+def cap(
+    *, soft: str = "y", eta: float = 0.999, axis: Mapping[str, Any] | None = None, **more: Any
+) -> Settings:
     """The default law with its default strengths, `soft` axes yielding.
 
     Args:
@@ -140,11 +142,11 @@ def cap(*, soft: str = "y", eta: float = 0.999, axis: Mapping[str, Any] | None =
 
 
 def cap_at_edge(**more: Any) -> Settings:
-    """`cap` without a soft axis and with the small steps that the edge of the workspace asks for."""
+    """`cap` without a soft axis, with the small steps that the edge of the workspace asks for."""
     axes = {"xyz": Axis(step_limit=EDGE_STEPS[0]), "rpy": Axis(step_limit=EDGE_STEPS[1])}
     return cap(soft="", axes=axes, **more)
 
 
 def rec_at_edge(torque: float = 8.0, **more: Any) -> Settings:
-    """`rec` without a soft axis and with the small steps that the edge of the workspace asks for."""
+    """`rec` without a soft axis, with the small steps that the edge of the workspace asks for."""
     return rec(torque, soft="", steps=EDGE_STEPS, **more)

@@ -1,4 +1,4 @@
-"""The promised cap, measured: what an axis pushes back with in random poses, against what the law says."""
+"""The promised cap, measured: what an axis pushes back with in poses at random."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pliant import Axis, Settings
 from pliant.experiments.conditions import NOMINAL
 from pliant.experiments.episode import run
 from pliant.experiments.laws import UNBLURRED
-from pliant.experiments.setups import AXES, arm
+from pliant.experiments.setups import AXES, arm, servos
 from pliant.sim import Guide
 from pliant.sim.hand import Course, Drag, Twist
 
@@ -22,17 +22,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pliant.experiments.conditions import Conditions
+    from pliant.sim import Hand
 
     Array = NDArray[np.float64]
 
 #: Caps that are tried: 15, 30, 60 % of the arm's median capacity [N], 7, 14 % for rotations [N·m].
 FORCES, TORQUES = (5.0, 10.0, 20.0), (0.5, 1.0)
-#: How far the hand goes: as far as the cap alone would let the axis, times this, and a little more [m, rad].
+#: How far the hand goes: as far as the cap alone lets the axis, times this, and a little [m, rad].
 WAY, MORE = 1.25, (0.005, 0.03)
 #: When the hand holds still and its force is taken [s].
 SETTLED, END = 2.5, 3.0
-#: Poses whose smallest singular value lies below this share of the median are left out.
-LEAST_SIGMA = 0.65
+#: Poses whose smallest singular value lies below this share of the median are left out, and poses
+#: with a joint nearer to its stop than this [rad]: there the stop pushes, not the law.
+LEAST_SIGMA, MARGIN = 0.65, 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,30 +76,31 @@ def _sigma(q: Array) -> float:
 def _compliance(q: Array, axis: int) -> float:
     """C_jj: how far the servos let an axis go per unit of force at q (7,) [m/N or rad/(N·m)]."""
     row = arm().jacobian(q)[axis]
-    return float(row**2 @ (1.0 / np.asarray(arm().servos.kp)))
+    return float(row**2 @ (1.0 / np.asarray(servos().kp)))
 
 
 @cache
 def poses(count: int, seed: int = 0) -> tuple[Array, ...]:
-    """Random poses (7,) [rad] within the joint limits, well away from singular ones."""
+    """Random poses (7,) [rad], well away from singular ones and from the joints' stops."""
     model, rng = arm(), np.random.default_rng(seed)
-    sample = rng.uniform(model.lower, model.upper, (512, model.n))
+    low, high = np.asarray(model.lower) + MARGIN, np.asarray(model.upper) - MARGIN
+    sample = rng.uniform(low, high, (512, model.n))
     sigmas = np.array([_sigma(q) for q in sample])
     good = sample[sigmas > LEAST_SIGMA * np.median(sigmas)]
     return tuple(good[:count])
 
 
 def capacity(q: Array, axis: int, sign: float) -> float:
-    """Largest push [N or N·m] toward `sign` of an axis (index) that the servos can hold at q (7,)."""
+    """Largest push [N or N·m] toward `sign` of an axis that the servos can hold at q (7,)."""
     model = arm()
     lever = sign * model.jacobian(q)[axis]
     felt = np.abs(lever) > 1e-6
-    room = np.asarray(model.servos.torque) + np.sign(lever) * model.gravity(q)
+    room = np.asarray(servos().torque) + np.sign(lever) * model.gravity(q)
     return float((room[felt] / np.abs(lever[felt])).min())
 
 
 def cases(count: int, seed: int = 0) -> Iterator[Case]:
-    """Promises for `count` poses: every axis and sign, a cap at random, those that the torques refuse left out."""
+    """Promises for `count` poses: every axis and sign, a cap at random that the servos can hold."""
     rng = np.random.default_rng(seed + 1)
     for q in poses(count, seed):
         for index, axis in enumerate(AXES):
@@ -121,11 +124,14 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
     index = AXES.index(case.axis)
     course = Course(start=0.5, rise=1.0, end=np.inf)
     way = case.sign * (WAY * case.cap * _compliance(case.q, index) + MORE[index // 3])
+    hand: Hand
     if index < 3:
-        hand = Drag(axis=case.axis, distance=way, stiffness=3000.0, limit=80.0, at="tool", course=course)
+        hand = Drag(
+            axis=case.axis, distance=way, stiffness=3000.0, limit=80.0, at="tool", course=course
+        )
     else:
         hand = Twist(axis=case.axis, angle=way, stiffness=60.0, limit=8.0, course=course)
-    scene = [hand]
+    scene: list[Hand] = [hand]
     if guided:
         scene.append(Guide(axes=" ".join(name for name in AXES if name != case.axis)))
     soft = Axis(soft=case.cap, firm=case.cap)
@@ -134,12 +140,11 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
     trace = run(conditions.build(*scene), conditions.controller(settings), target, END, q=case.q)
     still = trace.between(SETTLED, END)
     felt = (trace.force if index < 3 else trace.moment)[still, index % 3]
-    servos = arm().servos
     lead = abs(float(trace.error[-1, index]))
     inverse = np.linalg.pinv(arm().jacobian(trace.q[-1]))
     return Kept(
         case=case,
         promise=min(case.cap, lead / _compliance(trace.q[-1], index)),
         measured=case.sign * float(felt.mean()),
-        friction=float(np.abs(inverse[:, index]) @ np.asarray(servos.friction)),
+        friction=float(np.abs(inverse[:, index]) @ np.asarray(servos().friction)),
     )

@@ -1,4 +1,4 @@
-"""Opening and closing a door by feel: the end of a motion is recognised by its resistance, from positions alone."""
+"""Opening and closing a door by feel: the end of a motion is recognised from positions alone."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ LONGEST = 8.0
 class Feeler:
     """Estimates the wrench on the tool from goals, limits and measured positions.
 
-    ``F = -C⁻¹ J K_p⁻¹ (clip(k_p (goal - q), ±limit) - g - τ_f tanh(v/v₀) - d v)``, C = J K_p⁻¹ Jᵀ: what the servos give,
-    less what gravity and the joints take. v is the measured velocity behind a filter of 20 ms, d what gears, back-EMF
-    and the servo's own damping resist.
+    ``F = -C⁻¹ J K_p⁻¹ (clip(k_p (goal - q), ±limit) - g - τ_f tanh(v/v₀) - d v)``, C = J K_p⁻¹ Jᵀ:
+    what the servos give, less what gravity and the joints take. v is the measured velocity behind a
+    filter of 20 ms, d what gears, back-EMF and the servo's own damping resist.
     """
 
     def __init__(self, model: pliant.Model, servos: pliant.Servos, period: float) -> None:
@@ -57,16 +57,20 @@ class Feeler:
         self._goal, self._limit = q.copy(), self._torque
 
     def feel(self, q: Array) -> Array:
-        """Wrench (6,) of the surroundings on the tool, base axes [N, N·m], from the reading q (n,) [rad]."""
+        """Wrench (6,) of the surroundings on the tool [N, N·m], from the reading q (n,) [rad]."""
         raw = (q - self._q) / self._period
         self._v = self._v + self._period / (0.02 + self._period) * (raw - self._v)
         self._q = q.copy()
         given = np.clip(self._kp * (self._goal - q), -self._limit, self._limit)
-        taken = self._model.gravity(q) + self._friction * np.tanh(self._v / 0.05) + self._damping * self._v
+        taken = (
+            self._model.gravity(q)
+            + self._friction * np.tanh(self._v / 0.05)
+            + self._damping * self._v
+        )
         _, jacobian = self._model.kinematics(q)
         scaled = jacobian / self._kp
-        wrench: Array = -np.linalg.solve(scaled @ jacobian.T, scaled @ (given - taken))
-        return wrench
+        pushed = np.linalg.solve(scaled @ jacobian.T, scaled @ (given - taken))
+        return -np.asarray(pushed, dtype=np.float64)
 
     def tell(self, command: Commanded) -> None:
         """Remember what the servos were told after the reading."""
@@ -74,7 +78,7 @@ class Feeler:
 
 
 class ByResistance:
-    """A controller that moves its own target: pulls until it feels resistance, rests, pushes back until it does again.
+    """A controller that moves its own target: pulls until it resists, rests, pushes until it does.
 
     Attributes:
         ends: Times at which an end was recognised [s].
@@ -94,7 +98,7 @@ class ByResistance:
 
     @property
     def compliance(self) -> Array:
-        """c of the controller inside."""
+        """That of the controller inside."""
         return np.asarray(getattr(self._inner, "compliance", np.full(6, np.nan)))
 
     def step(self, q: Array, target: Array) -> Commanded:
@@ -121,7 +125,7 @@ class OpenedAndClosed:
     """What was recognised, and at what price.
 
     Attributes:
-        ends: Opening of the leaf when each end was recognised [deg]; fewer than two: an end was missed.
+        ends: Opening of the leaf when each end was recognised [deg]; fewer than two: one missed.
         force: Largest force at the handle [N].
         trace: The run.
     """
@@ -132,12 +136,16 @@ class OpenedAndClosed:
 
 
 def open_and_close(
-    law: Callable[..., Law], scene: str = "door", grip: Grip = "rigid", *, conditions: Conditions = NOMINAL
+    law: Callable[..., Law],
+    scene: str = "door",
+    grip: Grip = "rigid",
+    *,
+    conditions: Conditions = NOMINAL,
 ) -> OpenedAndClosed:
-    """Open a door with an end stop at 45 deg until it resists, rest 1 s, and close it until it resists.
+    """Open a door with a stop at 45 deg until it resists, rest 1 s, close it until it resists.
 
     Args:
-        law: Makes the settings from the soft axes of the scene, `soft`, and null-space gain, `alpha`.
+        law: Makes the settings from the scene's soft axes, `soft`, and a null-space gain, `alpha`.
         scene: Name of one of `doors.SCENES` whose base stands still.
         grip: `rigid` or `turning`.
         conditions: Loop, bus and beliefs.

@@ -54,6 +54,18 @@ def arm() -> pliant.Model:
     return robots.arm7()
 
 
+def servos(model: pliant.Model | None = None) -> pliant.Servos:
+    """Servo table of a model, by default of `arm`.
+
+    Raises:
+        ConfigError: The model came without one.
+    """
+    table = (arm() if model is None else model).servos
+    if table is None:
+        raise pliant.ConfigError("the model has no servos: give Model.from_urdf(..., servos=...)")
+    return table
+
+
 def tool(q: Array) -> Array:
     """Pose (4, 4) of the tool at q (7,) [rad]."""
     pose: Array = arm().forward_kinematics(q)
@@ -67,7 +79,8 @@ def turn(vector: Array) -> Array:
         return np.eye(3)
     x, y, z = vector / angle
     k = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
-    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
+    rotation: Array = np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
+    return rotation
 
 
 def displaced(start: Array, axis: str, amount: float) -> Array:
@@ -94,7 +107,18 @@ def sinusoid(start: Array, axis: str, amplitude: float) -> Target:
 def pull(
     start: Array, distance: float, *, axis: str = "x", speed: float = -0.05, begin: float = 1.0
 ) -> Target:
-    """Target that leaves `start` at `begin` [s] along a base axis, at `speed` [m/s], by `distance` [m] ≥ 0."""
+    """Target that leaves a place along a base axis.
+
+    Args:
+        start: Pose (4, 4) at first.
+        distance: How far it goes [m], at least 0.
+        axis: `x`, `y` or `z`.
+        speed: With its sign [m/s].
+        begin: When [s].
+
+    Returns:
+        Pose (4, 4) by time.
+    """
 
     def target(t: float) -> Array:
         way = min(max(abs(speed) * (t - begin), 0.0), distance)

@@ -36,7 +36,7 @@ class Bumped:
         peak: Largest force of any physics step [N].
         later: Largest mean over a tick from 0.3 s after the first touch on [N].
         final: Mean force of the last half second [N].
-        allowed: cap + v √(k m) of a mass m that meets a spring k at speed v and is pressed by the cap [N].
+        allowed: cap + v √(k m), of a mass m that meets a spring k at speed v [N].
         mass: Effective mass m of the arm along the wall's normal, rotors included [kg].
         trace: The run.
     """
@@ -50,7 +50,7 @@ class Bumped:
 
 
 def effective_mass(plant: Plant, axis: int) -> float:
-    """Mass [kg] that something meets along a base axis at the tool: 1 / (n J M⁻¹ Jᵀ nᵀ), rotors included."""
+    """Mass [kg] met along a base axis at the tool: 1 / (n J M⁻¹ Jᵀ nᵀ), rotors included."""
     model, data = plant.mj_model, plant.mj_data
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))

@@ -148,7 +148,7 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
         }
         let command = *controller.step(&q, &target, &input).unwrap();
         let record = controller.record();
-        let want = oracle.step(&q, &target, &input, [record.sigma_min, record.sigma_max]);
+        let want = oracle.step(&q, &target, &input, ([record.sigma_min, record.sigma_max], &record.locked[..n]));
         let locked = want.locked.contains(&true) || record.locked.contains(&true);
         if locked && !matches!(settings.damping, Damping::Fixed(_)) {
             return;

@@ -82,10 +82,11 @@ impl Pool {
     pub(crate) fn take(&mut self, py: Python<'_>, core: &CoreCommand) -> PyResult<Py<Command>> {
         let slot = &mut self.slots[self.next];
         self.next = (self.next + 1) % 3;
-        if let Some(command) = slot {
-            if references(command.bind(py).as_any()) == 1 && command.get().refill(py, core) {
-                return Ok(command.clone_ref(py));
-            }
+        if let Some(command) = slot
+            && references(command.bind(py).as_any()) == 1
+            && command.get().refill(py, core)
+        {
+            return Ok(command.clone_ref(py));
         }
         let made = Py::new(py, Command::new(py, core))?;
         self.made += 1;

@@ -1,9 +1,8 @@
 //! `Controller`.
 
-use numpy::PyArray1;
 use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis};
 use pliant_core::{
-    AxisVec, Command as CoreCommand, Controller as CoreController, JointVec, Payload as CorePayload, Record,
+    AxisVec, Command as CoreCommand, Controller as CoreController, JointVec, Payload as CorePayload,
     Settings as CoreSettings, StepInput,
 };
 use pyo3::prelude::*;
@@ -12,9 +11,9 @@ use pyo3::types::PyDict;
 use crate::command::{Command, Pool};
 use crate::convert::new_array;
 use crate::error::{OrRaise, wrong_type};
-use crate::functions::table;
 use crate::model::Model;
 use crate::read::{array_into, joints, number, pose, vector3};
+use crate::record::readings;
 use crate::servos::Servos;
 use crate::settings::Settings;
 use crate::task::Axis;
@@ -80,281 +79,179 @@ impl Extras {
     }
 }
 
-impl Controller {
-    fn per_joint<'py>(&self, py: Python<'py>, of: fn(&Record) -> &JointVec) -> Bound<'py, PyAny> {
-        new_array(py, &[self.n], of(self.core.record()))
+readings! {
+    Controller {
+        axes: deviation, adapted_deviation, dx, softness, compliance, holding_torque, wrench;
+        joints: velocity, gravity, feed_forward, gradient;
+        numbers: sigma_min, sigma_max, damping, gamma;
+        flags: saturated, locked;
+        matrices: activation, responsibility, task_jacobian;
     }
-
-    fn per_axis<'py>(&self, py: Python<'py>, of: fn(&Record) -> &AxisVec) -> Bound<'py, PyAny> {
-        new_array(py, &[self.core.task_len()], of(self.core.record()))
-    }
-}
-
-#[pymethods]
-impl Controller {
-    #[new]
-    #[pyo3(signature = (model, settings = None, servos = None))]
-    fn new(
-        py: Python<'_>,
-        model: Py<Model>,
-        settings: Option<Py<Settings>>,
-        servos: Option<&Servos>,
-    ) -> PyResult<Self> {
-        let settings = match settings {
-            Some(settings) => settings,
-            None => Py::new(py, Settings(CoreSettings::default()))?,
-        };
-        let arm = &model.get().core;
-        let n = arm.n();
-        let servos = match servos {
-            Some(servos) => Some(Py::new(py, Servos(servos.0.for_joints(n).or_raise()?))?),
-            None => model.get().servos.as_ref().map(|servos| servos.clone_ref(py)),
-        };
-        let (wanted, table) = (settings.get().0.clone(), servos.as_ref().map(|servos| servos.get().0.clone()));
-        let core = py.detach(|| CoreController::new(arm.clone(), wanted, table)).or_raise()?;
-        let position_only = position_only(&settings.get().0);
-        Ok(Self { core, n, position_only, pool: Pool::default(), model, settings, servos })
-    }
-
-    #[pyo3(signature = (q, target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
-    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
-    fn step(
-        &mut self,
-        py: Python<'_>,
-        q: &Bound<'_, PyAny>,
-        target: &Bound<'_, PyAny>,
-        dt: Option<&Bound<'_, PyAny>>,
-        dq: Option<&Bound<'_, PyAny>>,
-        twist: Option<&Bound<'_, PyAny>>,
-        gradient: Option<&Bound<'_, PyAny>>,
-        out: Option<&Bound<'_, Command>>,
-    ) -> PyResult<Py<Command>> {
-        let n = self.n;
-        let q = joints("q", q, n)?;
-        let target = pose("target", target, self.position_only)?;
-        let extras = Extras::read(n, dt, dq, twist, gradient)?;
-        let out = out.map(|out| Command::writable(out, n)).transpose()?;
-        let command = self.core.step(&q[..n], &target, &extras.input(n)).or_raise()?;
-        hand_out(py, &mut self.pool, command, out)
-    }
-
-    #[pyo3(signature = (q, q_target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
-    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
-    fn step_joints(
-        &mut self,
-        py: Python<'_>,
-        q: &Bound<'_, PyAny>,
-        q_target: &Bound<'_, PyAny>,
-        dt: Option<&Bound<'_, PyAny>>,
-        dq: Option<&Bound<'_, PyAny>>,
-        twist: Option<&Bound<'_, PyAny>>,
-        gradient: Option<&Bound<'_, PyAny>>,
-        out: Option<&Bound<'_, Command>>,
-    ) -> PyResult<Py<Command>> {
-        let n = self.n;
-        let (q, wanted) = (joints("q", q, n)?, joints("q_target", q_target, n)?);
-        let extras = Extras::read(n, dt, dq, twist, gradient)?;
-        let out = out.map(|out| Command::writable(out, n)).transpose()?;
-        let command = self.core.step_joints(&q[..n], &wanted[..n], &extras.input(n)).or_raise()?;
-        hand_out(py, &mut self.pool, command, out)
-    }
-
-    fn reset(&mut self, q: &Bound<'_, PyAny>) -> PyResult<()> {
-        let n = self.n;
-        self.core.reset(&joints("q", q, n)?[..n]).or_raise()
-    }
-
-    fn update(&mut self, settings: Py<Settings>) -> PyResult<()> {
-        self.core.update(settings.get().0.clone()).or_raise()?;
-        self.position_only = position_only(&settings.get().0);
-        self.settings = settings;
-        Ok(())
-    }
-
-    #[pyo3(signature = (mass, com = None))]
-    fn set_payload(&mut self, mass: f64, com: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
-        let com = com.map_or(Ok([0.0; 3]), |com| vector3("com", com))?;
-        self.core.set_payload(Some(&CorePayload { mass, com })).or_raise()
-    }
-
-    fn set_gravity(&mut self, vector: &Bound<'_, PyAny>) -> PyResult<()> {
-        self.core.set_gravity(vector3("vector", vector)?).or_raise()
-    }
-
-    fn set_delay(&mut self, delay: f64) -> PyResult<()> {
-        self.core.set_delay(delay).or_raise()
-    }
-
-    fn capture_gravity<'py>(&mut self, q: &Bound<'py, PyAny>, goal: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-        let n = self.n;
-        let (at, goal) = (joints("q", q, n)?, joints("goal", goal, n)?);
-        let stiffness = self.core.capture_gravity(&at[..n], &goal[..n]).or_raise()?;
-        Ok(new_array(q.py(), &[n], &stiffness))
-    }
-
-    #[getter]
-    fn model(&self, py: Python<'_>) -> Py<Model> {
-        self.model.clone_ref(py)
-    }
-
-    #[getter]
-    fn settings(&self, py: Python<'_>) -> Py<Settings> {
-        self.settings.clone_ref(py)
-    }
-
-    #[getter]
-    fn servos(&self, py: Python<'_>) -> Option<Py<Servos>> {
-        self.servos.as_ref().map(|servos| servos.clone_ref(py))
-    }
-
-    #[getter]
-    fn strengths<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let settings = self.core.settings();
-        let axes = (0..AXIS_NAMES.len()).filter(|&axis| settings.task.axes[axis]);
-        let out = PyDict::new(py);
-        for (axis, (soft, firm, hold)) in axes.zip(self.core.strengths()) {
-            let given = settings.axes[axis];
-            let yields = Some(given.effective_yields());
-            let filled = CoreAxis { soft: Some(soft), firm: Some(firm), hold: Some(hold), yields, ..given };
-            out.set_item(AXIS_NAMES[axis], Axis(filled).into_pyobject(py)?)?;
+    methods {
+        #[new]
+        #[pyo3(signature = (model, settings = None, servos = None))]
+        fn new(
+            py: Python<'_>,
+            model: Py<Model>,
+            settings: Option<Py<Settings>>,
+            servos: Option<&Servos>,
+        ) -> PyResult<Self> {
+            let settings = match settings {
+                Some(settings) => settings,
+                None => Py::new(py, Settings(CoreSettings::default()))?,
+            };
+            let arm = &model.get().core;
+            let n = arm.n();
+            let servos = match servos {
+                Some(servos) => Some(Py::new(py, Servos(servos.0.for_joints(n).or_raise()?))?),
+                None => model.get().servos.as_ref().map(|servos| servos.clone_ref(py)),
+            };
+            let (wanted, table) = (settings.get().0.clone(), servos.as_ref().map(|servos| servos.get().0.clone()));
+            let core = py.detach(|| CoreController::new(arm.clone(), wanted, table)).or_raise()?;
+            let position_only = position_only(&settings.get().0);
+            Ok(Self { core, n, position_only, pool: Pool::default(), model, settings, servos })
         }
-        Ok(out)
-    }
 
-    #[getter]
-    fn damping_constants(&self) -> (f64, f64, f64) {
-        self.core.damping().into()
-    }
+        #[pyo3(signature = (q, target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
+        #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+        fn step(
+            &mut self,
+            py: Python<'_>,
+            q: &Bound<'_, PyAny>,
+            target: &Bound<'_, PyAny>,
+            dt: Option<&Bound<'_, PyAny>>,
+            dq: Option<&Bound<'_, PyAny>>,
+            twist: Option<&Bound<'_, PyAny>>,
+            gradient: Option<&Bound<'_, PyAny>>,
+            out: Option<&Bound<'_, Command>>,
+        ) -> PyResult<Py<Command>> {
+            let n = self.n;
+            let q = joints("q", q, n)?;
+            let target = pose("target", target, self.position_only)?;
+            let extras = Extras::read(n, dt, dq, twist, gradient)?;
+            let out = out.map(|out| Command::writable(out, n)).transpose()?;
+            let command = self.core.step(&q[..n], &target, &extras.input(n)).or_raise()?;
+            hand_out(py, &mut self.pool, command, out)
+        }
 
-    #[getter]
-    fn gain_factor(&self) -> f64 {
-        self.core.gain_factor()
-    }
+        #[pyo3(signature = (q, q_target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
+        #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+        fn step_joints(
+            &mut self,
+            py: Python<'_>,
+            q: &Bound<'_, PyAny>,
+            q_target: &Bound<'_, PyAny>,
+            dt: Option<&Bound<'_, PyAny>>,
+            dq: Option<&Bound<'_, PyAny>>,
+            twist: Option<&Bound<'_, PyAny>>,
+            gradient: Option<&Bound<'_, PyAny>>,
+            out: Option<&Bound<'_, Command>>,
+        ) -> PyResult<Py<Command>> {
+            let n = self.n;
+            let (q, wanted) = (joints("q", q, n)?, joints("q_target", q_target, n)?);
+            let extras = Extras::read(n, dt, dq, twist, gradient)?;
+            let out = out.map(|out| Command::writable(out, n)).transpose()?;
+            let command = self.core.step_joints(&q[..n], &wanted[..n], &extras.input(n)).or_raise()?;
+            hand_out(py, &mut self.pool, command, out)
+        }
 
-    #[getter]
-    fn commands_made(&self) -> u64 {
-        self.pool.made
-    }
+        fn reset(&mut self, q: &Bound<'_, PyAny>) -> PyResult<()> {
+            let n = self.n;
+            self.core.reset(&joints("q", q, n)?[..n]).or_raise()
+        }
 
-    #[getter]
-    fn deviation<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, |record| &record.deviation)
-    }
+        fn update(&mut self, settings: Py<Settings>) -> PyResult<()> {
+            self.core.update(settings.get().0.clone()).or_raise()?;
+            self.position_only = position_only(&settings.get().0);
+            self.settings = settings;
+            Ok(())
+        }
 
-    #[getter]
-    fn adapted_deviation<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, |record| &record.adapted_deviation)
-    }
+        #[pyo3(signature = (mass, com = None), text_signature = "($self, mass, com=(0.0, 0.0, 0.0))")]
+        fn set_payload(&mut self, mass: f64, com: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+            let com = com.map_or(Ok([0.0; 3]), |com| vector3("com", com))?;
+            self.core.set_payload(Some(&CorePayload { mass, com })).or_raise()
+        }
 
-    #[getter]
-    fn dx<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, |record| &record.dx)
-    }
+        fn set_gravity(&mut self, vector: &Bound<'_, PyAny>) -> PyResult<()> {
+            self.core.set_gravity(vector3("vector", vector)?).or_raise()
+        }
 
-    #[getter]
-    fn softness<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, |record| &record.softness)
-    }
+        fn set_delay(&mut self, delay: f64) -> PyResult<()> {
+            self.core.set_delay(delay).or_raise()
+        }
 
-    #[getter]
-    fn compliance<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, |record| &record.compliance)
-    }
+        fn capture_gravity<'py>(&mut self, q: &Bound<'py, PyAny>, goal: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+            let n = self.n;
+            let (at, goal) = (joints("q", q, n)?, joints("goal", goal, n)?);
+            let stiffness = self.core.capture_gravity(&at[..n], &goal[..n]).or_raise()?;
+            Ok(new_array(q.py(), &[n], &stiffness))
+        }
 
-    #[getter]
-    fn holding_torque<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, |record| &record.holding_torque)
-    }
+        #[getter]
+        fn model(&self, py: Python<'_>) -> Py<Model> {
+            self.model.clone_ref(py)
+        }
 
-    #[getter]
-    fn wrench<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, |record| &record.wrench)
-    }
+        #[getter]
+        fn settings(&self, py: Python<'_>) -> Py<Settings> {
+            self.settings.clone_ref(py)
+        }
 
-    #[getter]
-    fn q_predicted<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_joint(py, |record| &record.q)
-    }
+        #[getter]
+        fn servos(&self, py: Python<'_>) -> Option<Py<Servos>> {
+            self.servos.as_ref().map(|servos| servos.clone_ref(py))
+        }
 
-    #[getter]
-    fn velocity<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_joint(py, |record| &record.velocity)
-    }
+        #[getter]
+        fn strengths<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+            let settings = self.core.settings();
+            let axes = (0..AXIS_NAMES.len()).filter(|&axis| settings.task.axes[axis]);
+            let out = PyDict::new(py);
+            for (axis, (soft, firm, hold)) in axes.zip(self.core.strengths()) {
+                let given = settings.axes[axis];
+                let yields = Some(given.effective_yields());
+                let filled = CoreAxis { soft: Some(soft), firm: Some(firm), hold: Some(hold), yields, ..given };
+                out.set_item(AXIS_NAMES[axis], Axis(filled).into_pyobject(py)?)?;
+            }
+            Ok(out)
+        }
 
-    #[getter]
-    fn gravity<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_joint(py, |record| &record.gravity)
-    }
+        #[getter]
+        fn damping_constants(&self) -> (f64, f64, f64) {
+            self.core.damping().into()
+        }
 
-    #[getter]
-    fn feed_forward<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_joint(py, |record| &record.feed_forward)
-    }
+        #[getter]
+        fn gain_factor(&self) -> f64 {
+            self.core.gain_factor()
+        }
 
-    #[getter]
-    fn gradient<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_joint(py, |record| &record.gradient)
-    }
+        #[getter]
+        fn commands_made(&self) -> u64 {
+            self.pool.made
+        }
 
-    #[getter]
-    fn sigma_min(&self) -> f64 {
-        self.core.record().sigma_min
-    }
+        #[getter]
+        fn q_predicted<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+            new_array(py, &[self.n], &self.core.record().q)
+        }
 
-    #[getter]
-    fn sigma_max(&self) -> f64 {
-        self.core.record().sigma_max
-    }
+        #[getter]
+        fn singular_values<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+            let values = self.core.singular_values();
+            new_array(py, &[values.len()], values.as_slice())
+        }
 
-    #[getter]
-    fn damping(&self) -> f64 {
-        self.core.record().damping
-    }
+        #[getter]
+        fn factors(&self) -> (f64, f64, f64) {
+            self.core.record().factors.into()
+        }
 
-    #[getter]
-    fn gamma(&self) -> f64 {
-        self.core.record().gamma
-    }
-
-    #[getter]
-    fn activation<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        table(py, &self.core.activation())
-    }
-
-    #[getter]
-    fn responsibility<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        table(py, &self.core.responsibility())
-    }
-
-    #[getter]
-    fn task_jacobian<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        table(py, &self.core.task_jacobian())
-    }
-
-    #[getter]
-    fn singular_values<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        let values = self.core.singular_values();
-        new_array(py, &[values.len()], values.as_slice())
-    }
-
-    #[getter]
-    fn factors(&self) -> (f64, f64, f64) {
-        self.core.record().factors.into()
-    }
-
-    #[getter]
-    fn saturated<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        PyArray1::from_slice(py, &self.core.record().saturated[..self.n]).into_any()
-    }
-
-    #[getter]
-    fn locked<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        PyArray1::from_slice(py, &self.core.record().locked[..self.n]).into_any()
-    }
-
-    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
-        let (model, settings) = (self.model.bind(py).repr()?, self.settings.bind(py).repr()?);
-        Ok(format!("<Controller of {model} with {settings}>"))
+        fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+            let (model, settings) = (self.model.bind(py).repr()?, self.settings.bind(py).repr()?);
+            Ok(format!("<Controller of {model} with {settings}>"))
+        }
     }
 }
 

@@ -4,6 +4,7 @@
 //! shape asked for. Everything else is refused here and converted or explained by [`crate::read`]. Numbers are copied
 //! before use, so that another thread that writes into an array during a call changes numbers and nothing else.
 #![expect(unsafe_code, reason = "NumPy's C structure is read directly: a checked borrow costs four times as much")]
+#![expect(clippy::cast_ptr_alignment, reason = "the flag ALIGNED of the array is checked before its data are cast")]
 
 use numpy::npyffi::{
     NPY_ARRAY_ALIGNED, NPY_ARRAY_C_CONTIGUOUS, NPY_ARRAY_OWNDATA, NPY_ARRAY_WRITEABLE, NPY_TYPES, PyArrayObject,

@@ -20,8 +20,11 @@ static CLASSES: PyOnceLock<Classes> = PyOnceLock::new();
 /// Makes the classes and adds them to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();
-    let class = |name: &str, bases: &[&Bound<'_, PyType>], doc: &str| -> PyResult<Py<PyType>> {
+    let class = |name: &str, bases: &[&Bound<'_, PyType>], facts: &[&str], doc: &str| -> PyResult<Py<PyType>> {
         let namespace = PyDict::new(py);
+        for fact in facts {
+            namespace.set_item(fact, py.None())?;
+        }
         namespace.set_item("__module__", "pliant")?;
         namespace.set_item("__doc__", doc)?;
         let made = py.get_type::<PyType>().call1((name, PyTuple::new(py, bases)?, namespace))?;
@@ -29,29 +32,45 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
         module.add(name, &made)?;
         Ok(made.unbind())
     };
-    let base = class("PliantError", &[&py.get_type::<PyException>()], "Everything that pliant raises.")?;
+    let base = class("PliantError", &[&py.get_type::<PyException>()], &[], "Everything that pliant raises.")?;
     let base = base.bind(py);
-    let servo = class("ServoError", &[base], "A servo or its bus did not do what was asked.")?;
-    class("ServoTimeout", &[servo.bind(py)], "A servo did not answer in time.")?;
-    class("ServoFault", &[servo.bind(py)], "A servo reports a fault of its own.")?;
+    let servo = class("ServoError", &[base], &[], "A servo or its bus did not do what was asked.")?;
+    class("ServoTimeout", &[servo.bind(py)], &[], "A servo did not answer in time.")?;
+    class("ServoFault", &[servo.bind(py)], &[], "A servo reports a fault of its own.")?;
     let classes = Classes {
-        urdf: class("UrdfError", &[base], "The robot description cannot be used: `source`, `line`, `column`.")?,
-        frame: class("FrameNotFound", &[base], "No such link: `frame`, and those there are: `available`.")?,
-        limit: class("LimitError", &[base], "A number outside its bounds: `what`, `value`, `bound`.")?,
+        urdf: class(
+            "UrdfError",
+            &[base],
+            &["source", "line", "column"],
+            "The robot description cannot be used: `source`, `line`, `column`.",
+        )?,
+        frame: class(
+            "FrameNotFound",
+            &[base],
+            &["frame", "available"],
+            "No such link: `frame`, and those there are: `available`.",
+        )?,
+        limit: class(
+            "LimitError",
+            &[base],
+            &["what", "value", "bound"],
+            "A number outside its bounds: `what`, `value`, `bound`.",
+        )?,
         shape: class(
             "ShapeError",
             &[base, &py.get_type::<PyValueError>()],
+            &["what", "got", "expected"],
             "An array of the wrong shape: `what`, `got`, `expected`.",
         )?,
-        config: class("ConfigError", &[base], "Settings, servos and model do not go together: `key`.")?,
+        config: class("ConfigError", &[base], &["key"], "Settings, servos and model do not go together: `key`.")?,
     };
     CLASSES.get_or_init(py, || classes);
     Ok(())
 }
 
 /// A core error as the exception of its class.
-fn raised(error: Error) -> PyErr {
-    Python::attach(|py| build(py, &error).unwrap_or_else(|failure| failure))
+fn raised(error: &Error) -> PyErr {
+    Python::attach(|py| build(py, error).unwrap_or_else(|failure| failure))
 }
 
 fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
@@ -104,18 +123,18 @@ pub(crate) trait OrRaise<T> {
 
 impl<T> OrRaise<T> for pliant_core::Result<T> {
     fn or_raise(self) -> PyResult<T> {
-        self.map_err(raised)
+        self.map_err(|error| raised(&error))
     }
 }
 
 /// A `ConfigError`.
 pub(crate) fn config(key: &str, message: impl Into<String>) -> PyErr {
-    raised(Error::Config { key: key.into(), message: message.into() })
+    raised(&Error::Config { key: key.into(), message: message.into() })
 }
 
 /// A `ShapeError`.
 pub(crate) fn shape(what: &str, got: &[usize], expected: impl Into<String>) -> PyErr {
-    raised(Error::Shape { what: what.into(), got: tuple(got), expected: expected.into() })
+    raised(&Error::Shape { what: what.into(), got: tuple(got), expected: expected.into() })
 }
 
 /// A `TypeError` that shows the value.

@@ -103,7 +103,7 @@ macro_rules! fields {
             }
 
             fn validated(core: $core) -> PyResult<Self> {
-                $class::check(core)
+                $class::check(&core)
             }
         }
 

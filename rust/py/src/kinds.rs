@@ -2,7 +2,7 @@
 
 use std::marker::PhantomData;
 
-use pliant_core::settings::{Damping, Gain, GravityUse};
+use pliant_core::settings::{Damping, Gain};
 use pliant_core::task::axes::{AXIS_NAMES, Frame, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyList, PyString, PyTuple};
@@ -28,7 +28,8 @@ pub(crate) trait Kind {
     }
 }
 
-fn wrong(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyErr {
+/// A `ConfigError` that says what the field `name` may be.
+pub(crate) fn wrong(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyErr {
     config(name, format!("must be {expected}, got {}", shown(value)))
 }
 
@@ -219,33 +220,6 @@ impl Kind for Dampings {
             Damping::Adaptive { lambda_0, sigma_0, lambda_max } => {
                 Ok(PyTuple::new(py, [lambda_0, sigma_0, lambda_max])?.into_any())
             }
-        }
-    }
-}
-
-/// True, False, `"goal"` or `"limits"`.
-pub(crate) struct Gravity;
-
-impl Kind for Gravity {
-    type Core = GravityUse;
-
-    fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<GravityUse> {
-        if let Ok(on) = value.cast::<PyBool>() {
-            return Ok(if on.is_true() { GravityUse::Both } else { GravityUse::Off });
-        }
-        match value.extract::<String>().as_deref() {
-            Ok("goal") => Ok(GravityUse::Goal),
-            Ok("limits") => Ok(GravityUse::Limits),
-            _ => Err(wrong(name, "True, False, 'goal' or 'limits'", value)),
-        }
-    }
-
-    fn plain<'py>(core: &GravityUse, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        match core {
-            GravityUse::Both => Flag::plain(&true, py),
-            GravityUse::Off => Flag::plain(&false, py),
-            GravityUse::Goal => Ok(PyString::new(py, "goal").into_any()),
-            GravityUse::Limits => Ok(PyString::new(py, "limits").into_any()),
         }
     }
 }

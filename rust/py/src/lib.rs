@@ -10,8 +10,10 @@ mod functions;
 mod kinds;
 mod kinematics;
 mod model;
+mod options;
 mod pose;
 mod read;
+mod record;
 mod servos;
 mod settings;
 mod solution;
@@ -37,7 +39,9 @@ mod _core {
         null_space_projector, pose_error, responsibility,
     };
     #[pymodule_export]
-    use crate::model::{Model, Payload};
+    use crate::model::Model;
+    #[pymodule_export]
+    use crate::options::Payload;
     #[pymodule_export]
     use crate::pose::{Pose, as_pose};
     #[pymodule_export]

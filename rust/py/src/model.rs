@@ -1,22 +1,21 @@
-//! `Model` and `Payload`.
+//! `Model`.
 #![expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use pliant_core::{IkOptions, Model as CoreModel, ModelOptions, Payload as CorePayload, Reference};
+use pliant_core::{IkOptions, Model as CoreModel, Reference, Servos as CoreServos};
 use pyo3::exceptions::PyFileNotFoundError;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
-use pyo3::types::PyTuple;
+use pyo3::types::{PyDict, PyTuple};
 
 use crate::convert::{freeze, new_array};
-use crate::error::{OrRaise, config, shown};
+use crate::error::OrRaise;
 use crate::kinds::Kind;
 use crate::kinematics::{self, positions};
+use crate::options::Payload;
 use crate::pose::matrix;
-use crate::read::{number, vector3};
 use crate::servos::Servos;
 use crate::solution::{IkSolution, search};
 use crate::tree::{Joint, Link};
@@ -24,42 +23,6 @@ use crate::words::{Word, Words};
 
 impl Words for Reference {
     const WORDS: &'static [(&'static str, Self)] = &[("world_aligned", Self::WorldAligned), ("local", Self::Local)];
-}
-
-/// A point mass in the tool frame.
-#[pyclass(name = "Payload", module = "pliant", frozen, eq, from_py_object)]
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Payload(pub(crate) CorePayload);
-
-#[pymethods]
-impl Payload {
-    #[new]
-    #[pyo3(signature = (mass, com = None))]
-    fn new(mass: &Bound<'_, PyAny>, com: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
-        let mass =
-            number(mass).ok_or_else(|| config("payload.mass", format!("must be a number, got {}", shown(mass))))?;
-        let payload = CorePayload { mass, com: com.map_or(Ok([0.0; 3]), |com| vector3("payload.com", com))? };
-        payload.validate().or_raise()?;
-        Ok(Self(payload))
-    }
-
-    #[getter]
-    fn mass(&self) -> f64 {
-        self.0.mass
-    }
-
-    #[getter]
-    fn com<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        new_array(py, &[3], &self.0.com)
-    }
-
-    fn __repr__(&self) -> String {
-        format!("Payload(mass={:?}, com={:?})", self.0.mass, self.0.com)
-    }
-
-    fn __getnewargs__(&self) -> (f64, [f64; 3]) {
-        (self.0.mass, self.0.com)
-    }
 }
 
 /// One kinematic chain with every body it carries; immutable.
@@ -72,38 +35,11 @@ pub(crate) struct Model {
     joints: PyOnceLock<Py<PyTuple>>,
 }
 
-/// Arguments that say which part of a robot a model is, and what it carries.
-struct Choice<'a, 'py> {
-    payload: Option<&'a Bound<'py, PyAny>>,
-    gravity: Option<&'a Bound<'py, PyAny>>,
-    servos: Option<&'a Servos>,
-    options: ModelOptions,
-}
-
-impl Choice<'_, '_> {
-    fn options(&self) -> PyResult<ModelOptions> {
-        let mut options = self.options.clone();
-        options.payload = self.payload.map(read_payload).transpose()?;
-        if let Some(gravity) = self.gravity {
-            options.gravity = vector3("gravity", gravity)?;
-        }
-        Ok(options)
-    }
-
-    fn model(&self, py: Python<'_>, core: CoreModel) -> PyResult<Model> {
-        let spread = self.servos.map(|servos| servos.0.for_joints(core.n()).or_raise()).transpose()?;
+impl Model {
+    fn new(py: Python<'_>, core: CoreModel, servos: Option<&CoreServos>) -> PyResult<Self> {
+        let spread = servos.map(|servos| servos.for_joints(core.n()).or_raise()).transpose()?;
         let servos = spread.map(|servos| Py::new(py, Servos(servos))).transpose()?;
-        Ok(Model { core: Arc::new(core), servos, links: PyOnceLock::new(), joints: PyOnceLock::new() })
-    }
-}
-
-fn read_payload(value: &Bound<'_, PyAny>) -> PyResult<CorePayload> {
-    if let Ok(payload) = value.cast::<Payload>() {
-        return Ok(payload.get().0);
-    }
-    match value.extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>() {
-        Ok((mass, com)) => Payload::new(&mass, Some(&com)).map(|payload| payload.0),
-        Err(_) => Err(config("payload", format!("must be a Payload or (mass, com), got {}", shown(value)))),
+        Ok(Self { core: Arc::new(core), servos, links: PyOnceLock::new(), joints: PyOnceLock::new() })
     }
 }
 
@@ -111,71 +47,34 @@ fn read_payload(value: &Bound<'_, PyAny>) -> PyResult<CorePayload> {
 impl Model {
     #[staticmethod]
     #[pyo3(
-        signature = (source, *, base = None, tip = None, locked = None, payload = None, gravity = None, limits = None, servos = None),
-        text_signature = "(source, *, base=None, tip=None, locked=None, payload=None, gravity=(0.0, 0.0, -9.81), limits=None, \
-                          servos=None)"
+        signature = (source, **options),
+        text_signature = "(source, *, base=None, tip=None, locked=None, payload=None, gravity=(0.0, 0.0, -9.81), \
+                          limits=None, servos=None)"
     )]
-    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
-    fn from_urdf(
-        py: Python<'_>,
-        source: PathBuf,
-        base: Option<String>,
-        tip: Option<String>,
-        locked: Option<BTreeMap<String, f64>>,
-        payload: Option<&Bound<'_, PyAny>>,
-        gravity: Option<&Bound<'_, PyAny>>,
-        limits: Option<BTreeMap<String, (f64, f64)>>,
-        servos: Option<&Servos>,
-    ) -> PyResult<Self> {
-        let options = ModelOptions {
-            base,
-            tip,
-            locked: locked.unwrap_or_default(),
-            limits: limits.unwrap_or_default(),
-            ..ModelOptions::default()
-        };
-        let choice = Choice { payload, gravity, servos, options };
-        if !source.exists() {
-            let shown = source.display().to_string();
-            let hint = if shown.trim_start().starts_with('<') {
-                "this is XML text: use Model.from_urdf_str".into()
-            } else {
-                format!("no such file: '{shown}'")
-            };
-            return Err(PyFileNotFoundError::new_err(hint));
+    fn from_urdf(source: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let (py, path) = (source.py(), source.extract::<PathBuf>()?);
+        let (options, servos) = crate::options::read(options)?;
+        if !path.exists() {
+            let path = path.display().to_string();
+            let is_text = path.trim_start().starts_with('<');
+            let message = if is_text { "this is XML text: use Model.from_urdf_str" } else { "no such file" };
+            return Err(PyFileNotFoundError::new_err(format!(
+                "{message}: '{}'",
+                path.chars().take(200).collect::<String>()
+            )));
         }
-        let options = choice.options()?;
-        choice.model(py, py.detach(|| CoreModel::from_urdf_file(&source, &options)).or_raise()?)
+        Self::new(py, py.detach(|| CoreModel::from_urdf_file(&path, &options)).or_raise()?, servos.as_ref())
     }
 
     #[staticmethod]
     #[pyo3(
-        signature = (text, *, base = None, tip = None, locked = None, payload = None, gravity = None, limits = None, servos = None),
-        text_signature = "(text, *, base=None, tip=None, locked=None, payload=None, gravity=(0.0, 0.0, -9.81), limits=None, \
-                          servos=None)"
+        signature = (text, **options),
+        text_signature = "(text, *, base=None, tip=None, locked=None, payload=None, gravity=(0.0, 0.0, -9.81), \
+                          limits=None, servos=None)"
     )]
-    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
-    fn from_urdf_str(
-        py: Python<'_>,
-        text: &str,
-        base: Option<String>,
-        tip: Option<String>,
-        locked: Option<BTreeMap<String, f64>>,
-        payload: Option<&Bound<'_, PyAny>>,
-        gravity: Option<&Bound<'_, PyAny>>,
-        limits: Option<BTreeMap<String, (f64, f64)>>,
-        servos: Option<&Servos>,
-    ) -> PyResult<Self> {
-        let options = ModelOptions {
-            base,
-            tip,
-            locked: locked.unwrap_or_default(),
-            limits: limits.unwrap_or_default(),
-            ..ModelOptions::default()
-        };
-        let choice = Choice { payload, gravity, servos, options };
-        let options = choice.options()?;
-        choice.model(py, py.detach(|| CoreModel::from_urdf_str(text, &options)).or_raise()?)
+    fn from_urdf_str(py: Python<'_>, text: &str, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let (options, servos) = crate::options::read(options)?;
+        Self::new(py, py.detach(|| CoreModel::from_urdf_str(text, &options)).or_raise()?, servos.as_ref())
     }
 
     #[getter]
@@ -313,7 +212,7 @@ impl Model {
     ) -> PyResult<IkSolution> {
         let options =
             IkOptions { position_tolerance, rotation_tolerance, max_iterations, restarts, ..IkOptions::default() };
-        search(self, target, q0, axes, options)
+        search(self, target, q0, axes, &options)
     }
 
     #[pyo3(signature = (Q, reference = None), text_signature = "($self, Q, reference='world_aligned')")]

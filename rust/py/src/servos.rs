@@ -16,7 +16,7 @@ pub(crate) struct Servos(pub(crate) CoreServos);
 
 impl Servos {
     /// Spreads single numbers to the longest list.
-    fn check(core: CoreServos) -> PyResult<Self> {
+    fn check(core: &CoreServos) -> PyResult<Self> {
         for (name, values) in [("kp", &core.kp), ("torque", &core.torque)] {
             if values.is_empty() {
                 return Err(config(&format!("servos.{name}"), "is required: one number per joint, or one for all"));

@@ -7,9 +7,9 @@ use pyo3::types::{PyDict, PyTuple, PyType};
 
 use crate::error::OrRaise;
 use crate::fields::{Fields, fields};
-use crate::kinds::{Dampings, Flag, Gains, Gravity, Joints, Kind, Names, Number, Optional, Speeds};
+use crate::kinds::{Dampings, Flag, Gains, Joints, Kind, Names, Number, Optional, Speeds};
 use crate::task::{AxesField, TaskField, merged};
-use crate::words::Word;
+use crate::words::{Gravity, Word};
 
 /// All settings of a controller.
 #[pyclass(name = "Settings", module = "pliant", frozen, eq, from_py_object)]
@@ -17,9 +17,9 @@ use crate::words::Word;
 pub(crate) struct Settings(pub(crate) CoreSettings);
 
 impl Settings {
-    fn check(core: CoreSettings) -> PyResult<Self> {
+    fn check(core: &CoreSettings) -> PyResult<Self> {
         core.validate().or_raise()?;
-        Ok(Self(core))
+        Ok(Self(core.clone()))
     }
 
     fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
@@ -30,7 +30,7 @@ impl Settings {
     ///
     /// `all` presets speak of axes that a smaller task need not have.
     fn preset(mut core: CoreSettings, all: bool, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-        let Some(overrides) = overrides else { return Self::check(core) };
+        let Some(overrides) = overrides else { return Self::check(&core) };
         let rest = overrides.copy()?;
         if let Some(task) = rest.get_item("task")? {
             core.task = TaskField::read("task", &task)?;
@@ -115,7 +115,7 @@ fields! {
         }
 
         #[classmethod]
-        #[pyo3(signature = (axes, **overrides))]
+        #[pyo3(signature = (axes, /, **overrides))]
         fn soft(_class: &Bound<'_, PyType>, axes: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
             Self::preset(CoreSettings::soft(axes).or_raise()?, false, overrides)
         }

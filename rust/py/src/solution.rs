@@ -65,11 +65,11 @@ pub(crate) fn search(
     target: &Bound<'_, PyAny>,
     q0: &Bound<'_, PyAny>,
     axes: Option<&Bound<'_, PyAny>>,
-    options: IkOptions,
+    options: &IkOptions,
 ) -> PyResult<IkSolution> {
     let axes = axes.map_or(Ok(options.axes), |axes| AxisKey::read("axes", axes))?;
     let n = model.core.n();
     let (target, start) = (pose("target", target, axes[3..].iter().all(|on| !on))?, joints("q0", q0, n)?);
-    let options = IkOptions { axes, ..options };
+    let options = IkOptions { axes, ..options.clone() };
     model.core.inverse_kinematics(&target, &start[..n], &options).or_raise().map(IkSolution)
 }

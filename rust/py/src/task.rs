@@ -16,9 +16,9 @@ use crate::words::Word;
 pub(crate) struct Task(pub(crate) CoreTask);
 
 impl Task {
-    fn check(core: CoreTask) -> PyResult<Self> {
+    fn check(core: &CoreTask) -> PyResult<Self> {
         core.validate().or_raise()?;
-        Ok(Self(core))
+        Ok(Self(core.clone()))
     }
 
     fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
@@ -61,9 +61,9 @@ fields! {
 pub(crate) struct Axis(pub(crate) CoreAxis);
 
 impl Axis {
-    fn check(core: CoreAxis) -> PyResult<Self> {
+    fn check(core: &CoreAxis) -> PyResult<Self> {
         core.validate("*").or_raise()?;
-        Ok(Self(core))
+        Ok(Self(*core))
     }
 
     fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {

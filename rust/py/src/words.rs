@@ -3,13 +3,13 @@
 use std::marker::PhantomData;
 
 use pliant_core::servos::ServoKind;
-use pliant_core::settings::{Follow, Law, LimitRule, Projector};
+use pliant_core::settings::{Follow, GravityUse, Law, LimitRule, Projector};
 use pliant_core::task::axes::{Profile, Yields};
 use pyo3::prelude::*;
-use pyo3::types::PyString;
+use pyo3::types::{PyBool, PyString};
 
 use crate::error::{config, shown, suggestion};
-use crate::kinds::Kind;
+use crate::kinds::{Flag, Kind, wrong};
 
 /// A choice of words.
 pub(crate) struct Word<E>(PhantomData<E>);
@@ -68,4 +68,31 @@ impl Words for Yields {
 
 impl Words for ServoKind {
     const WORDS: &'static [(&'static str, Self)] = &[("current", Self::Current), ("duty", Self::Duty)];
+}
+
+/// True, False, `"goal"` or `"limits"`.
+pub(crate) struct Gravity;
+
+impl Kind for Gravity {
+    type Core = GravityUse;
+
+    fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<GravityUse> {
+        if let Ok(on) = value.cast::<PyBool>() {
+            return Ok(if on.is_true() { GravityUse::Both } else { GravityUse::Off });
+        }
+        match value.extract::<String>().as_deref() {
+            Ok("goal") => Ok(GravityUse::Goal),
+            Ok("limits") => Ok(GravityUse::Limits),
+            _ => Err(wrong(name, "True, False, 'goal' or 'limits'", value)),
+        }
+    }
+
+    fn plain<'py>(core: &GravityUse, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        match core {
+            GravityUse::Both => Flag::plain(&true, py),
+            GravityUse::Off => Flag::plain(&false, py),
+            GravityUse::Goal => Ok(PyString::new(py, "goal").into_any()),
+            GravityUse::Limits => Ok(PyString::new(py, "limits").into_any()),
+        }
+    }
 }

@@ -71,7 +71,7 @@ def figures(axis: str, numbers: Numbers) -> tuple[Figure, ...]:
             done=f"The runs of the overview, as {title} prints them: deviation of all six axes from the target and "
             "compliance c, for η = 0 (left), 0.9 and 0.999 (right). Two runs in a row: pushed toward +, then "
             "toward −.",
-            caption=f"c is of {axis}, from the adapted deviation.",
+            caption=f"Grey: the hand, and where it pulls. c is of {axis}, from the adapted deviation.",
         )
         for law, name in (("paper", "the paper's law without gravity model"), ("cap", "law cap"))
         if law in numbers
@@ -92,7 +92,7 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
         ),
         Statement(
             claim="η = 0: compliance falls with the deviation, the limits rise, and the arm resists.",
-            outcome=f"c falls to {worst(none, 'least_c'):.2f} while the hand pulls with up to {worst(none, 'force'):.1f} "
+            outcome=f"c falls to {span('{:.2f}'.format, none, 'least_c')} while the hand pulls with up to {worst(none, 'force'):.1f} "
             f"{_unit(axis)}.",
             tests=(at_most("smallest c", worst(none, "least_c"), 0.95),),
         ),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant.experiments.figures.style import LAW_COLOURS, WIDE, canvas, label_end, save, shade, thin
+from pliant.experiments.figures.style import LAW_COLOURS, WIDE, canvas, label_end, label_points, save, shade, thin
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,6 +24,7 @@ def draw(
     """Draw `5-comparison`."""
     with canvas(1, 2, size=(WIDE, 4.8), width_ratios=[1.15, 1.0]) as (figure, axes):
         ax, over = axes[0]
+        names: list[tuple[float, float, str, str]] = []
         for key, way in ways.items():
             force, drift = numbers[key]["force"], 1e3 * numbers[key]["drift"]
             stays = numbers[key]["returned"] is None
@@ -31,19 +32,17 @@ def draw(
             ax.plot(
                 force, drift, "o", markersize=8, markeredgewidth=1.6, color=colour, markerfacecolor="none" if stays else colour
             )
-            ax.annotate(
-                way.name, (force, drift), xytext=(8, 0), textcoords="offset points", va="center", fontsize=7.5, color=colour
-            )
+            names.append((force, drift, way.name, colour))
         ax.set_xscale("log")
         ax.set_yscale("log")
-        ax.set_xlim(2.5, 110.0)
-        ax.set_ylim(0.8, 250.0)
+        ax.set_xlim(2.0, 110.0)
+        ax.set_ylim(0.6, 300.0)
         ax.set_xticks([3, 5, 10, 20, 50, 100], ["3", "5", "10", "20", "50", "100"])
         ax.set_yticks([1, 3, 10, 30, 100], ["1", "3", "10", "30", "100"])
         ax.minorticks_off()
         ax.set_xlabel("force to move it by 0.15 m [N]")
         ax.set_ylabel("drift of the stiff positions [mm]")
-        ax.set_title("filled: comes back; open: stays where it is left")
+        ax.set_title("filled: comes back; open: does not")
         marks = []
         for key in OVER_TIME:
             if key in traces:
@@ -64,4 +63,5 @@ def draw(
         over.set_ylabel("y, from its target [mm]")
         over.set_title("pulled toward +y, let go at 5 s")
         label_end(over, 9.0, marks, size=7.5)
+        label_points(ax, sorted(names, key=lambda name: -name[1]))
         save(figure, folder, "5-comparison")

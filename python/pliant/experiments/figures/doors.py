@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.ticker import MultipleLocator
 
 from pliant.experiments.chapters.doors_text import NAMES
 from pliant.experiments.doors import SCENES
@@ -21,7 +22,7 @@ from pliant.experiments.figures.style import (
     save,
     thin,
 )
-from pliant.experiments.resistance import STOP, THRESHOLD
+from pliant.experiments.resistance import PERSISTENCE, STOP, THRESHOLD
 from pliant.experiments.setups import arm, tool
 from pliant.sim import Plant
 
@@ -39,11 +40,11 @@ if TYPE_CHECKING:
 #: Times of the pictures [s]; the pull begins at 1 s and ends at 6.6 s.
 INSTANTS = (0.5, 2.5, 4.5, 6.6)
 VIEW: dict[str, Any] = {
-    "look_at": (0.33, -0.07, -0.22),
-    "distance": 1.15,
-    "azimuth": -32.0,
-    "elevation": -48.0,
-    "size": (380, 320),
+    "look_at": (0.30, -0.12, -0.20),
+    "distance": 1.02,
+    "azimuth": 12.0,
+    "elevation": -58.0,
+    "size": (380, 360),
 }
 LABELS = {"cap": "cap, y and yaw compliant", "stiff": "all stiff", "paper": "paper, no gravity model"}
 
@@ -58,10 +59,19 @@ def strips(outcomes: Mapping[str, Opened], folder: Path) -> None:
             for column, instant in enumerate(INSTANTS):
                 k = trace.at(instant)
                 angle = float(np.rad2deg(trace.leaf[k]))
-                title = f"{instant:g} s, {angle:.0f}°"
-                if column == 0:
-                    title = f"{LABELS[law]}: {title}"
-                show(axes[row, column], pictures[column], title)
+                show(axes[row, column], pictures[column], "")
+                axes[row, column].set_title(f"{instant:g} s: {abs(angle):.0f}°", fontweight="normal", loc="center")
+            axes[row, 0].text(
+                -0.04,
+                0.5,
+                LABELS[law],
+                transform=axes[row, 0].transAxes,
+                rotation=90,
+                ha="right",
+                va="center",
+                fontweight="bold",
+                color=LAW_COLOURS[law],
+            )
         save(figure, folder, "4-door-strip")
 
 
@@ -70,13 +80,23 @@ def _frames(trace: Trace) -> list[NDArray[np.uint8] | None]:
     plant = Plant(arm(), scene=[setup.leaf()])
     plant.reset(setup.start)
     try:
-        with Studio(plant, **VIEW) as studio:
+        with Studio(plant, **VIEW, trail=circle()) as studio:
             return [
                 studio.picture(trace.q[trace.at(t)], {"door:hinge": float(trace.leaf[trace.at(t)])})
                 for t in INSTANTS
             ]
     except (mujoco.FatalError, OSError, RuntimeError):
         return [None] * len(INSTANTS)
+
+
+def circle(most: float = 80.0) -> Array:
+    """Points (k, 3) [m] of the path the handle has to take, up to `most` [deg]."""
+    handle = tool(SCENES["door"].start)[:3, 3]
+    arm_of_handle = np.array([0.0, 0.30, 0.0])
+    angle = np.deg2rad(np.linspace(0.0, most, 41))[:, None]
+    turned = np.cos(angle) * arm_of_handle + np.sin(angle) * np.array([-0.30, 0.0, 0.0])
+    points: Array = handle - arm_of_handle + turned
+    return points
 
 
 def force_over_angle(outcomes: Mapping[str, Opened], folder: Path) -> None:
@@ -110,17 +130,10 @@ def force_over_angle(outcomes: Mapping[str, Opened], folder: Path) -> None:
 
 def _paths(ax: Any, outcomes: Mapping[str, Opened]) -> None:
     """Draw the tool's way seen from above, with the circle of the handle."""
-    handle = tool(SCENES["door"].start)[:3, 3]
-    hinge = handle + np.array([0.0, -0.30, 0.0])
-    circle = np.deg2rad(np.linspace(0.0, 80.0, 81))
-    ax.plot(
-        1e3 * (hinge[1] + 0.30 * np.cos(circle)),
-        1e3 * (hinge[0] - 0.30 * np.sin(circle)),
-        color=INK,
-        linewidth=0.9,
-        linestyle=(0, (4, 3)),
-    )
-    for law in ("stiff", "paper", "cap"):
+    path = circle()
+    hinge = path[0] + np.array([0.0, -0.30, 0.0])
+    ax.plot(1e3 * path[:, 1], 1e3 * path[:, 0], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+    for law in ("cap", "paper", "stiff"):
         run = outcomes.get(f"open/door/rigid/{law}")
         if run is not None:
             way = run.trace.position[thin(run.trace.t)]
@@ -194,10 +207,12 @@ def closing(traces: Mapping[str, Trace], felt: Callable[[Trace], Array], folder:
             colour = LAW_COLOURS[key.rsplit("/", maxsplit=1)[-1]]
             top, low = axes[:, column]
             top.plot(t, np.rad2deg(trace.leaf[step]), color=colour)
-            way = trace.position[:, 0] + trace.error[:, 0]
-            for k in _turns(way):
+            force = felt(trace)
+            for k in recognised(trace.t, force):
                 top.plot(trace.t[k], np.rad2deg(trace.leaf[k]), "o", markersize=5, color=INK)
-            low.plot(t, felt(trace)[step], color=colour, linewidth=1.1)
+                low.plot(trace.t[k], force[k], "o", markersize=5, color=INK)
+            low.plot(t, force[step], color=colour, linewidth=1.1)
+            low.xaxis.set_major_locator(MultipleLocator(5.0))
             for side in (THRESHOLD, -THRESHOLD):
                 level(low, side)
             level(top, STOP, "stop" if column == 0 else "")
@@ -209,7 +224,15 @@ def closing(traces: Mapping[str, Trace], felt: Callable[[Trace], Array], folder:
         save(figure, folder, "4-open-close")
 
 
-def _turns(way: Array) -> list[int]:
-    """Ticks at which a moving target came to rest."""
-    moving = np.abs(np.diff(way, prepend=way[0])) > 1e-7
-    return [int(k) for k in np.flatnonzero(moving[:-1] & ~moving[1:])]
+def recognised(t: Array, force: Array) -> list[int]:
+    """Ticks at which resistance had lasted long enough, first to a pull, then to a push."""
+    ticks = round(PERSISTENCE / float(t[1] - t[0]))
+    found: list[int] = []
+    for sign in (1.0, -1.0):
+        begin = found[0] + 1 if found else 0
+        against = sign * force[begin:] > THRESHOLD
+        lasting = np.convolve(against, np.ones(ticks), mode="valid") >= ticks - 0.5
+        if not lasting.any():
+            break
+        found.append(begin + int(np.argmax(lasting)) + ticks - 1)
+    return found

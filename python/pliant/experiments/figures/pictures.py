@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 #: How many times finer a picture is drawn than it is kept: smooth edges of the cut-out.
 FINER = 3
 BONE, JOINT, HAND = (0.80, 0.82, 0.85, 1.0), (0.20, 0.24, 0.30, 1.0), (0.90, 0.38, 0.0, 1.0)
+LEAF = (0.62, 0.72, 0.80, 0.80)
 
 
 class Studio:
@@ -38,6 +39,7 @@ class Studio:
         distance: Of the camera from there [m].
         azimuth, elevation: Of the camera [deg].
         handle: Whether to draw a bar in the hand, along z of the tool.
+        trail: Points (k, 3) of a thin line through the scene, base axes [m].
 
     Raises:
         mujoco.FatalError: Nothing on this machine can draw.
@@ -53,10 +55,16 @@ class Studio:
         azimuth: float = 130.0,
         elevation: float = -18.0,
         handle: bool = False,
+        trail: Array | None = None,
     ) -> None:
         self._plant, self._size = plant, size
         spec = plant.spec.copy()
         _furnish(spec, plant, handle=handle)
+        for start, end in zip(trail[:-1], trail[1:], strict=True) if trail is not None else ():
+            line = spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(0.003, 0, 0), rgba=HAND, contype=0, conaffinity=0
+            )
+            line.fromto = (*start, *end)
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         width, height = size
@@ -136,6 +144,9 @@ def _furnish(spec: Any, plant: Plant, *, handle: bool) -> None:
     usual = max(thick.values(), default=0.03)
     for geom in bones:
         geom.rgba = BONE
+    for geom in spec.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
+            geom.rgba = LEAF
     ink: dict[str, Any] = {"type": ball, "contype": 0, "conaffinity": 0, "mass": 0}
     names = set(plant.model.joint_names)
     for joint in spec.joints:

@@ -117,7 +117,7 @@ def deviations(traces: Mapping[str, Trace], axis: str, law: str, folder: Path) -
                     axes[row, column].plot(t, -scale * trace.error[step, k], color=AXIS_COLOURS[name])
                 axes[2, column].plot(t, trace.compliance[step, index], color=INK)
                 for row in range(3):
-                    text = f"pulled toward {'+' if sign == '+1' else '−'}{axis}" if row == 0 else ""
+                    text = f"{'+' if sign == '+1' else '−'}{axis}" if row == 0 else ""
                     shade(axes[row, column], start + GRIPPED, start + RELEASE, text)
                 start = float(t[-1]) + PAUSE
             ends.append(start - PAUSE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.ticker import MultipleLocator
 
 from pliant.experiments.figures.style import (
     BLUE,
@@ -56,6 +57,7 @@ def swings(traces: Mapping[str, Trace], axes_names: Sequence[str], file: str, fo
             top.plot(trace.t[step], scale * wanted, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
             top.set_title(f"{axis} compliant")
             low.set_xlabel("time [s]")
+            low.xaxis.set_major_locator(MultipleLocator(4.0))
             if column == 0:
                 top.set_ylabel(f"along the axis [{unit}]")
                 low.set_ylabel("other positions [mm]")

@@ -25,13 +25,15 @@ pub(crate) fn scale_to_fit<const P: usize>(
             }
             let part = parts[p][i];
             let all = others + part;
-            // What the part before has just brought to the bound is not beyond it by a rounding error: a part that
-            // hardly moves this joint would vanish for it.
-            if all.abs() > bound[i] * (1.0 + 1e-12) {
+            // A part that moves this joint by no more than rounding cannot mend it and must not vanish for it; nor may
+            // it for a sum that the part before has brought to the bound up to rounding.
+            let rounding = 1e-12 * bound[i];
+            if all.abs() > bound[i] + rounding {
                 fits = false;
-                let edge = bound[i].copysign(all);
-                let share = if part == 0.0 { 1.0 } else { ((edge - others) / part).clamp(0.0, 1.0) };
-                least = least.min(share);
+                if part.abs() > rounding {
+                    let edge = bound[i].copysign(all);
+                    least = least.min(((edge - others) / part).clamp(0.0, 1.0));
+                }
             }
         }
         if fits {

@@ -2,6 +2,7 @@
 
 use crate::law::inverse::{Cholesky, times, transpose_times, weighted_gram};
 use crate::plan::Plan;
+use crate::settings::Law;
 use crate::{AxisVec, JointVec, Rows};
 
 /// Lead [rad] that may be stored where nothing is known of the servos.
@@ -25,7 +26,8 @@ pub(crate) struct Addition<'a> {
 }
 
 impl Addition<'_> {
-    /// Adds to `stored` [rad] and takes out again what would act on soft axes: on those nothing is stored.
+    /// Adds to `stored` [rad] and takes out again what would act on soft axes: on those nothing is stored. Under law `cap`
+    /// it also takes out what exceeds the strength of the stiff axes.
     pub(crate) fn store(&self, stored: &mut JointVec, plan: &Plan) {
         let (k, n, servos) = (plan.k, plan.n, &plan.servos);
         for i in 0..n {
@@ -34,16 +36,20 @@ impl Addition<'_> {
             let leash = if usable { room.max(0.0) * servos.compliance[i] } else { LEAD_UNKNOWN };
             stored[i] = (stored[i] + self.share * self.lead[i]).clamp(-leash, leash);
         }
-        if self.softness.iter().all(|&w| w <= 0.0) {
+        let by_force = plan.law == Law::Cap;
+        if !by_force && self.softness.iter().all(|&w| w <= 0.0) {
             return;
         }
-        // The wrench that the stored lead exerts, W = (C + λ²/k̄)⁻¹ J z; its soft rows go.
+        // The wrench that the stored lead exerts, W = (C + λ²/k̄)⁻¹ J z, less what may stay of it.
         let mut compliance = weighted_gram(self.rows, &servos.compliance, k, n);
         for (r, row) in compliance.iter_mut().enumerate().take(k) {
             row[r] += self.damping[r] / servos.kp_mean;
         }
         let mut wrench = Cholesky::new(&compliance, k).solve(&times(self.rows, stored, k));
-        (0..k).for_each(|r| wrench[r] *= self.softness[r]);
+        for (r, row) in plan.rows.iter().enumerate().take(k) {
+            let most = if by_force { row.hold } else { f64::INFINITY };
+            wrench[r] -= (1.0 - self.softness[r]) * wrench[r].clamp(-most, most);
+        }
         let torque = transpose_times(self.rows, &wrench, k);
         (0..n).for_each(|i| stored[i] -= servos.compliance[i] * torque[i]);
     }

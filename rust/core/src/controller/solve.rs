@@ -14,7 +14,7 @@ use crate::task::wish::Wish;
 use crate::{AxisVec, JointVec, MAX_JOINTS, Rows};
 
 /// Iterations that find the extreme singular vectors from nothing, and that follow them from tick to tick.
-const ITERATIONS: (usize, usize) = (30, 2);
+const ITERATIONS: (usize, usize) = (30, 1);
 
 /// What the law came to.
 #[derive(Clone, Copy)]

@@ -37,21 +37,20 @@ impl Chain {
     ///
     /// `q` [rad or m]: `n` finite entries of at most [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND); the rest is 0.
     pub fn forward(&self, q: &JointVec, frames: &mut Frames) {
-        let mut slide = [0.0; MAX_JOINTS];
-        let (mut sine, mut cosine) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        let mut driver = *q;
-        if !self.direct {
-            for k in 0..MAX_JOINTS {
-                driver[k] = q[self.driver[k] & (MAX_JOINTS - 1)];
-            }
+        let (mut angle, mut slide) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        for k in 0..MAX_JOINTS {
+            let driver = q[self.driver[k] & (MAX_JOINTS - 1)];
+            angle[k] = self.angle_per_q[k] * driver + self.angle_offset[k];
+            slide[k] = self.slide_per_q[k] * driver + self.slide_offset[k];
         }
-        // Eight at a time without a break, so that the sines become vector code.
-        for first in [0, 8] {
-            if first < self.total {
-                for k in first..first + 8 {
-                    slide[k] = self.slide_per_q[k] * driver[k] + self.slide_offset[k];
-                    (sine[k], cosine[k]) = sin_cos(self.angle_per_q[k] * driver[k] + self.angle_offset[k]);
-                }
+        // Whole eights, so that the sines become vector code.
+        let (mut sine, mut cosine) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        for k in 0..8 {
+            (sine[k], cosine[k]) = sin_cos(angle[k]);
+        }
+        if self.total > 8 {
+            for k in 8..MAX_JOINTS {
+                (sine[k], cosine[k]) = sin_cos(angle[k]);
             }
         }
 
@@ -79,8 +78,8 @@ impl Chain {
 
     /// From the frame before joint `k` to the frame after it: `T(offset) · Rx(tilt) · Rz(angle) · T(slide z)`.
     ///
-    /// The turn about z that a general rotation would have in front of `Rx` is part of the frame before, so only two
-    /// columns of the product are full (`docs/derivations`: turned frames).
+    /// Any rotation is `Rz · Rx · Rz`. The last turn is added to the joint's angle and the first one is part of the frame
+    /// before, whose own angle takes it in; so one matrix product is left, with a column of two terms.
     #[inline]
     fn advance(&self, k: usize, r: &Mat3, p: &Vec3, (s, c, slide): (f64, f64, f64)) -> (Mat3, Vec3) {
         let (st, ct) = self.tilt[k];

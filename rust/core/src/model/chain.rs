@@ -28,8 +28,6 @@ pub struct Chain {
     pub(crate) base: Pose,
     /// Tool in the frame of the last joint of the path.
     pub(crate) tool: Pose,
-    /// Whether joint k is driven by coordinate k, for every k: no joint follows another.
-    pub(crate) direct: bool,
     /// Coordinate that drives each joint.
     pub(crate) driver: [usize; MAX_JOINTS],
     /// Moving joint that carries each joint; `MAX_JOINTS`: the base.
@@ -155,7 +153,6 @@ fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembl
         total: bodies.slots.len().min(MAX_JOINTS),
         base: pose(&base),
         tool: pose(&bodies.tool),
-        direct: bodies.slots.iter().enumerate().all(|(k, slot)| slot.coordinate == k),
         driver: [0; MAX_JOINTS],
         parent: [MAX_JOINTS; MAX_JOINTS],
         turn: [Pose::IDENTITY.rotation; MAX_JOINTS],

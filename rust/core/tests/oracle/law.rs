@@ -46,7 +46,7 @@ fn fit(others: &Vector, part: &Vector, bound: &Vector) -> f64 {
     let mut factor: f64 = 1.0;
     for i in 0..part.len() {
         let all = others[i] + part[i];
-        if all.abs() > bound[i] * (1.0 + 1e-12) && part[i] != 0.0 {
+        if all.abs() > bound[i] * (1.0 + 1e-12) && part[i].abs() > bound[i] * 1e-12 {
             factor = factor.min(((bound[i] * all.signum() - others[i]) / part[i]).max(0.0).min(1.0));
         }
     }

@@ -292,8 +292,10 @@ impl Oracle {
         out
     }
 
-    /// One tick; `sigma` holds the smallest and largest singular value that the fast step believes.
-    pub(crate) fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>, sigma: [f64; 2]) -> Tick {
+    /// One tick; `believed` holds the smallest and largest singular value that the fast step believes at the end of its
+    /// tick, and the joints that it has locked by then.
+    pub(crate) fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>, believed: ([f64; 2], &[bool])) -> Tick {
+        let (sigma, locked_at_last) = believed;
         let (n, settings) = (self.n(), self.settings.clone());
         let dt = input.dt.unwrap_or(1.0 / settings.rate);
         let h = settings.horizon;
@@ -363,6 +365,8 @@ impl Oracle {
         let (motion, goal, solved) = loop {
             let mut solved = rows.clone();
             (0..n).filter(|&i| locked[i]).for_each(|i| solved.column_mut(i).fill(0.0));
+            let values = self.scaled(&solved).singular_values();
+            let sigma = if locked[..] == *locked_at_last { sigma } else { [values.min(), values.max()] };
             let want = law::Want {
                 oracle: self,
                 rows: &solved,

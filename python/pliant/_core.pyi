@@ -1,0 +1,1475 @@
+"""The compiled part of `pliant`. Shapes: n joints, k axes of the task, N configurations."""
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from types import MappingProxyType
+from typing import Any, Final, Literal, Protocol, TypeAlias, TypedDict, Unpack, final, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__version__: Final[str]
+
+__all__ = [
+    "Axis",
+    "Command",
+    "ConfigError",
+    "Controller",
+    "FrameNotFound",
+    "IkSolution",
+    "Inertial",
+    "Joint",
+    "LimitError",
+    "Link",
+    "Mimic",
+    "Model",
+    "Payload",
+    "PliantError",
+    "Pose",
+    "ServoError",
+    "ServoFault",
+    "ServoTimeout",
+    "Servos",
+    "Settings",
+    "ShapeError",
+    "Task",
+    "UrdfError",
+    "__version__",
+    "activation",
+    "adapt_target",
+    "as_pose",
+    "compliance",
+    "damped_pseudo_inverse",
+    "holding_torque",
+    "joint_torque_limits",
+    "null_space_projector",
+    "pose_error",
+    "responsibility",
+]
+
+_Array: TypeAlias = NDArray[np.float64]
+_Reference: TypeAlias = Literal["world_aligned", "local"]
+_AxisName: TypeAlias = Literal["x", "y", "z", "roll", "pitch", "yaw"]
+
+class _HasMatrix(Protocol):
+    @property
+    def matrix(self) -> ArrayLike: ...
+
+class _HasMatrixMethod(Protocol):
+    def matrix(self) -> ArrayLike: ...
+
+class _HasAsMatrix(Protocol):
+    def as_matrix(self) -> ArrayLike: ...
+
+class _HasHomogeneous(Protocol):
+    @property
+    def homogeneous(self) -> ArrayLike: ...
+
+class _HasA(Protocol):
+    @property
+    def A(self) -> ArrayLike: ...
+
+#: A 4x4 array, a `Pose`, or any object with a 4x4 accessor; (3,) where the task has no rotations.
+_PoseLike: TypeAlias = (
+    ArrayLike | Pose | _HasMatrix | _HasMatrixMethod | _HasAsMatrix | _HasHomogeneous | _HasA
+)
+
+class PliantError(Exception):
+    """Everything that pliant raises of its own."""
+
+class UrdfError(PliantError):
+    """The robot description cannot be used.
+
+    A file that does not exist is Python's own `FileNotFoundError`.
+
+    Attributes:
+        source: Path of the file, or `<string>`.
+        line: Line of the fault, counted from one; None where it has no place.
+        column: Column of the fault, counted from one.
+    """
+
+    source: str | None
+    line: int | None
+    column: int | None
+
+class FrameNotFound(PliantError):
+    """A link of that name does not exist.
+
+    Attributes:
+        frame: The name asked for.
+        available: The names there are.
+    """
+
+    frame: str | None
+    available: tuple[str, ...] | None
+
+class LimitError(PliantError):
+    """A number lies outside its bounds.
+
+    Attributes:
+        what: The quantity, e.g. ``q[3] (elbow_pitch)``.
+        value: The number given.
+        bound: The bound, and the remedy where there is one.
+    """
+
+    what: str | None
+    value: float | None
+    bound: str | None
+
+class ShapeError(PliantError, ValueError):
+    """An array has the wrong shape.
+
+    Attributes:
+        what: The argument.
+        got: Its shape, as text.
+        expected: The shape that fits, as text.
+    """
+
+    what: str | None
+    got: str | None
+    expected: str | None
+
+class ConfigError(PliantError):
+    """Settings, servos and model do not go together, or a name is not known.
+
+    Attributes:
+        key: The setting, e.g. ``axes.y.eta``.
+    """
+
+    key: str | None
+
+class ServoError(PliantError):
+    """A servo or its bus did not do what was asked."""
+
+class ServoTimeout(ServoError):
+    """A servo did not answer in time."""
+
+class ServoFault(ServoError):
+    """A servo reports a fault of its own."""
+
+@final
+class Pose:
+    """Pose of one frame in another; of a tool, `base_from_tool`. Immutable.
+
+    Args:
+        matrix: (4, 4), or anything `as_pose` takes; None is the identity.
+
+    Raises:
+        ShapeError: Not 4x4.
+        ConfigError: No rotation, or a last row other than 0 0 0 1.
+        LimitError: A position beyond 1e6 m or not finite.
+    """
+
+    def __new__(cls, matrix: _PoseLike | None = None) -> Pose: ...
+    @staticmethod
+    def from_matrix(matrix: _PoseLike) -> Pose:
+        """From a homogeneous matrix (4, 4)."""
+
+    @staticmethod
+    def from_wxyz(position: ArrayLike, quaternion: ArrayLike) -> Pose:
+        """From a position (3,) [m] and a quaternion (4,), w first, of length 1 within 1e-3."""
+
+    @staticmethod
+    def from_xyzw(position: ArrayLike, quaternion: ArrayLike) -> Pose:
+        """From a position (3,) [m] and a quaternion (4,), w last, of length 1 within 1e-3."""
+
+    @staticmethod
+    def from_rotvec(position: ArrayLike, rotvec: ArrayLike) -> Pose:
+        """From a position (3,) [m] and a rotation vector (3,) [rad]: axis times angle."""
+
+    @staticmethod
+    def from_rpy(position: ArrayLike, rpy: ArrayLike) -> Pose:
+        """From a position (3,) [m] and roll, pitch, yaw (3,) [rad] about fixed axes, as in URDF."""
+
+    @property
+    def matrix(self) -> _Array:
+        """Homogeneous matrix (4, 4)."""
+
+    @property
+    def position(self) -> _Array:
+        """Position (3,) [m]."""
+
+    @property
+    def rotation(self) -> _Array:
+        """Rotation matrix (3, 3)."""
+
+    @property
+    def wxyz(self) -> _Array:
+        """Quaternion (4,), w first, w >= 0."""
+
+    @property
+    def xyzw(self) -> _Array:
+        """Quaternion (4,), w last, w >= 0."""
+
+    @property
+    def rotvec(self) -> _Array:
+        """Rotation vector (3,) [rad], at most pi long."""
+
+    def inverse(self) -> Pose:
+        """`b_from_a` of `a_from_b`."""
+
+    def __matmul__(self, other: Pose, /) -> Pose: ...
+    def __rmatmul__(self, other: Pose, /) -> Pose: ...
+    def __array__(self, dtype: Any | None = None, copy: bool | None = None) -> NDArray[Any]: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __getnewargs__(self) -> tuple[Any, ...]: ...
+
+def as_pose(pose: _PoseLike, /) -> Pose:
+    """Anything that says where a frame is, as a `Pose`.
+
+    Args:
+        pose: (4, 4), a `Pose`, a position (3,) (without rotation), or an object with `homogeneous`,
+            `as_matrix`, `to_matrix`, `matrix`, `A` or `mat`, as Pinocchio, SciPy, mink,
+            pytransform3d and Spatial Math have them.
+
+    Raises:
+        ShapeError: Another shape. Seven numbers are refused: they do not say whether w comes first
+            or last.
+    """
+
+@final
+class Payload:
+    """A point mass in the tool frame.
+
+    Args:
+        mass: Mass [kg].
+        com: Centre of mass (3,) in the tool frame [m].
+    """
+
+    def __new__(cls, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> Payload: ...
+    @property
+    def mass(self) -> float:
+        """Mass [kg]."""
+
+    @property
+    def com(self) -> _Array:
+        """Centre of mass (3,) in the tool frame [m]."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __getnewargs__(self) -> tuple[Any, ...]: ...
+
+@final
+class Inertial:
+    """Mass, centre of mass and inertia of a link."""
+
+    @property
+    def mass(self) -> float:
+        """Mass [kg]."""
+
+    @property
+    def com(self) -> _Array:
+        """Centre of mass (3,) in the link's frame [m]."""
+
+    @property
+    def rotation(self) -> _Array:
+        """Axes of the inertia (3, 3), `link_from_inertia`."""
+
+    @property
+    def inertia(self) -> _Array:
+        """Inertia (3, 3) about the centre of mass in those axes [kg m^2]."""
+
+@final
+class Link:
+    """A rigid body of the robot, or a mere frame."""
+
+    @property
+    def name(self) -> str:
+        """Name in the description."""
+
+    @property
+    def parent_joint(self) -> int | None:
+        """Index of the joint above it in `Model.joints`; None for the root."""
+
+    @property
+    def inertial(self) -> Inertial | None:
+        """Mass and inertia; None for a massless link."""
+
+@final
+class Mimic:
+    """How a joint follows another: ``multiplier * q + offset``."""
+
+    @property
+    def joint(self) -> int:
+        """Index of the joint that leads in `Model.joints`."""
+
+    @property
+    def multiplier(self) -> float:
+        """Ratio."""
+
+    @property
+    def offset(self) -> float:
+        """Offset [rad or m]."""
+
+@final
+class Joint:
+    """A joint of the robot, on the chain or beside it; limits that are not given are None."""
+
+    @property
+    def name(self) -> str:
+        """Name in the description."""
+
+    @property
+    def kind(self) -> Literal["revolute", "continuous", "prismatic", "fixed", "other"]:
+        """How it moves."""
+
+    @property
+    def parent(self) -> int:
+        """Index of the link above in `Model.links`."""
+
+    @property
+    def child(self) -> int:
+        """Index of the link below in `Model.links`."""
+
+    @property
+    def origin(self) -> Pose:
+        """`parent_from_child` at zero."""
+
+    @property
+    def axis(self) -> _Array:
+        """Unit axis (3,) in the joint's frame."""
+
+    @property
+    def lower(self) -> float | None:
+        """Lower position limit [rad or m]."""
+
+    @property
+    def upper(self) -> float | None:
+        """Upper position limit [rad or m]."""
+
+    @property
+    def velocity(self) -> float | None:
+        """Speed limit [rad/s or m/s]."""
+
+    @property
+    def effort(self) -> float | None:
+        """Torque or force limit [N m or N]."""
+
+    @property
+    def damping(self) -> float | None:
+        """Damping [N m s/rad or N s/m]."""
+
+    @property
+    def friction(self) -> float | None:
+        """Dry friction [N m or N]."""
+
+    @property
+    def mimic(self) -> Mimic | None:
+        """The joint it follows."""
+
+    @property
+    def q_index(self) -> int | None:
+        """Coordinate of the chain that moves it, itself or by mimic."""
+
+    @property
+    def locked_at(self) -> float | None:
+        """Where it is held [rad or m], for actuated joints that no coordinate moves."""
+
+@final
+class IkSolution:
+    """The closest joint positions found, and how close they are; true when converged."""
+
+    @property
+    def q(self) -> _Array:
+        """Joint positions (n,) inside the limits [rad or m]."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether both errors are within tolerance."""
+
+    @property
+    def iterations(self) -> int:
+        """Iterations in all."""
+
+    @property
+    def position_error(self) -> float:
+        """Distance to the target over the axes asked for [m]."""
+
+    @property
+    def rotation_error(self) -> float:
+        """Angle to the target over the axes asked for [rad]."""
+
+    @property
+    def reason(self) -> str:
+        """Why the search ended."""
+
+    def __bool__(self) -> bool: ...
+
+@final
+class Model:
+    """One kinematic chain with every body it carries. Immutable; controllers share it.
+
+    Made by `Model.from_urdf`, `Model.from_urdf_str`, or a function of `pliant.robots`.
+    """
+
+    @staticmethod
+    def from_urdf(
+        source: str | PathLike[str],
+        *,
+        base: str | None = None,
+        tip: str | None = None,
+        locked: Mapping[str, float] | None = None,
+        payload: Payload | tuple[float, ArrayLike] | None = None,
+        gravity: ArrayLike | None = (0.0, 0.0, -9.81),
+        limits: Mapping[str, tuple[float, float]] | None = None,
+        servos: Servos | None = None,
+    ) -> Model:
+        """Read a URDF file. Meshes are never opened.
+
+        Args:
+            source: Path.
+            base: Link in which poses are given; may be left out when it is the root.
+            tip: The tool frame; may be left out when only one link carries no other.
+            locked: Joint name to position [rad or m] of joints that are held; actuated joints
+                beside the chain that are not named rest at 0, or at the limit nearest to it. Their
+                mass counts.
+            payload: What the tool holds: a `Payload`, or mass [kg] and centre of mass (3,) [m] in
+                the tool frame.
+            gravity: Gravity (3,) in the base [m/s^2].
+            limits: Joint name to position limits [rad or m], in place of the file's.
+            servos: What drives the joints; a `Controller` takes them from here.
+
+        Raises:
+            FileNotFoundError: No such file.
+            UrdfError: Everything wrong in the text, with file, line and column.
+            FrameNotFound: `base` or `tip` is no link; lists those there are.
+            ConfigError: Several links could be the tip, a joint is not known, too many joints, an
+                unknown keyword.
+            LimitError: A number that cannot be one.
+        """
+
+    @staticmethod
+    def from_urdf_str(
+        text: str,
+        *,
+        base: str | None = None,
+        tip: str | None = None,
+        locked: Mapping[str, float] | None = None,
+        payload: Payload | tuple[float, ArrayLike] | None = None,
+        gravity: ArrayLike | None = (0.0, 0.0, -9.81),
+        limits: Mapping[str, tuple[float, float]] | None = None,
+        servos: Servos | None = None,
+    ) -> Model:
+        """Read URDF text; arguments and errors as `from_urdf`."""
+
+    @property
+    def name(self) -> str:
+        """Name of the robot."""
+
+    @property
+    def n(self) -> int:
+        """Number of independent joints."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the independent joints, base to tip."""
+
+    @property
+    def lower(self) -> _Array:
+        """Lower position limits (n,) [rad or m], -inf for continuous joints; read-only."""
+
+    @property
+    def upper(self) -> _Array:
+        """Upper position limits (n,) [rad or m], inf for continuous joints; read-only."""
+
+    @property
+    def velocity_limit(self) -> _Array:
+        """Speed limits (n,) [rad/s or m/s], nan where the description has none; read-only."""
+
+    @property
+    def effort_limit(self) -> _Array:
+        """Torque limits (n,) [N m or N], nan where the description has none; read-only."""
+
+    @property
+    def prismatic(self) -> tuple[bool, ...]:
+        """Which independent joints slide."""
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of all links; each can be base or tip."""
+
+    @property
+    def base(self) -> str:
+        """Link in which poses are given."""
+
+    @property
+    def tip(self) -> str:
+        """The tool frame."""
+
+    @property
+    def reach(self) -> float:
+        """Distances between joint origins, summed out to the tool [m]."""
+
+    @property
+    def gravity_vector(self) -> _Array:
+        """Gravity (3,) in the base [m/s^2]; read-only."""
+
+    @property
+    def payload(self) -> Payload | None:
+        """What the tool holds."""
+
+    @property
+    def servos(self) -> Servos | None:
+        """What drives the joints, one entry per joint."""
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """All links of the robot, for simulators."""
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        """All joints of the robot, for simulators."""
+
+    @overload
+    def kinematics(
+        self, q: ArrayLike, reference: _Reference = "world_aligned", out: None = None
+    ) -> tuple[_Array, _Array]:
+        """Pose `base_from_tool` (4, 4) and Jacobian (6, n) at the tool, linear rows first.
+
+        Args:
+            q: Joint positions (n,) [rad or m]. Position limits are not enforced.
+            reference: Axes of the Jacobian's rows: those of the base, or `"local"`: of the tool.
+            out: Two writable float64 arrays (4, 4) and (6, n) to fill instead of new ones.
+
+        Raises:
+            ShapeError: Wrong length of `q`, or shape of an array in `out`.
+            LimitError: An entry of `q` that is not finite or beyond 1e6.
+            TypeError: `q` does not hold numbers, or `out` cannot be written.
+        """
+
+    @overload
+    def kinematics(
+        self, q: ArrayLike, reference: _Reference = "world_aligned", *, out: tuple[_Array, _Array]
+    ) -> tuple[_Array, _Array]: ...
+    def forward_kinematics(self, q: ArrayLike) -> _Array:
+        """Pose `base_from_tool` (4, 4) at `q` (n,); errors as `kinematics`."""
+
+    def jacobian(self, q: ArrayLike, reference: _Reference = "world_aligned") -> _Array:
+        """Geometric Jacobian (6, n) at the tool, linear rows first; errors as `kinematics`."""
+
+    def gravity(self, q: ArrayLike) -> _Array:
+        """Torques (n,) [N m or N] that hold the arm at rest; errors as `kinematics`."""
+
+    def inverse_kinematics(
+        self,
+        target: _PoseLike,
+        q0: ArrayLike,
+        *,
+        axes: str = "xyz rpy",
+        position_tolerance: float = 1e-08,
+        rotation_tolerance: float = 1e-08,
+        max_iterations: int = 100,
+        restarts: int = 8,
+    ) -> IkSolution:
+        """Joint positions that bring the tool to `target`, searched from `q0` inside the limits.
+
+        Damped least squares: a convenience beside the control step. Not converging is no error:
+        read `converged` and `reason`.
+
+        Args:
+            target: Pose of the tool in the base; a position (3,) where `axes` has no rotation.
+            q0: Where the search starts (n,) [rad or m].
+            axes: Axes of the base that must match, e.g. ``"xyz"``.
+            position_tolerance: Error to reach [m].
+            rotation_tolerance: Error to reach [rad].
+            max_iterations: Most iterations from one start.
+            restarts: Further starts, from fixed points inside the limits.
+
+        Raises:
+            ShapeError, LimitError, ConfigError: An argument that cannot be used.
+        """
+
+    def kinematics_batch(
+        self, Q: ArrayLike, reference: _Reference = "world_aligned"
+    ) -> tuple[_Array, _Array]:
+        """Poses (N, 4, 4) and Jacobians (N, 6, n) of `Q` (N, n); other threads run meanwhile."""
+
+    def forward_kinematics_batch(self, Q: ArrayLike) -> _Array:
+        """Poses (N, 4, 4) of configurations `Q` (N, n)."""
+
+    def jacobian_batch(self, Q: ArrayLike, reference: _Reference = "world_aligned") -> _Array:
+        """Jacobians (N, 6, n) of configurations `Q` (N, n)."""
+
+    def gravity_batch(self, Q: ArrayLike) -> _Array:
+        """Holding torques (N, n) of configurations `Q` (N, n)."""
+
+class _ServoFields(TypedDict, total=False):
+    kp: ArrayLike
+    torque: ArrayLike
+    friction: ArrayLike
+    damping: ArrayLike
+    kv: ArrayLike
+    armature: ArrayLike
+    count: ArrayLike
+    kind: Literal["current", "duty"]
+    no_load_speed: ArrayLike | None
+    kp_known: bool
+
+@final
+class Servos:
+    """What the controller believes about the servos. Frozen; one number per joint, or one for all.
+
+    Units are N m and rad; N and m for prismatic joints.
+
+    Args:
+        kp: Stiffness of the position loop [N m/rad] > 0.
+        torque: Usable torque at the present voltage [N m] > 0: the ceiling of every torque limit.
+        friction: Dry friction of gears and motor [N m].
+        damping: Damping of gears and back-EMF outside the torque limit [N m s/rad].
+        kv: Damping of the servo's own loop, inside the torque limit [N m s/rad].
+        armature: Rotor inertia seen at the joint [kg m^2]; only simulators use it.
+        count: One encoder count [rad]; 0 when it does not matter.
+        kind: What the limit register limits: `"current"`, hence torque, or `"duty"`, whose torque
+            falls with speed.
+        no_load_speed: Speed without load [rad/s], needed for `"duty"`.
+        kp_known: Whether `kp` is known within 10 %.
+
+    Raises:
+        LimitError: A value outside its bounds. ShapeError: Lists of different lengths. ConfigError:
+            A field is missing, not known, or of the wrong type.
+    """
+
+    def __new__(
+        cls,
+        *,
+        kp: ArrayLike,
+        torque: ArrayLike,
+        friction: ArrayLike = 0.0,
+        damping: ArrayLike = 0.0,
+        kv: ArrayLike = 0.0,
+        armature: ArrayLike = 0.0,
+        count: ArrayLike = 0.0,
+        kind: Literal["current", "duty"] = "current",
+        no_load_speed: ArrayLike | None = None,
+        kp_known: bool = False,
+    ) -> Servos: ...
+    @property
+    def kp(self) -> _Array:
+        """Stiffness (n,) [N m/rad]; this and the other arrays are read-only."""
+
+    @property
+    def torque(self) -> _Array:
+        """Usable torque (n,) [N m]."""
+
+    @property
+    def friction(self) -> _Array:
+        """Dry friction (n,) [N m]."""
+
+    @property
+    def damping(self) -> _Array:
+        """Damping outside the torque limit (n,) [N m s/rad]."""
+
+    @property
+    def kv(self) -> _Array:
+        """Damping inside the torque limit (n,) [N m s/rad]."""
+
+    @property
+    def armature(self) -> _Array:
+        """Rotor inertia (n,) [kg m^2]."""
+
+    @property
+    def count(self) -> _Array:
+        """Encoder count (n,) [rad]."""
+
+    @property
+    def kind(self) -> Literal["current", "duty"]:
+        """What the limit limits."""
+
+    @property
+    def no_load_speed(self) -> _Array | None:
+        """Speed without load (n,) [rad/s]."""
+
+    @property
+    def kp_known(self) -> bool:
+        """Whether `kp` is known within 10 %."""
+
+    def replace(self, **changes: Unpack[_ServoFields]) -> Servos:
+        """The same with some fields changed."""
+
+    def __len__(self) -> int: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
+
+class _TaskFields(TypedDict, total=False):
+    axes: str
+    frame: Literal["base", "tool"] | ArrayLike
+    length: float | None
+
+@final
+class Task:
+    """Which axes are controlled, and in which frame. Frozen.
+
+    Args:
+        axes: Axis key: names apart by spaces, one word of the letters x y z, ``"rpy"``, ``"xyz
+            rpy"``, ``"all"``.
+        frame: `"base"`, `"tool"` (turning with it), or a rotation matrix (3, 3) whose columns are
+            the task's axes in the base.
+        length: Length [m] that counts as much as one radian; needed only with more axes than
+            joints.
+
+    Raises:
+        ConfigError: A key that is not understood, or no rotation matrix. LimitError: The length.
+    """
+
+    def __new__(
+        cls,
+        axes: str = "xyz rpy",
+        *,
+        frame: Literal["base", "tool"] | ArrayLike = "base",
+        length: float | None = None,
+    ) -> Task: ...
+    @property
+    def axes(self) -> str:
+        """Axis key."""
+
+    @property
+    def names(self) -> tuple[_AxisName, ...]:
+        """Names of the axes, in the order of every array per axis."""
+
+    @property
+    def frame(self) -> str | _Array:
+        """`"base"`, `"tool"`, or a rotation matrix (3, 3)."""
+
+    @property
+    def length(self) -> float | None:
+        """Length [m] that counts as much as one radian."""
+
+    def replace(self, **changes: Unpack[_TaskFields]) -> Task:
+        """The same with some fields changed."""
+
+    def __len__(self) -> int: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
+
+class _AxisFields(TypedDict, total=False):
+    soft: float | tuple[float, float] | None
+    firm: float | tuple[float, float] | None
+    hold: float | None
+    yields: Literal["both", "+", "-", "none"] | None
+    eta: float
+    d_minus: float | None
+    d_plus: float | None
+    profile: Literal["firming", "constant", "yielding"]
+    step_limit: float | None
+    soft_step_limit: float | None
+
+@final
+class Axis:
+    """What is asked of one task axis. Frozen; None takes the default.
+
+    Default strengths depend on law and arm. They are forces [N] ([N m] for rotations) under law
+    `"cap"` and torque budgets [N m] under law `"paper"`. A pair is (pushed toward -, pushed
+    toward +).
+
+    Args:
+        soft: Strength of the yielding axis at a small deviation, tau- of (9).
+        firm: Strength of the yielding axis at a large deviation, tau+ of (9).
+        hold: Strength where the axis does not yield.
+        yields: Pushes it gives way to; by default both where `soft` or `firm` is given, else none.
+        eta: Target adaptation of (12), 0 <= eta < 1.
+        d_minus: Deviation below which compliance is full, (8) [m or rad]; default 0.01 m, 0.04 rad.
+        d_plus: Deviation above which compliance is none, (8) [m or rad]; default 0.10 m, 0.40 rad.
+        profile: `"firming"`: soft to firm with the deviation; `"constant"`: soft; `"yielding"`:
+            firm to soft.
+        step_limit: Most commanded velocity while stiff [m/s, rad/s]; default 0.4 m/s, 2 rad/s; inf
+            for none.
+        soft_step_limit: The same while it yields; default none, under law `"paper"` 0.1 m/s, 0.5
+            rad/s.
+
+    Raises:
+        LimitError: A value outside its bounds. ConfigError: A field that is not known or makes no
+            sense.
+    """
+
+    def __new__(
+        cls,
+        *,
+        soft: float | tuple[float, float] | None = None,
+        firm: float | tuple[float, float] | None = None,
+        hold: float | None = None,
+        yields: Literal["both", "+", "-", "none"] | None = None,
+        eta: float = 0.0,
+        d_minus: float | None = None,
+        d_plus: float | None = None,
+        profile: Literal["firming", "constant", "yielding"] = "firming",
+        step_limit: float | None = None,
+        soft_step_limit: float | None = None,
+    ) -> Axis: ...
+    @property
+    def soft(self) -> tuple[float, float] | None:
+        """Strength at a small deviation, pushed toward -, +."""
+
+    @property
+    def firm(self) -> tuple[float, float] | None:
+        """Strength at a large deviation, pushed toward -, +."""
+
+    @property
+    def hold(self) -> float | None:
+        """Strength where the axis does not yield."""
+
+    @property
+    def yields(self) -> Literal["both", "+", "-", "none"] | None:
+        """Pushes it gives way to."""
+
+    @property
+    def eta(self) -> float:
+        """Target adaptation."""
+
+    @property
+    def d_minus(self) -> float | None:
+        """Deviation below which compliance is full [m or rad]."""
+
+    @property
+    def d_plus(self) -> float | None:
+        """Deviation above which compliance is none [m or rad]."""
+
+    @property
+    def profile(self) -> Literal["firming", "constant", "yielding"]:
+        """How the strength changes with the deviation."""
+
+    @property
+    def step_limit(self) -> float | None:
+        """Most commanded velocity while stiff [m/s, rad/s]."""
+
+    @property
+    def soft_step_limit(self) -> float | None:
+        """Most commanded velocity while it yields [m/s, rad/s]."""
+
+    def replace(self, **changes: Unpack[_AxisFields]) -> Axis:
+        """The same with some fields changed."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
+
+_Law: TypeAlias = Literal["cap", "paper"]
+_Speeds: TypeAlias = float | tuple[float | None, float | None] | None
+_Damping: TypeAlias = float | tuple[float, float, float] | None
+
+class _SettingsFields(TypedDict, total=False):
+    task: Task | str
+    axes: Mapping[str, Axis]
+    law: _Law
+    follow: Literal["free", "hold"] | None
+    limits: Literal["demand", "sum"]
+    projector: Literal["exact", "paper"]
+    kx: ArrayLike
+    horizon: float
+    kq: ArrayLike
+    alpha: float | None
+    rate: float
+    damping: _Damping
+    posture: ArrayLike | None
+    posture_weights: ArrayLike | None
+    limit_avoidance: float
+    manipulability: float
+    null_torque: float | None
+    null_speed: float | None
+    gravity: bool | Literal["goal", "limits"]
+    gravity_scale: float
+    friction_share: float
+    damping_share: float
+    prediction_share: float
+    friction_speed: float
+    velocity_filter: float
+    delay: float
+    goal_slew: float | None
+    stiffening_time: float
+    max_tool_speed: _Speeds
+    max_tool_acceleration: _Speeds
+    joint_speed: ArrayLike | None
+    floor: ArrayLike | None
+    margin: float
+    direction_band: float | None
+    raw_deviation: bool
+    budget_on_goal: bool
+    joint_weights: ArrayLike | None
+    lead_limit: float | None
+    integrate: float
+    accept: Sequence[str]
+
+@final
+class Settings:
+    """All settings of a controller. Frozen; `replace` makes variants, class methods presets.
+
+    Args:
+        task: Controlled axes and their frame: a `Task`, or its axis key.
+        axes: Axis key to `Axis`, e.g. ``{"y": Axis(soft=4.0), "xz": Axis(hold=40.0)}``; axes that
+            are not named are stiff.
+        law: `"cap"`: force caps per axis; `"paper"`: equations (3)-(12), torque budgets per axis.
+        follow: `"free"`: yielding axes leave the solve and exert exactly their force; `"hold"`: one
+            solve for all; None: by law, free for cap and hold for paper.
+        limits: Rule of law cap for the joint torque limits: what the law wants at this tick, or the
+            `"sum"` over all axes of what each may ask for.
+        projector: `"exact"`, or `"paper"`: the printed I - J+ J with the damped J+.
+        kx: Gain K_x of (5) [1/s]: a number, one per axis, or a matrix.
+        horizon: Horizon h of the goal q + h dq [s].
+        kq: Gain K_q of (5), law paper: a number, one per joint, or a matrix.
+        alpha: Step of the null-space motion [1/s]; None: as `kx`.
+        rate: Nominal control rate [Hz]: the default `dt` of a step is 1 / rate.
+        damping: Damping of the inverse: None: from the arm; a number: lambda; or (lambda_0,
+            sigma_0, lambda_max).
+        posture: Rest posture (n,) [rad]; None: q at reset.
+        posture_weights: Weight of each joint in the posture cost (n,); None: 1.
+        limit_avoidance: Weight of the joint-limit cost.
+        manipulability: Weight of the manipulability cost.
+        null_torque: Most the null-space motion may ask of all joints together [N m]; None: 2 where
+            the arm is redundant.
+        null_speed: Most speed of the null-space motion [rad/s]; None for no limit.
+        gravity: Where the gravity model is used: True: goals and limits; `"goal"`; `"limits"`;
+            False: nowhere.
+        gravity_scale: Factor on gravity in the limits.
+        friction_share: Share of the friction that is fed forward.
+        damping_share: Share of the damping that is fed forward.
+        prediction_share: Share of the delay that is predicted over.
+        friction_speed: Speed at which the friction feed-forward saturates [rad/s].
+        velocity_filter: Time constant of the velocity filter [s].
+        delay: From reading to arrival of the goal [s].
+        goal_slew: Most speed of the goals [rad/s]; None for no limit.
+        stiffening_time: Time in which a limit may rise from zero to its ceiling [s]; 0 for no
+            limit.
+        max_tool_speed: Most speed of the target [m/s], or a pair [m/s, rad/s]; a single number
+            takes 4 rad/s for each m/s; None for no limit.
+        max_tool_acceleration: The same for its acceleration [m/s^2, rad/s^2].
+        joint_speed: Joint speed limits (n,) [rad/s]; None: the model's.
+        floor: Floor of the torque limits (n,) [N m]; None: the servos' friction.
+        margin: Margin of the limits as a share of the usable torque.
+        direction_band: Half-width of the band in which an axis that yields to one side changes
+            over, as a share of `d_minus`; None: 0.1 under law cap, 0 under law paper.
+        raw_deviation: Compliance from the raw instead of the adapted deviation.
+        budget_on_goal: Law paper: clamp each axis' step to what its budget can do.
+        joint_weights: Law paper: weight of each joint in J+ (n,); None: 1.
+        lead_limit: Law paper: how far a goal may lead [rad]; None: what the limit can use; inf for
+            no limit.
+        integrate: Rate at which the goal of stiff axes integrates [1/s]; 0 for none.
+        accept: Risks taken by name: `"eta"`.
+
+    Raises:
+        LimitError: A value outside its bounds. ShapeError: A list of the wrong shape. ConfigError:
+            A field or word that is not known (with a suggestion), or values that do not go
+            together.
+    """
+
+    def __new__(
+        cls,
+        *,
+        task: Task | str = "xyz rpy",
+        axes: Mapping[str, Axis] = ...,
+        law: _Law = "cap",
+        follow: Literal["free", "hold"] | None = None,
+        limits: Literal["demand", "sum"] = "demand",
+        projector: Literal["exact", "paper"] = "exact",
+        kx: ArrayLike = 4.0,
+        horizon: float = 0.25,
+        kq: ArrayLike = 1.0,
+        alpha: float | None = None,
+        rate: float = 100.0,
+        damping: _Damping = None,
+        posture: ArrayLike | None = None,
+        posture_weights: ArrayLike | None = None,
+        limit_avoidance: float = 0.0,
+        manipulability: float = 0.0,
+        null_torque: float | None = None,
+        null_speed: float | None = None,
+        gravity: bool | Literal["goal", "limits"] = True,
+        gravity_scale: float = 1.1,
+        friction_share: float = 0.9,
+        damping_share: float = 0.8,
+        prediction_share: float = 0.9,
+        friction_speed: float = 0.05,
+        velocity_filter: float = 0.02,
+        delay: float = 0.0,
+        goal_slew: float | None = 1.0,
+        stiffening_time: float = 0.2,
+        max_tool_speed: _Speeds = (0.25, 1.0),
+        max_tool_acceleration: _Speeds = (1.0, 4.0),
+        joint_speed: ArrayLike | None = None,
+        floor: ArrayLike | None = None,
+        margin: float = 0.1,
+        direction_band: float | None = None,
+        raw_deviation: bool = False,
+        budget_on_goal: bool = False,
+        joint_weights: ArrayLike | None = None,
+        lead_limit: float | None = None,
+        integrate: float = 0.0,
+        accept: Sequence[str] = (),
+    ) -> Settings: ...
+    @classmethod
+    def paper(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
+        """Law paper as printed: no gravity model, no limits beyond the paper's, nothing yields.
+
+        Budgets [N m]: soft 0.5, firm = hold = 10, null space 2. In this and the other presets
+        `axes` changes the axes it names and leaves the others as the preset has them.
+        """
+
+    @classmethod
+    def soft(cls, axes: str, /, **overrides: Unpack[_SettingsFields]) -> Settings:
+        """The named axes yield both ways with default strengths and eta 0.9; the others hold."""
+
+    @classmethod
+    def firm(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
+        """Nothing yields."""
+
+    @classmethod
+    def door(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
+        """Opens and closes doors: y and yaw follow the handle, eta 0.999 (accepted), alpha 1."""
+
+    @classmethod
+    def hand_guiding(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
+        """A hand leads the tool: all axes of the task yield with eta 0.95; alpha 1."""
+
+    def replace(self, **changes: Unpack[_SettingsFields]) -> Settings:
+        """The same with some fields changed; `axes` replaces all axes."""
+
+    @property
+    def task(self) -> Task: ...
+    @property
+    def axes(self) -> MappingProxyType[_AxisName, Axis]: ...
+    @property
+    def law(self) -> _Law: ...
+    @property
+    def follow(self) -> Literal["free", "hold"] | None: ...
+    @property
+    def limits(self) -> Literal["demand", "sum"]: ...
+    @property
+    def projector(self) -> Literal["exact", "paper"]: ...
+    @property
+    def kx(self) -> float | list[float] | list[list[float]]: ...
+    @property
+    def horizon(self) -> float: ...
+    @property
+    def kq(self) -> float | list[float] | list[list[float]]: ...
+    @property
+    def alpha(self) -> float | None: ...
+    @property
+    def rate(self) -> float: ...
+    @property
+    def damping(self) -> float | tuple[float, float, float] | None: ...
+    @property
+    def posture(self) -> _Array | None: ...
+    @property
+    def posture_weights(self) -> _Array | None: ...
+    @property
+    def limit_avoidance(self) -> float: ...
+    @property
+    def manipulability(self) -> float: ...
+    @property
+    def null_torque(self) -> float | None: ...
+    @property
+    def null_speed(self) -> float: ...
+    @property
+    def gravity(self) -> bool | Literal["goal", "limits"]: ...
+    @property
+    def gravity_scale(self) -> float: ...
+    @property
+    def friction_share(self) -> float: ...
+    @property
+    def damping_share(self) -> float: ...
+    @property
+    def prediction_share(self) -> float: ...
+    @property
+    def friction_speed(self) -> float: ...
+    @property
+    def velocity_filter(self) -> float: ...
+    @property
+    def delay(self) -> float: ...
+    @property
+    def goal_slew(self) -> float: ...
+    @property
+    def stiffening_time(self) -> float: ...
+    @property
+    def max_tool_speed(self) -> tuple[float, float]: ...
+    @property
+    def max_tool_acceleration(self) -> tuple[float, float]: ...
+    @property
+    def joint_speed(self) -> _Array | None: ...
+    @property
+    def floor(self) -> _Array | None: ...
+    @property
+    def margin(self) -> float: ...
+    @property
+    def direction_band(self) -> float | None: ...
+    @property
+    def raw_deviation(self) -> bool: ...
+    @property
+    def budget_on_goal(self) -> bool: ...
+    @property
+    def joint_weights(self) -> _Array | None: ...
+    @property
+    def lead_limit(self) -> float | None: ...
+    @property
+    def integrate(self) -> float: ...
+    @property
+    def accept(self) -> tuple[str, ...]: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
+
+@final
+class Command:
+    """What the servos get. The arrays of a command that is kept never change."""
+
+    @property
+    def goal(self) -> _Array:
+        """Goals of the position servos (n,) [rad]."""
+
+    @property
+    def torque_limit(self) -> _Array:
+        """Magnitude of the torque each servo may use (n,) [N m]."""
+
+    @property
+    def velocity(self) -> _Array:
+        """Speed for a servo's speed register (n,) [rad/s]: the most within the tool's speed."""
+
+@final
+class Controller:
+    """Compliant task-space controller: joint goals and torque limits from positions alone.
+
+    Not to be shared between threads: a second call during a first one raises `RuntimeError`. Arrays
+        per axis have one
+    entry per axis of the task, in its order.
+
+    Args:
+        model: The arm.
+        settings: None for the defaults.
+        servos: None for those of the model; law paper without gravity needs none.
+
+    Raises:
+        ConfigError, LimitError, ShapeError: Settings, servos and model do not go together; says
+            what to change.
+    """
+
+    def __new__(
+        cls, model: Model, settings: Settings | None = None, servos: Servos | None = None
+    ) -> Controller: ...
+    def step(
+        self,
+        q: ArrayLike,
+        target: _PoseLike,
+        *,
+        dt: float | None = None,
+        dq: ArrayLike | None = None,
+        twist: ArrayLike | None = None,
+        gradient: ArrayLike | None = None,
+        out: Command | None = None,
+    ) -> Command:
+        """One control step toward a pose of the tool.
+
+        The first step resets to `q`. Fastest with float64 arrays in C order; everything else that
+        NumPy takes gives the same numbers. Allocates nothing while nobody keeps the results.
+
+        Args:
+            q: Measured joint positions (n,) [rad].
+            target: Pose `base_from_tool`: (4, 4), `Pose`, any object with a 4x4 accessor; (3,) for
+                a task without rotations.
+            dt: Time since the last step [s]; None: 1 / settings.rate.
+            dq: Joint velocity (n,) [rad/s] in place of the filtered one.
+            twist: Velocity of the target (6,) [m/s, rad/s], base axes.
+            gradient: Gradient (n,) of an own null-space cost, added to the others; the cost is
+                descended.
+            out: A command to overwrite, whoever holds its arrays.
+
+        Raises:
+            ShapeError, LimitError, ConfigError, TypeError: An input that cannot be used, by name;
+                the controller is then as before.
+        """
+
+    def step_joints(
+        self,
+        q: ArrayLike,
+        q_target: ArrayLike,
+        *,
+        dt: float | None = None,
+        dq: ArrayLike | None = None,
+        twist: ArrayLike | None = None,
+        gradient: ArrayLike | None = None,
+        out: Command | None = None,
+    ) -> Command:
+        """One control step toward joint positions (n,): target and rest posture; else as `step`."""
+
+    def reset(self, q: ArrayLike) -> None:
+        """Forget velocity, slew and gamma; goals start from `q` (n,).
+
+        `q` is the rest posture unless one is set. A captured gravity offset stays.
+        """
+
+    def update(self, settings: Settings) -> None:
+        """Take new settings while running: goals go on from where they are."""
+
+    def set_payload(self, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """Take another payload: mass [kg], 0 for none; centre (3,) in the tool frame [m]."""
+
+    def set_gravity(self, vector: ArrayLike) -> None:
+        """Take another gravity vector (3,) [m/s^2], base axes: for a base that tilts."""
+
+    def set_delay(self, delay: float) -> None:
+        """Take the measured delay [s]; derates the stiff axes where it must: `gain_factor`."""
+
+    def capture_gravity(self, q: ArrayLike, goal: ArrayLike) -> _Array:
+        """Take the gravity offset from an arm held still by an integrating goal.
+
+        Args:
+            q: Where it stands (n,) [rad].
+            goal: Goals that hold it there (n,) [rad].
+
+        Returns:
+            Stiffness k_g (n,) [N m/rad] that serves the gravity offset from now on.
+
+        Raises:
+            ConfigError: The controller knows no `kp`.
+        """
+
+    @property
+    def model(self) -> Model:
+        """The arm."""
+
+    @property
+    def settings(self) -> Settings:
+        """The settings in force."""
+
+    @property
+    def servos(self) -> Servos | None:
+        """The servos, one entry per joint."""
+
+    @property
+    def strengths(self) -> dict[_AxisName, Axis]:
+        """Every axis of the task with soft, firm, hold and yields filled in."""
+
+    @property
+    def damping_constants(self) -> tuple[float, float, float]:
+        """lambda_0, sigma_0, lambda_max in force."""
+
+    @property
+    def gain_factor(self) -> float:
+        """Factor <= 1 on K_x that the delay demands."""
+
+    @property
+    def commands_made(self) -> int:
+        """How many commands had to be allocated: stays at 3 in a loop that keeps none."""
+
+    @property
+    def deviation(self) -> _Array:
+        """Deviation target - actual (k,) [m, rad]; like all below of the last step."""
+
+    @property
+    def adapted_deviation(self) -> _Array:
+        """Adapted deviation (1 - eta w) e (k,) [m, rad]."""
+
+    @property
+    def dx(self) -> _Array:
+        """Task velocity K_x e + twist within its per-axis limits (k,) [m/s, rad/s]."""
+
+    @property
+    def softness(self) -> _Array:
+        """Softness w (k,), 0 to 1, for the side each axis is pushed from."""
+
+    @property
+    def compliance(self) -> _Array:
+        """Compliance c of (8) (k,), 0 to 1."""
+
+    @property
+    def holding_torque(self) -> _Array:
+        """Strength (k,): tau^x of (9) [N m] under law paper, the cap [N, N m] under law cap."""
+
+    @property
+    def wrench(self) -> _Array:
+        """Wrench on the target (k,) [N, N m], law cap."""
+
+    @property
+    def activation(self) -> _Array:
+        """Activation matrix A of (10) (n, k + 1), the null-space column last."""
+
+    @property
+    def responsibility(self) -> _Array:
+        """Responsibility R of (6), (7) (n, k + 1)."""
+
+    @property
+    def task_jacobian(self) -> _Array:
+        """Task rows as solved (k, n), in the task frame; columns of locked joints are zero."""
+
+    @property
+    def singular_values(self) -> _Array:
+        """Singular values of those rows, translations over the arm's length, largest first."""
+
+    @property
+    def q_predicted(self) -> _Array:
+        """Positions predicted over the delay (n,) [rad]."""
+
+    @property
+    def velocity(self) -> _Array:
+        """Filtered velocity (n,) [rad/s]."""
+
+    @property
+    def gravity(self) -> _Array:
+        """Torques that hold the arm (n,) [N m]."""
+
+    @property
+    def feed_forward(self) -> _Array:
+        """Feed-forward of friction and damping (n,) [N m]."""
+
+    @property
+    def gradient(self) -> _Array:
+        """Gradient of the null-space cost (n,)."""
+
+    @property
+    def sigma_min(self) -> float:
+        """Estimate of the smallest singular value."""
+
+    @property
+    def sigma_max(self) -> float:
+        """Estimate of the largest singular value."""
+
+    @property
+    def damping(self) -> float:
+        """Damping lambda."""
+
+    @property
+    def gamma(self) -> float:
+        """How much of feed-forward and prediction is used, 0.5 to 1."""
+
+    @property
+    def factors(self) -> tuple[float, float, float]:
+        """Factors that scaled null-space, soft and stiff part to torque and speed limits."""
+
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """Joints whose limit is at its ceiling (n,)."""
+
+    @property
+    def locked(self) -> NDArray[np.bool_]:
+        """Joints at a position limit that left the inverse kinematics (n,)."""
+
+def damped_pseudo_inverse(J: ArrayLike, damping: float) -> _Array:
+    """Damped pseudo-inverse of (3): J^T (J J^T + lambda^2 I)^-1, shape (n, k).
+
+    Args:
+        J: Jacobian (k, n), at most six rows and sixteen columns.
+        damping: lambda, not squared; 0 gives the Moore-Penrose inverse, of rank-deficient matrices
+            too.
+
+    Raises:
+        ShapeError: More rows or columns. LimitError: An entry that is not finite, or lambda < 0.
+    """
+
+def null_space_projector(
+    J: ArrayLike, damping: float = 0.0, kind: Literal["exact", "paper"] = "exact"
+) -> _Array:
+    """Null-space projector of J, (n, n).
+
+    Args:
+        J: Jacobian (k, n).
+        damping: lambda of J+, for `kind="paper"` only.
+        kind: `"exact"`: the orthogonal projector, faded close to singular J; `"paper"`: I - J+ J.
+
+    Raises:
+        ShapeError, LimitError: As `damped_pseudo_inverse`. ConfigError: Another kind.
+    """
+
+def responsibility(
+    J_pinv: ArrayLike, dx: ArrayLike, N: ArrayLike, gradient: ArrayLike, alpha: float
+) -> _Array:
+    """Responsibility R of (6), (7), (n, k + 1): |J+ diag(dx)|, then |alpha N gradient|.
+
+    Args:
+        J_pinv: Pseudo-inverse (n, k).
+        dx: Task velocity (k,) [m/s, rad/s].
+        N: Null-space projector (n, n).
+        gradient: Gradient of the null-space cost (n,).
+        alpha: Step of the null-space motion [1/s].
+
+    Raises:
+        ShapeError: Sizes that do not go together. LimitError: An entry that is not finite.
+    """
+
+def activation(J_pinv: ArrayLike, N: ArrayLike, gradient: ArrayLike | None = None) -> _Array:
+    """Activation matrix A of (10), (n, k + 1): columns of |J+| over their sums, null space last.
+
+    Args:
+        J_pinv: Pseudo-inverse (n, k).
+        N: Null-space projector (n, n).
+        gradient: Gradient of the null-space cost (n,); where N gradient vanishes, and without it,
+            the last column is made of the row norms of N.
+
+    Raises:
+        ShapeError: Sizes that do not go together. LimitError: An entry that is not finite.
+    """
+
+@overload
+def compliance(deviation: float, d_minus: float, d_plus: float) -> float:
+    """Compliance c of (8): 1 below `d_minus`, 0 above `d_plus`, linear between, for |deviation|.
+
+    Args:
+        deviation: Deviation (k,) [m or rad], or one.
+        d_minus: Deviation below which compliance is full (k,), or one for all.
+        d_plus: Deviation above which compliance is none (k,), or one for all.
+
+    Returns:
+        (k,), or a number for a number.
+
+    Raises:
+        ShapeError: Lists of different lengths. LimitError: Unless 0 <= d_minus < d_plus.
+    """
+
+@overload
+def compliance(deviation: ArrayLike, d_minus: ArrayLike, d_plus: ArrayLike) -> _Array: ...
+@overload
+def holding_torque(c: float, soft: float, firm: float, hold: float, compliant: bool) -> float:
+    """Holding torque of (9): c soft + (1 - c) firm where the axis is compliant, else hold.
+
+    Args:
+        c: Compliance (k,), 0 to 1, or one.
+        soft: Strength at full compliance (k,), or one for all.
+        firm: Strength at no compliance (k,), or one for all.
+        hold: Strength of axes that are not compliant (k,), or one for all.
+        compliant: Which are (k,), or one for all.
+
+    Returns:
+        (k,), or a number for a number.
+
+    Raises:
+        ShapeError: Lists of different lengths. LimitError: c outside [0, 1], or a strength that is
+            not finite.
+    """
+
+@overload
+def holding_torque(
+    c: ArrayLike,
+    soft: ArrayLike,
+    firm: ArrayLike,
+    hold: ArrayLike,
+    compliant: bool | Sequence[bool] | NDArray[np.bool_],
+) -> _Array: ...
+def joint_torque_limits(A: ArrayLike, strength: ArrayLike) -> _Array:
+    """Joint torque limits of (11), A strength (n,) [N m].
+
+    Args:
+        A: Activation matrix (n, k + 1).
+        strength: Holding torques (k + 1,) [N m], that of the null space last.
+
+    Raises:
+        ShapeError: Sizes that do not go together. LimitError: An entry that is not finite.
+    """
+
+def adapt_target(
+    actual: _PoseLike,
+    target: _PoseLike,
+    eta: float,
+    compliant: str | bool | Sequence[bool] | NDArray[np.bool_],
+) -> _Array:
+    """The intermediate target of (12) as a pose (4, 4).
+
+    target + eta (actual - target) on the compliant axes, in the base. Rotations scale the
+    components of the rotation vector; angles are never blended.
+
+    Args:
+        actual: Pose of the tool.
+        target: Pose it should have.
+        eta: Adaptation, 0 to 1.
+        compliant: Axis key such as ``"y yaw"``, or six flags.
+    """
+
+def pose_error(actual: _PoseLike, target: _PoseLike) -> _Array:
+    """Deviation target - actual (6,), base axes [m, rad]; rotation vector of R_d R^T."""

@@ -1,0 +1,240 @@
+//! Bounds that no input may break, and continuity: a small change of the reading makes a small change of the command.
+
+use std::sync::Arc;
+
+use pliant_core::settings::{Damping, Follow, Law, LimitRule};
+use pliant_core::task::axes::{Axis, Task, Yields};
+use pliant_core::{Controller, Model, ModelOptions, Pose, Settings, StepInput};
+
+#[path = "oracle/cases.rs"]
+mod cases;
+#[path = "common/seeded.rs"]
+mod seeded;
+
+use seeded::Random;
+
+fn arm(index: usize) -> Arc<Model> {
+    seeded::arm(index, &ModelOptions::default())
+}
+
+fn open() -> Settings {
+    Settings {
+        max_tool_speed: [f64::INFINITY; 2],
+        goal_slew: f64::INFINITY,
+        stiffening_time: 0.0,
+        ..Settings::default()
+    }
+}
+
+#[test]
+fn caps_ceilings_and_floors_hold() {
+    let mut random = Random::new(21);
+    let mut soft_ticks = 0;
+    for round in 0..600 {
+        let index = round % 3;
+        let model = arm(index);
+        let n = model.n();
+        let settings = cases::settings(&mut random, &model, [Law::Cap, Law::Paper][round % 2]);
+        let servos = cases::servos(&mut random, &seeded::servos(index), n);
+        let Ok(mut controller) = Controller::new(Arc::clone(&model), settings.clone(), Some(servos.clone())) else {
+            continue;
+        };
+        let mut q = random.joints(&model, 1.0);
+        let target = random.target(&model, &q, 0.3, 1.0);
+        controller.reset(&q).unwrap();
+        for _ in 0..10 {
+            q.iter_mut().for_each(|value| *value += random.between(-0.02, 0.02));
+            let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
+            for i in 0..n {
+                let floor = settings.floor.as_ref().map_or(servos.friction[i], |f| f[i]);
+                let limit = command.torque_limit()[i];
+                assert!(limit <= servos.torque[i] && limit >= floor.min(servos.torque[i]) - 1e-12, "{limit}");
+                assert!(command.goal()[i] >= model.lower()[i] && command.goal()[i] <= model.upper()[i]);
+                assert!(command.velocity()[i] > 0.0);
+            }
+            let record = controller.record();
+            for r in 0..controller.task_len() {
+                let free = settings.effective_follow() == Follow::Free && settings.law == Law::Cap;
+                if free && record.softness[r] >= 1.0 {
+                    soft_ticks += 1;
+                    assert!(record.wrench[r].abs() <= record.holding_torque[r] * (1.0 + 1e-12));
+                }
+            }
+        }
+    }
+    assert!(soft_ticks > 1000);
+}
+
+#[test]
+fn the_target_moves_within_its_bounds() {
+    let model = arm(0);
+    let mut random = Random::new(22);
+    let settings = Settings { max_tool_speed: [0.2, 0.8], max_tool_acceleration: [1.5, 5.0], ..Settings::default() };
+    let mut controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(0))).unwrap();
+    let q = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+    controller.reset(&q).unwrap();
+    let tool = model.forward_kinematics(&q).unwrap();
+    let (mut target, mut before, mut slow) = (tool, [0.0; 3], tool);
+    let mut last = controller.record().deviation;
+    for tick in 0..2000 {
+        if tick % 100 == 0 {
+            target = random.target(&model, &q, 0.3, 1.5);
+        }
+        controller.step(&q, &target, &StepInput::default()).unwrap();
+        let now = controller.record().deviation;
+        let velocity: [f64; 3] = std::array::from_fn(|i| (now[i] - last[i]) / 0.01);
+        let size = |v: &[f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let change: [f64; 3] = std::array::from_fn(|i| (velocity[i] - before[i]) / 0.01);
+        assert!(size(&velocity) <= 0.2 * (1.0 + 1e-9), "tick {tick}: {velocity:?}");
+        assert!(size(&change) <= 1.5 * (1.0 + 1e-6), "tick {tick}: {change:?}");
+        (before, last) = (velocity, now);
+    }
+    // A target within the bounds passes as it is.
+    controller.reset(&q).unwrap();
+    for tick in 0..200 {
+        slow.position[1] = tool.position[1] + 0.05 * (1.0 - (0.02 * f64::from(tick)).cos());
+        controller.step(&q, &slow, &StepInput::default()).unwrap();
+        let lag = controller.record().deviation[1] - (slow.position[1] - tool.position[1]);
+        assert!(lag.abs() < 1e-9, "tick {tick}: lags {lag}");
+    }
+}
+
+/// Goals, limits and wrench of one step from rest.
+struct Probe {
+    controller: Controller,
+    target: Pose,
+}
+
+impl Probe {
+    fn at(&self, q: &[f64]) -> (Vec<f64>, Controller) {
+        let mut controller = self.controller.clone();
+        controller.reset(&self.rest(q)).unwrap();
+        let posture = vec![0.1; q.len()];
+        let input = StepInput { posture: Some(&posture), ..StepInput::default() };
+        let command = *controller.step(q, &self.target, &input).unwrap();
+        // In units of comparable size: radians, and the torque that makes one.
+        let limits = command.torque_limit().iter().map(|t| t / 60.0);
+        (command.goal().iter().copied().chain(limits).collect(), controller)
+    }
+
+    fn rest(&self, q: &[f64]) -> Vec<f64> {
+        q.to_vec()
+    }
+
+    /// Largest jump between `a` and `b`, by halving the interval that holds most of the change.
+    fn jump(&self, a: &[f64], b: &[f64]) -> f64 {
+        let between = |s: f64| a.iter().zip(b).map(|(x, y)| x + s * (y - x)).collect::<Vec<_>>();
+        let (mut low, mut high) = (0.0, 1.0);
+        let (mut at_low, mut at_high) = (self.at(&between(low)).0, self.at(&between(high)).0);
+        for _ in 0..24 {
+            let middle = 0.5 * (low + high);
+            let at_middle = self.at(&between(middle)).0;
+            if distance(&at_low, &at_middle) > distance(&at_middle, &at_high) {
+                (high, at_high) = (middle, at_middle);
+            } else {
+                (low, at_low) = (middle, at_middle);
+            }
+        }
+        distance(&at_low, &at_high)
+    }
+}
+
+fn distance(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).fold(0.0, |most, (x, y)| most.max((x - y).abs()))
+}
+
+/// Walks from `a` to `b` and returns the jumps beyond `most`, with whether joints were locked or torque scaled there.
+fn jumps(probe: &Probe, a: &[f64], b: &[f64], most: f64) -> Vec<(f64, bool, bool)> {
+    let steps = 60;
+    let at = |s: usize| a.iter().zip(b).map(|(x, y)| x + (y - x) * s as f64 / f64::from(steps)).collect::<Vec<_>>();
+    let mut found = Vec::new();
+    let mut before = probe.at(&at(0)).0;
+    for s in 1..=steps as usize {
+        let (now, controller) = probe.at(&at(s));
+        if distance(&before, &now) > 2.0 * most {
+            let size = probe.jump(&at(s - 1), &at(s));
+            if size > most {
+                let earlier = probe.at(&at(s - 1)).1;
+                let locked = |c: &Controller| c.record().locked.contains(&true);
+                let scaled = |c: &Controller| c.record().factors.iter().any(|f| *f < 1.0);
+                found.push((size, locked(&controller) || locked(&earlier), scaled(&controller) || scaled(&earlier)));
+            }
+        }
+        before = now;
+    }
+    found
+}
+
+fn one_sided(yields: Yields, axis: &str) -> Settings {
+    let mut settings = Settings { limits: LimitRule::Demand, ..open() };
+    settings.set_axes(axis, Axis { soft: Some([1.0, 2.0]), firm: Some([9.0, 6.0]), yields: Some(yields), eta: 0.9, ..Axis::default() }).unwrap();
+    settings
+}
+
+#[test]
+fn commands_are_continuous() {
+    let mut random = Random::new(23);
+    let (mut found, mut walks) = (Vec::new(), 0);
+    for round in 0..80 {
+        let index = [0, 1][round % 2];
+        let model = arm(index);
+        let yields = [Yields::Plus, Yields::Minus, Yields::Both, Yields::None][round % 4];
+        let follow = [None, Some(Follow::Hold)][usize::from(round % 5 == 0)];
+        let settings = Settings { follow, ..one_sided(yields, ["y", "z", "yaw", "xyz"][(round / 4) % 4]) };
+        let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(index))).unwrap();
+        let middle = random.joints(&model, 0.5);
+        // Through the target: every deviation changes its sign.
+        let probe = Probe { controller, target: model.forward_kinematics(&middle).unwrap() };
+        let way = random.vector(7, 0.05);
+        let (a, b): (Vec<f64>, Vec<f64>) = middle.iter().zip(&way).map(|(m, w)| (m - w, m + w)).unzip();
+        found.extend(jumps(&probe, &a, &b, 1e-4));
+        walks += 1;
+    }
+    eprintln!("FREE {walks} {found:?}");
+    assert!(found.iter().all(|(_, locked, scaled)| *locked || *scaled), "{found:?}");
+}
+
+#[test]
+fn joints_leave_the_inverse_without_a_jump() {
+    let mut random = Random::new(24);
+    for (soft, follow) in [(false, Follow::Free), (true, Follow::Free), (true, Follow::Hold)] {
+        let (mut found, mut onsets) = (Vec::new(), 0);
+        for _ in 0..60 {
+            let model = arm(0);
+            let mut settings = Settings { follow: Some(follow), damping: Damping::Fixed(0.05), ..open() };
+            if soft {
+                settings = Settings { follow: Some(follow), damping: Damping::Fixed(0.05), ..one_sided(Yields::Both, "y") };
+            }
+            let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(0))).unwrap();
+            // One joint walks to its limit.
+            let mut a = random.joints(&model, 0.5);
+            let joint = random.below(7);
+            let mut b = a.clone();
+            (a[joint], b[joint]) = (model.upper()[joint] - 0.2, model.upper()[joint] + 0.02);
+            let middle: Vec<f64> = a.iter().zip(&b).map(|(x, y)| 0.5 * (x + y)).collect();
+            let probe = Probe { controller, target: random.target(&model, &middle, 0.02, 0.05) };
+            let locked = |q: &[f64]| probe.at(q).1.record().locked.contains(&true);
+            onsets += usize::from(!locked(&a) && locked(&b));
+            found.extend(jumps(&probe, &a, &b, 1e-4));
+        }
+        eprintln!("LOCK soft {soft} {follow:?}: {onsets} onsets, {found:?}");
+    }
+}
+
+#[test]
+fn a_task_of_few_axes_is_continuous_too() {
+    let mut random = Random::new(25);
+    let model = arm(2);
+    let mut found = Vec::new();
+    for round in 0..40 {
+        let mut settings = Settings { task: Task::of(["xyz", "x z pitch"][round % 2]).unwrap(), ..open() };
+        settings.set_axes("z", Axis { yields: Some(Yields::Plus), eta: 0.9, ..Axis::default() }).unwrap();
+        let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(2))).unwrap();
+        let middle = random.joints(&model, 0.5);
+        let probe = Probe { controller, target: model.forward_kinematics(&middle).unwrap() };
+        let way = random.vector(5, 0.05);
+        let (a, b): (Vec<f64>, Vec<f64>) = middle.iter().zip(&way).map(|(m, w)| (m - w, m + w)).unzip();
+        found.extend(jumps(&probe, &a, &b, 1e-4));
+    }
+    eprintln!("FEW {found:?}");
+}

@@ -1,0 +1,320 @@
+//! What must hold for any pose and target: activation, projector, inverse, signs, gradients, determinism.
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+use pliant_core::functions::{damped_pseudo_inverse, null_space_projector};
+use pliant_core::settings::{Damping, GravityUse, Law, Projector};
+use pliant_core::task::axes::{Axis, Frame, Task, Yields};
+use pliant_core::{Controller, Model, ModelOptions, Pose, Settings, StepInput};
+
+mod common;
+#[path = "common/seeded.rs"]
+mod seeded;
+
+use seeded::Random;
+
+const NAMES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
+
+fn arm(index: usize) -> Arc<Model> {
+    seeded::arm(index, &ModelOptions::default())
+}
+
+/// No speed limits, no memory: what one step wants.
+fn open() -> Settings {
+    Settings {
+        max_tool_speed: [f64::INFINITY; 2],
+        goal_slew: f64::INFINITY,
+        stiffening_time: 0.0,
+        ..Settings::default()
+    }
+}
+
+fn paper() -> Settings {
+    Settings { law: Law::Paper, gravity: GravityUse::Off, floor: Some(vec![0.0; 7]), ..open() }
+}
+
+fn make(index: usize, settings: Settings) -> Controller {
+    Controller::new(arm(index), settings, Some(seeded::servos(index))).unwrap()
+}
+
+/// Poses all over the joint ranges, some nearly and some exactly singular.
+fn poses(model: &Model, count: usize, seed: u64) -> Vec<Vec<f64>> {
+    let mut random = Random::new(seed);
+    (0..count)
+        .map(|round| {
+            let mut q = random.joints(model, 0.9);
+            let shrink = [1.0, 1.0, 1e-3, 1e-9, 0.0][round % 5];
+            q.iter_mut().skip(1).for_each(|value| *value *= shrink);
+            q
+        })
+        .collect()
+}
+
+#[test]
+fn activation_is_a_distribution() {
+    for axes in ["all", "xyz", "y yaw"] {
+        let mut controller = make(0, Settings { task: Task::of(axes).unwrap(), ..paper() });
+        let model = arm(0);
+        for q in poses(&model, 200, 1) {
+            let target = Random::new(9).target(&model, &q, 0.1, 0.5);
+            let limit = controller.step(&q, &target, &StepInput::default()).unwrap().torque_limit().to_vec();
+            let a = controller.activation();
+            assert!(a.iter().all(|&share| share >= 0.0));
+            for column in a.column_iter() {
+                assert!((column.sum() - 1.0).abs() < 1e-12, "{axes}: {}", column.sum());
+            }
+            // (11): budgets are spread, none is lost.
+            let record = controller.record();
+            let budget: f64 = record.holding_torque.iter().take(controller.task_len()).sum::<f64>() + 2.0;
+            let ceiling = [10.7, 10.7, 10.7, 10.7, 6.4, 6.4, 6.4];
+            if limit.iter().zip(ceiling).all(|(l, c)| *l < c) {
+                assert!((limit.iter().sum::<f64>() - budget).abs() < 1e-10);
+            }
+            // The size of Δx cancels.
+            let other = Random::new(10).target(&model, &q, 0.01, 0.02);
+            controller.step(&q, &other, &StepInput::default()).unwrap();
+            let difference = (controller.activation() - a).amax();
+            assert!(difference < 1e-7, "{axes}: {difference}");
+        }
+    }
+}
+
+#[test]
+fn without_redundancy_the_null_column_is_zero() {
+    let settings = Settings { task: Task::of("xyz pitch roll").unwrap(), floor: None, ..paper() };
+    let mut controller = make(2, settings.clone());
+    let q = [0.2, -0.3, 0.3, 0.9, 0.1];
+    controller.step(&q, &arm(2).forward_kinematics(&q).unwrap(), &StepInput::default()).unwrap();
+    assert!(controller.activation().column(5).iter().all(|&share| share.abs() < f64::MIN_POSITIVE));
+    let asked = Settings { null_torque: Some(1.0), ..settings };
+    assert!(Controller::new(arm(2), asked, Some(seeded::servos(2))).is_err());
+}
+
+#[test]
+fn the_exact_projector_moves_no_task_axis() {
+    let mut random = Random::new(3);
+    for index in [0, 1] {
+        let model = arm(index);
+        for _ in 0..200 {
+            let q = random.joints(&model, 0.9);
+            let jacobian = model.jacobian(&q, pliant_core::Reference::WorldAligned).unwrap();
+            let rows = 1 + random.below(6);
+            let j = DMatrix::from_fn(rows, 7, |r, i| jacobian[(r, i)]);
+            let sigma = j.singular_values();
+            if sigma.min() < 5e-3 * sigma.max() {
+                continue;
+            }
+            let n = null_space_projector(&j, 0.0, Projector::Exact).unwrap();
+            assert!((&j * &n).amax() < 1e-10 && (&n * &n - &n).amax() < 1e-10 && (&n - n.transpose()).amax() < 1e-12);
+        }
+    }
+    // In the step: the null part of the goal moves nothing to first order.
+    let model = arm(0);
+    for frame in [Frame::Base, Frame::Tool] {
+        let task = Task { frame, ..Task::of("xyz rpy").unwrap() };
+        let mut controller = make(0, Settings { task, gravity: GravityUse::Off, ..open() });
+        for _ in 0..100 {
+            let q = random.joints(&model, 0.8);
+            let gradient = random.vector(7, 1.0);
+            let target = model.forward_kinematics(&q).unwrap();
+            controller.reset(&q).unwrap();
+            let input = StepInput { gradient: Some(&gradient), ..StepInput::default() };
+            let goal = controller.step(&q, &target, &input).unwrap().goal().to_vec();
+            if controller.record().sigma_min > 0.01 && !controller.record().locked.contains(&true) {
+                let lead = DVector::from_fn(7, |i, _| goal[i] - q[i]);
+                assert!((controller.task_jacobian() * &lead).amax() < 1e-10);
+                let torque: f64 = (0..7).map(|i| [150.0, 60.0][usize::from(i > 3)] * lead[i].abs()).sum();
+                assert!(torque <= 2.0 + 1e-9, "Σ k_p |null| = {torque}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_damped_inverse_is_bounded() {
+    let mut random = Random::new(4);
+    let model = arm(0);
+    for (round, q) in poses(&model, 200, 4).iter().enumerate() {
+        let jacobian = model.jacobian(q, pliant_core::Reference::WorldAligned).unwrap();
+        let rows = 1 + round % 6;
+        let j = DMatrix::from_fn(rows, 7, |r, i| jacobian[(r, i)]);
+        let lambda = random.scale(1e-4, 1.0);
+        let pinv = damped_pseudo_inverse(&j, lambda).unwrap();
+        assert!(pinv.singular_values().max() <= 0.5 / lambda * (1.0 + 1e-9));
+    }
+}
+
+#[test]
+fn sides_are_named_by_the_push() {
+    let model = arm(0);
+    let q = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+    let tool = model.forward_kinematics(&q).unwrap();
+    for frame in [Frame::Base, Frame::Rotation([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])] {
+        for law in [Law::Cap, Law::Paper] {
+            for (axis, name) in NAMES.iter().enumerate() {
+                for (yields, pushed) in [(Yields::Plus, 1.0), (Yields::Minus, -1.0)] {
+                    let (soft, firm) = ([1.0, 2.0], [3.0, 4.0]);
+                    let mut settings = Settings { law, task: Task { frame, ..Task::default() }, ..open() };
+                    let given = Axis { soft: Some(soft), firm: Some(firm), hold: Some(9.0), yields: Some(yields), ..Axis::default() };
+                    settings.set_axes(name, given).unwrap();
+                    let mut controller = make(0, settings);
+                    for (push, give) in [(pushed, true), (-pushed, false)] {
+                        // Pushed toward +: the tool is beyond its target along +.
+                        let amount = push * if axis < 3 { 0.5 } else { 0.5 };
+                        let target = shifted(&tool, frame, axis, -amount);
+                        let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
+                        let record = controller.record();
+                        assert!((record.deviation[axis] + amount).abs() < 1e-9, "{name}: {:?}", record.deviation);
+                        let strength = if give { firm[usize::from(push > 0.0)] } else { 9.0 };
+                        assert!((record.softness[axis] - f64::from(u8::from(give))).abs() < 1e-15, "{name} {push}");
+                        assert!((record.holding_torque[axis] - strength).abs() < 1e-12, "{name} {push}");
+                        // It pulls back toward the target: against the push.
+                        let rows = controller.task_jacobian();
+                        let gravity = controller.record().gravity;
+                        let kp = [150.0, 150.0, 150.0, 150.0, 60.0, 60.0, 60.0];
+                        let lead = DVector::from_fn(7, |i, _| command.goal()[i] - q[i] - gravity[i] / kp[i]);
+                        let back = (rows * lead)[axis];
+                        assert!(back * push < 0.0, "{law:?} {name} pushed {push}: moves {back}");
+                        if law == Law::Cap && give {
+                            let factor = record.factors[1];
+                            assert!((record.wrench[axis] + push * strength * factor).abs() < 1e-9, "{name}: {:?}", record.wrench);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// `pose` moved along or turned about one axis of a frame.
+fn shifted(pose: &Pose, frame: Frame, axis: usize, amount: f64) -> Pose {
+    let columns = match frame {
+        Frame::Rotation(r) => r,
+        _ => Pose::IDENTITY.rotation,
+    };
+    let direction: [f64; 3] = std::array::from_fn(|i| columns[i][axis % 3] * amount);
+    let mut out = *pose;
+    if axis < 3 {
+        (0..3).for_each(|i| out.position[i] += direction[i]);
+    } else {
+        let turn = pliant_core::task::deviation::rotation_matrix(direction);
+        for i in 0..3 {
+            for j in 0..3 {
+                out.rotation[i][j] = (0..3).map(|k| turn[i][k] * pose.rotation[k][j]).sum();
+            }
+        }
+    }
+    out
+}
+
+/// Rows of a task by the model alone.
+fn task_rows(model: &Model, settings: &Settings, q: &[f64]) -> DMatrix<f64> {
+    let (pose, jacobian) = model.kinematics(q, pliant_core::Reference::WorldAligned).unwrap();
+    let turn = match settings.task.frame {
+        Frame::Base => Pose::IDENTITY.rotation,
+        Frame::Tool => pose.rotation,
+        Frame::Rotation(r) => r,
+    };
+    let axes: Vec<usize> = (0..6).filter(|&axis| settings.task.axes[axis]).collect();
+    DMatrix::from_fn(axes.len(), model.n(), |r, i| {
+        let (axis, block) = (axes[r] % 3, axes[r] / 3 * 3);
+        (0..3).map(|c| turn[c][axis] * jacobian[(block + c, i)]).sum()
+    })
+}
+
+#[test]
+fn cost_gradients_are_derivatives() {
+    let mut random = Random::new(6);
+    for round in 0..60 {
+        let index = round % 3;
+        let model = arm(index);
+        let axes = if index == 2 { ["xyz", "x z pitch"][round % 2] } else { ["all", "xyz", "y yaw", "x z pitch"][round % 4] };
+        let frame = match round % 5 {
+            0 | 1 => Frame::Base,
+            2 | 3 => Frame::Tool,
+            _ => Frame::Rotation(random.rotation()),
+        };
+        let rest = random.joints(&model, 0.5);
+        let (weights, avoidance) = (random.vector(model.n(), 1.0).iter().map(|w| w.abs()).collect::<Vec<_>>(), 0.4);
+        let settings = Settings {
+            task: Task { frame, ..Task::of(axes).unwrap() },
+            posture: Some(rest.clone()),
+            posture_weights: Some(weights.clone()),
+            limit_avoidance: avoidance,
+            manipulability: 0.7,
+            damping: Damping::Fixed(0.1),
+            ..open()
+        };
+        let cost = |q: &[f64]| {
+            let j = task_rows(&model, &settings, q);
+            let mut sum = -0.7 * 0.5 * (&j * j.transpose()).determinant().ln();
+            for i in 0..q.len() {
+                let (low, high) = (model.lower()[i], model.upper()[i]);
+                sum += 0.5 * weights[i] * (q[i] - rest[i]).powi(2);
+                sum += 0.5 * avoidance * ((q[i] - 0.5 * (low + high)) / (0.5 * (high - low))).powi(2);
+            }
+            vec![sum]
+        };
+        let q = random.joints(&model, 0.7);
+        let sigma = task_rows(&model, &settings, &q).singular_values();
+        if sigma.min() < 0.02 * sigma.max() {
+            continue;
+        }
+        let mut controller = make(index, settings.clone());
+        controller.step(&q, &model.forward_kinematics(&q).unwrap(), &StepInput::default()).unwrap();
+        if controller.record().locked.contains(&true) {
+            continue;
+        }
+        let want = common::finite_difference(cost, &q);
+        for i in 0..q.len() {
+            let (got, want) = (controller.record().gradient[i], want[0][i]);
+            assert!((got - want).abs() < 1e-6 * want.abs().max(1.0), "{axes} {frame:?}, joint {i}: {got} {want}");
+        }
+    }
+}
+
+/// A run of settings, readings and targets that exercises all of a controller.
+fn run(controller: &mut Controller, ticks: std::ops::Range<u64>) -> Vec<[u64; 14]> {
+    let model = Arc::clone(controller.model());
+    ticks
+        .map(|tick| {
+            let mut random = Random::new(1000 + tick);
+            let q: Vec<f64> = (0..7).map(|i| -0.3 + 0.2 * (0.05 * tick as f64 + i as f64).sin()).collect();
+            let (dq, gradient) = (random.vector(7, 0.5), random.vector(7, 0.2));
+            let input = StepInput {
+                dt: random.pick(&[None, Some(0.008)]),
+                dq: random.chance(0.3).then_some(&dq),
+                gradient: random.chance(0.3).then_some(&gradient),
+                ..StepInput::default()
+            };
+            let target = random.target(&model, &q, 0.05, 0.1);
+            let command = controller.step(&q, &target, &input).unwrap();
+            let mut bits = [0; 14];
+            for i in 0..7 {
+                bits[i] = command.goal()[i].to_bits();
+                bits[7 + i] = command.torque_limit()[i].to_bits();
+            }
+            bits
+        })
+        .collect()
+}
+
+#[test]
+fn same_inputs_same_bits() {
+    for law in [Law::Cap, Law::Paper] {
+        let settings = Settings { law, integrate: 1.0, delay: 0.01, manipulability: 0.1, ..Settings::soft("y yaw").unwrap() };
+        let mut first = make(0, settings.clone());
+        let all = run(&mut first, 0..300);
+        assert_eq!(all, run(&mut make(0, settings.clone()), 0..300));
+        // A clone in the middle goes on as the original does, and a reset starts anew.
+        let mut original = make(0, settings);
+        assert_eq!(all[..150], run(&mut original, 0..150));
+        let mut clone = original.clone();
+        assert_eq!(all[150..], run(&mut clone, 150..300));
+        assert_eq!(all[150..], run(&mut original, 150..300));
+        let q: Vec<f64> = (0..7).map(|i| -0.3 + 0.2 * f64::from(i).sin()).collect();
+        clone.reset(&q).unwrap();
+        assert_eq!(all, run(&mut clone, 0..300));
+    }
+}

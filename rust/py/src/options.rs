@@ -1,0 +1,84 @@
+//! `Payload`, and the keywords with which a model is read.
+
+use pliant_core::{ModelOptions, Payload as CorePayload, Servos as CoreServos};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::convert::new_array;
+use crate::error::{OrRaise, config, shown, suggestion};
+use crate::read::{number, vector3};
+use crate::servos::Servos;
+
+/// A point mass in the tool frame.
+#[pyclass(name = "Payload", module = "pliant", frozen, eq)]
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Payload(pub(crate) CorePayload);
+
+#[pymethods]
+impl Payload {
+    #[new]
+    #[pyo3(signature = (mass, com = None), text_signature = "(mass, com=(0.0, 0.0, 0.0))")]
+    fn new(mass: &Bound<'_, PyAny>, com: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+        let mass =
+            number(mass).ok_or_else(|| config("payload.mass", format!("must be a number, got {}", shown(mass))))?;
+        let payload = CorePayload { mass, com: com.map_or(Ok([0.0; 3]), |com| vector3("payload.com", com))? };
+        payload.validate().or_raise()?;
+        Ok(Self(payload))
+    }
+
+    #[getter]
+    fn mass(&self) -> f64 {
+        self.0.mass
+    }
+
+    #[getter]
+    fn com<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        new_array(py, &[3], &self.0.com)
+    }
+
+    fn __repr__(&self) -> String {
+        let [x, y, z] = self.0.com;
+        format!("Payload(mass={:?}, com=({x:?}, {y:?}, {z:?}))", self.0.mass)
+    }
+
+    fn __getnewargs__(&self) -> (f64, [f64; 3]) {
+        (self.0.mass, self.0.com)
+    }
+}
+
+/// A `Payload`, or its mass and centre of mass.
+fn payload(value: &Bound<'_, PyAny>) -> PyResult<CorePayload> {
+    if let Ok(payload) = value.cast::<Payload>() {
+        return Ok(payload.get().0);
+    }
+    match value.extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>() {
+        Ok((mass, com)) => Payload::new(&mass, Some(&com)).map(|payload| payload.0),
+        Err(_) => Err(config("payload", format!("must be a Payload or (mass, com), got {}", shown(value)))),
+    }
+}
+
+const KEYWORDS: [&str; 7] = ["base", "tip", "locked", "payload", "gravity", "limits", "servos"];
+
+/// What the keywords of `Model.from_urdf` say; `None` leaves the default.
+pub(crate) fn read(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<(ModelOptions, Option<CoreServos>)> {
+    let (mut options, mut servos) = (ModelOptions::default(), None);
+    for (name, value) in keywords.into_iter().flatten() {
+        let name: String = name.extract()?;
+        let wrong = |expected: &str| config(&name, format!("must be {expected}, got {}", shown(&value)));
+        match name.as_str() {
+            known if value.is_none() && KEYWORDS.contains(&known) => {}
+            "base" => options.base = Some(value.extract().map_err(|_| wrong("the name of a link"))?),
+            "tip" => options.tip = Some(value.extract().map_err(|_| wrong("the name of a link"))?),
+            "locked" => options.locked = value.extract().map_err(|_| wrong("a dict such as {'gripper': 0.3}"))?,
+            "limits" => options.limits = value.extract().map_err(|_| wrong("a dict such as {'elbow': (-1.0, 2.0)}"))?,
+            "payload" => options.payload = Some(payload(&value)?),
+            "gravity" => options.gravity = vector3("gravity", &value)?,
+            "servos" => servos = Some(value.cast::<Servos>().map_err(|_| wrong("Servos"))?.get().0.clone()),
+            _ => {
+                let hint = suggestion(value.py(), &name, &KEYWORDS);
+                return Err(config(&name, format!("no such keyword{hint} Keywords: {}", KEYWORDS.join(", "))));
+            }
+        }
+    }
+    Ok((options, servos))
+}

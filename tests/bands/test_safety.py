@@ -1,0 +1,36 @@
+"""What a hand meets when the host has died, and whether caps are kept in poses at random."""
+
+import numpy as np
+import pytest
+
+from pliant.experiments import host, laws, promise
+
+#: Sign and axis of the hand: largest force [N].
+DEAD = {"+y": 11.0, "-y": 17.0, "-x": 14.0, "-z": 11.0}  # (7.9, 12.4, 9.7, 6.9)
+LEAST_KEPT = 0.92  # (.98)
+
+
+@pytest.mark.parametrize("push", DEAD)
+def test_cap_leaves_little_force_when_the_host_dies(push):
+    seen = host.die(laws.cap(eta=0.0), push)
+    assert seen.force < DEAD[push]
+    assert abs(seen.force - seen.formula) < 2.5  # [N] (1.7)
+
+
+def test_cap_stands_still_when_the_host_dies():
+    assert host.die(laws.cap(eta=0.0), None).moved < 0.001  # [m]
+
+
+def kept(count):
+    cases = list(promise.cases(count))
+    runs = [promise.keep(case, guided=guided) for case in cases for guided in (False, True)]
+    return [run.kept for run in runs]
+
+
+def test_cap_is_kept_in_some_random_poses():
+    assert np.mean(kept(4)) >= LEAST_KEPT
+
+
+@pytest.mark.full
+def test_cap_is_kept_in_random_poses():
+    assert np.mean(kept(55)) >= LEAST_KEPT

@@ -1,0 +1,95 @@
+"""Rates, delays, encoders, and friction believed wrongly."""
+
+import numpy as np
+import pytest
+
+from pliant.experiments import doors, hands, laws, metrics
+from pliant.experiments.conditions import Conditions
+from pliant.sim import LIGHT, ROBUST
+
+ROUGH = {"noise": np.deg2rad(0.05), "read_loss": 0.05, "write_loss": 0.05}
+BUSES = {
+    "20 Hz": Conditions(rate=20.0),
+    "50 Hz, 1+1": Conditions(rate=50.0, delay=(1, 1)),
+    "100 Hz, 2+2": Conditions(delay=(2, 2)),
+    "250 Hz": Conditions(rate=250.0),
+    "100 Hz, 1+1, rough": Conditions(delay=(1, 1), count=np.deg2rad(0.088), plant=ROUGH),
+}
+#: Delayed loops of `cap`: force [N] (7.0, 5.9, 7.8) and drift [m] (.0028, .0024, .0035), 15 N hand.
+DELAYED = {
+    "100 Hz, 1+1": (Conditions(delay=(1, 1)), 9.0, 0.005),
+    "200 Hz, 1+1": (Conditions(rate=200.0, delay=(1, 1)), 8.0, 0.0045),
+    "100 Hz, 2+2": (Conditions(delay=(2, 2)), 10.0, 0.006),
+}
+#: Loops in which friction and damping are believed wrongly.
+LOOPS = {
+    "100 Hz": Conditions(),
+    "100 Hz, 1+1": Conditions(delay=(1, 1)),
+    "200 Hz, 1+1": Conditions(rate=200.0, delay=(1, 1)),
+}
+#: Encoder count [deg]: idle speed [rad/s], force of a slow drag [N], walk in 2 s [m].
+COUNTS = {
+    0.06: (0.006, 4.0, 0.003),  # (.002, 1.9)
+    0.088: (0.01, 4.0, 0.003),  # (.004, 1.8)
+    0.29: (0.09, 5.0, 0.012),  # (.044, 3.3)
+}
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_rec_at_other_rates_and_delays(bus):
+    seen = hands.drag(laws.rec(), ROBUST, conditions=BUSES[bus])
+    assert seen.moved > 0.19  # [m]
+    assert seen.position < 0.010  # [m] (.0029, .0042, .0040, .0016, .0029)
+    assert metrics.speed(seen.trace, 1.0, 2.0) < 0.03  # [rad/s] at rest before
+    assert metrics.speed(seen.trace, 8.0, 9.0) < 0.03  # [rad/s] and after
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_rec_does_not_ring_at_50_hz(axis):
+    conditions = BUSES["50 Hz, 1+1"]
+    assert hands.tapped(laws.rec(), axis, conditions=conditions) < 0.01  # [rad/s]
+
+
+@pytest.mark.parametrize("loop", DELAYED)
+def test_cap_predicts_over_the_delay(loop):
+    conditions, force, drift = DELAYED[loop]
+    seen = hands.drag(laws.cap(), LIGHT, conditions=conditions)
+    assert seen.force < force
+    assert seen.position < drift
+    assert doors.open_door(laws.cap, conditions=conditions).force < 28.0  # [N] (21)
+
+
+@pytest.mark.parametrize("loop", DELAYED)
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_cap_does_not_ring_with_a_delay(loop, axis):
+    assert hands.tapped(laws.cap(), axis, conditions=DELAYED[loop][0]) < 0.01  # [rad/s]
+
+
+@pytest.mark.parametrize("believed", [0.7, 1.3])
+@pytest.mark.parametrize("loop", LOOPS)
+def test_cap_with_friction_known_to_30_percent(loop, believed):
+    conditions = Conditions(rate=LOOPS[loop].rate, delay=LOOPS[loop].delay, believed=believed)
+    seen = hands.drag(laws.cap(), LIGHT, conditions=conditions)
+    assert seen.force < 9.0  # [N] (5.3-7.3)
+    assert seen.position < 0.006  # [m] (.0024-.0040)
+    assert doors.open_door(laws.cap, conditions=conditions).force < 40.0  # [N] (14-31)
+
+
+@pytest.mark.parametrize(
+    ("count", "rate"),
+    [
+        pytest.param(count, rate, marks=() if (count, rate) == (0.29, 100.0) else pytest.mark.full)
+        for count in COUNTS
+        for rate in (100.0, 200.0)
+    ],
+)
+def test_cap_with_a_flickering_encoder(count, rate):
+    idle, force, walk = COUNTS[count]
+    conditions = Conditions(rate=rate, count=np.deg2rad(count), flicker=1)
+    still = hands.idle(laws.cap(), 6.0, conditions=conditions)
+    assert still.speed < idle
+    assert still.walk < walk
+    slow = hands.drag(laws.cap(), hands.SLOW, duration=7.0, conditions=conditions)
+    assert slow.force < force
+    light = hands.drag(laws.cap(), LIGHT, duration=5.5, conditions=conditions)
+    assert light.force < 9.0  # [N]

@@ -1,0 +1,47 @@
+"""Sinusoids of every axis while it is compliant, and a target that leaves the reach."""
+
+import pytest
+
+from pliant.experiments import laws, tracking
+from pliant.experiments.conditions import Conditions
+from pliant.experiments.setups import AXES
+
+#: Rms error over amplitude (.013 .021 .041 .013 .034 .016), other positions [m] (.0044, .0061).
+CAP_SHARE = {"x": 0.025, "y": 0.035, "z": 0.06, "roll": 0.025, "pitch": 0.05, "yaw": 0.03}
+CAP_OTHERS = {"x": 0.007, "y": 0.007, "z": 0.007, "roll": 0.007, "pitch": 0.009, "yaw": 0.009}
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_rec_tracks_a_sinusoid(axis):
+    seen = tracking.track(laws.rec(soft=axis, eta=0.0), axis)
+    assert seen.share < 0.035  # (.017-.020)
+    assert seen.position < 0.005  # [m] (.0018)
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_cap_tracks_a_sinusoid(axis):
+    seen = tracking.track(laws.cap(soft=axis, eta=0.0), axis)
+    assert seen.share < CAP_SHARE[axis]
+    assert seen.position < CAP_OTHERS[axis]
+
+
+def test_limits_only_loses_height_when_the_arm_is_stretched():
+    seen = tracking.track(laws.limits_only(10, soft="x"), "x")
+    assert 0.035 <= seen.sunk <= 0.140  # [m] (.075)
+    assert seen.left < 0.040  # [m]
+
+
+@pytest.mark.parametrize(
+    ("law", "delay"),
+    [
+        (laws.rec_at_edge(alpha=1.0), (0, 0)),
+        (laws.cap_at_edge(alpha=1.0), (0, 0)),
+        (laws.cap_at_edge(alpha=1.0), (1, 1)),
+    ],
+    ids=["rec_at_edge", "cap_at_edge", "cap_at_edge, tick each way"],
+)
+def test_target_out_of_reach(law, delay):
+    seen = tracking.leave_reach(law, conditions=Conditions(delay=delay))
+    assert seen.speed < 0.1  # [rad/s] rms at the limit (.001)
+    assert seen.farthest > 0.66  # [m]
+    assert seen.error < 0.005  # [m] at the end (.0002)
