@@ -1,7 +1,7 @@
 """Bands: what a correct implementation reaches on the simulated arm, one seed, nothing loosened.
 
 Each test names the preset in `pliant.experiments.laws` that reaches its band. Brackets hold what
-was reached when the band was set. Marked `full`: the rest of a matrix, of which a part always runs.
+was reached when the band was set. Marked `full`: the long form of a test that always runs in part.
 """
 
 import pytest

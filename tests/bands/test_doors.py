@@ -20,7 +20,6 @@ CAP = {
     ("base fridge", "turning"): (65.0, 32.0),  # (69.8, 23.2)
 }
 RESISTING = ("door", "fridge", "horizontal", "oven")
-ALWAYS = {("fridge", "rigid"), ("oven", "turning")}
 
 
 def all_stiff(*, soft, alpha):
@@ -73,14 +72,8 @@ def test_cap_without_a_soft_axis_pulls_twice_as_hard():
     assert doors.open_door(cap_stiff).force >= 2.0 * doors.open_door(laws.cap).force
 
 
-@pytest.mark.parametrize(
-    ("scene", "grip"),
-    [
-        pytest.param(scene, grip, marks=() if (scene, grip) in ALWAYS else pytest.mark.full)
-        for scene in RESISTING
-        for grip in ("rigid", "turning")
-    ],
-)
+@pytest.mark.parametrize("grip", ["rigid", "turning"])
+@pytest.mark.parametrize("scene", RESISTING)
 def test_cap_opens_and_closes_by_resistance(scene, grip):
     seen = resistance.open_and_close(laws.cap, scene, grip)
     assert len(seen.ends) == 2

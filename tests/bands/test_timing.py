@@ -75,14 +75,8 @@ def test_cap_with_friction_known_to_30_percent(loop, believed):
     assert doors.open_door(laws.cap, conditions=conditions).force < 40.0  # [N] (14-31)
 
 
-@pytest.mark.parametrize(
-    ("count", "rate"),
-    [
-        pytest.param(count, rate, marks=() if (count, rate) == (0.29, 100.0) else pytest.mark.full)
-        for count in COUNTS
-        for rate in (100.0, 200.0)
-    ],
-)
+@pytest.mark.parametrize("rate", [100.0, 200.0])
+@pytest.mark.parametrize("count", COUNTS)
 def test_cap_with_a_flickering_encoder(count, rate):
     idle, force, walk = COUNTS[count]
     conditions = Conditions(rate=rate, count=np.deg2rad(count), flicker=1)

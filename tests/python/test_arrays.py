@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 import pliant
+
+GOLDEN = Path(__file__).resolve().parents[1] / "data" / "golden"
 
 #: Ways to hand over the same float64 vector or matrix.
 FORMS = {
@@ -54,8 +58,13 @@ def _unaligned(array):
     return out
 
 
-def calls(model, q, target):
-    """Name of the argument, a good value of it, and a call with it that returns an array."""
+def _calls():
+    """Argument, a good value of it, and a call with it that returns an array."""
+    servos = pliant.Servos(kp=[150.0] * 4 + [60.0] * 3, torque=[10.7] * 4 + [6.4] * 3)
+    model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool", servos=servos)
+    q = np.array([0.3, -0.4, 0.2, -1.2, 0.5, 0.6, -0.3])
+    target = model.forward_kinematics(q)
+    target[:3, 3] += [0.02, -0.03, 0.01]
     soft = pliant.Settings.soft("y", kx=1.0)
 
     def fresh():
@@ -76,6 +85,7 @@ def calls(model, q, target):
     projector = pliant.null_space_projector(jacobian)
     activation = pliant.activation(inverse, projector)
     eight = np.arange(1.0, 8.0)
+    hold = [1.0] * 6
     return {
         "kinematics q": ("q", q, lambda v: model.kinematics(v)[1]),
         "forward_kinematics q": ("q", q, model.forward_kinematics),
@@ -109,6 +119,23 @@ def calls(model, q, target):
             eight,
             lambda v: pliant.joint_torque_limits(activation, v),
         ),
+        "compliance deviation": ("deviation", six, lambda v: pliant.compliance(v, 0.01, 0.1)),
+        "compliance d_plus": ("d_plus", six + 1, lambda v: pliant.compliance(six, 0.01, v)),
+        "holding_torque soft": (
+            "soft",
+            six,
+            lambda v: pliant.holding_torque([0.5] * 6, v, hold, hold, True),
+        ),
+        "from_wxyz quaternion": (
+            "quaternion",
+            np.array([0.5, -0.5, 0.5, 0.5]),
+            lambda v: pliant.Pose.from_wxyz([0.0, 0.0, 0.0], v).matrix,
+        ),
+        "from_rpy position": (
+            "position",
+            six[:3],
+            lambda v: pliant.Pose.from_rpy(v, [0.1, 0.2, 0.3]).matrix,
+        ),
         "pose_error actual": ("actual", target, lambda v: pliant.pose_error(v, np.eye(4))),
         "adapt_target target": (
             "target",
@@ -118,31 +145,155 @@ def calls(model, q, target):
     }
 
 
-NAMES = list(calls(*[None] * 3)) if False else [
-    "kinematics q",
-    "forward_kinematics q",
-    "jacobian q",
-    "gravity q",
-    "inverse_kinematics q0",
-    "batch Q",
-    "step q",
-    "step target",
-    "step dq",
-    "step twist",
-    "step gradient",
-    "step_joints q",
-    "step_joints q_target",
-    "reset q",
-    "capture_gravity q",
-    "capture_gravity goal",
-    "damped_pseudo_inverse J",
-    "null_space_projector J",
-    "activation J_pinv",
-    "activation N",
-    "activation gradient",
-    "responsibility dx",
-    "joint_torque_limits A",
-    "joint_torque_limits strength",
-    "pose_error actual",
-    "adapt_target target",
-]
+CALLS = _calls()
+each_argument = pytest.mark.parametrize(("name", "good", "call"), CALLS.values(), ids=CALLS)
+
+
+def same_bits(a, b):
+    return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+
+
+@each_argument
+@pytest.mark.parametrize("form", FORMS)
+def test_other_forms_give_the_same_bits(name, good, call, form):
+    assert same_bits(call(FORMS[form](good)), call(np.ascontiguousarray(good)))
+
+
+@each_argument
+def test_single_precision_and_integers_are_widened(name, good, call):
+    if name in {"target", "actual", "quaternion"}:  # rounded, they are no rotations any more
+        return
+    single = good.astype(np.float32)
+    assert same_bits(call(single), call(single.astype(np.float64)))
+    if name != "d_plus":
+        whole = np.zeros(good.shape, dtype=np.int64)
+        assert same_bits(call(whole), call(whole.astype(np.float64)))
+
+
+@each_argument
+@pytest.mark.parametrize("bad", ["longer", "shorter", "deeper", "empty", "scalar"])
+def test_wrong_shapes_name_argument_shape_and_expectation(name, good, call, bad):
+    if bad == "scalar" and name in {"deviation", "d_plus", "soft"}:
+        return  # one for all
+    if name == "deviation" and bad in {"longer", "shorter", "empty"}:
+        return  # any length will do
+    if name == "J" and bad in {"longer", "shorter"}:
+        return  # so will any size up to six by sixteen
+    axis = 0 if name == "J_pinv" else -1
+    value = {
+        "longer": np.concatenate([good, good], axis=axis),
+        "shorter": np.delete(good, -1, axis=axis),
+        "deeper": good[None],
+        "empty": np.empty((0,)),
+        "scalar": np.float64(0.5),
+    }[bad]
+    with pytest.raises(pliant.ShapeError) as caught:
+        call(value)
+    error = caught.value
+    assert isinstance(error, ValueError)
+    assert error.what is not None
+    assert error.expected
+    assert error.got in str(error)
+    related = {"Q": ("Q",), "J_pinv": ("J_pinv", "N"), "N": ("N",), "A": ("A", "strength")}
+    assert error.what.startswith(related.get(name, (name, "d_minus", "dx")))
+
+
+@each_argument
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_none_are_refused_by_name(name, good, call, bad):
+    value = np.array(good)
+    value[(-1,) * good.ndim if name not in {"target", "actual"} else (0, 3)] = bad
+    with pytest.raises(pliant.LimitError) as caught:
+        call(value)
+    assert caught.value.value is not None
+    assert not np.isfinite(caught.value.value)
+
+
+@each_argument
+@pytest.mark.parametrize(
+    "bad",
+    [
+        "text",
+        None,
+        ["a"] * 7,
+        [1.0, [2.0]],
+        np.ones(7, dtype=complex),
+        [True] * 7,
+        {1: 2},
+        object(),
+    ],
+    ids=["text", "none", "texts", "ragged", "complex", "flags", "dict", "object"],
+)
+def test_what_holds_no_numbers_is_a_type_error_by_name(name, good, call, bad):
+    if bad is None and name in {"dq", "twist", "gradient"}:
+        return  # the default
+    with pytest.raises(TypeError, match=f"^{name} must be an array of numbers"):
+        call(bad)
+
+
+def test_a_joint_is_named():
+    model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool")
+    with pytest.raises(pliant.LimitError, match=r"q\[3\] \(elbow_pitch\) = NaN is outside"):
+        model.gravity([0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.0])
+    with pytest.raises(pliant.LimitError, match=r"Q\[1\]: q\[0\] \(shoulder_pitch\)"):
+        model.gravity_batch(
+            np.diag([0.0, np.inf, 0.0, 0.0, 0.0, 0.0, 0.0])[:, [1, 0, 2, 3, 4, 5, 6]]
+        )
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    arrays.arrays(
+        dtype=st.sampled_from(
+            [np.float64, np.float32, np.int16, np.uint8, np.bool_, np.complex128]
+        ),
+        shape=arrays.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=8),
+    )
+)
+def test_no_array_gets_past_the_checks(array):
+    _, _, call = CALLS["step q"]
+    try:
+        goal = call(array)
+    except (pliant.PliantError, TypeError):
+        return
+    assert array.shape == (7,)
+    assert array.dtype.kind in "fiu"
+    assert np.isfinite(goal).all()
+
+
+def test_batches_of_any_size_agree_with_single_calls():
+    model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool")
+    generator = np.random.default_rng(1)
+    for count in (0, 1, 5):
+        many = generator.uniform(-1.0, 1.0, (count, 7))
+        poses, jacobians = model.kinematics_batch(many, "local")
+        torques = model.gravity_batch(many)
+        assert poses.shape == (count, 4, 4)
+        assert jacobians.shape == (count, 6, 7)
+        assert torques.shape == (count, 7)
+        assert same_bits(poses, model.forward_kinematics_batch(many))
+        assert same_bits(jacobians, model.jacobian_batch(many, reference="local"))
+        for row, pose, jacobian, torque in zip(many, poses, jacobians, torques, strict=True):
+            one = model.kinematics(row, reference="local")
+            assert same_bits(pose, one[0])
+            assert same_bits(jacobian, one[1])
+            assert same_bits(torque, model.gravity(row))
+
+
+def test_kinematics_into_the_callers_arrays():
+    model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool")
+    q = np.linspace(-1.0, -0.1, 7)
+    out = (np.zeros((4, 4)), np.zeros((6, 7)))
+    assert model.kinematics(q, out=out) is out
+    pose, jacobian = model.kinematics(q)
+    assert same_bits(out[0], pose)
+    assert same_bits(out[1], jacobian)
+    with pytest.raises(pliant.ShapeError, match=r"out\[1\] has shape \(6, 6\), expected \(6, 7\)"):
+        model.kinematics(q, out=(out[0], np.zeros((6, 6))))
+    for wrong in (np.zeros((6, 7), dtype=np.float32), np.zeros((7, 6)).T, _readonly(out[1])):
+        with pytest.raises(
+            TypeError, match=r"out\[1\] must be a writable float64 array in C order"
+        ):
+            model.kinematics(q, out=(out[0], wrong))
+    with pytest.raises(TypeError, match="out must be a pair"):
+        model.kinematics(q, out=[out[0], out[1]])

@@ -12,7 +12,8 @@ import pliant
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-#: Module and summary of each command; the module has a function `run` whose arguments are the flags.
+#: Module and summary of each command; the module has a function `run` whose arguments are the
+#: flags.
 COMMANDS = {
     "demo": ("pliant.cli.demo", "run the paper's experiments on the simulator and leave a report"),
 }
@@ -55,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             args=given[1:],
             config=(tyro.conf.FlagCreatePairsOff,),
         )
-    except pliant.PliantError as error:
+    except (pliant.PliantError, OSError) as error:
         return _explain(str(error))
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else EXPLAINED
@@ -77,7 +78,8 @@ def usage() -> str:
             "commands:",
             *lines,
             "",
-            "pliant COMMAND --help explains the flags of a command; pliant --version prints the version.",
+            "pliant COMMAND --help explains the flags of a command; pliant --version prints the "
+            "version.",
         )
     )
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -15,7 +17,7 @@ from rich.table import Table
 from pliant import ConfigError, PliantError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from types import ModuleType
 
     from pliant.experiments.demo import Demonstration, Subject
 
@@ -24,13 +26,14 @@ MOST_JOBS = 16
 
 
 def run(
+    *,
     out: Path = Path("pliant-demo"),
     only: Annotated[str, tyro.conf.arg(metavar="1,3")] = "",
     quick: bool = False,
     robot: Literal["arm7", "so101", "koch"] = "arm7",
-    urdf: Path | None = None,
-    base: str | None = None,
-    tip: str | None = None,
+    urdf: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    base: Annotated[str | None, tyro.conf.arg(metavar="FRAME")] = None,
+    tip: Annotated[str | None, tyro.conf.arg(metavar="FRAME")] = None,
     jobs: int = 2,
 ) -> None:
     """Run the experiments and leave a report.
@@ -54,11 +57,12 @@ def run(
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl")
     os.environ.setdefault("MPLBACKEND", "Agg")
-    experiments = _load()
+    demo = _load()
+    subject = _subject(robot, urdf, base, tip)
+    demo.choose(subject.experiments, wanted)
     console = Console()
     with Bar(console) as bar:
-        subject = _subject(robot, urdf, base, tip)
-        done = experiments(out, subject=subject, only=wanted, quick=quick, jobs=jobs, watcher=bar)
+        done = demo.run(out, subject=subject, only=wanted, quick=quick, jobs=jobs, watcher=bar)
     _close(console, done)
 
 
@@ -74,27 +78,27 @@ def numbers(text: str) -> tuple[int, ...]:
     return tuple(int(part) for part in parts)
 
 
-def _load() -> Callable[..., Demonstration]:
+def _load() -> ModuleType:
     """Import what the extras bring, and say in one line how to get them."""
     try:
-        import matplotlib as matplotlib
-        import mujoco as mujoco
+        for needed in ("mujoco", "matplotlib"):
+            import_module(needed)
     except ImportError as error:
         raise PliantError(
             f"the demo needs {error.name or 'its extras'}: pip install 'pliant[demo]'"
         ) from error
     from pliant.experiments import demo
 
-    return demo.run
+    return demo
 
 
 def _subject(robot: str, urdf: Path | None, base: str | None, tip: str | None) -> Subject:
     from pliant.experiments import demo
-    from pliant.experiments.chapters import anyarm
+    from pliant.experiments.chapters import anyarm, anyarm_subject
 
     if urdf is not None:
-        return anyarm.subject(anyarm.Source(urdf=str(urdf), base=base, tip=tip))
-    return demo.ARM7 if robot == "arm7" else anyarm.subject(anyarm.Source(name=robot))
+        return anyarm_subject.subject(anyarm.Source(urdf=str(urdf), base=base, tip=tip))
+    return demo.ARM7 if robot == "arm7" else anyarm_subject.subject(anyarm.Source(name=robot))
 
 
 class Bar:
@@ -133,23 +137,23 @@ def _close(console: Console, done: Demonstration) -> None:
     """Print what came out, the path of the report last."""
     from pliant.experiments.result import Verdict
 
-    table = Table(show_edge=False, pad_edge=False, title_justify="left")
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title_justify="left")
+    table.title = "The paper's statements beside this run, and our own bands"
     table.add_column("experiment")
-    table.add_column("paper: agrees / differs / does not", justify="right")
-    table.add_column("bands kept", justify="right")
-    table.add_column("numbers")
+    for heading in ("agrees", "differs", "does not", "bands kept"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    facts = Table.grid(padding=(0, 2))
     for chapter in done.chapters:
-        counts = [chapter.count(verdict, "paper") for verdict in Verdict]
+        counts = [str(chapter.count(verdict, "paper") or "–") for verdict in Verdict]
         ours = chapter.statements("study")
         kept = sum(s.verdict is Verdict.AGREES for s in ours)
-        facts = "\n".join(f"{name}: [bold]{value}[/]" for name, value in chapter.headline)
-        table.add_row(
-            f"{chapter.number} {chapter.title}",
-            " / ".join(map(str, counts)) if sum(counts) else "–",
-            f"{kept} of {len(ours)}",
-            facts,
-        )
+        table.add_row(f"{chapter.number} {chapter.title}", *counts, f"{kept} of {len(ours)}")
+        for name, value in chapter.headline:
+            facts.add_row(f"[dim]{chapter.number}[/]", name, f"[bold]{value}[/]")
     console.print(table)
-    console.print(f"\n{len(done.pictures)} figures, every number in {done.results.name}, {done.seconds:.0f} s")
+    console.print(facts)
+    console.print(
+        f"\n{len(done.pictures)} figures, every number in {done.results.name}, {done.seconds:.0f} s"
+    )
     # Not by rich: a path that wraps cannot be clicked.
     print(done.report.resolve())

@@ -41,7 +41,8 @@ class Experiment(Protocol):
         """Draw its figures."""
 
 
-#: Modules cannot be checked against a protocol with two type checkers alike; the tests walk through all of them.
+#: Modules cannot be checked against a protocol with two type checkers alike; the tests walk through
+#: all of them.
 EXPERIMENTS: Mapping[int, Any] = {
     module.NUMBER: module for module in (activation, static, tracking, doors, comparison)
 }
@@ -111,7 +112,8 @@ class Subject:
 ARM7 = Subject(
     "arm7",
     EXPERIMENTS,
-    "The experiments of “Compliant Task-Space Control with Back-Drivable Servo Actuators” (Stückler and Behnke, RoboCup 2011) "
+    "The experiments of “Compliant Task-Space Control with Back-Drivable Servo Actuators” "
+    "(Stückler and Behnke, RoboCup 2011) "
     "on a simulated arm of seven torque-limited position servos that is built like Cosero's.",
 )
 
@@ -216,7 +218,13 @@ def _write_results(
                         "verdict": s.verdict.value,
                         "outcome": s.outcome,
                         "tests": [
-                            {"name": t.name, "value": t.value, "low": t.low, "high": t.high, "unit": t.unit}
+                            {
+                                "name": t.name,
+                                "value": t.value,
+                                "low": t.low,
+                                "high": t.high,
+                                "unit": t.unit,
+                            }
                             for t in s.tests
                         ],
                     }
@@ -227,7 +235,10 @@ def _write_results(
         },
     }
     path = out / "results.json"
-    path.write_text(json.dumps(_plain(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+    path.write_text(
+        json.dumps(_plain(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n",
+        encoding="utf-8",
+    )
     return path
 
 
@@ -240,5 +251,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-

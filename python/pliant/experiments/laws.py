@@ -10,6 +10,8 @@ All of them run without tool speed limit and stiffening rate, which would blur t
 | `task` | `rec` with each axis' budget acting on the goal as well |
 | `rows_free` | `rec` with soft rows outside the inverse kinematics |
 | `cap` | the default law |
+| `cap_tracking` | `cap` whose soft rotations have a little more torque for tracking |
+| `cap_rounded` | `cap` with the damping constants of `arm7` in round numbers |
 | `all_stiff` | `rec` without a soft axis, limits at the servo maximum |
 """
 
@@ -32,6 +34,10 @@ NONE = float("inf")
 UNBLURRED: Mapping[str, Any] = {"max_tool_speed": (NONE, NONE), "stiffening_time": 0.0}
 #: Damping of the J⁺ forms: λ₀, σ₀, λ_max.
 JACOBIAN_DAMPING = (0.02, 0.15, 0.2)
+#: Damping of `cap` on `arm7` in round numbers.
+CAP_DAMPING = (0.02, 0.15, 0.15)
+#: Force of a soft rotation at small deviations that still tracks [N·m].
+TRACKING_TORQUE = 0.84
 #: Steps of stiff and soft axes: [m/s], [rad/s].
 STIFF_STEPS: Steps = (0.4, 2.0)
 SOFT_STEPS: Steps = (0.05, 0.25)
@@ -139,6 +145,20 @@ def cap(
     yielding = Axis(**{"yields": "both", "eta": eta, **(axis or {})})
     axes = {soft: yielding} if soft else {}
     return Settings(**{"axes": axes, **UNBLURRED, **more})
+
+
+def cap_tracking(*, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
+    """`cap` for a soft axis that is to follow its target though friction is known to 30 % only.
+
+    What is left of the joints' friction must not use up the force that a soft rotation has.
+    """
+    axis = {"soft": TRACKING_TORQUE} if soft in AXES[3:] else None
+    return cap(soft=soft, eta=eta, axis=axis, **more)
+
+
+def cap_rounded(*, soft: str = "y", eta: float = 0.999, **more: Any) -> Settings:
+    """`cap` with the damping constants of `arm7` in round numbers, σ₀ 0.15 instead of 0.1465."""
+    return cap(soft=soft, eta=eta, damping=CAP_DAMPING, **more)
 
 
 def cap_at_edge(**more: Any) -> Settings:

@@ -32,9 +32,11 @@ FORCES, TORQUES = (5.0, 10.0, 20.0), (0.5, 1.0)
 WAY, MORE = 1.25, (0.005, 0.03)
 #: When the hand holds still and its force is taken [s].
 SETTLED, END = 2.5, 3.0
-#: Poses whose smallest singular value lies below this share of the median are left out, and poses
-#: with a joint nearer to its stop than this [rad]: there the stop pushes, not the law.
-LEAST_SIGMA, MARGIN = 0.65, 0.15
+#: Poses whose smallest singular value lies below this share of the median are left out.
+LEAST_SIGMA = 0.65
+#: Distance of every joint from its stops from which on a pose is called clear [rad]: nearer, it may
+#: be the stop that pushes back, not the law.
+CLEAR = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +47,12 @@ class Case:
     axis: str
     sign: float
     cap: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether every joint is clear of its stops."""
+        room = np.minimum(self.q - arm().lower, np.asarray(arm().upper) - self.q)
+        return bool(room.min() >= CLEAR)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,10 +88,10 @@ def _compliance(q: Array, axis: int) -> float:
 
 
 @cache
-def poses(count: int, seed: int = 0) -> tuple[Array, ...]:
-    """Random poses (7,) [rad], well away from singular ones and from the joints' stops."""
+def poses(count: int, margin: float = 0.0, seed: int = 0) -> tuple[Array, ...]:
+    """Random poses (7,) [rad], away from singular ones, and from the joints' stops by a margin."""
     model, rng = arm(), np.random.default_rng(seed)
-    low, high = np.asarray(model.lower) + MARGIN, np.asarray(model.upper) - MARGIN
+    low, high = np.asarray(model.lower) + margin, np.asarray(model.upper) - margin
     sample = rng.uniform(low, high, (512, model.n))
     sigmas = np.array([_sigma(q) for q in sample])
     good = sample[sigmas > LEAST_SIGMA * np.median(sigmas)]
@@ -99,10 +107,19 @@ def capacity(q: Array, axis: int, sign: float) -> float:
     return float((room[felt] / np.abs(lever[felt])).min())
 
 
-def cases(count: int, seed: int = 0) -> Iterator[Case]:
-    """Promises for `count` poses: every axis and sign, a cap at random that the servos can hold."""
+def cases(count: int, margin: float = 0.0, seed: int = 0) -> Iterator[Case]:
+    """Promises for `count` poses: every axis and sign, a cap at random that the servos can hold.
+
+    Args:
+        count: How many poses.
+        margin: Distance of every joint from its stops [rad].
+        seed: Of all chance.
+
+    Yields:
+        One case for each axis and sign.
+    """
     rng = np.random.default_rng(seed + 1)
-    for q in poses(count, seed):
+    for q in poses(count, margin, seed):
         for index, axis in enumerate(AXES):
             for sign in (1.0, -1.0):
                 cap = float(rng.choice(FORCES if index < 3 else TORQUES))

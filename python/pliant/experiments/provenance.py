@@ -42,7 +42,7 @@ def collect() -> Facts:
 
 
 def commit(folder: Path) -> str | None:
-    """Short hash of the commit that holds this package, with `+` for uncommitted changes; None if there is none."""
+    """Short hash of this package's commit, with `+` for uncommitted changes; None if none."""
     top = _git(folder, "rev-parse", "--show-toplevel")
     # An installed copy may lie inside somebody else's repository: only our own source tree counts.
     if top is None or not (Path(top) / "python" / "pliant").is_dir():
@@ -57,7 +57,11 @@ def _git(folder: Path, *args: str) -> str | None:
     """Output of a git command, None where there is no git or no repository."""
     try:
         done = subprocess.run(
-            ["git", "-C", str(folder), *args], capture_output=True, text=True, timeout=10, check=False
+            ["git", "-C", str(folder), *args],
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
         )
     except (OSError, subprocess.TimeoutExpired):
         return None

@@ -9,7 +9,7 @@ from importlib.resources import files
 from string import Template
 from typing import TYPE_CHECKING
 
-from pliant.experiments.result import Chapter, Figure, Statement, Table, Test, Verdict
+from pliant.experiments.result import Chapter, Check, Figure, Statement, Table, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,11 +57,13 @@ def write(
     Returns:
         The path.
     """
-    template = Template(files(__name__.rpartition(".")[0]).joinpath("report.html").read_text(encoding="utf-8"))
+    template = Template(
+        files(__name__.rpartition(".")[0]).joinpath("report.html").read_text(encoding="utf-8")
+    )
     page = template.substitute(
         title=escape(f"pliant: {subject.name}"),
         about=escape(subject.about),
-        notes="".join(f'<p class="note">{escape(note)}</p>' for note in _notes(subject, quick)),
+        notes="".join(f'<p class="note">{_text(note)}</p>' for note in _notes(subject, quick)),
         summary=_summary(chapters),
         contents="".join(
             f'<li><a href="#c{c.number}">{c.number}. {escape(c.title)}</a></li>' for c in chapters
@@ -73,43 +75,58 @@ def write(
     return path
 
 
+def _text(text: str) -> str:
+    """Escaped, with a proper minus before numbers."""
+    return re.sub(r"(?<![\w−])-(?=\d)", "−", escape(text))
+
+
 def _notes(subject: Subject, quick: bool) -> list[str]:
-    quickly = ["A quick run: most runs were left out, so most statements rest on one direction only."]
+    quickly = [
+        "A quick run: most runs were left out, so most statements rest on one direction only."
+    ]
     return [*subject.notes, *(quickly if quick else [])]
 
 
 def _footer(facts: Facts, seconds: float) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in facts.versions.items())
     source = f"commit {facts.commit}" if facts.commit else "installed package"
-    return f"{versions}. {source}. {facts.machine}. Every run is deterministic; this one took {seconds:.0f} s."
+    return (
+        f"{versions}. {source}. {facts.machine}. Every run is deterministic; this one took "
+        f"{seconds:.0f} s."
+    )
 
 
 def _summary(chapters: Sequence[Chapter]) -> str:
     """How many statements fared how, per experiment, and the numbers to remember."""
     rows = []
     for chapter in chapters:
-        counts = "".join(
-            f'<td class="n">{chapter.count(v, "paper") or "–"}</td>' for v in Verdict
-        )
+        counts = "".join(f'<td class="n">{chapter.count(v, "paper") or "–"}</td>' for v in Verdict)
         ours = chapter.statements("study")
         kept = sum(s.verdict is Verdict.AGREES for s in ours)
-        facts = "<br>".join(f"{escape(name)}: <b>{escape(value)}</b>" for name, value in chapter.headline)
+        facts = "<br>".join(
+            f"{escape(name)}: <b>{_text(value)}</b>" for name, value in chapter.headline
+        )
         rows.append(
-            f'<tr><td><a href="#c{chapter.number}">{chapter.number}. {escape(chapter.title)}</a></td>{counts}'
+            f'<tr><td><a href="#c{chapter.number}">{chapter.number}. {escape(chapter.title)}</a>'
+            f"</td>{counts}"
             f'<td class="n">{kept} of {len(ours)}</td><td class="facts">{facts}</td></tr>'
         )
     return (
-        '<table class="summary"><thead><tr><th rowspan="2">experiment</th><th colspan="3">the paper’s statements</th>'
-        '<th rowspan="2" class="n">our bands<br>kept</th><th rowspan="2">numbers of this run</th></tr>'
-        '<tr><th class="n">agrees</th><th class="n">differs</th><th class="n">does not</th></tr></thead>'
+        '<table class="summary"><thead><tr><th rowspan="2">experiment</th>'
+        '<th colspan="3">the paper’s statements</th>'
+        '<th rowspan="2" class="n">our bands<br>kept</th>'
+        '<th rowspan="2">numbers of this run</th></tr>'
+        '<tr><th class="n">agrees</th><th class="n">differs</th><th class="n">does not</th></tr>'
+        "</thead>"
         f"<tbody>{''.join(rows)}</tbody></table>"
     )
 
 
 def _chapter(chapter: Chapter, figures: Path) -> str:
     return (
-        f'<section class="chapter" id="c{chapter.number}"><h2><span>{chapter.number}</span>{escape(chapter.title)}</h2>'
-        f'<p class="lead">{escape(chapter.lead)}</p>'
+        f'<section class="chapter" id="c{chapter.number}">'
+        f"<h2><span>{chapter.number}</span>{escape(chapter.title)}</h2>"
+        f'<p class="lead">{_text(chapter.lead)}</p>'
         + "".join(_figure(figure, figures) for figure in chapter.figures)
         + "".join(_table(table) for table in chapter.tables)
         + "</section>"
@@ -117,12 +134,12 @@ def _chapter(chapter: Chapter, figures: Path) -> str:
 
 
 def _figure(figure: Figure, folder: Path) -> str:
-    parts = [f"<h3>{escape(figure.title)}</h3>"]
-    parts.append(f'<p><b class="head">What was done.</b> {escape(figure.done)}</p>')
+    parts = [f"<h3>{_text(figure.title)}</h3>"]
+    parts.append(f'<p><b class="head">What was done.</b> {_text(figure.done)}</p>')
     if figure.paper:
-        parts.append(f'<p><b class="head">What the paper says.</b> {escape(figure.paper)}</p>')
+        parts.append(f'<p><b class="head">What the paper says.</b> {_text(figure.paper)}</p>')
     picture = _picture(folder, figure.file, figure.title)
-    parts.append(f"<figure>{picture}<figcaption>{escape(figure.caption)}</figcaption></figure>")
+    parts.append(f"<figure>{picture}<figcaption>{_text(figure.caption)}</figcaption></figure>")
     if figure.statements:
         parts.append('<p><b class="head">What came out.</b></p>')
         parts.append(_statements(figure.statements))
@@ -132,21 +149,23 @@ def _figure(figure: Figure, folder: Path) -> str:
 def _statements(statements: Sequence[Statement]) -> str:
     rows = []
     for s in statements:
-        because = f" {escape(s.because)}" if s.verdict is Verdict.DIFFERS else ""
+        because = f" {_text(s.because)}" if s.verdict is Verdict.DIFFERS else ""
         source = "" if s.source == "paper" else '<span class="source">our band</span> '
         checks = "; ".join(_test(test) for test in s.tests)
         rows.append(
-            f'<tr class="{CHIPS[s.verdict]}"><td>{source}{escape(s.claim)}</td>'
-            f'<td>{escape(s.outcome)}</td>'
-            f'<td><span class="chip" title="{escape(checks)}">{s.verdict.value}</span>{because}</td></tr>'
+            f'<tr class="{CHIPS[s.verdict]}"><td>{source}{_text(s.claim)}</td>'
+            f"<td>{_text(s.outcome)}</td>"
+            f'<td><span class="chip" title="{escape(checks)}">{s.verdict.value}</span>'
+            f"{because}</td></tr>"
         )
     return (
-        '<table class="statements"><thead><tr><th>statement</th><th>this run</th><th>verdict</th></tr></thead>'
+        '<table class="statements"><thead><tr><th>statement</th><th>this run</th>'
+        "<th>verdict</th></tr></thead>"
         f"<tbody>{''.join(rows)}</tbody></table>"
     )
 
 
-def _test(test: Test) -> str:
+def _test(test: Check) -> str:
     low = f"{test.low:g} ≤ " if test.low > float("-inf") else ""
     high = f" ≤ {test.high:g}" if test.high < float("inf") else ""
     return f"{test.name}: {low}{test.value:.4g}{high} {test.unit}".strip()
@@ -154,17 +173,19 @@ def _test(test: Test) -> str:
 
 def _table(table: Table) -> str:
     numeric = [
-        all(re.match(r"^[−\-–±]?\d|^stays$|^missed$|^–$", row[k]) for row in table.rows)
+        all(re.match(r"^[−\-–±]?\d|^stays$|^not back$|^missed$|^–$", row[k]) for row in table.rows)
         for k in range(len(table.columns))
     ]
+
     def cells(tag: str, row: Sequence[str]) -> str:
         return "".join(
-            f'<{tag}{" class=n" if numeric[k] else ""}>{escape(text)}</{tag}>' for k, text in enumerate(row)
+            f"<{tag}{' class=n' if numeric[k] else ''}>{_text(text)}</{tag}>"
+            for k, text in enumerate(row)
         )
 
     body = "".join(f"<tr>{cells('td', row)}</tr>" for row in table.rows)
     return (
-        f'<div class="wide"><table class="numbers"><caption>{escape(table.caption)}</caption>'
+        f'<div class="wide"><table class="numbers"><caption>{_text(table.caption)}</caption>'
         f"<thead><tr>{cells('th', table.columns)}</tr></thead><tbody>{body}</tbody></table></div>"
     )
 
@@ -179,7 +200,7 @@ def _picture(folder: Path, name: str, title: str) -> str:
 
 
 def _themed(svg: str, name: str, title: str) -> str:
-    """Make an SVG file part of the page: no prologue, identifiers of its own, colours of the theme."""
+    """Make an SVG file part of the page: identifiers of its own, colours of the theme."""
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", body)

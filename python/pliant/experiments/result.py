@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Literal
 
-#: Numbers, texts, lists of them and further maps by name, so that `results.json` can be read by people.
+#: Numbers, texts, lists of them and further maps by name, so that `results.json` can be read by
+#: people.
 Numbers = Mapping[str, Any]
 
-#: Who said what is judged: the paper, or the study made before the package, whose bands are our tests.
+#: Who said what is judged: the paper, or the study made before the package, whose bands are our
+#: tests.
 Source = Literal["paper", "study"]
 
 
@@ -24,7 +26,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Test:
+class Check:
     """One number and the interval in which a statement holds.
 
     Attributes:
@@ -60,7 +62,7 @@ class Statement:
 
     claim: str
     outcome: str
-    tests: tuple[Test, ...]
+    tests: tuple[Check, ...]
     source: Source = "paper"
     because: str = ""
 
@@ -132,25 +134,33 @@ class Chapter:
         return sum(s.verdict is verdict for s in self.statements(source))
 
 
-def near(name: str, value: float, reference: float, *, rel: float = 0.0, plus: float = 0.0, unit: str = "") -> Test:
+def near(
+    name: str,
+    value: float,
+    reference: float,
+    *,
+    rel: float = 0.0,
+    plus: float = 0.0,
+    unit: str = "",
+) -> Check:
     """A test that a number lies within ``rel |reference| + plus`` of a reference."""
     width = rel * abs(reference) + plus
-    return Test(name=name, value=value, low=reference - width, high=reference + width, unit=unit)
+    return Check(name=name, value=value, low=reference - width, high=reference + width, unit=unit)
 
 
-def at_most(name: str, value: float, bound: float, unit: str = "") -> Test:
+def at_most(name: str, value: float, bound: float, unit: str = "") -> Check:
     """A test that a number is not above a bound."""
-    return Test(name=name, value=value, high=bound, unit=unit)
+    return Check(name=name, value=value, high=bound, unit=unit)
 
 
-def at_least(name: str, value: float, bound: float, unit: str = "") -> Test:
+def at_least(name: str, value: float, bound: float, unit: str = "") -> Check:
     """A test that a number is not below a bound."""
-    return Test(name=name, value=value, low=bound, unit=unit)
+    return Check(name=name, value=value, low=bound, unit=unit)
 
 
-def between(name: str, value: float, low: float, high: float, unit: str = "") -> Test:
+def between(name: str, value: float, low: float, high: float, unit: str = "") -> Check:
     """A test that a number lies within two bounds."""
-    return Test(name=name, value=value, low=low, high=high, unit=unit)
+    return Check(name=name, value=value, low=low, high=high, unit=unit)
 
 
 def mm(length: float) -> str:

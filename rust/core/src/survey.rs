@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::kinematics::{Frames, Masses};
+use crate::law::svd::singular_values;
 use crate::model::Model;
 use crate::task::axes::Frame;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
@@ -44,7 +45,7 @@ pub(crate) fn median_sigma(model: &Model, axes: &[usize], frame: &Frame, length:
             model.chain().jacobian(&frames, &mut world);
             let rows = crate::task::rows(&world, &crate::task::base_from_task(frame, &frames.tool), axes);
             let matrix = DMatrix::from_fn(axes.len(), n, |r, i| if axes[r] < 3 { rows[r][i] / length } else { rows[r][i] });
-            matrix.singular_values().min()
+            singular_values(&matrix).min()
         })
         .collect();
     median(&mut values)

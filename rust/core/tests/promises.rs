@@ -1,4 +1,5 @@
 //! Defaults that come from the arm, what is refused, and the estimate of the smallest singular value.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
@@ -68,7 +69,9 @@ fn arm7_has_its_printed_defaults() {
     let controller = controller(Settings::default()).unwrap();
     for (axis, (soft, firm, hold)) in controller.strengths().into_iter().enumerate() {
         let expected = if axis < 3 { [4.0, 15.0, 40.0] } else { [0.8, 1.5, 4.0] };
-        for (value, expected) in [(soft[0], expected[0]), (soft[1], expected[0]), (firm[0], expected[1]), (hold, expected[2])] {
+        for (value, expected) in
+            [(soft[0], expected[0]), (soft[1], expected[0]), (firm[0], expected[1]), (hold, expected[2])]
+        {
             assert!((value - expected).abs() < 1e-12, "axis {axis}: {soft:?} {firm:?} {hold}");
         }
     }
@@ -208,7 +211,8 @@ fn a_law_of_forces_needs_k_p() {
     let (model, _) = arm(0);
     let message = Controller::new(Arc::clone(&model), Settings::default(), None).unwrap_err().to_string();
     assert!(message.contains("shoulder_pitch") && message.contains("Servos("), "{message}");
-    let mut paper = Settings { law: Law::Paper, gravity: pliant_core::settings::GravityUse::Off, ..Settings::default() };
+    let mut paper =
+        Settings { law: Law::Paper, gravity: pliant_core::settings::GravityUse::Off, ..Settings::default() };
     paper.set_axes("y", Axis { yields: Some(Yields::Both), ..Axis::default() }).unwrap();
     Controller::new(model, paper, None).unwrap();
 }

@@ -1,4 +1,5 @@
 //! What must hold for any pose and target: activation, projector, inverse, signs, gradients, determinism.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
@@ -54,10 +55,12 @@ fn poses(model: &Model, count: usize, seed: u64) -> Vec<Vec<f64>> {
 #[test]
 fn activation_is_a_distribution() {
     for axes in ["all", "xyz", "y yaw"] {
-        let mut controller = make(0, Settings { task: Task::of(axes).unwrap(), ..paper() });
+        let mut controller =
+            make(0, Settings { task: Task::of(axes).unwrap(), posture: Some(vec![0.1; 7]), ..paper() });
         let model = arm(0);
         for q in poses(&model, 200, 1) {
             let target = Random::new(9).target(&model, &q, 0.1, 0.5);
+            controller.reset(&q).unwrap();
             let limit = controller.step(&q, &target, &StepInput::default()).unwrap().torque_limit().to_vec();
             let a = controller.activation();
             assert!(a.iter().all(|&share| share >= 0.0));
@@ -73,9 +76,14 @@ fn activation_is_a_distribution() {
             }
             // The size of Δx cancels.
             let other = Random::new(10).target(&model, &q, 0.01, 0.02);
+            controller.reset(&q).unwrap();
+            let locked = controller.record().locked;
             controller.step(&q, &other, &StepInput::default()).unwrap();
+            if locked != controller.record().locked {
+                continue;
+            }
             let difference = (controller.activation() - a).amax();
-            assert!(difference < 1e-7, "{axes}: {difference}");
+            assert!(difference < 1e-10, "{axes}: {difference}");
         }
     }
 }
@@ -156,7 +164,13 @@ fn sides_are_named_by_the_push() {
                 for (yields, pushed) in [(Yields::Plus, 1.0), (Yields::Minus, -1.0)] {
                     let (soft, firm) = ([1.0, 2.0], [3.0, 4.0]);
                     let mut settings = Settings { law, task: Task { frame, ..Task::default() }, ..open() };
-                    let given = Axis { soft: Some(soft), firm: Some(firm), hold: Some(9.0), yields: Some(yields), ..Axis::default() };
+                    let given = Axis {
+                        soft: Some(soft),
+                        firm: Some(firm),
+                        hold: Some(9.0),
+                        yields: Some(yields),
+                        ..Axis::default()
+                    };
                     settings.set_axes(name, given).unwrap();
                     let mut controller = make(0, settings);
                     for (push, give) in [(pushed, true), (-pushed, false)] {
@@ -178,7 +192,11 @@ fn sides_are_named_by_the_push() {
                         assert!(back * push < 0.0, "{law:?} {name} pushed {push}: moves {back}");
                         if law == Law::Cap && give {
                             let factor = record.factors[1];
-                            assert!((record.wrench[axis] + push * strength * factor).abs() < 1e-9, "{name}: {:?}", record.wrench);
+                            assert!(
+                                (record.wrench[axis] + push * strength * factor).abs() < 1e-9,
+                                "{name}: {:?}",
+                                record.wrench
+                            );
                         }
                     }
                 }
@@ -229,7 +247,8 @@ fn cost_gradients_are_derivatives() {
     for round in 0..60 {
         let index = round % 3;
         let model = arm(index);
-        let axes = if index == 2 { ["xyz", "x z pitch"][round % 2] } else { ["all", "xyz", "y yaw", "x z pitch"][round % 4] };
+        let axes =
+            if index == 2 { ["xyz", "x z pitch"][round % 2] } else { ["all", "xyz", "y yaw", "x z pitch"][round % 4] };
         let frame = match round % 5 {
             0 | 1 => Frame::Base,
             2 | 3 => Frame::Tool,
@@ -303,7 +322,8 @@ fn run(controller: &mut Controller, ticks: std::ops::Range<u64>) -> Vec<[u64; 14
 #[test]
 fn same_inputs_same_bits() {
     for law in [Law::Cap, Law::Paper] {
-        let settings = Settings { law, integrate: 1.0, delay: 0.01, manipulability: 0.1, ..Settings::soft("y yaw").unwrap() };
+        let settings =
+            Settings { law, integrate: 1.0, delay: 0.01, manipulability: 0.1, ..Settings::soft("y yaw").unwrap() };
         let mut first = make(0, settings.clone());
         let all = run(&mut first, 0..300);
         assert_eq!(all, run(&mut make(0, settings.clone()), 0..300));

@@ -1,4 +1,5 @@
 //! What changes while the controller runs: settings, payload, gravity, delay, the captured offset, the integrating goal.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
@@ -55,7 +56,12 @@ fn the_slew_starts_at_reset_and_the_first_limit_is_not_slewed() {
         pose.position[2] += 0.1;
         pose
     };
-    let mut open = Controller::new(arm(), Settings { max_tool_speed: [f64::INFINITY; 2], ..Settings::default() }, Some(seeded::servos(0))).unwrap();
+    let mut open = Controller::new(
+        arm(),
+        Settings { max_tool_speed: [f64::INFINITY; 2], ..Settings::default() },
+        Some(seeded::servos(0)),
+    )
+    .unwrap();
     open.step(&Q, &target, &StepInput::default()).unwrap();
     let mut before = limit.clone();
     let mut rose = false;
@@ -85,7 +91,11 @@ fn new_settings_move_no_goal_beyond_the_slew() {
     for round in 0..400 {
         if round % 7 == 0 {
             let task = Task {
-                axes: random.pick(&[[true; 6], [true, true, true, false, false, false], [false, true, true, false, true, false]]),
+                axes: random.pick(&[
+                    [true; 6],
+                    [true, true, true, false, false, false],
+                    [false, true, true, false, true, false],
+                ]),
                 frame: random.pick(&[Frame::Base, Frame::Tool]),
                 length: None,
             };
@@ -184,7 +194,14 @@ fn settle(model: &Model, kp: &[f64; 7], goal: &[f64]) -> Vec<f64> {
 const BELIEVED: [f64; 7] = [150.0, 150.0, 150.0, 150.0, 60.0, 60.0, 60.0];
 
 /// Runs `ticks` steps, the arm at rest after each.
-fn hold(model: &Model, controller: &mut Controller, kp: &[f64; 7], target: &Pose, q: &mut Vec<f64>, ticks: usize) -> Vec<f64> {
+fn hold(
+    model: &Model,
+    controller: &mut Controller,
+    kp: &[f64; 7],
+    target: &Pose,
+    q: &mut Vec<f64>,
+    ticks: usize,
+) -> Vec<f64> {
     let mut goal = q.clone();
     for _ in 0..ticks {
         goal = controller.step(q, target, &StepInput::default()).unwrap().goal().to_vec();
@@ -214,7 +231,8 @@ fn the_integrating_goal_removes_the_steady_error() {
 
 #[test]
 fn nothing_is_stored_on_soft_axes() {
-    let (_, mut controller, mut target) = make(Settings { integrate: 2.0, max_tool_speed: [f64::INFINITY; 2], ..soft_y(0.0) });
+    let (_, mut controller, mut target) =
+        make(Settings { integrate: 2.0, max_tool_speed: [f64::INFINITY; 2], ..soft_y(0.0) });
     target.position[1] += 0.05;
     target.position[2] += 0.003;
     let mut goal = Vec::new();
@@ -224,7 +242,8 @@ fn nothing_is_stored_on_soft_axes() {
     // What the goal holds beyond gravity, as a wrench at the tool: W of the law and the stored part.
     let (rows, record) = (controller.task_jacobian(), *controller.record());
     let lead = nalgebra::DVector::from_fn(7, |i, _| goal[i] - Q[i] - record.gravity[i] / BELIEVED[i]);
-    let compliance = nalgebra::DMatrix::from_fn(6, 6, |r, c| (0..7).map(|i| rows[(r, i)] * rows[(c, i)] / BELIEVED[i]).sum());
+    let compliance =
+        nalgebra::DMatrix::from_fn(6, 6, |r, c| (0..7).map(|i| rows[(r, i)] * rows[(c, i)] / BELIEVED[i]).sum());
     let wrench = compliance.lu().solve(&(&rows * lead)).unwrap();
     assert!((wrench[1] - record.wrench[1]).abs() < 0.02 * record.wrench[1].abs(), "{wrench} {:?}", record.wrench);
     assert!(wrench[2] > 2.0 * record.wrench[2], "z is stiff and has stored: {wrench} {:?}", record.wrench);

@@ -96,12 +96,13 @@ pub(crate) fn write(array: &Bound<'_, PyAny>, shape: &[usize], values: &[f64]) -
 /// Seen by others means: another reference (a view and a memoryview hold one), a weak reference, memory of someone else.
 #[inline]
 pub(crate) fn overwrite(array: &Bound<'_, PyAny>, values: &[f64]) -> bool {
-    if references(array) != 1 {
+    let Some(fields) = structure(array, &[values.len()], WRITABLE | NPY_ARRAY_OWNDATA) else { return false };
+    if references(array) != 1 || !fields.weakreflist.is_null() {
         return false;
     }
-    let owned = WRITABLE | NPY_ARRAY_OWNDATA;
-    structure(array, &[values.len()], owned).is_some_and(|fields| fields.weakreflist.is_null())
-        && write(array, &[values.len()], values)
+    // SAFETY: as in `write`.
+    unsafe { std::ptr::copy_nonoverlapping(values.as_ptr(), fields.data.cast::<f64>(), values.len()) };
+    true
 }
 
 /// How many references an object has. With the interpreter lock held, 1 means that only the asking one is left.

@@ -126,5 +126,7 @@ pub(crate) fn matrix<'py>(py: Python<'py>, pose: &CorePose) -> Bound<'py, PyAny>
 #[pyfunction]
 #[pyo3(signature = (pose, /))]
 pub(crate) fn as_pose(pose: &Bound<'_, PyAny>) -> PyResult<Pose> {
-    crate::read::pose("pose", pose, true).map(Pose)
+    let pose = crate::read::pose("pose", pose, true)?;
+    pose.validate().or_raise()?;
+    Ok(Pose(pose))
 }

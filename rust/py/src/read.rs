@@ -104,6 +104,8 @@ pub(crate) fn vector(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>>
 }
 
 /// A pose: 4×4 array, `Pose`, any object with a 4×4 accessor, or, where `position_only`, a position (3,).
+///
+/// Whether its rotation is one, the core checks.
 #[inline]
 pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
     let mut m = [0.0; 16];
@@ -147,7 +149,13 @@ fn from_array(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyRe
 #[inline]
 fn from_numbers(m: &[f64; 16]) -> PyResult<CorePose> {
     let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
-    CorePose::from_rows(&[row(0), row(1), row(2), row(3)]).or_raise()
+    if m[12..].iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(value, wanted): (&f64, f64)| value.to_bits() != wanted.to_bits())
+    {
+        // Another last row, or zeros with a sign: the core decides.
+        return CorePose::from_rows(&[row(0), row(1), row(2), row(3)]).or_raise();
+    }
+    let rotation = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2]];
+    Ok(CorePose { rotation: [rotation(0), rotation(1), rotation(2)], position: [m[3], m[7], m[11]] })
 }
 
 /// A number; booleans are none.

@@ -23,10 +23,19 @@ if TYPE_CHECKING:
 
 NUMBER = 1
 TITLE = "Which joint does what"
-JOINTS = ("shoulder pitch", "shoulder roll", "shoulder yaw", "elbow pitch", "wrist yaw", "wrist pitch", "wrist roll")
+JOINTS = (
+    "shoulder pitch",
+    "shoulder roll",
+    "shoulder yaw",
+    "elbow pitch",
+    "wrist yaw",
+    "wrist pitch",
+    "wrist roll",
+)
 POSES: Mapping[str, Array] = {"vertical": VERTICAL, "horizontal": HORIZONTAL}
 COLUMNS = (*AXES, "null")
-#: The same matrices from an independent implementation (NumPy and Pinocchio), rounded to three digits.
+#: The same matrices from an independent implementation (NumPy and Pinocchio), rounded to three
+#: digits.
 REFERENCE: Mapping[str, tuple[tuple[float, ...], ...]] = {
     "vertical": (
         (0.295, 0.103, 0.075, 0.098, 0.073, 0.000, 0.131),
@@ -83,10 +92,13 @@ def chapter(numbers: Numbers) -> Chapter:
     figure = Figure(
         file="1-activation",
         title="Activation matrices of the two grasp poses (Fig. 3)",
-        done="The arm holds the tool at (0.38, 0, −0.28) m, once with its axes along those of the base to grasp a vertical "
-        "handle, once turned by 90° about x for a horizontal one. Each column tells how a torque budget for one task axis "
+        done="The arm holds the tool at (0.38, 0, −0.28) m, once with its axes along those of the "
+        "base to grasp a vertical "
+        "handle, once turned by 90° about x for a horizontal one. Each column tells how a torque "
+        "budget for one task axis "
         "is shared among the joints, equation (10); the column of the null space stands apart.",
-        paper="Cosero's matrices are printed without numbers; the text says which joints stand out. Link lengths here are "
+        paper="Cosero's matrices are printed without numbers; the text says which joints stand "
+        "out. Link lengths here are "
         "ours, so the pattern is compared, not the shade.",
         caption="Columns sum to one. Left: the posture, seen from the front right.",
         statements=(*_paper(share), _study(worst)),
@@ -94,7 +106,8 @@ def chapter(numbers: Numbers) -> Chapter:
     return Chapter(
         number=NUMBER,
         title=TITLE,
-        lead="A torque budget for a direction in space has to be shared among joints. The paper shares it by how much "
+        lead="A torque budget for a direction in space has to be shared among joints. The paper "
+        "shares it by how much "
         "each joint contributes to a motion in that direction.",
         figures=(figure,),
         numbers=numbers,
@@ -123,7 +136,8 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
     return (
         Statement(
             claim="In both poses, motion in x is the work of elbow and shoulder pitch.",
-            outcome=f"Largest in x: {_top(x['vertical'], 2)} (vertical); {_top(x['horizontal'], 2)} (horizontal).",
+            outcome=f"Largest in x: {_top(x['vertical'], 2)} (vertical); "
+            f"{_top(x['horizontal'], 2)} (horizontal).",
             tests=tuple(at_least(f"{more}, {pose}", _lead(x[pose], (0, 3)), 0.0) for pose in POSES),
         ),
         Statement(
@@ -133,25 +147,31 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
         ),
         Statement(
             claim="Horizontal grasp: the wrist roll takes that part.",
-            outcome=f"{_top(x['horizontal'], 3).capitalize()}; the wrist pitch has {x['horizontal'][5]:.2f}.",
+            outcome=f"{_top(x['horizontal'], 3).capitalize()}; the wrist pitch has "
+            f"{x['horizontal'][5]:.2f}.",
             tests=(at_least(more, _lead(x["horizontal"], (6,), (0, 3)), 0.0),),
         ),
         Statement(
             claim="Other joints of shoulder and wrist contribute less to x.",
-            outcome=f"None of the others has more than {small:.2f}; elbow and shoulder pitch have at least "
+            outcome=f"No other joint has more than {small:.2f}; elbow and shoulder pitch have "
+            "at least "
             f"{min(column[[0, 3]].min() for column in x.values()):.2f}.",
-            tests=(at_most("largest other share", small, min(c[[0, 3]].min() for c in x.values())),),
+            tests=(
+                at_most("largest other share", small, min(c[[0, 3]].min() for c in x.values())),
+            ),
         ),
         Statement(
             claim="Vertical grasp: y is mostly shoulder roll, shoulder yaw and wrist yaw.",
             outcome=f"Largest in y: {_top(y['vertical'], 4)}.",
             tests=(at_least(more, _lead(y["vertical"], (1, 2, 4)), 0.0),),
-            because=f"the three are there, but the wrist pitch has as much ({y['vertical'][5]:.2f}); our lengths and "
+            because="the three are there, but the wrist pitch has as much "
+            f"({y['vertical'][5]:.2f}); our lengths and "
             "wrist angles are not Cosero's.",
         ),
         Statement(
             claim="Horizontal grasp: all joints but the elbow contribute to y.",
-            outcome=f"The elbow has {y['horizontal'][3]:.3f}, the others {np.delete(y['horizontal'], 3).min():.2f} to "
+            outcome=f"The elbow has {y['horizontal'][3]:.3f}, the others "
+            f"{np.delete(y['horizontal'], 3).min():.2f} to "
             f"{np.delete(y['horizontal'], 3).max():.2f}.",
             tests=(
                 at_most("elbow", float(y["horizontal"][3]), 0.02),
@@ -159,7 +179,8 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
             ),
         ),
         Statement(
-            claim="Yaw needs shoulder roll, wrist yaw and wrist roll (read: in the horizontal grasp).",
+            claim="Yaw needs shoulder roll, wrist yaw and wrist roll (read: in the horizontal "
+            "grasp).",
             outcome=f"Largest in yaw: {_top(yaw['horizontal'], 3)}.",
             tests=(at_least(more, _lead(yaw["horizontal"], (1, 4, 6)), 0.0),),
         ),
@@ -173,7 +194,8 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
 
 def _study(worst: float) -> Statement:
     return Statement(
-        claim="An independent implementation gives the same two matrices, to the three digits it prints.",
+        claim="An independent implementation gives the same two matrices, to the three digits it "
+        "prints.",
         outcome=f"The largest difference of any of the 98 entries is {worst:.1e}.",
         tests=(at_most("largest difference", worst, 1e-3),),
         source="study",

@@ -19,12 +19,16 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Poses that are looked at to find a good one, and the inner share of the joint ranges they come from.
+#: Poses that are looked at to find a good one, and the inner share of the joint ranges they come
+#: from.
 POSES, INNER = 512, 0.6
-#: Effort that is assumed where nothing is known: so many times the largest torque that holds the arm, at least [N·m].
+#: Effort that is assumed where nothing is known: so many times the largest torque that holds the
+#: arm, at least [N·m].
 STRONG_ENOUGH, LEAST_EFFORT = 4.0, 0.5
 #: How far the soft axis is moved, as a share of the reach, within [m].
 WAY_SHARE, WAY_RANGE = 0.2, (0.03, 0.15)
+#: Steps in which a motion is checked beforehand.
+STEPS = 12
 #: Share of the usable torque that gravity may take in a pose that is chosen.
 GRAVITY_SHARE = 0.6
 
@@ -44,7 +48,8 @@ class Arm:
     """An arm ready to be tried.
 
     Attributes:
-        model: With servos.
+        model: The arm.
+        servos: Its servos, known or guessed.
         axes: Task axes its joints can serve.
         soft: The axis that is made compliant.
         pose: Joint positions (n,) [rad] where it is tried.
@@ -53,6 +58,7 @@ class Arm:
     """
 
     model: pliant.Model
+    servos: pliant.Servos
     axes: tuple[str, ...]
     soft: str
     pose: Array
@@ -63,6 +69,15 @@ class Arm:
     def rows(self) -> list[int]:
         """Indices of the task axes in a 6-vector."""
         return [AXES.index(name) for name in self.axes]
+
+    @property
+    def where(self) -> str:
+        """The pose in words."""
+        angles = ", ".join(f"{angle:.2f}" for angle in self.pose)
+        return (
+            f"pose ({angles}) rad, the best conditioned of {POSES} random ones that hold "
+            "themselves easily and let the soft axis move"
+        )
 
     def law(self, *, soft: str | None = None, eta: float = 0.0, **more: Any) -> pliant.Settings:
         """Law cap with the defaults of this arm."""
@@ -83,44 +98,48 @@ def load(source: Source) -> Arm:
     Raises:
         PliantError: The URDF is refused, or no pose lets the soft axis move.
     """
-    model, notes = (_built_in(source.name), []) if source.name else _from_urdf(source)
+    model, servos, notes = _built_in(source.name) if source.name else _from_urdf(source)
     if model.n < 2:
         raise ConfigError(f"the chain has {model.n} joint; the experiments need at least 2")
     axes = task_axes(model.n)
     soft = "y" if "y" in axes else "x"
     way = float(np.clip(WAY_SHARE * _reach(model), *WAY_RANGE))
-    pose, way = _find_pose(model, axes, soft, way)
-    return Arm(model, axes, soft, pose, way, tuple(notes))
+    pose, way = _find_pose(model, servos, axes, soft, way)
+    return Arm(model, servos, axes, soft, pose, way, tuple(notes))
 
 
 def task_axes(joints: int) -> tuple[str, ...]:
-    """Axes that so many joints can serve: all for six and more, positions for five, x z pitch for four."""
+    """Axes that so many joints can serve: all for six, positions for five, x z pitch for four."""
     if joints >= 6:
         return AXES
     return {5: ("x", "y", "z"), 4: ("x", "z", "pitch"), 3: ("x", "y", "z")}.get(joints, ("x", "z"))
 
 
-def _built_in(name: str) -> pliant.Model:
-    model: pliant.Model = robots.load(name)
-    return model
+def _built_in(name: str) -> tuple[pliant.Model, pliant.Servos, list[str]]:
+    model = robots.load(name)
+    if model.servos is None:
+        raise ConfigError(f"the built-in arm {name!r} has no servos")
+    return model, model.servos, []
 
 
-def _from_urdf(source: Source) -> tuple[pliant.Model, list[str]]:
-    """Load the user's arm twice: to learn its efforts, and with servos made from them."""
-    options = {"base": source.base, "tip": source.tip}
-    bare = pliant.Model.from_urdf(source.urdf, **options)
-    effort = np.array([np.nan if e is None else float(e) for e in bare.effort_limit])
+def _from_urdf(source: Source) -> tuple[pliant.Model, pliant.Servos, list[str]]:
+    """Load the user's arm and guess its servos from its efforts."""
+    model = pliant.Model.from_urdf(source.urdf, base=source.base, tip=source.tip)
+    effort = np.array(model.effort_limit, dtype=np.float64)
     unknown = ~(effort > 0.0)
     notes = [
-        "No servo data: stiffness, friction, damping and rotor inertia are guessed from the effort limits of the URDF "
-        f"(k_p = effort / {FULL_EFFORT_ERROR} rad, friction {FRICTION_SHARE:.0%}, damping {DAMPING_SHARE:.0%} s/rad of the "
+        "No servo data: stiffness, friction, damping and rotor inertia are guessed from the effort "
+        "limits of the URDF "
+        f"(k_p = effort / {FULL_EFFORT_ERROR} rad, friction {FRICTION_SHARE:.0%}, damping "
+        f"{DAMPING_SHARE:.0%} s/rad of the "
         "effort). The numbers show what the law does with such servos, not what this arm does."
     ]
     if unknown.any():
-        effort[unknown] = np.maximum(STRONG_ENOUGH * _holding(bare)[unknown], LEAST_EFFORT)
-        names = ", ".join(name for name, odd in zip(bare.joint_names, unknown, strict=True) if odd)
+        effort[unknown] = np.maximum(STRONG_ENOUGH * _holding(model)[unknown], LEAST_EFFORT)
+        names = ", ".join(name for name, odd in zip(model.joint_names, unknown, strict=True) if odd)
         notes.append(
-            f"No effort limit either for {names}: {STRONG_ENOUGH:g} times the largest torque that holds the arm was taken."
+            f"No effort limit either for {names}: {STRONG_ENOUGH:g} times the largest torque that "
+            "holds the arm was taken."
         )
     kp = effort / FULL_EFFORT_ERROR
     servos = pliant.Servos(
@@ -131,7 +150,7 @@ def _from_urdf(source: Source) -> tuple[pliant.Model, list[str]]:
         armature=ARMATURE_SHARE * kp,
         kp_known=True,
     )
-    return pliant.Model.from_urdf(source.urdf, servos=servos, **options), notes
+    return model, servos, notes
 
 
 def ranges(model: pliant.Model) -> tuple[Array, Array]:
@@ -172,21 +191,21 @@ def _cached_reach(model: pliant.Model) -> float:
     return _REACH.setdefault(id(model), _reach(model))
 
 
-def capacity(model: pliant.Model, q: Array, axis: int, sign: float) -> float:
-    """Largest push [N or N·m] toward `sign` of an axis (index) that the servos can hold at q (n,)."""
+def capacity(model: pliant.Model, servos: pliant.Servos, q: Array, axis: int, sign: float) -> float:
+    """Largest push [N or N·m] toward `sign` of an axis (index) that the servos hold at q (n,)."""
     lever = sign * np.asarray(model.jacobian(q))[axis]
     felt = np.abs(lever) > 1e-6
     if not felt.any():
         return float("inf")
-    room = np.asarray(model.servos.torque) + np.sign(lever) * model.gravity(q)
+    room = np.asarray(servos.torque) + np.sign(lever) * model.gravity(q)
     return float((room[felt] / np.abs(lever[felt])).min())
 
 
 def _find_pose(
-    model: pliant.Model, axes: tuple[str, ...], soft: str, way: float
+    model: pliant.Model, servos: pliant.Servos, axes: tuple[str, ...], soft: str, way: float
 ) -> tuple[Array, float]:
     """The best conditioned pose that holds itself easily and lets the soft axis move both ways."""
-    usable = np.asarray(model.servos.torque)
+    usable = np.asarray(servos.torque)
     light = [
         q
         for q in sample(model, inner=INNER)
@@ -198,23 +217,26 @@ def _find_pose(
             if all(_can_move(model, q, axes, soft, side * share * way) for side in (1.0, -1.0)):
                 return q, share * way
     raise ConfigError(
-        f"among {POSES} poses none lets {soft} move by {0.35 * way:.3f} m within the joint limits and torques"
+        f"among {POSES} poses none lets {soft} move by {0.35 * way:.3f} m within the joint limits "
+        "and torques"
     )
 
 
-def _can_move(
-    model: pliant.Model, q: Array, axes: tuple[str, ...], soft: str, way: float, steps: int = 12
-) -> bool:
-    """Whether the soft axis can go that way with the others held, inside limits and away from singular poses."""
+def _can_move(model: pliant.Model, q: Array, axes: tuple[str, ...], soft: str, way: float) -> bool:
+    """Whether the soft axis can go that way, inside limits and away from singular poses."""
     lower, upper = ranges(model)
     rows = [AXES.index(name) for name in axes]
     least = 0.4 * sigma(model, q, axes)
     motion = np.zeros(len(rows))
-    motion[axes.index(soft)] = way / steps
+    motion[axes.index(soft)] = way / STEPS
     margin = 0.02 * (upper - lower)
     at = q.copy()
-    for _ in range(steps):
+    for _ in range(STEPS):
         at = at + np.linalg.pinv(np.asarray(model.jacobian(at))[rows]) @ motion
-        if np.any(at < lower + margin) or np.any(at > upper - margin) or sigma(model, at, axes) < least:
+        if (
+            np.any(at < lower + margin)
+            or np.any(at > upper - margin)
+            or sigma(model, at, axes) < least
+        ):
             return False
     return True

@@ -25,13 +25,16 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 RATE = 100.0
-#: A hand's spring and damper for an arm whose caps are around 15 N [N/m, N·s/m]; they grow with the caps.
+#: A hand's spring and damper for an arm whose caps are around 15 N [N/m, N·s/m]; they grow with the
+#: caps.
 SPRING, DAMPER, USUAL = 2000.0, 30.0, 15.0
-#: How far the hand goes in the test of the promise, as a share of what the soft axis can do; rotations [rad].
+#: How far the hand goes in the test of the promise, as a share of what the soft axis can do;
+#: rotations [rad].
 TURN = 0.3
 #: When the hand holds still, and the end [s].
 STILL, END = 2.5, 3.0
-#: Poses of the promise whose smallest singular value lies below this share of the median are left out.
+#: Poses of the promise whose smallest singular value lies below this share of the median are left
+#: out.
 LEAST_SIGMA = 0.65
 #: Cap that is promised, as a share of the median static capacity, translations and rotations.
 CAP_SHARE = (0.30, 0.14)
@@ -39,7 +42,7 @@ CAP_SHARE = (0.30, 0.14)
 
 @dataclass(frozen=True, kw_only=True)
 class Strengths:
-    """Default strengths of an arm's law cap [N]: of the soft axis at large and small deviation, and of stiff ones."""
+    """Default strengths of law cap [N]: soft axis at small and large deviation, and when stiff."""
 
     soft: float
     firm: float
@@ -71,29 +74,36 @@ class Promise:
         return abs(self.measured - self.promise) <= 0.15 * self.cap + self.friction
 
 
-def _loop(arm: Arm, settings: pliant.Settings, target: Array | episode.Target, duration: float, *scene: Hand, q: Array) -> Trace:
-    plant = Plant(arm.model, rate=RATE, count=arm.model.servos.count, scene=scene)
-    controller = pliant.Controller(arm.model, settings.replace(rate=RATE), arm.model.servos)
+def _loop(
+    arm: Arm,
+    settings: pliant.Settings,
+    target: Array | episode.Target,
+    duration: float,
+    *scene: Hand,
+    q: Array,
+) -> Trace:
+    plant = Plant(arm.model, arm.servos, rate=RATE, count=arm.servos.count, scene=scene)
+    controller = pliant.Controller(arm.model, settings.replace(rate=RATE), arm.servos)
     return episode.run(plant, controller, target, duration, q=q)
 
 
 def activation(source: Source) -> Array:
     """Activation matrix (n, k + 1) at the pose."""
     arm = anyarm.load(source)
-    controller = pliant.Controller(arm.model, arm.law(soft="", damping=0.0), arm.model.servos)
+    controller = pliant.Controller(arm.model, arm.law(soft="", damping=0.0), arm.servos)
     controller.reset(arm.pose)
     controller.step(arm.pose, arm.model.forward_kinematics(arm.pose))
     return np.asarray(controller.activation)
 
 
 def strengths(source: Source) -> Strengths:
-    """Read the default strengths off the controller: near its target, far from it, and not compliant."""
+    """Read the default strengths off the controller: near its target, far from it, stiff."""
     arm = anyarm.load(source)
     start = np.asarray(arm.model.forward_kinematics(arm.pose))
     row = arm.axes.index(arm.soft)
 
     def strength(soft: str, away: float) -> float:
-        controller = pliant.Controller(arm.model, arm.law(soft=soft), arm.model.servos)
+        controller = pliant.Controller(arm.model, arm.law(soft=soft), arm.servos)
         controller.reset(arm.pose)
         controller.step(arm.pose, setups.displaced(start, arm.soft, away))
         return float(controller.holding_torque[row])
@@ -153,13 +163,13 @@ def poses(source: Source, count: int) -> list[Array]:
 
 
 def caps(source: Source) -> tuple[float, float]:
-    """Caps to promise, translations [N] and rotations [N·m]: shares of the median static capacity."""
+    """Caps to promise, translations [N] and rotations [N·m]: shares of the median capacity."""
     arm = anyarm.load(source)
     found = []
     for group, share in enumerate(CAP_SHARE):
         rows = [row for row in arm.rows if row // 3 == group]
         values = [
-            anyarm.capacity(arm.model, q, row, sign)
+            anyarm.capacity(arm.model, arm.servos, q, row, sign)
             for q in anyarm.sample(arm.model, 128)
             for row in rows
             for sign in (1.0, -1.0)
@@ -170,19 +180,19 @@ def caps(source: Source) -> tuple[float, float]:
 
 
 def promises(source: Source, pose: int, count: int) -> list[Promise]:
-    """Push every axis of one of `count` poses both ways, hold still, and compare with the promise."""
+    """Push every axis of one of `count` poses both ways and compare with the promise."""
     arm = anyarm.load(source)
     chosen = poses(source, count)
     if pose >= len(chosen):
         return []
     q = chosen[pose]
     limits = caps(source)
-    kept = []
-    for row in arm.rows:
-        for sign in (1.0, -1.0):
-            if anyarm.capacity(arm.model, q, row, sign) >= limits[row // 3]:
-                kept.append(_promise(arm, q, row, sign, limits[row // 3]))
-    return kept
+    return [
+        _promise(arm, q, row, sign, limits[row // 3])
+        for row in arm.rows
+        for sign in (1.0, -1.0)
+        if anyarm.capacity(arm.model, arm.servos, q, row, sign) >= limits[row // 3]
+    ]
 
 
 def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> Promise:
@@ -200,7 +210,14 @@ def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> Promise:
             course=course,
         )
     else:
-        felt_by = Twist(axis=name, angle=sign * TURN, stiffness=60.0 * cap, damping=cap, limit=8.0 * cap, course=course)
+        felt_by = Twist(
+            axis=name,
+            angle=sign * TURN,
+            stiffness=60.0 * cap,
+            damping=cap,
+            limit=8.0 * cap,
+            course=course,
+        )
     settings = pliant.Settings(
         task=pliant.Task(axes=" ".join(arm.axes)),
         axes={name: pliant.Axis(soft=cap, firm=cap)},
@@ -211,7 +228,7 @@ def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> Promise:
     still = trace.between(STILL, END)
     felt = (trace.force if row < 3 else trace.moment)[still, row % 3]
     jacobian = np.asarray(arm.model.jacobian(trace.q[-1]))
-    compliance = float((jacobian[row] ** 2) @ (1.0 / np.asarray(arm.model.servos.kp)))
+    compliance = float((jacobian[row] ** 2) @ (1.0 / np.asarray(arm.servos.kp)))
     inverse = np.linalg.pinv(jacobian[arm.rows])[:, arm.rows.index(row)]
     return Promise(
         axis=name,
@@ -219,5 +236,5 @@ def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> Promise:
         cap=cap,
         promise=min(cap, abs(float(trace.error[-1, row])) / compliance),
         measured=sign * float(felt.mean()),
-        friction=float(np.abs(inverse) @ np.asarray(arm.model.servos.friction)),
+        friction=float(np.abs(inverse) @ np.asarray(arm.servos.friction)),
     )

@@ -40,7 +40,7 @@ class Options:
 
 
 def drag(law: Callable[[], Law], *args: Any, **kwargs: Any) -> hands.Dragged:
-    """`hands.drag` with a law that is made where it is used: settings need not travel between processes."""
+    """`hands.drag` with a law that is made where it is used, in whatever process that is."""
     return hands.drag(law(), *args, **kwargs)
 
 

@@ -7,7 +7,15 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pliant.experiments import baselines, laws
-from pliant.experiments.chapters.common import BACK, RELEASE, Options, drag, return_speed, returned, seconds
+from pliant.experiments.chapters.common import (
+    BACK,
+    RELEASE,
+    Options,
+    drag,
+    return_speed,
+    returned,
+    seconds,
+)
 from pliant.experiments.conditions import NOMINAL
 from pliant.experiments.result import (
     Chapter,
@@ -41,12 +49,14 @@ class Way:
         make: Makes the law.
         family: Colour of the figures: stiff, uniform, paper, cap, impedance.
         rate: Control rate [Hz]; 1000 for the torque-controlled arm.
+        delay: Ticks from sampling to reading, and from writing to the servo.
     """
 
     name: str
     make: Callable[[], Law]
     family: str
     rate: float = 100.0
+    delay: tuple[int, int] = (0, 0)
 
 
 WAYS: Mapping[str, Way] = {
@@ -61,6 +71,7 @@ WAYS: Mapping[str, Way] = {
     "cap 0": Way("cap, η 0", partial(laws.cap, eta=0.0), "cap"),
     "cap 0.9": Way("cap, η 0.9", partial(laws.cap, eta=0.9), "cap"),
     "cap 0.999": Way("cap, η 0.999", laws.cap, "cap"),
+    "cap delayed": Way("cap, η 0.999, a tick each way", laws.cap, "cap", delay=(1, 1)),
     "impedance": Way("torque impedance, 1 kHz", baselines.torque_impedance, "impedance", 1000.0),
 }
 QUICK = ("stiff", "uniform 30", "paper literal", "paper 0.999", "cap 0", "cap 0.999", "impedance")
@@ -74,7 +85,7 @@ def jobs(options: Options) -> list[Job]:
             f"{key}/{sign:+d}",
             drag,
             (WAYS[key].make, replace(STRONG, distance=sign * STRONG.distance)),
-            {"conditions": replace(NOMINAL, rate=WAYS[key].rate)},
+            {"conditions": replace(NOMINAL, rate=WAYS[key].rate, delay=WAYS[key].delay)},
         )
         for key in (QUICK if options.quick else WAYS)
         for sign in signs
@@ -120,12 +131,16 @@ def chapter(numbers: Numbers) -> Chapter:
     figure = Figure(
         file="5-comparison",
         title="Force to move it, and what the stiff axes do meanwhile",
-        done="At the vertical grasp pose a strong hand (up to 80 N at the tool) moves the tool by 0.15 m in y within 1.5 s, "
-        "holds it, and lets go; every controller gets the same hand, in both directions. Torque impedance is an arm with "
-        "torque-controlled joints at 1 kHz; all others send goals and torque limits to the same position servos at "
+        done="At the vertical grasp pose a strong hand (up to 80 N at the tool) moves the tool by "
+        "0.15 m in y within 1.5 s, "
+        "holds it, and lets go; every controller gets the same hand, in both directions. Torque "
+        "impedance is an arm with "
+        "torque-controlled joints at 1 kHz; all others send goals and torque limits to the same "
+        "position servos at "
         "100 Hz.",
         paper="The paper compares with no other method.",
-        caption="Left: the worse of both directions, logarithmic; the lower left corner is where one wants to be. Right: y over time "
+        caption="Left: the worse of both directions, logarithmic; the lower left corner is where "
+        "one wants to be. Right: y over time "
         "for one of each family, pushed toward +.",
         statements=_statements(numbers),
     )
@@ -133,13 +148,17 @@ def chapter(numbers: Numbers) -> Chapter:
     return Chapter(
         number=NUMBER,
         title=TITLE,
-        lead="What does the effort buy? The same hand meets a stiff arm, an arm with all its limits turned down, the paper's "
+        lead="What does the effort buy? The same hand meets a stiff arm, an arm with all its "
+        "limits turned down, the paper's "
         "law, the default law, and an arm that can command torques.",
         figures=(figure,),
         tables=(_table(numbers),),
         numbers=numbers,
         headline=(
-            ("force to move it 0.15 m: stiff", f"{stiff['force']:.1f} N, {mm(stiff['drift'])} drift"),
+            (
+                "force to move it 0.15 m: stiff",
+                f"{stiff['force']:.1f} N, {mm(stiff['drift'])} drift",
+            ),
             ("the same: cap, η 0.999", f"{ours['force']:.1f} N, {mm(ours['drift'])} drift"),
         ),
     )
@@ -151,9 +170,12 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
     paper = numbers["paper 0.999"]
     return (
         Statement(
-            claim="A position-controlled arm needs no torque interface to be moved as easily as one that has it.",
-            outcome=f"Law cap (η 0.999): {ours['force']:.1f} N and {mm(ours['drift'])} of drift; torque impedance: "
-            f"{torque['force']:.1f} N and {mm(torque['drift'])}; stiff: {stiff['force']:.1f} N and {mm(stiff['drift'])}.",
+            claim="A position-controlled arm needs no torque interface to be moved as easily as "
+            "one that has it.",
+            outcome=f"Law cap (η 0.999): {ours['force']:.1f} N and {mm(ours['drift'])} of drift; "
+            "torque impedance: "
+            f"{torque['force']:.1f} N and {mm(torque['drift'])}; stiff: {stiff['force']:.1f} N and "
+            f"{mm(stiff['drift'])}.",
             tests=(
                 at_most("force over torque impedance", ours["force"] / torque["force"], 1.2),
                 at_most("drift", ours["drift"], 0.005, "m"),
@@ -161,9 +183,11 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
             source="study",
         ),
         Statement(
-            claim="Limits alone do not select a direction: read literally, the paper's law drags the stiff axes along about as "
+            claim="Limits alone do not select a direction: read literally, the paper's law drags "
+            "the stiff axes along about as "
             "far as simply turning all limits down does.",
-            outcome=f"Drift {mm(literal['drift'])} with the paper's limits only, {mm(uniform['drift'])} with 30 % of every "
+            outcome=f"Drift {mm(literal['drift'])} with the paper's limits only, "
+            f"{mm(uniform['drift'])} with 30 % of every "
             "limit.",
             tests=(
                 at_least("drift, limits only", literal["drift"], 0.05, "m"),
@@ -172,8 +196,10 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
             source="study",
         ),
         Statement(
-            claim="With strong adaptation the paper's law is soft in the chosen axis only, but gravity moves it once let go.",
-            outcome=f"Paper, η 0.999: {paper['force']:.1f} N, drift {mm(paper['drift'])}; moves by another "
+            claim="With strong adaptation the paper's law is soft in the chosen axis only, but "
+            "gravity moves it once let go.",
+            outcome=f"Paper, η 0.999: {paper['force']:.1f} N, drift {mm(paper['drift'])}; moves by "
+            "another "
             f"{mm(paper['crept'])} after the release.",
             tests=(
                 at_most("force", paper["force"], 9.0, "N"),
@@ -183,8 +209,10 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
             source="study",
         ),
         Statement(
-            claim="Law cap keeps its promise: with η = 0 and a cap of 15 N the hand meets 15 N, and the arm comes back.",
-            outcome=f"Held with {firm['held']:.1f} N, drift {mm(firm['drift'])}; back within {mm(BACK[0])} after "
+            claim="Law cap keeps its promise: with η = 0 and a cap of 15 N the hand meets 15 N, "
+            "and the arm comes back.",
+            outcome=f"Held with {firm['held']:.1f} N, drift {mm(firm['drift'])}; back within "
+            f"{mm(BACK[0])} after "
             f"{seconds(firm['returned'])}.",
             tests=(
                 between("held", firm["held"], 11.5, 18.5, "N"),
@@ -211,9 +239,20 @@ def _table(numbers: Numbers) -> Table:
         for key, one in numbers.items()
     ]
     return Table(
-        caption="A strong hand moves the tool by 0.15 m in y; the worse of both directions. Force: largest of any physics step; held: "
-        "mean while it holds still; drift: of x and z since the hand came; returned: until y stays below 15 mm.",
-        columns=("way", "force", "held", "drift x, z", "rotations", "returned", "left", "return speed"),
+        caption="A strong hand moves the tool by 0.15 m in y; the worse of both directions. Force: "
+        "largest of any physics step; held: "
+        "mean while it holds still; drift: of x and z since the hand came; returned: until y stays "
+        "below 15 mm.",
+        columns=(
+            "way",
+            "force",
+            "held",
+            "drift x, z",
+            "rotations",
+            "returned",
+            "left",
+            "return speed",
+        ),
         rows=tuple(rows),
     )
 

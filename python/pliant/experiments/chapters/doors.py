@@ -11,6 +11,7 @@ from pliant.experiments import laws
 from pliant.experiments.baselines import Goals
 from pliant.experiments.chapters import doors_text
 from pliant.experiments.chapters.common import Options
+from pliant.experiments.conditions import NOMINAL
 from pliant.experiments.doors import SCENES, open_door
 from pliant.experiments.resistance import STOP, Feeler, open_and_close
 from pliant.experiments.result import Chapter, Numbers
@@ -83,12 +84,12 @@ def measure(outcomes: Mapping[str, Any]) -> Numbers:
 
 
 def _opened(run: Opened) -> dict[str, float]:
-    limits = run.trace.limit
+    usable = np.asarray(NOMINAL.servos().torque)
     return {
         "angle": run.angle,
         "force": run.force,
         "torque": run.torque,
-        "largest_limit_share": float((limits.max(axis=0) / np.asarray(arm().servos.torque)).max()),
+        "largest_limit_share": float((run.trace.limit.max(axis=0) / usable).max()),
     }
 
 
@@ -104,7 +105,7 @@ def _both(run: OpenedAndClosed) -> dict[str, Any]:
 def felt(trace: Trace) -> Array:
     """Force in x (N,) [N] that the arm estimates from its joint positions, replayed from a run."""
     period = float(trace.t[1] - trace.t[0])
-    feeler = Feeler(arm(), arm().servos, period)
+    feeler = Feeler(arm(), NOMINAL.servos(), period)
     feeler.reset(trace.q[0])
     force = np.zeros(trace.t.size)
     for k in range(trace.t.size):
@@ -122,8 +123,10 @@ def chapter(numbers: Numbers) -> Chapter:
     return Chapter(
         number=NUMBER,
         title=TITLE,
-        lead="The arm holds a handle, pulls straight back, and lets the door decide where the handle goes: lateral motion "
-        "and rotation about the hinge's direction are compliant, everything else holds. No force sensor is used, not "
+        lead="The arm holds a handle, pulls straight back, and lets the door decide where the "
+        "handle goes: lateral motion "
+        "and rotation about the hinge's direction are compliant, everything else holds. No force "
+        "sensor is used, not "
         "even to notice the end.",
         figures=doors_text.figures(opening, both),
         tables=(doors_text.opening_table(opening), doors_text.closing_table(both)),
@@ -143,4 +146,6 @@ def draw(outcomes: Mapping[str, Any], options: Options) -> None:
     doors.strips(outcomes, options.figures)
     doors.force_over_angle(outcomes, options.figures)
     doors.scenes(outcomes, options.figures)
-    doors.closing({n: r.trace for n, r in outcomes.items() if n.startswith("both/")}, felt, options.figures)
+    doors.closing(
+        {n: r.trace for n, r in outcomes.items() if n.startswith("both/")}, felt, options.figures
+    )

@@ -49,44 +49,59 @@ def figures(opening: Numbers, both: Numbers) -> tuple[Figure, ...]:
         Figure(
             file="4-door-strip",
             title="Opening a door with a rigid grip",
-            done="The hand is welded to the handle of a 3 kg leaf; its hinge is 0.30 m to the right. The target moves "
-            "straight back by 0.28 m at 0.05 m/s. Above: y and yaw compliant (law cap, η = 0.999); below: all six axes "
+            done="The hand is welded to the handle of a 3 kg leaf; its hinge is 0.30 m to the "
+            "right. The target moves "
+            "straight back by 0.28 m at 0.05 m/s. Above: y and yaw compliant (law cap, η = 0.999); "
+            "below: all six axes "
             "stiff.",
-            paper="The robot grasps the handle and moves back; lateral motion and rotation about the vertical axis are "
+            paper="The robot grasps the handle and moves back; lateral motion and rotation about "
+            "the vertical axis are "
             "compliant, so that the hand can follow the circle of the handle.",
-            caption="Pictures of the simulation at equal times; the thin arc is the path the handle has to take.",
+            caption="Pictures of the simulation at equal times; the thin arc is the path the "
+            "handle has to take.",
             statements=(_follows(opening),),
         ),
         Figure(
             file="4-door-force",
             title="What the handle has to bear",
-            done="The same pull, from a closed door as far as each law gets: largest force at the handle so far, against the "
+            done="The same pull, from a closed door as far as each law gets: largest force at the "
+            "handle so far, against the "
             "opening. The paper's law has no gravity model and a budget of 8 N·m.",
-            caption="A curve that ends early is a door that got stuck. An ideal pull of 0.28 m would open it by 69°.",
+            caption="A curve that ends early is a door that got stuck. An ideal pull of 0.28 m "
+            "would open it by 69°.",
             statements=(_against_stiff(opening, grips), *_paper_law(opening)),
         ),
         Figure(
             file="4-scenes",
             title="Door, fridge and oven; target or base moving",
-            done="The fridge weighs 6 kg and has a magnetic seal of 20 N; the oven's leaf turns about a horizontal hinge below "
-            "its handle, so there z and pitch are compliant. With a moving base the target stands still and the hinge moves "
-            "away at 0.05 m/s: the handle is kept where it is relative to the robot. Rigid grip: welded; turning: the handle "
+            done="The fridge weighs 6 kg and has a magnetic seal of 20 N; the oven's leaf turns "
+            "about a horizontal hinge below "
+            "its handle, so there z and pitch are compliant. With a moving base the target stands "
+            "still and the hinge moves "
+            "away at 0.05 m/s: the handle is kept where it is relative to the robot. Rigid grip: "
+            "welded; turning: the handle "
             "can turn in the hand.",
-            paper="Cosero and Dynamaid opened doors and a fridge this way, at RoboCup 2010 in front of a jury, with handles "
+            paper="Cosero and Dynamaid opened doors and a fridge this way, at RoboCup 2010 in "
+            "front of a jury, with handles "
             "aligned vertically and horizontally.",
-            caption="Largest force at the handle, all stiff against cap; the opening that was reached is written beside "
+            caption="Largest force at the handle, all stiff against cap; the opening that was "
+            "reached is written beside "
             "it.",
             statements=(_all_open(opening), *_scene_bands(opening)),
         ),
         Figure(
             file="4-open-close",
             title="Open until it resists, close until it resists",
-            done=f"The leaf has a stop at {STOP:g}°. From 1 s the target moves back until the force in x, estimated from joint "
-            "positions, goals and limits alone, has exceeded 15 N for 0.2 s; after a second of rest it moves forward until "
+            done=f"The leaf has a stop at {STOP:g}°. From 1 s the target moves back until the "
+            "force in x, estimated from joint "
+            "positions, goals and limits alone, has exceeded 15 N for 0.2 s; after a second of "
+            "rest it moves forward until "
             "the same happens.",
-            paper="The robot pulls until the handle resists further motion, and closes the door by pushing forward until the "
+            paper="The robot pulls until the handle resists further motion, and closes the door by "
+            "pushing forward until the "
             "closed door resists.",
-            caption="Above: opening of the leaf; dots: where the end was recognised. Below: the estimated force, and the "
+            caption="Above: opening of the leaf; dots: where the end was recognised. Below: the "
+            "estimated force, and the "
             "threshold.",
             statements=(_ends(both), *_stiff_ends(both)),
         ),
@@ -104,7 +119,8 @@ def _follows(opening: Numbers) -> Statement:
     soft, hard = opening["door"]["rigid"]["cap"], opening["door"]["rigid"]["stiff"]
     return Statement(
         claim="Compliant in lateral motion and yaw, the hand follows the handle round its circle.",
-        outcome=f"The door opens by {soft['angle']:.1f}°; with all axes stiff by {hard['angle']:.1f}°.",
+        outcome=f"The door opens by {soft['angle']:.1f}°; with all axes stiff by "
+        f"{hard['angle']:.1f}°.",
         tests=(
             at_least("angle", soft["angle"], BANDS["door"][0][0], "deg"),
             at_most("angle, all stiff", hard["angle"], STUCK, "deg"),
@@ -118,7 +134,8 @@ def _against_stiff(opening: Numbers, grips: list[str]) -> Statement:
         for grip in grips
     }
     parts = [
-        f"{opening['door'][grip]['cap']['force']:.1f} N instead of {opening['door'][grip]['stiff']['force']:.1f} N "
+        f"{opening['door'][grip]['cap']['force']:.1f} N instead of "
+        f"{opening['door'][grip]['stiff']['force']:.1f} N "
         f"({grip} grip)"
         for grip in grips
     ]
@@ -136,18 +153,27 @@ def _paper_law(opening: Numbers) -> tuple[Statement, ...]:
     grips = {grip: laws["paper"] for grip, laws in opening["door"].items()}
     rigid = grips["rigid"]
     turning = grips.get("turning")
-    freer = f"; where it can, {turning['angle']:.1f}° at {turning['force']:.1f} N" if turning else ""
+    freer = (
+        f"; where it can, {turning['angle']:.1f}° at {turning['force']:.1f} N" if turning else ""
+    )
     return (
         Statement(
             claim="The paper's own law opens the door.",
-            outcome=f"With a handle that cannot turn in the hand it gets to {rigid['angle']:.1f}° at {rigid['force']:.1f} N"
+            outcome=f"With a handle that cannot turn in the hand it gets to {rigid['angle']:.1f}° "
+            f"at {rigid['force']:.1f} N"
             f"{freer}.",
             tests=(
                 at_least("angle, rigid grip", rigid["angle"], 60.0, "deg"),
-                *((at_least("angle, turning grip", turning["angle"], 60.0, "deg"),) if turning else ()),
+                *(
+                    (at_least("angle, turning grip", turning["angle"], 60.0, "deg"),)
+                    if turning
+                    else ()
+                ),
             ),
-            because="with a rigid grip the inverse of all six rows insists on moving in x without moving in y and yaw, and "
-            "the servos hold on to that between two ticks. A real hand, like the one at RoboCup, lets the handle turn.",
+            because="with a rigid grip the inverse of all six rows insists on moving in x without "
+            "moving in y and yaw, and "
+            "the servos hold on to that between two ticks. A real hand, like the one at RoboCup, "
+            "lets the handle turn.",
         ),
     )
 
@@ -157,7 +183,8 @@ def _all_open(opening: Numbers) -> Statement:
     worst = min(angles)
     scenes = listed([NAMES[scene] for scene in opening])
     return Statement(
-        claim="Doors and fridges open, with vertical and with horizontal handles, the robot moving back.",
+        claim="Doors and fridges open, with vertical and with horizontal handles, the robot moving "
+        "back.",
         outcome=f"{scenes}: all {len(angles)} runs open, the least by {worst:.1f}°.",
         tests=(at_least("least angle", worst, 57.0, "deg"),),
     )
@@ -175,7 +202,8 @@ def _scene_bands(opening: Numbers) -> tuple[Statement, ...]:
             texts.append(f"{NAMES[scene]} {one['angle']:.1f}°, {one['force']:.1f} N")
     return (
         Statement(
-            claim="Law cap reaches the angles and forces of the study in every scene and with both grips.",
+            claim="Law cap reaches the angles and forces of the study in every scene and with both "
+            "grips.",
             outcome=f"Rigid grip: {'; '.join(texts)}.",
             tests=tuple(tests),
             source="study",
@@ -198,7 +226,8 @@ def _ends(both: Numbers) -> Statement:
     tests.append(at_most("peak force", max(forces), 65.0, "N"))
     return Statement(
         claim="The end of both motions is recognised by resistance.",
-        outcome=f"Recognised at (open/closed) {listed(texts)}; at most {max(forces):.0f} N at the handle.",
+        outcome=f"Recognised at (open/closed) {listed(texts)}; at most {max(forces):.0f} N at the "
+        "handle.",
         tests=tuple(tests),
     )
 
@@ -235,7 +264,8 @@ def opening_table(opening: Numbers) -> Table:
         for law, one in laws.items()
     ]
     return Table(
-        caption="Opening: how far, and the largest force and torque at the handle in any physics step.",
+        caption="Opening: how far, and the largest force and torque at the handle in any physics "
+        "step.",
         columns=("scene", "grip", "law", "opened", "force", "torque"),
         rows=tuple(rows),
     )

@@ -1,4 +1,4 @@
-"""Chapter 2: a hand drags the arm out of a static pose and lets go, in y and in yaw (Figs 4 and 5)."""
+"""Chapter 2: a hand drags the arm out of its pose and lets go, in y and yaw (Figs 4 and 5)."""
 
 from __future__ import annotations
 
@@ -102,7 +102,8 @@ def chapter(numbers: Numbers) -> Chapter:
     return Chapter(
         number=NUMBER,
         title=TITLE,
-        lead="One axis is made compliant, the target stands still, and a hand pulls the arm away and lets go. How far "
+        lead="One axis is made compliant, the target stands still, and a hand pulls the arm away "
+        "and lets go. How far "
         "does it follow, what do the other axes do, and does it come back?",
         figures=tuple(figures),
         tables=tuple(static_text.table(axis, numbers[axis]) for axis in numbers),

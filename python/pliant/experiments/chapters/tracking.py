@@ -99,7 +99,8 @@ def chapter(numbers: Numbers) -> Chapter:
     return Chapter(
         number=NUMBER,
         title=TITLE,
-        lead="Being soft must not mean being late: the target swings with a period of 8 s along one axis at a time, and that "
+        lead="Being soft must not mean being late: the target swings with a period of 8 s along "
+        "one axis at a time, and that "
         "axis is compliant, without target adaptation (η = 0).",
         figures=tuple(figures),
         tables=(_table(numbers, axes),),
@@ -115,11 +116,14 @@ def _swing(numbers: Numbers, axes: list[str], file: str, title: str) -> Figure:
     return Figure(
         file=file,
         title=f"Sinusoids in {listed(axes)} ({title})",
-        done="The target swings twice about the vertical grasp pose, by 0.12 m in x and z, 0.15 m in y, 0.5 rad in roll "
-        "and yaw, 0.4 rad in pitch. Laws: the paper's without gravity model (budget 10 N·m), the same with gravity in "
+        done="The target swings twice about the vertical grasp pose, by 0.12 m in x and z, 0.15 m "
+        "in y, 0.5 rad in roll "
+        "and yaw, 0.4 rad in pitch. Laws: the paper's without gravity model (budget 10 N·m), the "
+        "same with gravity in "
         "goals and limits (8 N·m), and cap.",
         paper="The compliant axis follows the target very well in y, z, roll, pitch and yaw.",
-        caption="Above: the swinging axis and its target. Below: the farthest of the other positions.",
+        caption="Above: the swinging axis and its target. Below: the farthest of the other "
+        "positions.",
         statements=(*_follows(numbers, axes), *_bands(numbers, axes)),
     )
 
@@ -134,9 +138,11 @@ def _follows(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
         statements.append(
             Statement(
                 claim=f"{axis}: follows very well.",
-                outcome=f"The rms error is {share:.3f} of the amplitude; {rest:.3f} without its constant part.",
+                outcome=f"The rms error is {share:.3f} of the amplitude; {rest:.3f} without its "
+                "constant part.",
                 tests=(at_most("rms error / amplitude", share, WELL),),
-                because="the constant sag of servos without a gravity model is most of the error; what swings is followed."
+                because="the constant sag of servos without a gravity model is most of the error; "
+                "what swings is followed."
                 if rest <= WELL
                 else "",
             )
@@ -166,7 +172,8 @@ def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
         others = max(one["other_positions"] for one in rec.values())
         statements.append(
             Statement(
-                claim="The paper's law with a gravity model follows within 0.035 and keeps the other positions to 5 mm.",
+                claim="The paper's law with a gravity model follows within 0.035 and keeps the "
+                "other positions to 5 mm.",
                 outcome=f"At worst {worst:.3f}; other positions within {mm(others)}.",
                 tests=(
                     at_most("worst", worst, 0.035),
@@ -184,16 +191,21 @@ def _loss(numbers: Numbers) -> Figure:
     return Figure(
         file="3-loss-of-z",
         title="Swinging in x without a gravity model, the arm loses height",
-        done="The x swing once more, under the paper's law without gravity model: as printed (no step limits, budget "
+        done="The x swing once more, under the paper's law without gravity model: as printed (no "
+        "step limits, budget "
         "10 N·m), with step limits per axis, and under law cap.",
-        paper="With x compliant, the arm temporarily drops in z when it reaches far forward, because pitch joints serve both "
-        "axes. The lag this causes in x lowers the compliance, the joints get more torque, and z recovers.",
-        caption="From above: x and its target, height, compliance c of x, and what the shoulder pitch gives within its limit "
+        paper="With x compliant, the arm temporarily drops in z when it reaches far forward, "
+        "because pitch joints serve both "
+        "axes. The lag this causes in x lowers the compliance, the joints get more torque, and z "
+        "recovers.",
+        caption="From above: x and its target, height, compliance c of x, and what the shoulder "
+        "pitch gives within its limit "
         "under the printed law.",
         statements=(
             Statement(
                 claim="Far forward, z is lost downwards.",
-                outcome=f"{mm(literal['sunk'])} lower at x = {literal['x_when_lowest']:.2f} m; {mm(stepped['sunk'])} with "
+                outcome=f"{mm(literal['sunk'])} lower at x = {literal['x_when_lowest']:.2f} m; "
+                f"{mm(stepped['sunk'])} with "
                 "step limits per axis.",
                 tests=(
                     between("z lost", literal["sunk"], 0.035, 0.140, "m"),
@@ -202,7 +214,8 @@ def _loss(numbers: Numbers) -> Figure:
             ),
             Statement(
                 claim="Compliance in x drops with it.",
-                outcome=f"c falls to {literal['least_c']:.2f} ({literal['c_when_lowest']:.2f} where the tool is lowest).",
+                outcome=f"c falls to {literal['least_c']:.2f} ({literal['c_when_lowest']:.2f} "
+                "where the tool is lowest).",
                 tests=(at_most("least c", literal["least_c"], 0.9),),
             ),
             Statement(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 
-from pliant.experiments.figures.pictures import Studio, mujoco
+from pliant.experiments.figures.pictures import CANNOT_DRAW, Studio
 from pliant.experiments.figures.style import BLUE, MUTED, WIDE, canvas, save
 from pliant.experiments.setups import arm
 from pliant.sim import Plant
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: From almost nothing to the blue of the house. Text on it has colours of its own, which no theme changes.
+#: From almost nothing to the blue of the house. Text on it has colours of its own, which no theme
+#: changes.
 SHADES = LinearSegmentedColormap.from_list("shares", ["#f3f7fb", "#9ecae1", BLUE, "#08306b"])
 DARK, PALE = "#1b1f25", "#fefefe"
 #: Share at which the shade is full.
@@ -50,7 +51,8 @@ def draw(
     Args:
         matrices: Activation matrix (n, k + 1) per pose.
         poses: Joint positions (n,) [rad] per pose.
-        joints, columns: Names.
+        joints: Names of the rows.
+        columns: Names of the columns.
         folder: Where to.
     """
     with canvas(2, 2, size=(WIDE, 7.2), width_ratios=[1.0, 1.75]) as (figure, axes):
@@ -60,15 +62,33 @@ def draw(
         save(figure, folder, "1-activation")
 
 
-def posture(model: Any, q: Array, **view: Any) -> NDArray[np.uint8] | None:
-    """Picture of a posture, None where nothing can draw."""
-    plant = Plant(model)
+def posture(
+    model: Any, q: Array, *, servos: Any | None = None, **view: Any
+) -> NDArray[np.uint8] | None:
+    """Picture of a posture, None where nothing can draw; without a view, the camera finds one."""
+    plant = Plant(model, servos)
     plant.reset(q)
+    view = view or beside(plant)
     try:
         with Studio(plant, size=(420, 360), **view) as studio:
             return studio.picture(q)
-    except (mujoco.FatalError, OSError, RuntimeError):
+    except CANNOT_DRAW:
         return None
+
+
+def beside(plant: Plant) -> dict[str, Any]:
+    """Where a camera sees the whole arm from its side."""
+    places = plant.mj_data.site_xpos
+    middle = (places.min(axis=0) + places.max(axis=0)) / 2
+    radius = float(np.linalg.norm(places - middle, axis=1).max())
+    out = plant.tool[:2, 3] - places[0, :2]
+    heading = float(np.rad2deg(np.arctan2(out[1], out[0])))
+    return {
+        "look_at": middle,
+        "distance": 3.0 * radius,
+        "azimuth": heading + 125.0,
+        "elevation": -18.0,
+    }
 
 
 def show(ax: Axes, picture: NDArray[np.uint8] | None, title: str) -> None:
@@ -94,7 +114,9 @@ def heat(ax: Axes, matrix: Array, joints: Sequence[str], columns: Sequence[str])
             if value >= 0.005:
                 ink = PALE if value > 0.45 * FULL else DARK
                 text = f"{value:.2f}".lstrip("0")
-                ax.text(left[k] + 0.5, i + 0.5, text, ha="center", va="center", color=ink, fontsize=8.5)
+                ax.text(
+                    left[k] + 0.5, i + 0.5, text, ha="center", va="center", color=ink, fontsize=8.5
+                )
     ax.set_xlim(0.0, left[-1] + 1.0)
     ax.set_ylim(rows, 0.0)
     ax.set_xticks(left + 0.5, columns)

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant.experiments.figures.style import LAW_COLOURS, WIDE, canvas, label_end, label_points, save, shade, thin
+from pliant.experiments.figures.style import (
+    LAW_COLOURS,
+    WIDE,
+    canvas,
+    label_end,
+    label_points,
+    save,
+    shade,
+    thin,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,7 +39,13 @@ def draw(
             stays = numbers[key]["returned"] is None
             colour = LAW_COLOURS[way.family]
             ax.plot(
-                force, drift, "o", markersize=8, markeredgewidth=1.6, color=colour, markerfacecolor="none" if stays else colour
+                force,
+                drift,
+                "o",
+                markersize=8,
+                markeredgewidth=1.6,
+                color=colour,
+                markerfacecolor="none" if stays else colour,
             )
             names.append((force, drift, way.name, colour))
         ax.set_xscale("log")

@@ -10,7 +10,7 @@ from matplotlib.ticker import MultipleLocator
 from pliant.experiments.chapters.doors_text import NAMES
 from pliant.experiments.doors import SCENES
 from pliant.experiments.figures.activation import show
-from pliant.experiments.figures.pictures import Studio, mujoco
+from pliant.experiments.figures.pictures import CANNOT_DRAW, Studio
 from pliant.experiments.figures.style import (
     INK,
     LAW_COLOURS,
@@ -46,7 +46,11 @@ VIEW: dict[str, Any] = {
     "elevation": -58.0,
     "size": (380, 360),
 }
-LABELS = {"cap": "cap, y and yaw compliant", "stiff": "all stiff", "paper": "paper, no gravity model"}
+LABELS = {
+    "cap": "cap, y and yaw compliant",
+    "stiff": "all stiff",
+    "paper": "paper, no gravity model",
+}
 
 
 def strips(outcomes: Mapping[str, Opened], folder: Path) -> None:
@@ -60,7 +64,9 @@ def strips(outcomes: Mapping[str, Opened], folder: Path) -> None:
                 k = trace.at(instant)
                 angle = float(np.rad2deg(trace.leaf[k]))
                 show(axes[row, column], pictures[column], "")
-                axes[row, column].set_title(f"{instant:g} s: {abs(angle):.0f}°", fontweight="normal", loc="center")
+                axes[row, column].set_title(
+                    f"{instant:g} s: {abs(angle):.0f}°", fontweight="normal", loc="center"
+                )
             axes[row, 0].text(
                 -0.04,
                 0.5,
@@ -85,7 +91,7 @@ def _frames(trace: Trace) -> list[NDArray[np.uint8] | None]:
                 studio.picture(trace.q[trace.at(t)], {"door:hinge": float(trace.leaf[trace.at(t)])})
                 for t in INSTANTS
             ]
-    except (mujoco.FatalError, OSError, RuntimeError):
+    except CANNOT_DRAW:
         return [None] * len(INSTANTS)
 
 
@@ -100,7 +106,7 @@ def circle(most: float = 80.0) -> Array:
 
 
 def force_over_angle(outcomes: Mapping[str, Opened], folder: Path) -> None:
-    """Draw the largest force so far against the opening, one panel per grip, and the path of the handle."""
+    """Draw the largest force so far against the opening, per grip, and the handle's path."""
     grips = [grip for grip in ("rigid", "turning") if f"open/door/{grip}/cap" in outcomes]
     with canvas(1, len(grips) + 1, size=(WIDE, 3.6)) as (figure, axes):
         for column, grip in enumerate(grips):
@@ -117,7 +123,13 @@ def force_over_angle(outcomes: Mapping[str, Opened], folder: Path) -> None:
                 ends.append((float(ahead[-1]), float(force[-1]), law))
             for x, y, law in ends:
                 ax.annotate(
-                    law, (x, y), xytext=(6, 0), textcoords="offset points", va="center", color=LAW_COLOURS[law], fontsize=8
+                    law,
+                    (x, y),
+                    xytext=(6, 0),
+                    textcoords="offset points",
+                    va="center",
+                    color=LAW_COLOURS[law],
+                    fontsize=8,
                 )
             ax.set_title(f"{grip} grip")
             ax.set_xlabel("opening of the leaf [deg]")
@@ -138,9 +150,18 @@ def _paths(ax: Any, outcomes: Mapping[str, Opened]) -> None:
         if run is not None:
             way = run.trace.position[thin(run.trace.t)]
             ax.plot(1e3 * way[:, 1], 1e3 * way[:, 0], color=LAW_COLOURS[law], linewidth=2.0)
-            ax.plot(1e3 * way[-1, 1], 1e3 * way[-1, 0], marker="o", markersize=4, color=LAW_COLOURS[law])
+            ax.plot(
+                1e3 * way[-1, 1], 1e3 * way[-1, 0], marker="o", markersize=4, color=LAW_COLOURS[law]
+            )
     ax.plot(1e3 * hinge[1], 1e3 * hinge[0], marker="s", markersize=5, color=INK)
-    ax.annotate("hinge", (1e3 * hinge[1], 1e3 * hinge[0]), xytext=(0, 6), textcoords="offset points", fontsize=8, ha="center")
+    ax.annotate(
+        "hinge",
+        (1e3 * hinge[1], 1e3 * hinge[0]),
+        xytext=(0, 6),
+        textcoords="offset points",
+        fontsize=8,
+        ha="center",
+    )
     ax.set_aspect("equal", adjustable="datalim")
     ax.invert_xaxis()
     ax.set_title("the hand from above, rigid grip")
@@ -183,7 +204,15 @@ def scenes(outcomes: Mapping[str, Opened], folder: Path) -> None:
         for law, align in (("cap", "center"), ("stiff", "center")):
             force = outcomes[f"open/{first[0]}/{first[1]}/{law}"].force
             name = "all stiff" if law == "stiff" else law
-            ax.annotate(name, (force, -0.55), ha=align, va="center", fontsize=8.5, fontweight="bold", color=LAW_COLOURS[law])
+            ax.annotate(
+                name,
+                (force, -0.55),
+                ha=align,
+                va="center",
+                fontsize=8.5,
+                fontweight="bold",
+                color=LAW_COLOURS[law],
+            )
         save(figure, folder, "4-scenes")
 
 

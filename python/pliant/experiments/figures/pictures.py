@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Pixels = NDArray[np.uint8]
 
+#: What is raised where nothing can draw off screen.
+CANNOT_DRAW = (mujoco.FatalError, OSError, RuntimeError)
 #: How many times finer a picture is drawn than it is kept: smooth edges of the cut-out.
 FINER = 3
 BONE, JOINT, HAND = (0.80, 0.82, 0.85, 1.0), (0.20, 0.24, 0.30, 1.0), (0.90, 0.38, 0.0, 1.0)
@@ -60,9 +63,13 @@ class Studio:
         self._plant, self._size = plant, size
         spec = plant.spec.copy()
         _furnish(spec, plant, handle=handle)
-        for start, end in zip(trail[:-1], trail[1:], strict=True) if trail is not None else ():
+        for start, end in pairwise(trail if trail is not None else ()):
             line = spec.worldbody.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(0.003, 0, 0), rgba=HAND, contype=0, conaffinity=0
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                size=(0.003, 0, 0),
+                rgba=HAND,
+                contype=0,
+                conaffinity=0,
             )
             line.fromto = (*start, *end)
         self._model = spec.compile()
@@ -85,7 +92,9 @@ class Studio:
         """Free the drawing context, which would complain at the end of the process."""
         self._renderer.close()
 
-    def picture(self, q: Array, joints: dict[str, float] | None = None, moved: Array | None = None) -> Pixels:
+    def picture(
+        self, q: Array, joints: dict[str, float] | None = None, moved: Array | None = None
+    ) -> Pixels:
         """Draw a posture.
 
         Args:
@@ -168,9 +177,13 @@ def _add_hand(tip: Any, usual: float, ink: dict[str, Any], *, handle: bool) -> N
     shape = {**ink, "rgba": HAND, "quat": tip.quat}
     for side in (1.0, -1.0):
         place = at + axes @ (np.array([-0.4, side, 0.0]) * usual)
-        tip.parent.add_geom(**{**shape, "type": box}, size=(1.1 * usual, 0.2 * usual, 0.5 * usual), pos=place)
+        tip.parent.add_geom(
+            **{**shape, "type": box}, size=(1.1 * usual, 0.2 * usual, 0.5 * usual), pos=place
+        )
     palm = at + axes @ (np.array([-1.5, 0.0, 0.0]) * usual)
-    tip.parent.add_geom(**{**shape, "type": box}, size=(0.25 * usual, 1.2 * usual, 0.5 * usual), pos=palm)
+    tip.parent.add_geom(
+        **{**shape, "type": box}, size=(0.25 * usual, 1.2 * usual, 0.5 * usual), pos=palm
+    )
     if handle:
         grey = {**shape, "type": bar, "rgba": JOINT}
         tip.parent.add_geom(**grey, size=(0.35 * usual, 2.6 * usual, 0.0), pos=at)

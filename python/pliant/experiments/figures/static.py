@@ -15,6 +15,8 @@ from pliant.experiments.figures.style import (
     WIDE,
     canvas,
     label_end,
+    names,
+    room,
     save,
     shade,
     thin,
@@ -25,7 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from pliant.experiments.episode import Trace
@@ -41,7 +42,7 @@ PAUSE = 0.6
 
 
 def overview(traces: Mapping[str, Trace], axis: str, folder: Path) -> None:
-    """Draw the dragged axis, the farthest other position and the hand's effort, both laws over each other."""
+    """Draw the dragged axis, the farthest other position and the hand, one law over the other."""
     index = AXES.index(axis)
     turning = index > 2
     others = [i for i in range(3) if i != index]
@@ -72,29 +73,15 @@ def overview(traces: Mapping[str, Trace], axis: str, folder: Path) -> None:
             axes[2, column].set_xlabel("time [s]")
         axes[0, 0].set_ylabel(f"{axis}, from its target [{unit}]")
         axes[1, 0].set_ylabel("farthest other position [mm]")
-        axes[0, 0].margins(y=0.14)
-        axes[1, 0].margins(y=0.14)
+        room(axes[0], 0.14)
+        room(axes[1], 0.14)
         axes[1, 0].set_ylim(bottom=0.0)
         axes[2, 0].set_ylabel(f"hand [{'N·m' if turning else 'N'}]")
-        _names(axes[0, 0])
-        save(figure, folder, f"2-static-{axis}")
-
-
-def _names(ax: Axes) -> None:
-    """Name the laws in their colours, in a corner."""
-    for row, (text, law) in enumerate((("paper, no gravity model", "paper"), ("cap", "cap"))):
-        ax.annotate(
-            text,
-            (0.98, 0.98),
-            xycoords="axes fraction",
-            xytext=(0, -11 * row),
-            textcoords="offset points",
-            ha="right",
-            va="top",
-            color=LAW_COLOURS[law],
-            fontsize=8.0,
-            fontweight="bold",
+        names(
+            axes[0, 0],
+            [("paper, no gravity model", LAW_COLOURS["paper"]), ("cap", LAW_COLOURS["cap"])],
         )
+        save(figure, folder, f"2-static-{axis}")
 
 
 def deviations(traces: Mapping[str, Trace], axis: str, law: str, folder: Path) -> None:
@@ -114,7 +101,9 @@ def deviations(traces: Mapping[str, Trace], axis: str, law: str, folder: Path) -
                 t = start + trace.t[step]
                 for k, name in enumerate(AXES):
                     row, scale = (0, 1e3) if k < 3 else (1, 1.0)
-                    axes[row, column].plot(t, -scale * trace.error[step, k], color=AXIS_COLOURS[name])
+                    axes[row, column].plot(
+                        t, -scale * trace.error[step, k], color=AXIS_COLOURS[name]
+                    )
                 axes[2, column].plot(t, trace.compliance[step, index], color=INK)
                 for row in range(3):
                     text = f"{'+' if sign == '+1' else '−'}{axis}" if row == 0 else ""
@@ -124,7 +113,7 @@ def deviations(traces: Mapping[str, Trace], axis: str, law: str, folder: Path) -
             axes[0, column].set_title(f"η = {eta}", pad=14)
             axes[2, column].set_xlabel("time [s]")
             axes[2, column].set_ylim(-0.05, 1.08)
-        axes[0, 0].margins(y=0.14)
+        room(axes[0], 0.14)
         axes[0, 0].set_ylabel("positions, from target [mm]")
         axes[1, 0].set_ylabel("rotations, from target [rad]")
         axes[2, 0].set_ylabel("compliance c")
@@ -138,10 +127,10 @@ def _end_names(
     """Name the lines at the right edge, where the last run ends."""
     present = [s for s in SIGNS if f"{axis} {law} {ETAS[2]} {s}" in traces]
     trace = traces[f"{axis} {law} {ETAS[2]} {present[-1]}"]
-    for row, names in ((0, AXES[:3]), (1, AXES[3:])):
+    for row, group in ((0, AXES[:3]), (1, AXES[3:])):
         scale = 1e3 if row == 0 else 1.0
         ends = [
             (-scale * float(trace.error[-1, AXES.index(name)]), name, AXIS_COLOURS[name])
-            for name in names
+            for name in group
         ]
         label_end(axes[row, 2], end, ends)

@@ -1,6 +1,7 @@
 """One look for all figures: sober, colour-blind safe, units on every axis, labels at the lines.
 
-Colours after Okabe and Ito. A figure is saved as PNG for slides and as SVG for the report, which turns ink, grid and
+Colours after Okabe and Ito. A figure is saved as PNG for slides and as SVG for the report, which
+turns ink, grid and
 background of the SVG into variables of the page, so that figures follow its dark mode.
 """
 
@@ -54,7 +55,7 @@ LAW_COLOURS = {
 WIDE = 11.0
 PIXELS_PER_INCH = 150
 
-RC: dict[str, Any] = {
+RC: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,
@@ -102,7 +103,8 @@ def canvas(
     """A figure in the style of the house and its axes (rows, columns).
 
     Args:
-        rows, columns: Of the grid of axes.
+        rows: Of the grid of axes.
+        columns: Of the grid of axes.
         size: Width and height [inch].
         **grid: As `Figure.subplots` (`sharex`, `width_ratios`, ...).
 
@@ -115,7 +117,7 @@ def canvas(
 
 
 def save(figure: Figure, folder: Path, name: str) -> None:
-    """Write `name.png` and `name.svg`, without dates and addresses, so that equal runs give equal files."""
+    """Write `name.png` and `name.svg`, without dates: equal runs give equal files."""
     folder.mkdir(parents=True, exist_ok=True)
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     figure.savefig(folder / f"{name}.png", dpi=PIXELS_PER_INCH, metadata={"Software": None})
@@ -128,7 +130,9 @@ def thin(t: Array, *, rate: float = 25.0) -> slice:
     return slice(None, None, step)
 
 
-def label_end(ax: Axes, x: float, labels: Sequence[tuple[float, str, str]], *, size: float = 8.0) -> None:
+def label_end(
+    ax: Axes, x: float, labels: Sequence[tuple[float, str, str]], *, size: float = 8.0
+) -> None:
     """Write names beside the ends of lines, moved apart until they do not touch.
 
     Args:
@@ -138,10 +142,12 @@ def label_end(ax: Axes, x: float, labels: Sequence[tuple[float, str, str]], *, s
         size: Of the type [pt].
     """
     low, high = ax.get_ylim()
-    figure = ax.get_figure()
+    figure = ax.get_figure(root=True)
     if figure is None:
         return
-    height = ax.get_position().height * figure.get_figheight() * 72.0  # pt; before the layout: generous
+    height = (
+        ax.get_position().height * figure.get_figheight() * 72.0
+    )  # pt; before the layout: generous
     gap = 1.15 * size * (high - low) / max(height, 1.0)
     order = sorted(labels)
     places = [np.clip(y, low, high) for y, _, _ in order]
@@ -173,7 +179,9 @@ def label_end(ax: Axes, x: float, labels: Sequence[tuple[float, str, str]], *, s
 PLACES = tuple((side * 8, dy) for dy in (0, 10, -10, 20, -20, 30, -30) for side in (1, -1))
 
 
-def label_points(ax: Axes, points: Sequence[tuple[float, float, str, str]], *, size: float = 7.5) -> None:
+def label_points(
+    ax: Axes, points: Sequence[tuple[float, float, str, str]], *, size: float = 7.5
+) -> None:
     """Write names beside points, each at the first place that is still free.
 
     Args:
@@ -181,10 +189,10 @@ def label_points(ax: Axes, points: Sequence[tuple[float, float, str, str]], *, s
         points: x, y in data units, text, colour.
         size: Of the type [pt].
     """
-    figure = ax.get_figure()
+    figure = ax.get_figure(root=True)
     if figure is None:
         return
-    figure.draw_without_rendering()  # type: ignore[union-attr]
+    figure.draw_without_rendering()
     scale = 72.0 / figure.dpi
     spots = [scale * ax.transData.transform((x, y)) for x, y, _, _ in points]
     taken = [(px - 5, py - 5, px + 5, py + 5) for px, py in spots]
@@ -210,12 +218,41 @@ def label_points(ax: Axes, points: Sequence[tuple[float, float, str, str]], *, s
             ha="left" if dx > 0 else "right",
             fontsize=size,
             color=colour,
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkB": 4} if far else None,
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkB": 4}
+            if far
+            else None,
         )
 
 
 def _overlap(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+
+
+def names(
+    ax: Axes, entries: Sequence[tuple[str, str]], *, right: bool = True, top: bool = True
+) -> None:
+    """Write names in their colours into a corner, one below the other."""
+    for row, (text, colour) in enumerate(entries if top else list(reversed(entries))):
+        ax.annotate(
+            text,
+            (0.98 if right else 0.02, 0.98 if top else 0.02),
+            xycoords="axes fraction",
+            xytext=(0, -11 * row if top else 11 * row),
+            textcoords="offset points",
+            ha="right" if right else "left",
+            va="top" if top else "bottom",
+            color=colour,
+            fontsize=8.0,
+            fontweight="bold",
+        )
+
+
+def room(row: Grid, share: float) -> None:
+    """Leave a share of the height free around the curves of axes that share their scale."""
+    limits = [value for ax in row for value in ax.dataLim.intervaly if np.isfinite(value)]
+    low, high = min(limits), max(limits)
+    free = share * (high - low)
+    row[0].set_ylim(low - free, high + free)
 
 
 def shade(ax: Axes, start: float, end: float, text: str = "") -> None:

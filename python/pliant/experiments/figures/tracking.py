@@ -17,6 +17,7 @@ from pliant.experiments.figures.style import (
     WIDE,
     canvas,
     label_end,
+    names,
     save,
     thin,
 )
@@ -35,7 +36,12 @@ def swings(traces: Mapping[str, Trace], axes_names: Sequence[str], file: str, fo
     """Draw the swinging axis with its target above, the farthest other position below."""
     count = len(axes_names)
     with canvas(
-        2, count, size=(WIDE, 4.6), sharex=True, sharey="row" if count > 1 else False, height_ratios=[1.2, 1.0]
+        2,
+        count,
+        size=(WIDE, 4.6),
+        sharex=True,
+        sharey="row" if count > 1 else False,
+        height_ratios=[1.2, 1.0],
     ) as (figure, axes):
         for column, axis in enumerate(axes_names):
             index = AXES.index(axis)
@@ -62,26 +68,9 @@ def swings(traces: Mapping[str, Trace], axes_names: Sequence[str], file: str, fo
                 top.set_ylabel(f"along the axis [{unit}]")
                 low.set_ylabel("other positions [mm]")
         axes[1, 0].set_ylim(bottom=0.0)
-        _key(axes[0, 0], drawn)
+        entries = [("target", INK), *((law, LAW_COLOURS[law]) for law in drawn)]
+        names(axes[0, 0], entries, right=False, top=False)
         save(figure, folder, file)
-
-
-def _key(ax: object, drawn: Sequence[str]) -> None:
-    from matplotlib.axes import Axes
-
-    assert isinstance(ax, Axes)
-    entries = [("target", INK), *((law, LAW_COLOURS[law]) for law in drawn)]
-    for row, (text, colour) in enumerate(reversed(entries)):
-        ax.annotate(
-            text,
-            (0.02, 0.02),
-            xycoords="axes fraction",
-            xytext=(0, 10 * row),
-            textcoords="offset points",
-            color=colour,
-            fontsize=7.5,
-            fontweight="bold",
-        )
 
 
 def loss(traces: Mapping[str, Trace], folder: Path) -> None:
@@ -91,7 +80,10 @@ def loss(traces: Mapping[str, Trace], folder: Path) -> None:
         ("x/paper", "paper, step limits", ORANGE),
         ("x/cap", "cap", BLUE),
     )
-    with canvas(4, 1, size=(WIDE * 0.82, 7.4), sharex=True, height_ratios=[1, 1, 0.7, 1]) as (figure, axes):
+    with canvas(4, 1, size=(WIDE * 0.82, 7.4), sharex=True, height_ratios=[1, 1, 0.7, 1]) as (
+        figure,
+        axes,
+    ):
         x, z, c, torque = axes[:, 0]
         end = 0.0
         marks: list[tuple[float, str, str]] = []
@@ -122,5 +114,9 @@ def loss(traces: Mapping[str, Trace], folder: Path) -> None:
         z.axhline(0.0, color=MUTED, linewidth=0.7)
         x.set_xlim(0.0, end)
         label_end(x, end, [*marks, (float(wanted[-1]), "target", INK)])
-        label_end(torque, end, [(float(limit[-1]), "± limit", MUTED), (float(literal.torque[-1, 0]), "torque", RED)])
+        label_end(
+            torque,
+            end,
+            [(float(limit[-1]), "± limit", MUTED), (float(literal.torque[-1, 0]), "torque", RED)],
+        )
         save(figure, folder, "3-loss-of-z")

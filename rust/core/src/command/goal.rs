@@ -46,8 +46,8 @@ pub(crate) fn scale_to_fit<const P: usize>(
 
 /// Finds joints whose goal lies beyond a position limit, and the lead that puts it on the limit.
 ///
-/// Returns whether a joint was added to `locked`. A locked joint leaves the inverse kinematics with the lead it still
-/// has, so that the rest of the task stays right; it is not unlocked within a tick.
+/// Returns whether a joint was added to `locked`. A locked joint keeps the lead it still has and the others take over what
+/// it cannot do, so that the rest of the task stays right; it is not unlocked within a tick.
 #[inline]
 pub(crate) fn lock(
     goal: &JointVec,
@@ -149,15 +149,8 @@ mod tests {
     #[test]
     fn a_goal_beyond_the_limit_keeps_the_lead_that_is_left() {
         let (mut locked, mut lead) = ([false; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        let added = lock(
-            &vector(&[1.2]),
-            &vector(&[0.7]),
-            &vector(&[-1.0]),
-            &vector(&[1.0]),
-            &mut locked,
-            &mut lead,
-            1,
-        );
+        let added =
+            lock(&vector(&[1.2]), &vector(&[0.7]), &vector(&[-1.0]), &vector(&[1.0]), &mut locked, &mut lead, 1);
         assert!(added && locked[0] && (lead[0] - 0.3).abs() < 1e-15);
     }
 }

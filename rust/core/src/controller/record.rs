@@ -38,8 +38,7 @@ pub struct Record {
     pub gradient: JointVec,
     /// Task rows (k × n) in the task frame.
     pub rows: Rows,
-    /// Smallest singular value of the task rows as solved (without locked joints), translations divided by the arm's
-    /// length.
+    /// Smallest singular value of the task rows, translations divided by the arm's length.
     pub sigma_min: f64,
     /// Largest singular value of the same rows.
     pub sigma_max: f64,
@@ -127,7 +126,7 @@ impl Record {
     /// All singular values of the scaled task rows, largest first (an SVD: off the hot path).
     pub(crate) fn singular_values(&self, plan: &Plan) -> DVector<f64> {
         let scaled = plan.scale_rows(&self.rows);
-        DMatrix::from_fn(plan.k, plan.n, |r, i| scaled[r][i]).singular_values()
+        crate::law::svd::singular_values(&DMatrix::from_fn(plan.k, plan.n, |r, i| scaled[r][i]))
     }
 }
 

@@ -1,4 +1,4 @@
-//! Lines 7 to 11: the law, run anew without every joint that meets a position limit.
+//! Lines 7 to 11: the law, and what the other joints take over where one meets a position limit.
 
 use crate::command::goal::lock;
 use crate::controller::memory::Memory;
@@ -7,6 +7,7 @@ use crate::controller::step::{Input, Seen};
 use crate::law::activation::Activation;
 use crate::law::feedforward::{damping_squared, fade, resistance};
 use crate::law::inverse::times;
+use crate::law::takeover::Takeover;
 use crate::law::{Motion, Tick, motion, weighted_manipulability};
 use crate::plan::Plan;
 use crate::settings::{Law, Settings};
@@ -25,8 +26,6 @@ pub(super) struct Solution {
     /// Task rows, columns of locked joints zero.
     pub(super) rows: Rows,
     pub(super) locked: [bool; MAX_JOINTS],
-    /// Lead that locked joints still have [rad].
-    pub(super) fixed_lead: JointVec,
     /// Goals before slew and position limits [rad].
     pub(super) goal: JointVec,
     pub(super) gradient: JointVec,
@@ -47,61 +46,64 @@ pub(super) fn solve(
     memory: &mut Memory,
 ) -> Solution {
     let (k, n) = (plan.k, plan.n);
+    let scaled = plan.scale_rows(&seen.rows);
+    let damping = condition(plan, &scaled, memory);
+    let row_damping = plan.damping_scale.map(|scale| scale * damping);
+    let feed_forward = resist(plan, settings, memory);
+    let gradient = cost_gradient(plan, input, seen, &scaled, memory);
+    let (all_joints, shares) = motion(&Tick {
+        plan,
+        horizon: settings.horizon,
+        rows: &seen.rows,
+        scaled_rows: &scaled,
+        singular: &memory.singular,
+        damping: &row_damping,
+        softness: &wish.softness,
+        strength: &wish.strength,
+        most: &wish.most,
+        step: &wish.step,
+        bounded_step: &wish.bounded,
+        gradient: &gradient,
+        gravity: &seen.gravity_in_goal,
+        feed_forward: &feed_forward,
+        integral: &memory.integral,
+    });
+    let (mut without_lead, mut carried) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+    for i in 0..n {
+        let torque = feed_forward[i] * plan.servos.compliance[i];
+        without_lead[i] = seen.q[i] + torque + seen.gravity_in_goal[i] / plan.kg[i] + memory.integral[i];
+        carried[i] = seen.gravity_in_goal[i] + feed_forward[i] + plan.servos.kp[i] * memory.integral[i];
+    }
     let (mut locked, mut fixed_lead) = ([false; MAX_JOINTS], [0.0; MAX_JOINTS]);
-    let mut rows = seen.rows;
+    let (mut motion, mut rows) = (all_joints, seen.rows);
     loop {
-        let scaled = plan.scale_rows(&rows);
-        let damping = condition(plan, &scaled, memory);
-        let row_damping = plan.damping_scale.map(|scale| scale * damping);
-        let feed_forward = resist(plan, settings, memory);
-        let gradient = cost_gradient(plan, input, seen, &scaled, memory);
-        let done = times(&seen.rows, &fixed_lead, k);
-        let mut bounded_step = wish.bounded;
-        (0..k).for_each(|r| bounded_step[r] -= done[r]);
-        let (motion, shares) = motion(&Tick {
+        let mut goal = without_lead;
+        (0..n).for_each(|i| goal[i] += motion.lead[i] + motion.null[i]);
+        if !lock(&goal, &without_lead, &plan.lower, &plan.upper, &mut locked, &mut fixed_lead, n) {
+            return Solution { motion, shares, rows, locked, goal, gradient, feed_forward, damping, row_damping };
+        }
+        let (mut cut, mut lead, mut torque) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        for i in 0..n {
+            let whole = all_joints.lead[i] + all_joints.null[i];
+            if locked[i] {
+                cut[i] = whole - fixed_lead[i];
+                for row in &mut rows {
+                    row[i] = 0.0;
+                }
+            } else {
+                (lead[i], torque[i]) = (whole, carried[i] + plan.servos.kp[i] * whole);
+            }
+        }
+        let takeover = Takeover {
             plan,
             horizon: settings.horizon,
             rows: &rows,
-            scaled_rows: &scaled,
-            singular: &memory.singular,
-            damping: &row_damping,
+            lost: &times(&seen.rows, &cut, k),
             softness: &wish.softness,
-            strength: &wish.strength,
-            most: &wish.most,
-            step: &wish.step,
-            bounded_step: &bounded_step,
-            gradient: &gradient,
-            locked: &locked,
-            fixed_lead: &fixed_lead,
-            gravity: &seen.gravity_in_goal,
-            feed_forward: &feed_forward,
-            integral: &memory.integral,
-        });
-        let (mut without_lead, mut goal) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        for i in 0..n {
-            without_lead[i] = seen.q[i]
-                + feed_forward[i] * plan.servos.compliance[i]
-                + seen.gravity_in_goal[i] / plan.kg[i]
-                + memory.integral[i];
-            goal[i] = without_lead[i] + motion.lead[i] + motion.null[i];
-        }
-        if !lock(&goal, &without_lead, &plan.lower, &plan.upper, &mut locked, &mut fixed_lead, n) {
-            return Solution {
-                motion,
-                shares,
-                rows,
-                locked,
-                fixed_lead,
-                goal,
-                gradient,
-                feed_forward,
-                damping,
-                row_damping,
-            };
-        }
-        for row in &mut rows {
-            (0..n).filter(|&i| locked[i]).for_each(|i| row[i] = 0.0);
-        }
+            torque: &torque,
+            lead: &lead,
+        };
+        motion = all_joints.with(&locked, &fixed_lead, &takeover.addition());
     }
 }
 

@@ -20,6 +20,9 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// Longest time [s] for which a slew or the integrating goal is advanced at once: a stalled host must not lunge.
 const LONGEST_SLEW: f64 = 0.1;
 
+/// Shortest time [s] that is divided by: two readings of one instant must not make infinite speeds.
+const SHORTEST_PERIOD: f64 = 1e-6;
+
 /// Lead [rad] allowed under law `paper` where nothing is known of the servos.
 const LEAD_UNKNOWN: f64 = 0.3;
 
@@ -66,7 +69,10 @@ impl Controller {
             if command.goal.iter().chain(&command.torque_limit).all(|x| x.is_finite()) {
                 Ok((command, record, memory))
             } else {
-                Err(Error::config("step", "the command is not finite for this q, target and settings: nothing was sent"))
+                Err(Error::config(
+                    "step",
+                    "the command is not finite for this q, target and settings: nothing was sent",
+                ))
             }
         });
         match outcome {
@@ -99,7 +105,7 @@ impl Controller {
             (None, None) => self.memory.rest,
         };
         Ok(Input {
-            dt,
+            dt: dt.max(SHORTEST_PERIOD),
             dq: input.dq.map(|dq| self.joints("dq", dq, SPEED_BOUND)).transpose()?,
             twist: input.twist.copied(),
             gradient: match input.gradient {
@@ -205,24 +211,24 @@ impl Controller {
         memory: &Memory,
     ) -> JointVec {
         let (plan, k, n) = (&self.plan, self.plan.k, self.plan.n);
-        let mut offset = [0.0; MAX_JOINTS];
+        let (pull, mut offset) = (transpose_times(&seen.rows, &record.wrench, k), [0.0; MAX_JOINTS]);
         for i in 0..n {
-            let lead = solution.motion.null[i] + memory.integral[i] + solution.fixed_lead[i] + seen.q[i] - q[i];
-            offset[i] = plan.servos.kp[i] * lead;
+            let mut lead = solution.motion.null[i];
+            if solution.locked[i] {
+                // What its limit leaves of its part of the wrench.
+                lead = solution.motion.lead[i] - plan.servos.compliance[i] * pull[i];
+            }
+            offset[i] = plan.servos.kp[i] * (lead + memory.integral[i] + seen.q[i] - q[i]);
         }
         let load = Load {
             gravity: &seen.gravity_in_limit,
             feed_forward: &solution.feed_forward,
-            task: &transpose_times(&solution.rows, &within(&record.wrench, &wish.most, k), k),
+            task: &transpose_times(&seen.rows, &within(&record.wrench, &wish.most, k), k),
             offset: &offset,
             gravity_scale: self.settings.gravity_scale,
             margin: &plan.margin,
         };
         match (&solution.shares, plan.limits) {
-            (Some(_), _) if solution.locked.contains(&true) => {
-                // A joint that has left the inverse kinematics still carries its share.
-                load.budget(&record.shares(plan).distribute(&wish.most, plan.null_torque, k), n)
-            }
             (Some(shares), _) => load.budget(&shares.distribute(&wish.most, plan.null_torque, k), n),
             (None, LimitRule::Demand) => load.demand(n),
             (None, LimitRule::Sum) => {

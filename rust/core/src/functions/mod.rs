@@ -11,6 +11,7 @@ use crate::error::{Error, Result};
 use crate::law::activation::{self, Activation};
 use crate::law::inverse;
 use crate::law::nullspace::{NullSpace, fade_squared};
+use crate::law::svd::Svd;
 use crate::pose::Pose;
 use crate::settings::Projector;
 use crate::task::{adapt, compliance as task_compliance, deviation as task_deviation};
@@ -20,9 +21,6 @@ use arrays::{array, check, finite, inverse_rows, same_length, square, task_rows}
 
 /// λ² as a share of tr(JJᵀ) below which JJᵀ + λ²I has lost λ to rounding.
 const LOST_DAMPING: f64 = 1e-9;
-
-/// Iterations after which a singular value decomposition is given up.
-const SVD_ITERATIONS: usize = 1000;
 
 /// Damped pseudo-inverse of (3), `J⁺ = Jᵀ (J Jᵀ + λ²I)⁻¹`, n × k.
 ///
@@ -38,10 +36,10 @@ pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DM
         let transposed = inverse::pseudo_inverse(&rows, &[1.0; MAX_JOINTS], &[squared; MAX_AXES], k, n);
         return Ok(DMatrix::from_fn(n, k, |i, r| transposed[r][i]));
     }
-    let (u, sigma, v_t) = svd(jacobian)?;
-    let cutoff = f64::EPSILON * k.max(n) as f64 * sigma.max();
-    let gains = sigma.map(|s| if s > cutoff { s / (s * s + squared) } else { 0.0 });
-    Ok(v_t.transpose() * DMatrix::from_diagonal(&gains) * u.transpose())
+    let svd = svd(jacobian)?;
+    let cutoff = f64::EPSILON * k.max(n) as f64 * svd.sigma.max();
+    let gains = svd.sigma.map(|s| if s > cutoff { s / (s * s + squared) } else { 0.0 });
+    Ok(svd.v * DMatrix::from_diagonal(&gains) * svd.u.transpose())
 }
 
 /// Null-space projector of `J`, n × n.
@@ -57,7 +55,7 @@ pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Project
         Projector::Paper => Ok(DMatrix::identity(n, n) - damped_pseudo_inverse(jacobian, damping)? * jacobian),
         Projector::Exact => {
             check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
-            let (_, sigma, _) = svd(jacobian)?;
+            let sigma = svd(jacobian)?.sigma;
             let added = [fade_squared(sigma.min(), sigma.max()); MAX_AXES];
             let matrix = NullSpace::new(&rows, &[1.0; MAX_JOINTS], &added, k, n).matrix();
             Ok(DMatrix::from_fn(n, n, |i, j| matrix[i][j]))
@@ -188,14 +186,8 @@ pub fn pose_error(actual: &Pose, target: &Pose) -> Result<AxisVec> {
     Ok(task_deviation::pose_error(actual, target))
 }
 
-/// `U`, σ and `Vᵀ` of a finite matrix.
-fn svd(m: &DMatrix<f64>) -> Result<(DMatrix<f64>, DVector<f64>, DMatrix<f64>)> {
-    let failed = || Error::config("J", format!("its singular values were not found in {SVD_ITERATIONS} iterations"));
-    let svd = m.clone().try_svd(true, true, f64::EPSILON, SVD_ITERATIONS).ok_or_else(failed)?;
-    match (svd.u, svd.v_t) {
-        (Some(u), Some(v_t)) => Ok((u, svd.singular_values, v_t)),
-        _ => Err(failed()),
-    }
+fn svd(m: &DMatrix<f64>) -> Result<Svd> {
+    Svd::new(m).ok_or_else(|| Error::config("J", "its singular values could not be found"))
 }
 
 #[cfg(test)]

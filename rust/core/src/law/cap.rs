@@ -15,7 +15,7 @@ pub(crate) struct Demand<'a> {
     pub(crate) damping: &'a AxisVec,
     /// Step `s = h (K_x ẽ + twist)` [m, rad].
     pub(crate) step: &'a AxisVec,
-    /// The step within its per-axis limits, less what locked joints do already.
+    /// The step within its per-axis limits.
     pub(crate) bounded_step: &'a AxisVec,
     /// Softness w ∈ [0, 1].
     pub(crate) softness: &'a AxisVec,
@@ -121,7 +121,7 @@ pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
     let mut stiff = transpose_times(tick.rows, &wrench.stiff, k);
     let mut base = [0.0; MAX_JOINTS];
     for i in 0..n.min(MAX_JOINTS) {
-        let lead = null[i] + tick.integral[i] + tick.fixed_lead[i];
+        let lead = null[i] + tick.integral[i];
         base[i] = tick.gravity[i] + tick.feed_forward[i] + servos.kp[i] * lead;
     }
     let [soft_torque, stiff_torque] = scale_to_fit(&base, [&soft, &stiff], &servos.torque, n);
@@ -134,24 +134,23 @@ pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
     let [null_speed, soft_speed, stiff_speed] = scale_to_fit(&[0.0; MAX_JOINTS], [&null, &soft, &stiff], &reach, n);
     let factors = [null_speed, soft_torque * soft_speed, stiff_torque * stiff_speed];
 
-    let mut lead = *tick.fixed_lead;
+    let mut lead = [0.0; MAX_JOINTS];
     for i in 0..MAX_JOINTS {
         soft[i] *= soft_speed;
         stiff[i] *= stiff_speed;
         null[i] *= null_speed;
-        lead[i] += soft[i] + stiff[i];
+        lead[i] = soft[i] + stiff[i];
     }
     wrench.soft = wrench.soft.map(|f| f * factors[1]);
     wrench.stiff = wrench.stiff.map(|f| f * factors[2]);
     Motion { lead, stiff_lead: stiff, null, wrench, factors }
 }
 
-/// Scales the null-space motion to its torque, `Σ k_p |null| ≤ τ₀`, and to its speed limit; locked joints have none.
+/// Scales the null-space motion to its torque, `Σ k_p |null| ≤ τ₀`, and to its speed limit.
 #[inline]
 fn bound_null(null: &mut JointVec, tick: &Tick<'_>) {
     let plan = tick.plan;
     let (mut torque, mut fastest) = (0.0, 0.0_f64);
-    tick.without_locked(null);
     for i in 0..plan.n.min(MAX_JOINTS) {
         torque += plan.servos.kp[i] * null[i].abs();
         fastest = fastest.max(null[i].abs());

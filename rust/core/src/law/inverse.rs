@@ -159,7 +159,13 @@ impl Cholesky {
 /// `joint_weight` holds the diagonal of `D` (1 where joints count alike), `damping` the diagonal of `Λ` (λ², in the
 /// squared units of its row).
 #[inline]
-pub(crate) fn pseudo_inverse(rows: &Rows, joint_weight: &[f64; MAX_JOINTS], damping: &AxisVec, k: usize, n: usize) -> Rows {
+pub(crate) fn pseudo_inverse(
+    rows: &Rows,
+    joint_weight: &[f64; MAX_JOINTS],
+    damping: &AxisVec,
+    k: usize,
+    n: usize,
+) -> Rows {
     let mut m = weighted_gram(rows, joint_weight, k, n);
     for r in 0..k.min(MAX_AXES) {
         m[r][r] += damping[r];

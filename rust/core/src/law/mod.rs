@@ -6,6 +6,8 @@ pub(crate) mod feedforward;
 pub(crate) mod inverse;
 pub(crate) mod nullspace;
 pub(crate) mod paper;
+pub(crate) mod svd;
+pub(crate) mod takeover;
 
 use crate::law::activation::Activation;
 use crate::law::cap::Wrench;
@@ -20,7 +22,7 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 pub(crate) struct Tick<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) horizon: f64,
-    /// Task rows; columns of locked joints are zero.
+    /// Task rows.
     pub(crate) rows: &'a Rows,
     /// The same with translations divided by the arm's length.
     pub(crate) scaled_rows: &'a Rows,
@@ -35,13 +37,10 @@ pub(crate) struct Tick<'a> {
     pub(crate) most: &'a AxisVec,
     /// h (K_x ẽ + twist), within the limits of soft axes.
     pub(crate) step: &'a AxisVec,
-    /// The same within all per-axis limits, less what locked joints do.
+    /// The same within all per-axis limits.
     pub(crate) bounded_step: &'a AxisVec,
     /// Gradient of the null-space cost.
     pub(crate) gradient: &'a JointVec,
-    pub(crate) locked: &'a [bool; MAX_JOINTS],
-    /// Lead of locked joints [rad].
-    pub(crate) fixed_lead: &'a JointVec,
     /// Gravity in the goals.
     pub(crate) gravity: &'a JointVec,
     pub(crate) feed_forward: &'a JointVec,
@@ -86,16 +85,6 @@ impl Tick<'_> {
             Projector::Exact => {
                 let mu_squared = fade_squared(self.singular.smallest, self.singular.largest);
                 NullSpace::new(self.scaled_rows, &plan.joint_weight, &[mu_squared; MAX_AXES], plan.k, plan.n)
-            }
-        }
-    }
-
-    /// Takes locked joints out of a motion.
-    #[inline]
-    pub(crate) fn without_locked(&self, motion: &mut JointVec) {
-        for (value, &locked) in motion.iter_mut().zip(self.locked) {
-            if locked {
-                *value = 0.0;
             }
         }
     }

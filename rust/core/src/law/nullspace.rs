@@ -119,7 +119,8 @@ pub(crate) fn manipulability_gradient(jacobian: &Rows, p: &Rows, turning: bool, 
         let (v_i, w_i) = (column(jacobian, i, 0), column(jacobian, i, 3));
         for j in 0..n {
             let (v_j, w_j) = (column(jacobian, j, 0), column(jacobian, j, 3));
-            let (mut dv, mut dw) = if i <= j { (cross(w_i, v_j), cross(w_i, w_j)) } else { (cross(w_j, v_i), [0.0; 3]) };
+            let (mut dv, mut dw) =
+                if i <= j { (cross(w_i, v_j), cross(w_i, w_j)) } else { (cross(w_j, v_i), [0.0; 3]) };
             if turning {
                 dv = subtract(dv, cross(w_i, v_j));
                 dw = subtract(dw, cross(w_i, w_j));

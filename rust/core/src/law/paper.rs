@@ -88,16 +88,13 @@ pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Activation) {
         }
     };
     let null_space = tick.null_space();
-    let mut null = null_space.project(&tick.gradient.map(|g| -plan.alpha * h * g));
-    tick.without_locked(&mut null);
+    let null = null_space.project(&tick.gradient.map(|g| -plan.alpha * h * g));
     let mut lead = gained(plan, &task);
     let mut null = gained(plan, &null);
-    tick.without_locked(&mut lead);
-    tick.without_locked(&mut null);
     let reach = plan.joint_speed.map(|speed| speed * h);
     let [null_factor, task_factor] = scale_to_fit(&[0.0; MAX_JOINTS], [&null, &lead], &reach, n);
     for i in 0..MAX_JOINTS {
-        lead[i] = task_factor * lead[i] + tick.fixed_lead[i];
+        lead[i] *= task_factor;
         null[i] *= null_factor;
     }
     let redundant = k < n;

@@ -12,12 +12,15 @@ use crate::settings::{Damping, Follow, Law, LimitRule, Projector, Settings};
 use crate::survey;
 use crate::task::axes::{AXIS_NAMES, Frame};
 
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 pub(crate) use rows::Row;
 use rows::resolve_rows;
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Reach [m] of the arm on which the damping constants were found; others are scaled to it.
 const REFERENCE_REACH: f64 = 0.71;
+
+/// λ that joints take over with at least, where the settings have none for singular poses.
+const LEAST_TAKEOVER: f64 = 0.05;
 
 /// `K_x h T_e` [s] up to which the stiff axes stay quiet.
 const GAIN_DELAY_BOUND: f64 = 0.03;
@@ -54,6 +57,8 @@ pub(crate) struct Plan {
     pub(crate) kx_derating: f64,
     pub(crate) alpha: f64,
     pub(crate) damping: DampingPlan,
+    /// λ² of what joints take over from one at its limit: as near a singular pose, for the arm that is left often is.
+    pub(crate) takeover_damping: f64,
     pub(crate) servos: ServoArrays,
     pub(crate) cost: Cost,
     pub(crate) null_torque: f64,
@@ -103,6 +108,7 @@ impl Plan {
             }
         }
         let redundant = k < n;
+        let damping = resolve_damping(model, settings, &axes, unit)?;
         if settings.law == Law::Paper && !redundant && settings.null_torque.is_some_and(|torque| torque > 0.0) {
             return Err(Error::config(
                 "null_torque",
@@ -125,7 +131,8 @@ impl Plan {
             kq: settings.kq.spread("kq", n)?,
             kx_derating: 1.0,
             alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
-            damping: resolve_damping(model, settings, &axes, unit)?,
+            takeover_damping: damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2),
+            damping,
             cost: resolve_cost(model, settings)?,
             null_torque: settings.null_torque.unwrap_or(if redundant { 2.0 } else { 0.0 }),
             null_speed: settings.null_speed,
@@ -145,7 +152,12 @@ impl Plan {
         };
         // Joint weights of J⁺ are those of the cost; the pseudo-inverse wants their inverse.
         plan.joint_weight = plan.joint_weight.map(|w| 1.0 / w);
-        plan.kx = compact(&settings.kx.spread("kx", if matches!(settings.kx, crate::settings::Gain::Scalar(_)) { MAX_AXES } else { k })?, k);
+        plan.kx = compact(
+            &settings
+                .kx
+                .spread("kx", if matches!(settings.kx, crate::settings::Gain::Scalar(_)) { MAX_AXES } else { k })?,
+            k,
+        );
         check_gain(settings, &plan)?;
         for i in 0..n {
             let usable = plan.servos.torque[i];
@@ -182,7 +194,7 @@ impl Plan {
 
     /// The largest K_x h in any direction of the task: the largest singular value.
     pub(crate) fn gain(&self, horizon: f64) -> f64 {
-        horizon * DMatrix::from_fn(self.k, self.k, |r, c| self.kx[r][c]).singular_values().max()
+        horizon * crate::law::svd::singular_values(&DMatrix::from_fn(self.k, self.k, |r, c| self.kx[r][c])).max()
     }
 
     /// Sets the factor on K_x that a measured delay [s] demands; law `paper` has no such bound.

@@ -79,7 +79,10 @@ fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], kp_known: b
         if yields.sides()[side] && !(soft[side] <= firm[side] && firm[side] <= hold) {
             return Err(Error::config(
                 format!("axes.{name}"),
-                format!("needs soft ≤ firm ≤ hold, got soft={}, firm={}, hold={hold} pushed toward {pushed}", soft[side], firm[side]),
+                format!(
+                    "needs soft ≤ firm ≤ hold, got soft={}, firm={}, hold={hold} pushed toward {pushed}",
+                    soft[side], firm[side]
+                ),
             ));
         }
     }

@@ -1,6 +1,7 @@
 //! Random numbers that are the same on every machine, and arms to use them on.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
+use std::f64::consts::PI;
 use std::sync::Arc;
 
 use pliant_core::task::deviation::rotation_matrix;
@@ -41,7 +42,7 @@ impl Random {
     }
 
     pub(crate) fn below(&mut self, count: usize) -> usize {
-        (self.unit() * count as f64) as usize
+        usize::try_from(self.next() >> 32).unwrap() % count
     }
 
     pub(crate) fn pick<T: Clone>(&mut self, of: &[T]) -> T {
@@ -61,7 +62,7 @@ impl Random {
     pub(crate) fn joints(&mut self, model: &Model, share: f64) -> Vec<f64> {
         (0..model.n())
             .map(|i| {
-                let (low, high) = (model.lower()[i].max(-3.14), model.upper()[i].min(3.14));
+                let (low, high) = (model.lower()[i].max(-PI), model.upper()[i].min(PI));
                 0.5 * (low + high) + share * self.between(-0.5, 0.5) * (high - low)
             })
             .collect()

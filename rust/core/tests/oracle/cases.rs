@@ -1,4 +1,5 @@
 //! Random settings, servos and inputs for both transcriptions.
+#![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
 use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
 use pliant_core::task::axes::{Axis, Frame, Profile, Task, Yields};
@@ -37,7 +38,8 @@ fn gain(random: &mut Random, size: usize, most: f64) -> Gain {
         1 => {
             // Strong enough on the diagonal to stay within the same bound as a whole.
             let scale = most / (1.0 + 0.2 * size as f64);
-            let entry = |r: usize, c: usize, random: &mut Random| scale * if r == c { 1.0 } else { random.between(-0.2, 0.2) };
+            let entry =
+                |r: usize, c: usize, random: &mut Random| scale * if r == c { 1.0 } else { random.between(-0.2, 0.2) };
             Gain::Matrix((0..size).map(|r| (0..size).map(|c| entry(r, c, random)).collect()).collect())
         }
         _ => Gain::Scalar(random.between(0.3, most)),
@@ -65,7 +67,8 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
         _ => Frame::Rotation(random.rotation()),
     };
     let free_of_kp = law == Law::Paper && random.chance(0.3);
-    let joints = |random: &mut Random, low: f64, high: f64| -> Vec<f64> { (0..n).map(|_| random.between(low, high)).collect() };
+    let joints =
+        |random: &mut Random, low: f64, high: f64| -> Vec<f64> { (0..n).map(|_| random.between(low, high)).collect() };
     let per_axis = std::array::from_fn(|a| if axes[a] { axis(random, law, a < 3, small) } else { Axis::default() });
     Settings {
         task: Task { axes, frame, length },

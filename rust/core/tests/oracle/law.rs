@@ -7,7 +7,6 @@ use super::{Matrix, Oracle, Vector};
 /// What a law is asked.
 pub(super) struct Want<'a> {
     pub(super) oracle: &'a Oracle,
-    /// Columns of locked joints are zero.
     pub(super) rows: &'a Matrix,
     pub(super) scaled: &'a Matrix,
     pub(super) row_lambda2: &'a Vector,
@@ -16,16 +15,15 @@ pub(super) struct Want<'a> {
     pub(super) strength: &'a Vector,
     pub(super) most: &'a Vector,
     pub(super) soft_step: &'a Vector,
-    /// Within the per-axis limits, less what locked joints do.
+    /// Within the per-axis limits.
     pub(super) step: &'a Vector,
     pub(super) gradient: &'a Vector,
-    pub(super) locked: &'a [bool],
-    pub(super) fixed: &'a Vector,
     /// Gravity and feed-forward.
     pub(super) base: &'a Vector,
 }
 
 /// What it answers.
+#[derive(Clone)]
 pub(super) struct Motion {
     pub(super) lead: Vector,
     pub(super) null: Vector,
@@ -47,7 +45,7 @@ fn fit(others: &Vector, part: &Vector, bound: &Vector) -> f64 {
     for i in 0..part.len() {
         let all = others[i] + part[i];
         if all.abs() > bound[i] * (1.0 + 1e-12) && part[i].abs() > bound[i] * 1e-12 {
-            factor = factor.min(((bound[i] * all.signum() - others[i]) / part[i]).max(0.0).min(1.0));
+            factor = factor.min(((bound[i] * all.signum() - others[i]) / part[i]).clamp(0.0, 1.0));
         }
     }
     factor
@@ -126,7 +124,6 @@ impl Want<'_> {
         let shares = self.shares();
         let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
         let mut null = shares.projector() * self.gradient * (-alpha * settings.horizon);
-        (0..n).filter(|&i| self.locked[i]).for_each(|i| null[i] = 0.0);
         let torque: f64 = (0..n).map(|i| kp[i] * null[i].abs()).sum();
         let most = settings.null_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
         let fastest = null.amax() / settings.horizon;
@@ -141,7 +138,7 @@ impl Want<'_> {
 
         // Over the ceiling W is scaled, soft first, then stiff; gravity and feed-forward never.
         let ceiling = self.oracle.ceiling();
-        let base = self.base + kp.component_mul(&(&null + self.fixed));
+        let base = self.base + kp.component_mul(&null);
         let (tau_soft, tau_stiff) = (self.rows.transpose() * &soft, self.rows.transpose() * &stiff);
         let (mut f_soft, mut f_stiff) = (1.0, 1.0);
         if beyond(&(&base + &tau_soft + &tau_stiff), &ceiling) {
@@ -155,7 +152,7 @@ impl Want<'_> {
         let lead_stiff = (tau_stiff * f_stiff).component_div(&kp);
         let [f_null, g_soft, g_stiff] = self.slower(&null, &lead_soft, &lead_stiff);
         Motion {
-            lead: self.fixed + lead_soft * g_soft + lead_stiff * g_stiff,
+            lead: lead_soft * g_soft + lead_stiff * g_stiff,
             null: null * f_null,
             wrench: soft * (f_soft * g_soft) + stiff * (f_stiff * g_stiff),
             factors: [f_null, f_soft * g_soft, f_stiff * g_stiff],
@@ -208,14 +205,72 @@ impl Want<'_> {
             (self.rows.transpose() * w).component_div(&kp)
         };
         let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
-        let unlocked = Vector::from_fn(n, |i, _| if self.locked[i] { 0.0 } else { 1.0 });
-        let null = (shares.projector() * self.gradient * (-alpha * h)).component_mul(&unlocked);
+        let null = shares.projector() * self.gradient * (-alpha * h);
         let kq = Oracle::gain(&settings.kq, n);
-        let (lead, mut null) = ((&kq * task).component_mul(&unlocked), (&kq * null).component_mul(&unlocked));
+        let (lead, mut null) = (&kq * task, &kq * null);
         let zero = Vector::zeros(n);
         let [f_null, f_task, _] = self.slower(&null, &lead, &zero);
         null *= f_null;
-        Motion { lead: lead * f_task + self.fixed, null, wrench: Vector::zeros(k), factors: [f_null, f_task, f_task] }
+        Motion { lead: lead * f_task, null, wrench: Vector::zeros(k), factors: [f_null, f_task, f_task] }
+    }
+
+    /// `all` with locked joints at their `fixed` lead; what they lack is solved for over the other joints, with the damping
+    /// of a singular pose, within ceilings and joint speeds.
+    pub(super) fn taken_over(&self, all: &Motion, locked: &[bool], fixed: &Vector) -> Motion {
+        let (n, kp, settings) = (self.n(), self.oracle.kp(), &self.oracle.settings);
+        let whole = &all.lead + &all.null;
+        let of = |on: bool, v: &Vector| Vector::from_fn(n, |i, _| if locked[i] == on { v[i] } else { 0.0 });
+        let lost = self.rows * of(true, &(&whole - fixed));
+        let mut rows = self.rows.clone();
+        (0..n).filter(|&i| locked[i]).for_each(|i| rows.column_mut(i).fill(0.0));
+
+        let [lambda_0, _, lambda_max] = self.oracle.damping;
+        let lambda2 = lambda_0 * lambda_0 + lambda_max.max(0.05).powi(2);
+        let row_lambda2 = self.row_scale() * lambda2;
+        let free = self.follow() == Follow::Free;
+        let none = Vector::zeros(self.k());
+        let rest = Want {
+            rows: &rows,
+            row_lambda2: &row_lambda2,
+            softness: if free { self.softness } else { &none },
+            ..*self
+        };
+        let mut wrench = none.clone();
+        let mut more = if settings.law == pliant_core::settings::Law::Paper && !free {
+            rest.shares().pseudo_inverse() * &lost
+        } else {
+            wrench = rest.stiff(&lost);
+            (rows.transpose() * &wrench).component_div(&kp)
+        };
+        let mut factor = 1.0;
+        if settings.law == pliant_core::settings::Law::Cap {
+            let base = of(false, &(self.base + kp.component_mul(&whole)));
+            let torque = kp.component_mul(&more);
+            if beyond(&(&base + &torque), &self.oracle.ceiling()) {
+                factor = fit(&base, &torque, &self.oracle.ceiling());
+            }
+        } else {
+            wrench.fill(0.0);
+        }
+        let before = of(false, &whole);
+        let zero = Vector::zeros(n);
+        factor = factor.min(self.slower(&zero, &more, &before)[1]);
+        more *= factor;
+        Motion {
+            lead: of(false, &(&all.lead + &more)) + of(true, fixed),
+            null: of(false, &all.null),
+            wrench: &all.wrench + wrench * factor,
+            factors: all.factors,
+        }
+    }
+
+    /// Factor on λ² of each row: l² for translations, but where λ is fixed as printed.
+    fn row_scale(&self) -> Vector {
+        let oracle = self.oracle;
+        let axes = oracle.axes();
+        let printed =
+            matches!(oracle.settings.damping, pliant_core::settings::Damping::Fixed(_)) && self.k() <= self.n();
+        Vector::from_fn(self.k(), |r, _| if axes[r] < 3 && !printed { oracle.length().powi(2) } else { 1.0 })
     }
 
     fn shares(&self) -> Shares<'_> {
@@ -273,7 +328,7 @@ impl Shares<'_> {
             Projector::Exact => {
                 let j = self.scaled;
                 let mu_1 = 1e-3 * self.sigma[1];
-                let mu = mu_1 * (2.0 - self.sigma[0] / mu_1).max(0.0).min(1.0);
+                let mu = mu_1 * (2.0 - self.sigma[0] / mu_1).clamp(0.0, 1.0);
                 let gram = j * &d * j.transpose() + Matrix::identity(k, k) * (mu * mu);
                 Matrix::identity(n, n) - &d * j.transpose() * inverse(&gram) * j
             }
@@ -303,7 +358,7 @@ impl Shares<'_> {
             let projector = self.projector();
             let motion = (&projector * gradient).abs();
             let norms = Vector::from_fn(n, |i, _| projector.row(i).norm());
-            let blend = (motion.sum() / 1e-3 - 1.0).max(0.0).min(1.0);
+            let blend = (motion.sum() / 1e-3 - 1.0).clamp(0.0, 1.0);
             out.set_column(k, &(share(motion) * blend + share(norms) * (1.0 - blend)));
         }
         out

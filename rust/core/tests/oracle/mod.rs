@@ -63,7 +63,7 @@ pub(crate) struct Tick {
     pub(crate) locked: Vec<bool>,
     pub(crate) goal: Vector,
     pub(crate) limit: Vector,
-    /// Smallest and largest singular value of the solved rows, by SVD.
+    /// Smallest and largest singular value of the rows, by SVD.
     pub(crate) sigma: [f64; 2],
 }
 
@@ -184,7 +184,11 @@ impl Oracle {
     /// The rows with translations divided by the length.
     pub(crate) fn scaled(&self, rows: &Matrix) -> Matrix {
         let (axes, length) = (self.axes(), self.length());
-        Matrix::from_fn(rows.nrows(), rows.ncols(), |r, i| if axes[r] < 3 { rows[(r, i)] / length } else { rows[(r, i)] })
+        Matrix::from_fn(
+            rows.nrows(),
+            rows.ncols(),
+            |r, i| if axes[r] < 3 { rows[(r, i)] / length } else { rows[(r, i)] },
+        )
     }
 
     /// (1)(2): position difference, rotation vector of `R_d Rᵀ`, turned into the task frame; then only the task's axes.
@@ -292,10 +296,9 @@ impl Oracle {
         out
     }
 
-    /// One tick; `believed` holds the smallest and largest singular value that the fast step believes at the end of its
-    /// tick, and the joints that it has locked by then.
-    pub(crate) fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>, believed: ([f64; 2], &[bool])) -> Tick {
-        let (sigma, locked_at_last) = believed;
+    /// One tick; `sigma` holds the smallest and largest singular value that the fast step believes.
+    #[allow(clippy::too_many_lines, reason = "the printed lines in their order, in one place")]
+    pub(crate) fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>, sigma: [f64; 2]) -> Tick {
         let (n, settings) = (self.n(), self.settings.clone());
         let dt = input.dt.unwrap_or(1.0 / settings.rate);
         let h = settings.horizon;
@@ -315,7 +318,11 @@ impl Oracle {
         let rows = self.rows(&q);
         let e = self.deviation(&tool, target);
         let twist = input.twist.copied().unwrap_or_default();
-        let twist = self.in_task(&tool, &Vector3::new(twist[0], twist[1], twist[2]), &Vector3::new(twist[3], twist[4], twist[5]));
+        let twist = self.in_task(
+            &tool,
+            &Vector3::new(twist[0], twist[1], twist[2]),
+            &Vector3::new(twist[3], twist[4], twist[5]),
+        );
         // 3, 4, 5
         let wishes: Vec<Row> = (0..k).map(|r| self.row(axes[r], e[r])).collect();
         let of = |f: fn(&Row) -> f64| Vector::from_iterator(k, wishes.iter().map(f));
@@ -331,7 +338,7 @@ impl Oracle {
         if sigma[0] < sigma_0 {
             lambda2 += (1.0 - (sigma[0] / sigma_0).powi(2)) * lambda_max * lambda_max;
         }
-        let gamma = if sigma_0 > 0.0 { (3.0 * sigma[0] / sigma_0).max(0.5).min(1.0) } else { 1.0 };
+        let gamma = if sigma_0 > 0.0 { (3.0 * sigma[0] / sigma_0).clamp(0.5, 1.0) } else { 1.0 };
         let length = self.length();
         let scale_lambda = !matches!(settings.damping, Damping::Fixed(_)) || k > n;
         let row_lambda2 =
@@ -359,58 +366,63 @@ impl Oracle {
         };
         let gradient = self.gradient(&q, input);
 
-        // 8, 9, 11: anew without every joint that meets a position limit.
+        // 8, 9, 11 with all joints; then anew, for what it lacks, without every joint that meets a position limit.
+        let want = law::Want {
+            oracle: self,
+            rows: &rows,
+            scaled: &self.scaled(&rows),
+            row_lambda2: &row_lambda2,
+            sigma,
+            softness: &softness,
+            strength: &strength,
+            most: &most,
+            soft_step: &soft_step,
+            step: &step,
+            gradient: &gradient,
+            base: &(&in_goal + &feed_forward),
+        };
+        let all_joints = if cap { want.cap() } else { want.paper() };
+        let without_lead = &q + feed_forward.component_div(&kp) + in_goal.component_div(&self.kg);
+        let mut motion = all_joints.clone();
         let mut locked = vec![false; n];
-        let mut fixed = Vector::zeros(n);
-        let (motion, goal, solved) = loop {
-            let mut solved = rows.clone();
-            (0..n).filter(|&i| locked[i]).for_each(|i| solved.column_mut(i).fill(0.0));
-            let values = self.scaled(&solved).singular_values();
-            let sigma = if locked[..] == *locked_at_last { sigma } else { [values.min(), values.max()] };
-            let want = law::Want {
-                oracle: self,
-                rows: &solved,
-                scaled: &self.scaled(&solved),
-                row_lambda2: &row_lambda2,
-                sigma,
-                softness: &softness,
-                strength: &strength,
-                most: &most,
-                soft_step: &soft_step,
-                step: &(&step - &rows * &fixed),
-                gradient: &gradient,
-                locked: &locked,
-                fixed: &fixed,
-                base: &(&in_goal + &feed_forward),
-            };
-            let motion = if cap { want.cap() } else { want.paper() };
-            let without_lead = &q + feed_forward.component_div(&kp) + in_goal.component_div(&self.kg);
+        let goal = loop {
             let goal = &without_lead + &motion.lead + &motion.null;
-            let mut again = false;
-            for i in 0..n {
-                let (lower, upper) = (self.model.lower()[i], self.model.upper()[i]);
-                if !locked[i] && !(lower..=upper).contains(&goal[i]) {
-                    fixed[i] = goal[i].max(lower).min(upper) - without_lead[i];
-                    (locked[i], again) = (true, true);
-                }
+            let beyond = |i: usize| !(self.model.lower()[i]..=self.model.upper()[i]).contains(&goal[i]);
+            let more: Vec<usize> = (0..n).filter(|&i| !locked[i] && beyond(i)).collect();
+            if more.is_empty() {
+                break goal;
             }
-            if !again {
-                break (motion, goal, solved);
+            for i in more {
+                locked[i] = true;
             }
+            // A locked joint stands at its limit.
+            let fixed = Vector::from_fn(n, |i, _| {
+                let at_limit = if without_lead[i] + all_joints.lead[i] + all_joints.null[i] > self.model.upper()[i]
+                    || goal[i] >= self.model.upper()[i]
+                {
+                    self.model.upper()[i]
+                } else {
+                    self.model.lower()[i]
+                };
+                if locked[i] { at_limit - without_lead[i] } else { 0.0 }
+            });
+            motion = want.taken_over(&all_joints, &locked, &fixed);
         };
 
         // 12
         let ahead = dt.min(0.1);
-        let every = law::Shares { oracle: self, rows: &rows, scaled: &self.scaled(&rows), row_lambda2: &row_lambda2, sigma };
+        let every =
+            law::Shares { oracle: self, rows: &rows, scaled: &self.scaled(&rows), row_lambda2: &row_lambda2, sigma };
         let activation = every.activation(&gradient);
         let responsibility = every.responsibility(&(&step / h), &gradient);
         let null_torque = settings.null_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
         let wanted = if cap && settings.limits == LimitRule::Demand {
             let bounded = Vector::from_fn(k, |r, _| clip(motion.wrench[r], most[r]));
-            let asked = &in_limit
-                + solved.transpose() * bounded
-                + &feed_forward
-                + kp.component_mul(&(&motion.null + &fixed + &q - &measured));
+            // A locked joint: the same, less what its limit cuts off.
+            let (pulled, whole) = (rows.transpose() * bounded, rows.transpose() * &motion.wrench);
+            let cut = kp.component_mul(&motion.lead) - whole;
+            let task = Vector::from_fn(n, |i, _| if locked[i] { pulled[i] + cut[i] } else { pulled[i] });
+            let asked = &in_limit + task + &feed_forward + kp.component_mul(&(&motion.null + &q - &measured));
             asked.zip_map(&in_limit, |a, g| a.abs().max(settings.gravity_scale * g.abs())) + self.margin()
         } else if cap {
             in_limit.abs() * settings.gravity_scale
@@ -427,7 +439,11 @@ impl Oracle {
         let mut limit = Vector::from_fn(n, |i, _| wanted[i].max(floor[i]).min(ceiling[i]));
         if let Some(before) = &self.memory.limit {
             for i in 0..n {
-                let rise = if settings.stiffening_time > 0.0 { ceiling[i] / settings.stiffening_time * ahead } else { f64::INFINITY };
+                let rise = if settings.stiffening_time > 0.0 {
+                    ceiling[i] / settings.stiffening_time * ahead
+                } else {
+                    f64::INFINITY
+                };
                 limit[i] = limit[i].min(before[i] + rise);
             }
         }
@@ -445,7 +461,7 @@ impl Oracle {
             let (from, slew) = (self.memory.goal[i], settings.goal_slew * ahead);
             goal[i] = goal[i].max(from - slew).min(from + slew).max(self.model.lower()[i]).min(self.model.upper()[i]);
         }
-        let singular = self.scaled(&solved).singular_values();
+        let singular = self.scaled(&rows).singular_values();
 
         self.memory.gamma = gamma;
         self.memory.goal.clone_from(&goal);

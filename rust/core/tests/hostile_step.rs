@@ -1,0 +1,350 @@
+//! Whatever numbers come in, a finite command or a typed error comes out, and an error leaves no trace.
+//!
+//! 10⁵ hostile inputs by default; `PLIANT_HOSTILE=10000000` for as many as one has time for.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
+
+use std::sync::Arc;
+
+use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector};
+use pliant_core::task::axes::{Axis, Frame, Profile, Task, Yields};
+use pliant_core::{Controller, Error, Model, ModelOptions, Payload, Pose, ServoKind, Servos, Settings, StepInput};
+
+#[path = "oracle/cases.rs"]
+mod cases;
+#[path = "common/seeded.rs"]
+mod seeded;
+
+use seeded::Random;
+
+fn inputs() -> usize {
+    std::env::var("PLIANT_HOSTILE").ok().and_then(|count| count.parse().ok()).unwrap_or(100_000)
+}
+
+const STRANGE: [f64; 22] = [
+    f64::NAN,
+    f64::INFINITY,
+    f64::NEG_INFINITY,
+    1e308,
+    -1e308,
+    f64::MIN_POSITIVE,
+    5e-324,
+    -5e-324,
+    0.0,
+    -0.0,
+    1e-300,
+    1e-12,
+    1e6,
+    -1e6,
+    999_999.0,
+    1e3,
+    1e-3,
+    10.0,
+    1.0,
+    -1.0,
+    std::f64::consts::PI,
+    1e16,
+];
+
+fn strange(random: &mut Random) -> f64 {
+    random.pick(&STRANGE)
+}
+
+/// Usual numbers of which some are strange, in a vector that is sometimes too long or too short.
+fn numbers(random: &mut Random, usual: &[f64], share: f64) -> Vec<f64> {
+    let length = if random.chance(0.05) { random.below(20) } else { usual.len() };
+    (0..length)
+        .map(|i| if random.chance(share) { strange(random) } else { usual.get(i).copied().unwrap_or(0.1) })
+        .collect()
+}
+
+fn pose(random: &mut Random, usual: &Pose, share: f64) -> Pose {
+    let mut out = *usual;
+    out.position.iter_mut().chain(out.rotation.iter_mut().flatten()).for_each(|value| {
+        if random.chance(share) {
+            *value = strange(random);
+        }
+    });
+    if random.chance(0.05) {
+        out.rotation[0].swap(0, 1);
+    }
+    out
+}
+
+/// One call with strange inputs; returns whether it was refused.
+fn assault(random: &mut Random, controller: &mut Controller, q: &[f64], target: &Pose) -> Option<Error> {
+    let share = random.pick(&[0.0, 0.02, 0.3]);
+    let n = q.len();
+    let q = numbers(random, q, share);
+    let target = pose(random, target, share);
+    match random.below(12) {
+        0 => controller.reset(&q).err(),
+        1 => {
+            let payload = Payload {
+                mass: strange(random),
+                com: std::array::from_fn(|_| if random.chance(0.3) { strange(random) } else { 0.1 }),
+            };
+            controller.set_payload(random.chance(0.9).then_some(&payload)).err()
+        }
+        2 => controller.set_gravity(std::array::from_fn(|_| strange(random))).err(),
+        3 => controller.set_delay(strange(random)).err(),
+        4 => controller.step_joints(&q, &numbers(random, &vec![0.1; n], share), &StepInput::default()).err(),
+        5 => controller.capture_gravity(&q, &numbers(random, &vec![0.1; n], share)).err(),
+        _ => {
+            let dq = numbers(random, &vec![0.1; n], share);
+            let gradient = numbers(random, &vec![0.1; n], share);
+            let posture = numbers(random, &vec![0.1; n], share);
+            let twist: [f64; 6] = std::array::from_fn(|_| if random.chance(share) { strange(random) } else { 0.1 });
+            let input = StepInput {
+                dt: random.chance(0.3).then(|| strange(random)),
+                dq: random.chance(0.3).then_some(&dq),
+                twist: random.chance(0.3).then_some(&twist),
+                gradient: random.chance(0.3).then_some(&gradient),
+                posture: random.chance(0.3).then_some(&posture),
+            };
+            match controller.step(&q, &target, &input) {
+                Ok(command) => {
+                    let sent = command.goal().iter().chain(command.torque_limit());
+                    assert!(sent.clone().all(|x| x.is_finite()), "{command:?}");
+                    assert!(command.torque_limit().iter().all(|&x| x >= 0.0));
+                    assert!(command.velocity().iter().all(|&x| x > 0.0));
+                    None
+                }
+                Err(error) => Some(error),
+            }
+        }
+    }
+}
+
+fn named(error: &Error) {
+    let text = error.to_string();
+    assert!(text.len() > 5 && !text.starts_with(':') && !text.starts_with(' '), "{text}");
+    assert!(!matches!(error, Error::Urdf { .. } | Error::FrameNotFound { .. }), "{text}");
+}
+
+fn make(random: &mut Random, index: usize) -> Controller {
+    let model = seeded::arm(index, &ModelOptions::default());
+    loop {
+        let settings = Settings {
+            max_tool_speed: random.pick(&[[0.25, 1.0], [f64::INFINITY; 2], [0.25, f64::INFINITY]]),
+            manipulability: random.pick(&[0.0, 0.1]),
+            integrate: random.pick(&[0.0, 2.0]),
+            ..{
+                let law = random.pick(&[Law::Cap, Law::Paper]);
+                cases::settings(random, &model, law)
+            }
+        };
+        let servos = cases::servos(random, &seeded::servos(index), model.n());
+        if let Ok(controller) = Controller::new(Arc::clone(&model), settings, Some(servos)) {
+            return controller;
+        }
+    }
+}
+
+#[test]
+fn hostile_inputs_leave_no_trace() {
+    let mut random = Random::new(41);
+    let random = &mut random;
+    let (mut done, mut refused) = (0, 0);
+    while done < inputs() {
+        let mut controller = make(random, done % 3);
+        let model = Arc::clone(controller.model());
+        let mut q = random.joints(&model, 0.9);
+        let target = random.target(&model, &q, 0.1, 0.5);
+        for _ in 0..200 {
+            q.iter_mut().for_each(|value| *value += random.between(-1e-3, 1e-3));
+            let untouched = controller.clone();
+            done += 1;
+            if let Some(error) = assault(random, &mut controller, &q, &target) {
+                named(&error);
+                refused += 1;
+                // The next step is bit for bit that of a controller that has never seen it.
+                let mut twin = untouched;
+                let a = *controller.step(&q, &target, &StepInput::default()).unwrap();
+                let b = *twin.step(&q, &target, &StepInput::default()).unwrap();
+                assert_eq!(a, b, "{error}");
+                assert_eq!(format!("{:?}", controller.record()), format!("{:?}", twin.record()), "{error}");
+            }
+        }
+        // It still works: from here on usual readings make usual commands.
+        controller.set_gravity([0.0, 0.0, -9.81]).unwrap();
+        controller.set_payload(None).unwrap();
+        controller.reset(&q).unwrap();
+        for _ in 0..3 {
+            controller.step(&q, &target, &StepInput::default()).unwrap();
+        }
+    }
+    assert!(refused > done / 10 && refused < done * 9 / 10, "{refused} of {done}");
+}
+
+#[test]
+fn a_vanishing_period_is_survived() {
+    for law in [Law::Cap, Law::Paper] {
+        let model = seeded::arm(0, &ModelOptions::default());
+        let settings = Settings { law, delay: 0.02, integrate: 1.0, ..Settings::default() };
+        let mut controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(0))).unwrap();
+        let q = [-0.1, -0.6, 0.7, -1.7, 0.9, 0.6, -0.1];
+        let target = model.forward_kinematics(&q).unwrap();
+        controller.step(&q, &target, &StepInput::default()).unwrap();
+        for dt in [5e-324, 1e-308, 1e-200, 1e-20] {
+            let moved = q.map(|x| x + 0.5);
+            let command =
+                *controller.step(&moved, &target, &StepInput { dt: Some(dt), ..StepInput::default() }).unwrap();
+            assert!(command.goal().iter().chain(command.torque_limit()).all(|x| x.is_finite()));
+        }
+        for _ in 0..200 {
+            controller.step(&q, &target, &StepInput::default()).unwrap();
+        }
+        let goal = controller.step(&q, &target, &StepInput::default()).unwrap().goal().to_vec();
+        assert!(goal.iter().zip(q).all(|(g, q)| (g - q).abs() < 0.1), "{goal:?}");
+    }
+}
+
+fn maybe<T>(random: &mut Random, make: impl FnOnce(&mut Random) -> T) -> Option<T> {
+    random.chance(0.2).then(|| make(random))
+}
+
+/// Any settings at all.
+fn fuzz(random: &mut Random, n: usize) -> Settings {
+    let number = |random: &mut Random| if random.chance(0.05) { strange(random) } else { random.scale(1e-3, 20.0) };
+    let list = |random: &mut Random| {
+        let length = if random.chance(0.9) { n } else { random.below(20) };
+        (0..length)
+            .map(|_| if random.chance(0.01) { strange(random) } else { random.scale(1e-3, 20.0) })
+            .collect::<Vec<_>>()
+    };
+    let gain = |random: &mut Random, size: usize| match random.below(5) {
+        0 => Gain::Diagonal(list(random)),
+        1 => {
+            let size = if random.chance(0.9) { size } else { random.below(8) };
+            Gain::Matrix((0..size).map(|_| random.vector(size, 2.0)).collect())
+        }
+        _ => Gain::Scalar(if random.chance(0.1) { strange(random) } else { random.between(0.0, 6.0) }),
+    };
+    let axis = |random: &mut Random| Axis {
+        soft: maybe(random, |r| [number(r), number(r)]),
+        firm: maybe(random, |r| [number(r), number(r)]),
+        hold: maybe(random, number),
+        yields: maybe(random, |r| r.pick(&[Yields::Both, Yields::Plus, Yields::Minus, Yields::None])),
+        eta: if random.chance(0.6) { 0.0 } else { number(random) },
+        d_minus: maybe(random, |r| number(r) * 0.01),
+        d_plus: maybe(random, number),
+        profile: random.pick(&[Profile::Firming, Profile::Constant, Profile::Yielding]),
+        step_limit: maybe(random, number),
+        soft_step_limit: maybe(random, number),
+    };
+    let usual = Settings::default();
+    let or = |random: &mut Random, usual: f64| if random.chance(0.93) { usual } else { number(random) };
+    let on: [bool; 6] = std::array::from_fn(|_| random.chance(0.7));
+    let mut rotation = random.rotation();
+    if random.chance(0.1) {
+        rotation[1][2] = strange(random);
+    }
+    Settings {
+        task: Task {
+            axes: on,
+            frame: random.pick(&[Frame::Base, Frame::Tool, Frame::Rotation(rotation)]),
+            length: maybe(random, number),
+        },
+        axes: std::array::from_fn(|a| if on[a] && random.chance(0.4) { axis(random) } else { Axis::default() }),
+        law: random.pick(&[Law::Cap, Law::Paper]),
+        follow: maybe(random, |r| r.pick(&[Follow::Free, Follow::Hold])),
+        limits: random.pick(&[LimitRule::Demand, LimitRule::Sum]),
+        projector: random.pick(&[Projector::Exact, Projector::Paper]),
+        kx: gain(random, on.iter().filter(|&&x| x).count()),
+        horizon: or(random, usual.horizon),
+        kq: gain(random, n),
+        alpha: maybe(random, number),
+        rate: or(random, usual.rate),
+        damping: match random.below(4) {
+            0 => Damping::Fixed(number(random)),
+            1 => Damping::Adaptive { lambda_0: number(random), sigma_0: number(random), lambda_max: number(random) },
+            _ => Damping::Auto,
+        },
+        posture: maybe(random, list),
+        posture_weights: maybe(random, list),
+        limit_avoidance: or(random, 0.0),
+        manipulability: or(random, 0.0),
+        null_torque: maybe(random, number),
+        null_speed: or(random, f64::INFINITY),
+        gravity: random.pick(&[GravityUse::Both, GravityUse::Goal, GravityUse::Limits, GravityUse::Off]),
+        gravity_scale: or(random, 1.1),
+        friction_share: or(random, 0.9),
+        damping_share: or(random, 0.8),
+        prediction_share: or(random, 0.9),
+        friction_speed: or(random, 0.05),
+        velocity_filter: or(random, 0.02),
+        delay: or(random, 0.0),
+        goal_slew: or(random, 1.0),
+        stiffening_time: or(random, 0.2),
+        max_tool_speed: [or(random, 0.25), or(random, 1.0)],
+        max_tool_acceleration: [or(random, 1.0), or(random, 4.0)],
+        joint_speed: maybe(random, list),
+        floor: maybe(random, list),
+        margin: or(random, 0.1),
+        direction_band: maybe(random, number),
+        raw_deviation: random.chance(0.2),
+        budget_on_goal: random.chance(0.2),
+        joint_weights: maybe(random, list),
+        lead_limit: maybe(random, number),
+        integrate: or(random, 0.0),
+        accept: random.pick(&[vec![], vec![], vec!["eta".into()], vec!["eta".into()], vec!["gravity".into()]]),
+    }
+}
+
+fn fuzz_servos(random: &mut Random, index: usize, n: usize) -> Servos {
+    let mut servos = seeded::servos(index).for_joints(n).unwrap();
+    if random.chance(0.2) {
+        let fields = [&mut servos.kp, &mut servos.torque, &mut servos.friction, &mut servos.damping, &mut servos.count];
+        for field in fields {
+            if random.chance(0.3) {
+                field[random.below(n)] = strange(random);
+            }
+        }
+    }
+    if random.chance(0.2) {
+        servos.kind = ServoKind::Duty;
+        servos.no_load_speed = maybe(random, |r| vec![strange(r)]);
+    }
+    servos
+}
+
+fn steps_survive(random: &mut Random, model: &Arc<Model>, controller: &mut Controller) {
+    let q = random.joints(model, 0.9);
+    let target = random.target(model, &q, 0.1, 0.5);
+    for _ in 0..3 {
+        match controller.step(&q, &target, &StepInput::default()) {
+            Ok(command) => assert!(command.goal().iter().chain(command.torque_limit()).all(|x| x.is_finite())),
+            Err(error) => named(&error),
+        }
+    }
+}
+
+#[test]
+fn any_settings_are_taken_or_named() {
+    let mut random = Random::new(42);
+    let random = &mut random;
+    let arms: Vec<Arc<Model>> = (0..3).map(|index| seeded::arm(index, &ModelOptions::default())).collect();
+    let (mut taken, mut updated) = (0, 0);
+    for round in 0..6000 {
+        let (index, model) = (round % 3, &arms[round % 3]);
+        let settings = fuzz(random, model.n());
+        let servos = random.chance(0.9).then(|| fuzz_servos(random, index, model.n()));
+        match Controller::new(Arc::clone(model), settings, servos) {
+            Ok(mut controller) => {
+                taken += 1;
+                steps_survive(random, model, &mut controller);
+                let before = controller.clone();
+                match controller.update(fuzz(random, model.n())) {
+                    Ok(()) => updated += 1,
+                    Err(error) => {
+                        named(&error);
+                        assert_eq!(controller.settings(), before.settings());
+                    }
+                }
+                steps_survive(random, model, &mut controller);
+            }
+            Err(error) => named(&error),
+        }
+    }
+    assert!(taken > 100 && updated > 3, "{taken} {updated}");
+}

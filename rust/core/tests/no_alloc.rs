@@ -1,0 +1,144 @@
+//! The control step asks the heap for nothing.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
+#![allow(unsafe_code, reason = "a counting allocator is an unsafe trait by nature")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use pliant_core::settings::{Follow, GravityUse, Law, LimitRule, Projector};
+use pliant_core::task::axes::{Axis, Frame, Task, Yields};
+use pliant_core::{Controller, ModelOptions, Settings, StepInput};
+
+#[path = "common/seeded.rs"]
+mod seeded;
+
+use seeded::Random;
+
+/// Counts what the present thread asks for.
+struct Counting;
+
+thread_local! {
+    static COUNT: Cell<usize> = const { Cell::new(0) };
+}
+
+fn note() {
+    // During the end of a thread there is nothing left to count in.
+    let _ = COUNT.try_with(|count| count.set(count.get() + 1));
+}
+
+// SAFETY: every call goes to the system's allocator as it came; counting touches no memory of it.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        note();
+        // SAFETY: as the caller promised.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        note();
+        // SAFETY: as the caller promised.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        note();
+        // SAFETY: as the caller promised.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        note();
+        // SAFETY: as the caller promised.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Calls to the allocator while `work` runs, frees included.
+fn calls(work: impl FnOnce()) -> usize {
+    let before = COUNT.get();
+    work();
+    COUNT.get() - before
+}
+
+#[test]
+fn the_counter_counts() {
+    assert_eq!(calls(|| drop(std::hint::black_box(vec![1_u8; 100]))), 2);
+    assert_eq!(calls(|| drop(std::hint::black_box(vec![0_u8; 100]))), 2);
+    let mut grown = Vec::with_capacity(1);
+    assert_eq!(calls(|| (0..3).for_each(|i| grown.push(i))), 1);
+    assert_eq!(calls(|| ()), 0);
+}
+
+/// Settings that take every path of the step.
+fn variants() -> Vec<(usize, Settings)> {
+    let mut all = Vec::new();
+    let axis = |yields| Axis { yields: Some(yields), ..Axis::default() };
+    for law in [Law::Cap, Law::Paper] {
+        for follow in [Follow::Free, Follow::Hold] {
+            for projector in [Projector::Exact, Projector::Paper] {
+                for (round, limits) in [LimitRule::Demand, LimitRule::Sum].into_iter().enumerate() {
+                    let mut settings = Settings {
+                        law,
+                        follow: Some(follow),
+                        projector,
+                        limits,
+                        manipulability: 0.2 * round as f64,
+                        limit_avoidance: 0.1,
+                        integrate: f64::from(u8::from(projector == Projector::Exact)),
+                        budget_on_goal: law == Law::Paper && round == 1,
+                        delay: 0.01,
+                        ..Settings::default()
+                    };
+                    settings.axes[1] = axis([Yields::Both, Yields::Plus][round]);
+                    all.push((0, settings.clone()));
+                    let task = Task { frame: Frame::Tool, ..Task::of("xyz").unwrap() };
+                    all.push((2, Settings { task, ..settings }));
+                }
+            }
+        }
+    }
+    // More axes than joints, and no gravity.
+    let task = Task { length: Some(0.3), ..Task::default() };
+    all.push((2, Settings { task, gravity: GravityUse::Off, ..Settings::default() }));
+    all
+}
+
+#[test]
+fn ten_thousand_steps_ask_for_nothing() {
+    let (mut steps, mut locked) = (0, 0);
+    for (index, settings) in variants() {
+        let model = seeded::arm(index, &ModelOptions::default());
+        let n = model.n();
+        let mut random = Random::new(31);
+        let mut controller = Controller::new(model.clone(), settings, Some(seeded::servos(index))).unwrap();
+        for round in 0..400 {
+            let q = random.joints(&model, 1.02);
+            let target = random.target(&model, &q, 0.1, 0.5);
+            let (dq, gradient, goal) = (random.vector(n, 1.0), random.vector(n, 1.0), random.joints(&model, 0.8));
+            let twist = [0.1; 6];
+            let input = StepInput {
+                dt: Some(0.01),
+                dq: (round % 2 == 0).then_some(&dq),
+                twist: (round % 3 == 0).then_some(&twist),
+                gradient: (round % 5 == 0).then_some(&gradient),
+                posture: (round % 7 == 0).then_some(&goal),
+            };
+            let asked = calls(|| {
+                for _ in 0..3 {
+                    std::hint::black_box(controller.step(&q, &target, &input).is_ok());
+                    std::hint::black_box(controller.step_joints(&q, &goal, &input).is_ok());
+                }
+                if round % 50 == 0 {
+                    std::hint::black_box(controller.reset(&q).is_ok());
+                }
+            });
+            assert_eq!(asked, 0, "{:?}", controller.settings());
+            steps += 6;
+            locked += usize::from(controller.record().locked.contains(&true));
+        }
+    }
+    assert!(steps >= 10_000 && locked > 100, "{steps} {locked}");
+}

@@ -1,0 +1,33 @@
+"""The table of goals: every row names its preset, and says whether it is met."""
+
+import dataclasses
+
+import numpy as np
+
+from pliant.experiments import goals, laws
+
+
+def test_table_measures_and_judges():
+    rows = goals.table("hold the grasp pose")
+    assert [row.figure for row in rows] == ["error [mm]"]
+    assert rows[0].met
+    assert not dataclasses.replace(rows[0], reached=0.6).met
+    assert not dataclasses.replace(rows[0], reached_uncertain=np.nan).met
+    printed = goals.text(rows).splitlines()
+    assert len(printed) == 3
+    assert printed[-1].endswith("| yes |")
+
+
+def test_goals_print_as_people_write_them():
+    bounds = [
+        goals.Goal(high=4.5),
+        goals.Goal(low=67.0),
+        goals.Goal(low=14.0, high=16.0),
+        goals.Goal(),
+    ]
+    assert [str(goal) for goal in bounds] == ["≤ 4.5", "≥ 67", "14…16", "report"]
+
+
+def test_presets_are_those_of_the_module():
+    assert laws.cap_tracking(soft="pitch") != laws.cap(soft="pitch", eta=0.0)
+    assert laws.cap_tracking(soft="y") == laws.cap(soft="y", eta=0.0)

@@ -1,0 +1,137 @@
+"""Every chapter measures finite numbers, and the numbers decide its verdicts."""
+
+import copy
+import json
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from pliant import ConfigError
+from pliant.experiments import demo
+from pliant.experiments.chapters import anyarm
+from pliant.experiments.chapters.common import Options
+from pliant.experiments.result import Verdict
+
+
+@cache
+def measured(number):
+    """Numbers of a quick run of one chapter, as text, so that no test can change another's."""
+    module = demo.EXPERIMENTS[number]
+    options = Options(quick=True, figures=Path("unused"))
+    outcomes = {job.key: job.run() for job in module.jobs(options)}
+    return json.dumps(module.measure(outcomes), allow_nan=False)
+
+
+def statement(chapter, beginning):
+    found = [s for s in chapter.statements() if s.claim.startswith(beginning)]
+    assert len(found) == 1, [s.claim for s in chapter.statements()]
+    return found[0]
+
+
+@pytest.mark.parametrize("number", demo.EXPERIMENTS)
+def test_quick_numbers_carry_every_statement(number):
+    chapter = demo.EXPERIMENTS[number].chapter(json.loads(measured(number)))
+    assert chapter.number == number
+    assert chapter.statements()
+    assert chapter.headline
+    for s in chapter.statements():
+        assert s.tests, s.claim
+        assert all(math.isfinite(test.value) for test in s.tests), s
+        assert s.outcome.endswith("."), s.outcome
+        assert "nan" not in s.outcome
+        assert s.verdict is not Verdict.DISAGREES, s
+
+
+@pytest.mark.parametrize("number", demo.EXPERIMENTS)
+def test_full_runs_have_names_of_their_own(number):
+    module = demo.EXPERIMENTS[number]
+    full, quick = (
+        [job.key for job in module.jobs(Options(quick=q, figures=Path("unused")))]
+        for q in (False, True)
+    )
+    assert len(set(full)) == len(full)
+    assert set(quick) <= set(full)
+
+
+def put(numbers, path, value):
+    *way, last = path
+    for key in way:
+        numbers = numbers[key]
+    assert last in numbers
+    numbers[last] = value
+
+
+FLIPS = [
+    (2, "Law cap, η = 0.999", ("y", "cap", "0.999", "toward +", "force"), 50.0),
+    (2, "Law cap, η = 0.999", ("y", "cap", "0.999", "toward +", "crept"), 0.2),
+    (2, "η = 0: the tool gives way", ("y", "paper", "0", "toward +", "moved"), 0.3),
+    (2, "η = 0.999: the tool follows", ("y", "paper", "0.999", "toward +", "moved"), 0.05),
+    (3, "y: follows very well", ("y", "paper", "share"), 0.5),
+    (3, "Far forward, z is lost", ("x", "literal", "sunk"), 0.001),
+    (3, "Compliance in x drops", ("x", "literal", "least_c"), 1.0),
+    (4, "Compliant in lateral", ("opening", "door", "rigid", "cap", "angle"), 10.0),
+    (4, "Compliant in lateral", ("opening", "door", "rigid", "stiff", "angle"), 66.0),
+    (4, "Against all axes stiff", ("opening", "door", "rigid", "cap", "force"), 80.0),
+    (4, "The end of both", ("opening_and_closing", "door", "rigid", "cap", "ends"), [45.0]),
+    (5, "A position-controlled", ("cap 0.999", "force"), 30.0),
+    (5, "Law cap keeps", ("cap 0", "held"), 30.0),
+]
+
+
+@pytest.mark.parametrize(("number", "claim", "path", "wrong"), FLIPS)
+def test_a_wrong_number_flips_its_verdict(number, claim, path, wrong):
+    module, numbers = demo.EXPERIMENTS[number], json.loads(measured(number))
+    before = statement(module.chapter(copy.deepcopy(numbers)), claim)
+    put(numbers, path, wrong)
+    after = statement(module.chapter(numbers), claim)
+    assert before.verdict is Verdict.AGREES
+    assert after.verdict is not Verdict.AGREES
+    assert after.outcome != before.outcome
+
+
+def test_a_wrong_matrix_flips_the_verdicts_of_the_first_chapter():
+    module, numbers = demo.EXPERIMENTS[1], json.loads(measured(1))
+    share = np.array(numbers["activation"]["vertical"])
+    numbers["activation"]["vertical"] = np.roll(share, 1, axis=0).tolist()
+    numbers["largest_difference"]["vertical"] = 0.2
+    chapter = module.chapter(numbers)
+    assert statement(chapter, "In both poses").verdict is Verdict.DISAGREES
+    assert statement(chapter, "An independent").verdict is Verdict.DISAGREES
+
+
+def test_reasons_follow_the_numbers():
+    module, numbers = demo.EXPERIMENTS[2], json.loads(measured(2))
+    claim = "Let go, the tool moves back"
+    assert statement(module.chapter(numbers), claim).verdict is Verdict.DIFFERS
+    for eta in ("0", "0.9"):
+        for one in numbers["y"]["paper"][eta].values():
+            one.update(left=0.001, return_speed=0.05, returned=2.0)
+    assert statement(module.chapter(numbers), claim).verdict is Verdict.AGREES
+
+
+def test_an_experiment_that_does_not_exist_is_named_with_those_that_do():
+    with pytest.raises(ConfigError, match=r"no experiment 9; choose from 1 \(Which joint"):
+        demo.choose(demo.EXPERIMENTS, (1, 9))
+    assert list(demo.choose(demo.EXPERIMENTS, (5, 2))) == [2, 5]
+    assert list(demo.choose(demo.EXPERIMENTS, ())) == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    ("joints", "axes"),
+    [(7, "x y z roll pitch yaw"), (6, "x y z roll pitch yaw"), (5, "x y z"), (4, "x z pitch")],
+)
+def test_task_axes_follow_the_number_of_joints(joints, axes):
+    assert " ".join(anyarm.task_axes(joints)) == axes
+
+
+def test_the_pose_of_an_arm_is_inside_its_limits_and_can_hold_itself():
+    arm = anyarm.load(anyarm.Source(name="so101"))
+    assert np.all(arm.pose > arm.model.lower)
+    assert np.all(arm.pose < arm.model.upper)
+    assert np.all(np.abs(arm.model.gravity(arm.pose)) < arm.servos.torque)
+    assert arm.way > 0.0

@@ -1,0 +1,93 @@
+"""The command line: fast where it can be, and every error one line."""
+
+import pytest
+
+import pliant
+from pliant.cli import COMMANDS, main
+
+WITHOUT = "import sys; sys.modules['{name}'] = None; from pliant.cli import main; sys.exit(main())"
+LIGHT = """
+import sys
+from pliant.cli import main
+assert main(["--help"]) == 0 and main(["--version"]) == 0
+assert not {"tyro", "rich", "mujoco", "matplotlib"} & set(sys.modules)
+"""
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"pliant {pliant.__version__}\n"
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"]])
+def test_help_lists_every_command(capsys, arguments):
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert all(f"  {name}" in out for name in COMMANDS)
+
+
+def test_help_and_version_load_nothing_heavy(pliant_command):
+    done = pliant_command(code=LIGHT)
+    assert done.returncode == 0, done.stderr
+
+
+def test_help_of_the_demo_explains_its_flags(pliant_command):
+    done = pliant_command("demo", "--help")
+    assert done.returncode == 0
+    for flag in ("--out", "--only", "--quick", "--robot", "--urdf", "--base", "--tip", "--jobs"):
+        assert flag in done.stdout
+
+
+ONE_LINE = [
+    (["demmo"], "did you mean 'demo'"),
+    (["--verson"], "no flag '--verson'"),
+    (["demo", "--only", "x"], "such as 1,3; got 'x'"),
+    (["demo", "--only", "1,9"], "no experiment 9; choose from 1"),
+    (["demo", "--jobs", "0"], "--jobs must be within 1 and"),
+    (["demo", "--tip", "tool"], "belong to --urdf"),
+    (["demo", "--urdf", "nowhere.urdf"], "nowhere.urdf"),
+    (["demo", "--robot", "koch", "--only", "5"], "no experiment 5"),
+]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"), ONE_LINE, ids=lambda v: v if isinstance(v, str) else None
+)
+def test_errors_are_one_line(capsys, arguments, words):
+    pytest.importorskip("mujoco")
+    assert main(arguments) == 2
+    caught = capsys.readouterr()
+    assert caught.err.startswith("error: ")
+    assert caught.err.count("\n") == 1
+    assert words in caught.err
+
+
+def test_an_unknown_flag_gets_a_suggestion(capsys):
+    assert main(["demo", "--qick"]) == 2
+    assert "--quick" in capsys.readouterr().err
+
+
+def test_a_refused_urdf_is_one_line(capsys, tmp_path):
+    pytest.importorskip("mujoco")
+    bad = tmp_path / "bad.urdf"
+    bad.write_text("<robot name='r'><link name='a'/>", encoding="utf-8")
+    assert main(["demo", "--urdf", str(bad)]) == 2
+    caught = capsys.readouterr().err
+    assert caught.startswith("error: ")
+    assert "bad.urdf" in caught
+    assert "Traceback" not in caught
+
+
+@pytest.mark.parametrize("name", ["mujoco", "matplotlib"])
+def test_a_missing_extra_names_the_pip_command(pliant_command, name):
+    done = pliant_command("demo", code=WITHOUT.format(name=name))
+    assert done.returncode == 2
+    assert done.stderr.strip() == f"error: the demo needs {name}: pip install 'pliant[demo]'"
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(capsys, tmp_path):
+    pytest.importorskip("mujoco")
+    file = tmp_path / "file"
+    file.write_text("", encoding="utf-8")
+    assert main(["demo", "--quick", "--only", "1", "--jobs", "1", "--out", str(file)]) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith("error: ")

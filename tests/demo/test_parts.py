@@ -1,0 +1,102 @@
+"""The small parts: verdicts, jobs, times of return, pictures of the report."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pliant.experiments.chapters import common
+from pliant.experiments.result import (
+    Check,
+    Statement,
+    Verdict,
+    at_least,
+    at_most,
+    between,
+    listed,
+    mm,
+    near,
+)
+from pliant.experiments.runner import Job, Workers, prefixed
+
+
+def test_a_test_includes_its_bounds_and_no_number_passes_that_is_none():
+    assert Check(name="a", value=1.0, low=1.0, high=1.0).passed
+    assert not at_most("a", 1.1, 1.0).passed
+    assert not at_least("a", 0.9, 1.0).passed
+    assert between("a", 0.5, 0.0, 1.0).passed
+    assert near("a", 1.2, 1.0, rel=0.1, plus=0.1).passed
+    assert not near("a", 1.21, 1.0, rel=0.1, plus=0.1).passed
+    for broken in (math.nan, math.inf, -math.inf):
+        assert not Check(name="a", value=broken).passed
+
+
+def test_the_verdict_is_that_of_the_worst_test():
+    good, bad = at_most("a", 1.0, 2.0), at_most("b", 3.0, 2.0)
+    words = {"claim": "It does.", "outcome": "It did."}
+    assert Statement(**words, tests=(good,)).verdict is Verdict.AGREES
+    assert Statement(**words, tests=(good,), because="never shown").verdict is Verdict.AGREES
+    assert Statement(**words, tests=(good, bad)).verdict is Verdict.DISAGREES
+    assert Statement(**words, tests=(good, bad), because="gravity").verdict is Verdict.DIFFERS
+    assert Statement(**words, tests=()).verdict is Verdict.DISAGREES
+
+
+@pytest.mark.parametrize(
+    ("length", "text"),
+    [(0.25, "250 mm"), (0.00234, "2.3 mm"), (0.00003, "0.03 mm"), (0.0, "0.00 mm")],
+)
+def test_lengths_get_the_digits_they_deserve(length, text):
+    assert mm(length) == text
+
+
+def test_lists_read_well():
+    assert listed([]) == ""
+    assert listed(["a"]) == "a"
+    assert listed(["a", "b", "c"]) == "a, b and c"
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_outcomes_keep_the_order_of_the_jobs(count):
+    seen = []
+    jobs = [Job(str(k), pow, (k, 2)) for k in range(6)]
+    with Workers(count) as workers:
+        outcomes = workers.run(jobs, seen.append)
+    assert list(outcomes.items()) == [(str(k), k * k) for k in range(6)]
+    assert sorted(seen) == sorted(outcomes)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_error_of_a_job_is_raised(count):
+    with Workers(count) as workers, pytest.raises(ZeroDivisionError):
+        workers.run([Job("good", pow, (2, 2)), Job("bad", divmod, (1, 0))])
+
+
+def test_two_jobs_with_one_name_are_refused():
+    twice = [Job("a", pow, (2, 2)), Job("a", pow, (2, 3))]
+    with Workers(1) as workers, pytest.raises(ValueError, match="twice: a"):
+        workers.run(twice)
+    assert [job.key for job in prefixed("3:", twice)] == ["3:a", "3:a"]
+
+
+def trace(along):
+    """Something like a run at 10 Hz in which only y moves."""
+    t = 0.1 * np.arange(1, along.size + 1)
+    error = np.zeros((along.size, 6))
+    error[:, 1] = -along
+    return SimpleNamespace(t=t, error=error, moved=-error)
+
+
+def test_return_time_counts_from_the_release_to_the_last_time_away():
+    along = np.where(np.arange(1, 101) <= 50, 0.1, 0.0)
+    assert common.returned(trace(along), 1) == 0.0
+    along[50:57] = 0.1
+    assert common.returned(trace(along), 1) == pytest.approx(0.8)
+    along[69] = 0.02
+    assert common.returned(trace(along), 1) == pytest.approx(2.1)
+    assert common.returned(trace(np.full(100, 0.1)), 1) is None
+
+
+def test_return_speed_is_that_after_the_release():
+    along = np.concatenate((np.zeros(45), np.full(8, 0.1), np.full(47, 0.05)))
+    assert common.return_speed(trace(along), 1) == pytest.approx(0.5)

@@ -1,0 +1,138 @@
+"""A whole run: it finishes, leaves what it says, and the report needs nothing from anywhere."""
+
+import json
+import math
+import re
+from html import unescape
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("matplotlib")
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "robots"
+EMPTY_ELEMENTS = {"meta", "br", "img", "link", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Collects what a page refers to, its identifiers, and whether its elements close."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.references, self.ids, self.tags, self.open = [], [], set(), []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.handle_startendtag(tag, attrs)
+        if tag not in EMPTY_ELEMENTS:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.add(tag)
+        for name, value in attrs:
+            if name in {"href", "src", "xlink:href", "srcset", "data", "action"}:
+                self.references.append(value)
+            if name == "id":
+                self.ids.append(value)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def check_page(path):
+    text = path.read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.open == []
+    assert "script" not in page.tags
+    assert "link" not in page.tags
+    outside = [r for r in page.references if not r.startswith(("#", "data:image/"))]
+    assert outside == []
+    targets = {r[1:] for r in page.references if r.startswith("#")}
+    assert targets <= set(page.ids)
+    assert len(page.ids) == len(set(page.ids))
+    assert not re.search(r"https?://|@import|url\((?!['\"]?#)", text)
+    assert "None" not in re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)
+    assert "$" not in re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)
+    return text
+
+
+def check_numbers(value, where="results"):
+    """JSON has no NaN; null stands for 'not back' and for open bounds only."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            if item is None:
+                assert key in {"returned", "low", "high", "commit"}, f"{where}.{key}"
+            check_numbers(item, f"{where}.{key}")
+    elif isinstance(value, list):
+        for k, item in enumerate(value):
+            check_numbers(item, f"{where}[{k}]")
+    elif isinstance(value, float):
+        assert math.isfinite(value), where
+
+
+def check_folder(folder, done):
+    assert done.returncode == 0, done.stderr
+    report, results = folder / "report.html", folder / "results.json"
+    assert done.stdout.rstrip().endswith(str(report.resolve()))
+    text = check_page(report)
+    content = json.loads(results.read_text(encoding="utf-8"))
+    check_numbers(content)
+    pictures = sorted(folder.glob("figures/*.png"))
+    assert pictures
+    for picture in pictures:
+        assert picture.read_bytes().startswith(b"\x89PNG")
+        assert f'id="{picture.stem}"' in text
+    return content, text
+
+
+def test_quick_demo_leaves_a_report_that_needs_nothing(pliant_command, tmp_path):
+    done = pliant_command("demo", "--quick", "--out", "here")
+    content, text = check_folder(tmp_path / "here", done)
+    assert sorted(content["experiments"]) == ["1", "2", "3", "4", "5"]
+    for experiment in content["experiments"].values():
+        for statement in experiment["statements"]:
+            assert statement["verdict"] in {"agrees", "differs because", "does not agree"}
+            assert statement["outcome"] in unescape(text).replace("−", "-")
+    assert {"pliant", "numpy", "mujoco", "matplotlib", "Python"} <= set(content["versions"])
+    for name, version in content["versions"].items():
+        assert f"{name} {version}" in text
+
+
+def test_processes_do_not_change_a_digit(pliant_command, tmp_path):
+    for jobs in ("1", "2"):
+        done = pliant_command("demo", "--quick", "--only", "2", "--jobs", jobs, "--out", jobs)
+        assert done.returncode == 0, done.stderr
+    one, two = ((tmp_path / jobs / "results.json").read_bytes() for jobs in ("1", "2"))
+    assert one == two
+    for figure in (tmp_path / "1" / "figures").glob("*.svg"):
+        assert figure.read_bytes() == (tmp_path / "2" / "figures" / figure.name).read_bytes()
+
+
+@pytest.mark.parametrize("robot", ["so101", "koch"])
+def test_quick_demo_of_a_small_arm(pliant_command, tmp_path, robot):
+    done = pliant_command("demo", "--quick", "--robot", robot, "--out", "here")
+    content, _ = check_folder(tmp_path / "here", done)
+    assert content["robot"] == robot
+    assert content["experiments"]["2"]["numbers"]["soft_axis"] == "y"
+
+
+def robots():
+    """Reference arms and their chains, where they are at hand."""
+    found = []
+    for file in sorted(SHARED.glob("*/reference_fk.json")):
+        chain = json.loads(file.read_text(encoding="utf-8"))
+        found.append((file.parent / chain["urdf"], chain["base"], chain["tip"]))
+    return found
+
+
+@pytest.mark.skipif(not robots(), reason="../shared/robots is absent: no reference arms to try")
+@pytest.mark.parametrize("robot", robots(), ids=lambda robot: robot[0].parent.name)
+def test_quick_demo_of_a_urdf(pliant_command, tmp_path, robot):
+    urdf, base, tip = robot
+    args = ["--urdf", str(urdf), "--base", base, "--tip", tip]
+    args += ["--only", "2", "--jobs", "1", "--out", "here"]
+    done = pliant_command("demo", "--quick", *args)
+    _, text = check_folder(tmp_path / "here", done)
+    assert "guessed from the effort" in text

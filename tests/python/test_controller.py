@@ -1,0 +1,279 @@
+"""The controller from Python: inputs, state, and what can be read after a step."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pliant
+
+INTERMEDIATES = {
+    "deviation": "k",
+    "adapted_deviation": "k",
+    "dx": "k",
+    "softness": "k",
+    "compliance": "k",
+    "holding_torque": "k",
+    "wrench": "k",
+    "q_predicted": "n",
+    "velocity": "n",
+    "gravity": "n",
+    "feed_forward": "n",
+    "gradient": "n",
+    "saturated": "n",
+    "locked": "n",
+    "activation": "nm",
+    "responsibility": "nm",
+    "task_jacobian": "kn",
+    "singular_values": "k",
+}
+
+
+@pytest.mark.parametrize("task", ["xyz rpy", "xyz", "y", "x z pitch"])
+def test_intermediates_have_the_size_of_the_task(model, q, target, task):
+    controller = pliant.Controller(model, pliant.Settings(task=task, delay=0.01, kx=2.0))
+    controller.step(q, target)
+    k = len(pliant.Task(task))
+    sizes = {"k": k, "n": 7, "m": k + 1}
+    for name, axes in INTERMEDIATES.items():
+        assert getattr(controller, name).shape == tuple(sizes[a] for a in axes), name
+    for name in ("sigma_min", "sigma_max", "damping", "gamma", "gain_factor"):
+        assert isinstance(getattr(controller, name), float)
+    assert controller.saturated.dtype == bool
+    assert len(controller.factors) == len(controller.damping_constants) == 3
+    assert tuple(controller.strengths) == pliant.Task(task).names
+
+
+def test_rows_are_those_of_the_task_in_order(model, q, target):
+    controller = pliant.Controller(model, pliant.Settings(task="x z pitch"))
+    controller.step(q, target, dt=10.0)
+    rows = [0, 2, 4]
+    np.testing.assert_allclose(controller.task_jacobian, model.jacobian(q)[rows], atol=1e-15)
+    wide = pliant.Controller(model, pliant.Settings())
+    wide.step(q, target, dt=10.0)
+    np.testing.assert_allclose(controller.deviation, wide.deviation[rows], atol=1e-15)
+    np.testing.assert_allclose(controller.gravity, model.gravity(q), atol=1e-14)
+
+
+def test_what_is_read_cannot_be_used_to_write(controller, q, target):
+    controller.step(q, target)
+    controller.deviation[:] = 7.0
+    assert (controller.deviation != 7.0).all()
+    with pytest.raises(AttributeError):
+        controller.deviation = np.zeros(6)
+
+
+def test_parts_can_be_read(model, controller, servos):
+    assert controller.model is model
+    assert controller.servos == model.servos == servos
+    assert controller.settings == pliant.Settings.soft("y")
+    assert controller.strengths["y"].yields == "both"
+    assert controller.strengths["x"].yields == "none"
+    assert controller.strengths["x"].hold == 40.0
+    assert "arm7" in repr(controller)
+    bare = pliant.Controller(model)
+    assert bare.settings == pliant.Settings()
+    other = pliant.Controller(model, None, pliant.Servos(kp=99.0, torque=5.0))
+    assert other.servos.kp.tolist() == [99.0] * 7
+
+
+class _Method:
+    def __init__(self, matrix):
+        self._matrix = matrix
+
+    def as_matrix(self):
+        return self._matrix
+
+
+class _Attribute:
+    def __init__(self, name, matrix):
+        setattr(self, name, matrix)
+
+
+def _forms(target):
+    yield target.tolist()
+    yield np.asfortranarray(target)
+    yield pliant.Pose(target)
+    yield _Method(target)
+    for name in ("homogeneous", "matrix", "A", "to_matrix"):
+        yield _Attribute(name, target)
+    pin = pytest.importorskip("pinocchio", reason="PyPI `pin` is not installed")
+    yield pin.SE3(target)
+
+
+def test_targets_of_every_kind_give_the_same_bits(model, q, target):
+    expected = pliant.Controller(model).step(q, target).goal
+    for form in _forms(target):
+        got = pliant.Controller(model).step(q, form).goal
+        assert got.tobytes() == expected.tobytes(), type(form)
+
+
+def test_a_position_is_enough_without_rotations(model, q, target):
+    settings = pliant.Settings(task="xyz")
+    expected = pliant.Controller(model, settings).step(q, target)
+    got = pliant.Controller(model, settings).step(q, target[:3, 3])
+    assert got.goal.tobytes() == expected.goal.tobytes()
+    with pytest.raises(
+        pliant.ShapeError, match="a position alone says nothing of the task's rotations"
+    ):
+        pliant.Controller(model).step(q, target[:3, 3])
+
+
+def test_seven_numbers_are_no_pose(controller, q):
+    with pytest.raises(pliant.ShapeError, match=r"Pose.from_wxyz.* or pliant.Pose.from_xyzw"):
+        controller.step(q, [0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0])
+
+
+def test_what_is_no_pose_is_refused(controller, q, target):
+    for spoil in (
+        lambda t: t[3].fill(0.0),
+        lambda t: t[0].__imul__(2.0),
+        lambda t: t[0].__imul__(-1.0),
+    ):
+        bad = target.copy()
+        spoil(bad)
+        with pytest.raises(pliant.ConfigError, match="pose: "):
+            controller.step(q, bad)
+    for bad in (_Method(np.eye(3)), _Attribute("matrix", None)):
+        with pytest.raises((pliant.ShapeError, TypeError), match=r"target\.(as_)?matrix"):
+            controller.step(q, bad)
+
+
+BAD_STEPS = {
+    "a wrong shape": {"q": np.zeros(6)},
+    "a number that is none": {"q": np.full(7, np.nan)},
+    "text": {"target": "home"},
+    "no pose": {"target": np.ones((4, 4))},
+    "a negative dt": {"dt": -0.01},
+    "dt zero": {"dt": 0.0},
+    "dt a text": {"dt": "now"},
+    "a speed beyond belief": {"dq": np.full(7, 1e9)},
+    "a short twist": {"twist": np.zeros(5)},
+    "an infinite gradient": {"gradient": np.full(7, np.inf)},
+    "a strange out": {"out": np.zeros(7)},
+    "an unknown keyword": {"gradeint": np.zeros(7)},
+}
+
+
+@pytest.mark.parametrize("started", [False, True], ids=["fresh", "running"])
+@pytest.mark.parametrize("bad", BAD_STEPS)
+def test_after_an_error_the_next_step_is_as_if_nothing_had_been(model, q, target, bad, started):
+    settings = pliant.Settings.soft("y", integrate=0.5)
+    calm, shaken = pliant.Controller(model, settings), pliant.Controller(model, settings)
+    if started:
+        for controller in (calm, shaken):
+            for i in range(5):
+                controller.step(q + 0.003 * i, target)
+    before = shaken.deviation
+    with pytest.raises((pliant.PliantError, TypeError)):
+        shaken.step(**{"q": q, "target": target} | BAD_STEPS[bad])
+    assert shaken.deviation.tobytes() == before.tobytes()
+    for i in range(5):
+        a, b = calm.step(q + 0.01 * i, target), shaken.step(q + 0.01 * i, target)
+        for field in ("goal", "torque_limit", "velocity"):
+            assert getattr(a, field).tobytes() == getattr(b, field).tobytes()
+
+
+def test_a_failed_update_changes_nothing(model, q, target):
+    calm, shaken = pliant.Controller(model), pliant.Controller(model)
+    for i in range(3):
+        calm.step(q + 0.001 * i, target)
+        shaken.step(q + 0.001 * i, target)
+    kept = shaken.settings
+    with pytest.raises(pliant.LimitError, match="kx"):
+        shaken.update(pliant.Settings(kx=50.0))
+    with pytest.raises(pliant.ShapeError, match="posture"):
+        shaken.update(pliant.Settings(posture=[0.0] * 6))
+    with pytest.raises(TypeError):
+        shaken.update("softer")
+    for call in (
+        lambda: shaken.set_payload(-1.0),
+        lambda: shaken.set_gravity([0.0, 0.0, np.nan]),
+        lambda: shaken.set_delay(2.0),
+        lambda: shaken.reset([0.0] * 6),
+    ):
+        with pytest.raises(pliant.PliantError):
+            call()
+    assert shaken.settings is kept
+    assert shaken.step(q, target).goal.tobytes() == calm.step(q, target).goal.tobytes()
+
+
+def test_same_inputs_same_bits(model, target):
+    generator = np.random.default_rng(3)
+    inputs = generator.normal(0.0, 0.02, (200, 7)) + np.array(
+        [0.3, -0.4, 0.2, -1.2, 0.5, 0.6, -0.3]
+    )
+
+    def run():
+        controller = pliant.Controller(
+            model, pliant.Settings.soft("y yaw", integrate=0.2, delay=0.01)
+        )
+        return b"".join(
+            command.goal.tobytes() + command.torque_limit.tobytes()
+            for command in (controller.step(q, target) for q in inputs)
+        )
+
+    assert run() == run()
+
+
+def test_reset_forgets_everything(model, q, target):
+    fresh, used = pliant.Controller(model), pliant.Controller(model)
+    for i in range(20):
+        used.step(q + 0.01 * i, target)
+    used.reset(q)
+    fresh.reset(q)
+    assert used.step(q, target).goal.tobytes() == fresh.step(q, target).goal.tobytes()
+
+
+def test_step_joints_is_a_step_to_their_pose_with_them_as_posture(model, q):
+    wanted = q + 0.02
+    a = pliant.Controller(model).step_joints(q, wanted)
+    settings = pliant.Settings(posture=wanted)
+    b = pliant.Controller(model, settings).step(q, model.forward_kinematics(wanted))
+    np.testing.assert_allclose(a.goal, b.goal, atol=1e-14)
+    np.testing.assert_allclose(a.torque_limit, b.torque_limit, atol=1e-12)
+
+
+def test_payload_gravity_and_delay_while_running(model, controller, q, target):
+    controller.step(q, target)
+    before = controller.gravity
+    controller.set_payload(0.5, (0.0, 0.0, 0.1))
+    controller.step(q, target)
+    loaded = controller.gravity
+    assert not np.allclose(loaded, before)
+    controller.set_payload(0.0)
+    controller.set_gravity([0.0, 0.0, 0.0])
+    controller.step(q, target)
+    assert not controller.gravity.any()
+    controller.set_delay(0.3)
+    assert controller.gain_factor == 1.0
+    stiff = pliant.Controller(model, pliant.Settings(kx=6.0))
+    stiff.set_delay(0.02)
+    assert stiff.gain_factor < 1.0
+    stiffness = controller.capture_gravity(q, q)
+    np.testing.assert_allclose(stiffness, model.servos.kp)
+
+
+def test_update_takes_over_position_targets(model, q, target):
+    controller = pliant.Controller(model, pliant.Settings())
+    controller.step(q, target)
+    controller.update(pliant.Settings(task="xyz"))
+    assert controller.settings.task == pliant.Task("xyz")
+    assert controller.deviation.shape == (3,)
+    controller.step(q, target[:3, 3])
+
+
+def test_what_a_law_needs_is_said(q):
+    from pathlib import Path
+
+    urdf = Path(__file__).resolve().parents[1] / "data" / "golden" / "arm7.urdf"
+    bare = pliant.Model.from_urdf(urdf, tip="tool")
+    with pytest.raises(
+        pliant.ConfigError, match=r'law="cap" needs the stiffness k_p of joints shoulder_pitch'
+    ):
+        pliant.Controller(bare)
+    assert pliant.Controller(bare, pliant.Settings.paper()).servos is None
+    with pytest.raises(pliant.ShapeError, match=r"servos.kp has shape \(6,\), expected \(7,\)"):
+        pliant.Controller(bare, None, pliant.Servos(kp=[1.0] * 6, torque=1.0))
+    with pytest.raises(TypeError):
+        pliant.Controller(bare, {"law": "cap"})

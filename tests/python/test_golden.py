@@ -1,0 +1,140 @@
+"""The golden cases, made with Pinocchio and NumPy, through the functions and through the controller."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pliant
+
+GOLDEN = Path(__file__).resolve().parents[1] / "data" / "golden"
+TOLERANCE = 1e-10
+
+
+def _cases():
+    raw = json.loads((GOLDEN / "golden.json").read_text(encoding="utf-8"))
+    return [{k: np.array(v) if isinstance(v, list) else v for k, v in case.items()} for case in raw]
+
+
+CASES = _cases()
+each_case = pytest.mark.parametrize("case", CASES, ids=range(len(CASES)))
+
+
+def close(got, expected, scale=1.0):
+    np.testing.assert_allclose(got, expected, rtol=0.0, atol=TOLERANCE * max(1.0, scale))
+
+
+def pose(position, rotation):
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = rotation, position
+    return out
+
+
+@each_case
+def test_model(case):
+    model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool")
+    matrix, jacobian = model.kinematics(case["q"])
+    close(matrix, pose(case["p"], case["R"]))
+    close(jacobian, case["J"])
+    close(model.gravity(case["q"]), case["gravity"])
+
+
+@each_case
+def test_functions(case):
+    actual, target = pose(case["p"], case["R"]), pose(case["target_p"], case["target_R"])
+    inverse = pliant.damped_pseudo_inverse(case["J"], case["lam"])
+    size = np.abs(case["Jp"]).max()
+    close(inverse, case["Jp"], size)
+    projector = pliant.null_space_projector(case["J"], case["lam"], kind="paper")
+    close(projector, case["N"])
+    e = pliant.pose_error(actual, target)
+    close(e, case["d_rotvec"])
+
+    # Theirs adapts the deviation axis by axis; as a pose it is the same but for the rotations.
+    mask = case["mask"]
+    adapted = np.where(mask, (1.0 - case["eta"]) * e, e)
+    shown = pliant.pose_error(actual, pliant.adapt_target(actual, target, case["eta"], mask))
+    close(shown, adapted)
+    close(case["Kx"] * adapted, case["dx"])
+
+    # Their gradient points uphill: the size is what A and R see.
+    gradient = -case["grad"]
+    dq = inverse @ case["dx"] - case["alpha"] * projector @ gradient
+    close(case["Kq"] * dq, case["dq"], np.abs(case["dq"]).max())
+    shares = pliant.activation(inverse, projector, gradient)
+    close(shares, case["A"])
+    load = pliant.responsibility(inverse, case["dx"], projector, gradient, case["alpha"])
+    close(load[:, :6], np.abs(inverse * case["dx"]), size)
+    close(load[:, 6], case["alpha"] * np.abs(projector @ gradient))
+
+    c = pliant.compliance(adapted, case["d_minus"], case["d_plus"])
+    close(c, case["c"])
+    strength = pliant.holding_torque(c, case["tau_min"], case["tau_max"], case["tau_stiff"], mask)
+    close(strength, case["tau_x"])
+    limits = pliant.joint_torque_limits(shares, [*strength, case["tau_null"]])
+    close(limits, case["tau_q"])
+
+
+def _settings(case):
+    """`compliant_pos` there is compliant while pushed toward -: `yields="-"` here."""
+    axes = {}
+    for i, name in enumerate(pliant.Task().names):
+        sides = bool(case["compliant_pos"][i]), bool(case["compliant_neg"][i])
+        hold = float(case["tau_stiff"][i])
+        yields = {(True, True): "both", (True, False): "-", (False, True): "+"}.get(sides, "none")
+        axes[name] = pliant.Axis(
+            soft=float(case["tau_min"][i]),
+            firm=min(float(case["tau_max"][i]), hold),
+            hold=hold,
+            yields=yields,
+            eta=0.0 if yields == "none" else case["eta"],
+            d_minus=float(case["d_minus"][i]),
+            d_plus=float(case["d_plus"][i]),
+            step_limit=float("inf"),
+            soft_step_limit=float("inf"),
+        )
+    return pliant.Settings.paper(
+        axes=axes,
+        projector="paper",
+        damping=case["lam"],
+        kx=case["Kx"],
+        kq=case["Kq"],
+        alpha=case["alpha"],
+        posture_weights=[0.0] * 7,
+        null_torque=case["tau_null"],
+        joint_speed=[float("inf")] * 7,
+    )
+
+
+@each_case
+def test_controller(case):
+    model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool")
+    controller = pliant.Controller(model, _settings(case))
+    target = pose(case["target_p"], case["target_R"])
+    command = controller.step(case["q"], target, gradient=-case["grad"])
+    close(controller.deviation, case["d_rotvec"])
+    close(controller.dx, case["dx"])
+    close(controller.compliance, case["c"])
+    close(controller.gravity, case["gravity"])
+    assert np.array_equal(controller.softness > 0.5, case["mask"])
+
+    goal = case["q"] + 0.25 * case["dq"]
+    if ((goal <= model.lower) | (goal >= model.upper)).any():
+        assert controller.locked.any()
+        return
+    close((command.goal - case["q"]) / 0.25, case["dq"], np.abs(case["dq"]).max())
+    close(controller.activation, case["A"])
+    if (case["tau_max"] <= case["tau_stiff"]).all():  # others are refused by Axis
+        close(controller.holding_torque, case["tau_x"])
+        close(command.torque_limit, np.minimum(case["tau_q"], model.effort_limit), 10.0)
+
+
+def test_some_cases_are_compared_in_full():
+    model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool")
+    goals = np.array([case["q"] + 0.25 * case["dq"] for case in CASES])
+    inside = ((goals > model.lower) & (goals < model.upper)).all(axis=1)
+    assert len(CASES) == 24
+    assert inside.sum() >= 8

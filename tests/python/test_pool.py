@@ -1,0 +1,189 @@
+"""Results of the pool: a plain loop allocates nothing, and what somebody keeps never changes."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import pickle
+import sys
+import threading
+import weakref
+
+import numpy as np
+import pytest
+
+import pliant
+
+FIELDS = ("goal", "torque_limit", "velocity")
+
+
+def run(controller, q, target, count):
+    """Steps at different states, so that every command holds other numbers."""
+    for i in range(count):
+        controller.step(q + 1e-3 * i, target)
+
+
+def values(command):
+    return [getattr(command, field).copy() for field in FIELDS]
+
+
+def unchanged(command, before):
+    return all(
+        np.array_equal(getattr(command, field), kept)
+        for field, kept in zip(FIELDS, before, strict=True)
+    )
+
+
+def test_a_plain_loop_makes_three_commands(controller, q, target):
+    for i in range(1000):
+        command = controller.step(q + 1e-4 * i, target)
+        assert command.goal.shape == command.torque_limit.shape == command.velocity.shape == (7,)
+    assert controller.commands_made == 3
+
+
+def test_kept_commands_are_all_different_and_never_change(controller, q, target):
+    kept = [controller.step(q + 1e-3 * i, target) for i in range(50)]
+    before = [values(command) for command in kept]
+    run(controller, q, target, 50)
+    assert len({id(command.goal) for command in kept}) == 50
+    assert all(unchanged(command, b) for command, b in zip(kept, before, strict=True))
+
+
+#: Whatever lets a caller see the numbers of an array, and how the caller then reads them.
+VIEWS = {
+    "array": (lambda a: a, bytes),
+    "slice": (lambda a: a[2:5], bytes),
+    "reverse": (lambda a: a[::-1], lambda v: v.tobytes()),
+    "reshape": (lambda a: a.reshape(7, 1), bytes),
+    "bits": (lambda a: a.view(np.int64), bytes),
+    "strides": (lambda a: np.lib.stride_tricks.as_strided(a, (3,), (8,)), bytes),
+    "memoryview": (memoryview, bytes),
+    "ctypes": (lambda a: a.ctypes, lambda v: bytes(v.data_as(POINTER).contents)),
+    "iterator": (lambda a: a.flat, lambda v: v.copy().tobytes()),
+}
+POINTER = ctypes.POINTER(ctypes.c_double * 7)
+
+
+@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("view", VIEWS)
+def test_whatever_sees_an_array_protects_it(controller, q, target, field, view):
+    take, read = VIEWS[view]
+    run(controller, q, target, 3)
+    kept = take(getattr(controller.step(q, target), field))
+    before = read(kept)
+    run(controller, q + 0.1, target, 9)
+    assert read(kept) == before
+
+
+def test_a_weak_reference_protects_an_array_too(controller, q, target):
+    kept = weakref.ref(controller.step(q, target).goal)
+    before = kept().copy()
+    run(controller, q + 0.1, target, 9)
+    assert kept() is None or np.array_equal(kept(), before)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda a: a.resize(9, refcheck=False),
+        lambda a: a.resize(3, refcheck=False),
+        lambda a: setattr(a, "shape", (1, 7)),
+        lambda a: setattr(a, "dtype", np.int64),
+        lambda a: setattr(a, "strides", (0,)),
+        lambda a: a.setflags(write=False),
+        lambda a: setattr(a, "dtype", ">f8"),
+    ],
+    ids=["longer", "shorter", "shape", "dtype", "strides", "flags", "bytes"],
+)
+def test_an_array_changed_in_place_is_given_up(controller, q, target, spoil):
+    run(controller, q, target, 3)
+    for _ in range(3):
+        spoil(controller.step(q, target).goal)
+    for i in range(6):
+        command = controller.step(q + 1e-3 * i, target)
+        assert command.goal.shape == (7,)
+        assert command.goal.dtype == np.float64
+        assert command.goal.flags.carray
+        assert np.isfinite(command.goal).all()
+        command.goal[:] = 0.0  # writable, and nobody's business
+
+
+def test_what_a_user_writes_into_a_command_does_not_reach_the_controller(
+    model, controller, q, target
+):
+    other = pliant.Controller(model, controller.settings)
+    for i in range(10):
+        mine = controller.step(q + 1e-3 * i, target)
+        theirs = other.step(q + 1e-3 * i, target)
+        assert np.array_equal(mine.goal, theirs.goal)
+        theirs.goal[:] = np.nan
+        theirs.torque_limit[:] = np.nan
+
+
+def test_out_overwrites_the_callers_command(controller, q, target):
+    mine = controller.step(q, target)
+    view = mine.goal
+    again = controller.step(q + 0.01, target, out=mine)
+    assert again is mine
+    assert mine.goal is view
+    assert controller.step_joints(q, 0.9 * q, out=mine) is mine
+    mine.torque_limit.flags.writeable = False
+    before = controller.q_predicted
+    with pytest.raises(TypeError, match="out must be a command whose arrays are writable"):
+        controller.step(q + 0.5, target, out=mine)
+    assert np.array_equal(controller.q_predicted, before)
+    with pytest.raises(TypeError):
+        controller.step(q, target, out=view)
+
+
+def test_commands_cannot_be_changed(controller, q, target):
+    command = controller.step(q, target)
+    with pytest.raises(AttributeError):
+        command.goal = np.zeros(7)
+    assert "torque_limit=array" in repr(command)
+    with pytest.raises(TypeError):
+        type(command)()
+    with pytest.raises(TypeError):
+        pickle.dumps(command)
+
+
+def test_one_controller_per_thread_gives_what_it_gives_alone(model, q, target):
+    def drive(offset, into):
+        controller = pliant.Controller(model, pliant.Settings.soft("y"))
+        into.extend(controller.step(q + offset + 1e-4 * i, target) for i in range(300))
+
+    alone, together = [[], [], [], []], [[], [], [], []]
+    for i, into in enumerate(alone):
+        drive(0.01 * i, into)
+    threads = [threading.Thread(target=drive, args=(0.01 * i, t)) for i, t in enumerate(together)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for a, b in zip(alone, together, strict=True):
+        for x, y in zip(a, b, strict=True):
+            assert np.array_equal(x.goal, y.goal)
+            assert np.array_equal(x.torque_limit, y.torque_limit)
+
+
+def test_a_step_from_within_a_step_is_refused(controller, q, target):
+    class Nosy:
+        def as_matrix(self):
+            controller.step(q, target)
+            return target
+
+    with pytest.raises(RuntimeError, match="[Bb]orrow"):
+        controller.step(q, Nosy())
+
+
+def test_nothing_leaks(controller, q, target):
+    array, pose = q.copy(), target.copy()
+    run(controller, array, pose, 10)
+    counts = sys.getrefcount(array), sys.getrefcount(pose), sys.getrefcount(controller)
+    for _ in range(1000):
+        controller.step(array, pose, dq=array, gradient=array)
+        with pytest.raises(ValueError, match="q has shape"):
+            controller.step(array[:3], pose)
+    gc.collect()
+    assert counts == (sys.getrefcount(array), sys.getrefcount(pose), sys.getrefcount(controller))

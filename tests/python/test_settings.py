@@ -1,0 +1,286 @@
+"""Value classes: frozen, keyword-only, comparable, copied by pickle and by their own repr."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import string
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pliant
+from pliant import Axis, Payload, Pose, Servos, Settings, Task
+
+ROOM = {
+    name: getattr(pliant, name)
+    for name in ("Axis", "Payload", "Pose", "Servos", "Settings", "Task")
+}
+
+
+def number(low, high):
+    return st.floats(low, high, allow_nan=False)
+
+
+def sides(low, high):
+    return st.one_of(number(low, high), st.tuples(number(low, high), number(low, high)))
+
+
+def maybe(strategy):
+    return st.one_of(st.none(), strategy)
+
+
+@st.composite
+def axes(draw):
+    fields = {
+        "soft": draw(sides(0, 10)),
+        "firm": draw(maybe(sides(0, 20))),
+        "hold": draw(maybe(number(0, 50))),
+        "yields": draw(st.sampled_from(["both", "+", "-"])),
+        "eta": draw(number(0, 0.999)),
+        "d_minus": draw(maybe(number(0, 1))),
+        "d_plus": draw(maybe(number(1e-3, 1))),
+        "profile": draw(st.sampled_from(["firming", "constant", "yielding"])),
+        "step_limit": draw(maybe(st.one_of(number(1e-3, 10), st.just(float("inf"))))),
+        "soft_step_limit": draw(maybe(number(1e-3, 10))),
+    }
+    return Axis(**fields)
+
+
+seven = st.lists(number(0.1, 3.0), min_size=7, max_size=7)
+
+
+@st.composite
+def some_settings(draw):
+    fields = {
+        "task": draw(st.sampled_from(["xyz rpy", Task("xyz rpy", frame="tool")])),
+        "axes": draw(st.dictionaries(st.sampled_from(Task().names), axes())),
+        "law": draw(st.sampled_from(["cap", "paper"])),
+        "follow": draw(st.sampled_from([None, "free", "hold"])),
+        "limits": draw(st.sampled_from(["demand", "sum"])),
+        "kx": draw(st.one_of(number(0, 100), st.lists(number(0, 100), min_size=6, max_size=6))),
+        "kq": draw(st.one_of(number(0, 10), st.just(np.eye(7)))),
+        "alpha": draw(maybe(number(0, 100))),
+        "rate": draw(number(1, 1000)),
+        "damping": draw(maybe(st.one_of(number(0, 10), st.just((0.02, 0.15, 0.15))))),
+        "posture": draw(maybe(seven)),
+        "null_speed": draw(maybe(number(0, 10))),
+        "gravity": draw(st.sampled_from([True, False, "goal", "limits"])),
+        "max_tool_speed": draw(maybe(st.one_of(number(1e-3, 1), st.just((None, 2.0))))),
+        "lead_limit": draw(maybe(st.one_of(number(1e-3, 1), st.just(float("inf"))))),
+        "raw_deviation": draw(st.booleans()),
+        "accept": draw(st.sampled_from([(), ("eta",)])),
+    }
+    kept = draw(st.sets(st.sampled_from(sorted(fields))))
+    return Settings(**{name: fields[name] for name in kept})
+
+
+@given(some_settings())
+def test_settings_round_trip(settings):
+    assert eval(repr(settings), ROOM) == settings
+    assert pickle.loads(pickle.dumps(settings)) == settings
+    assert copy.deepcopy(settings) == copy.copy(settings) == settings.replace() == settings
+
+
+VALUES = [
+    Axis(),
+    Axis(soft=(1.0, 2.0), firm=3.0, yields="+", step_limit=float("inf")),
+    Task("x z pitch", frame=[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], length=0.3),
+    Servos(kp=[100.0, 50.0], torque=5.0, kind="duty", no_load_speed=[6.0, 7.0]),
+    Servos(kp=100.0, torque=5.0),
+    Payload(0.5, (0.0, 0.1, 0.2)),
+    Pose.from_rpy([0.1, 0.2, 0.3], [0.4, 0.5, 0.6]),
+]
+
+
+@pytest.mark.parametrize("value", VALUES, ids=repr)
+def test_other_values_round_trip(value):
+    assert eval(repr(value), ROOM) == value
+    assert pickle.loads(pickle.dumps(value)) == value
+    assert copy.deepcopy(value) == value
+    assert value != 3
+    assert type(value).__module__ == "pliant"
+
+
+def test_repr_shows_what_is_not_the_default():
+    assert repr(Settings()) == "Settings()"
+    shown = repr(Settings(rate=200, axes={"y": Axis(soft=2)}, null_speed=None, task="xyz"))
+    assert shown == "Settings(task=Task(axes='xyz'), axes={'y': Axis(soft=2.0)}, rate=200.0)"
+    assert repr(Task("all")) == "Task()"
+
+
+def test_they_are_frozen():
+    for value in (Settings(), Axis(), Task(), VALUES[3]):
+        name = {"Settings": "rate", "Axis": "eta", "Task": "axes", "Servos": "kp"}[
+            type(value).__name__
+        ]
+        with pytest.raises(AttributeError):
+            setattr(value, name, 1.0)
+    with pytest.raises(ValueError, match="read-only"):
+        VALUES[3].kp[0] = 1.0
+    with pytest.raises(TypeError):
+        Settings().axes["y"] = Axis()
+
+
+def test_fields_read_as_given():
+    settings = Settings(
+        axes={"y yaw": Axis(soft=2.0, firm=(3.0, 4.0))},
+        kx=[1, 2, 3, 4, 5, 6],
+        damping=(0.02, 0.15, 0.2),
+        max_tool_speed=0.1,
+        max_tool_acceleration=None,
+        goal_slew=None,
+        posture=np.zeros(7, dtype=np.float32),
+        gravity="limits",
+    )
+    assert settings.axes["yaw"] == settings.axes["y"]
+    assert settings.axes["y"].soft == (2.0, 2.0)
+    assert settings.axes["y"].firm == (3.0, 4.0)
+    assert settings.axes["x"] == Axis()
+    assert isinstance(settings.axes, MappingProxyType)
+    assert settings.kx == [1, 2, 3, 4, 5, 6]
+    assert settings.damping == (0.02, 0.15, 0.2)
+    assert settings.max_tool_speed == (0.1, 0.4)
+    assert settings.max_tool_acceleration == (float("inf"),) * 2
+    assert settings.goal_slew == float("inf")
+    assert settings.posture.dtype == np.float64
+    assert settings.gravity == "limits"
+    assert Settings(kx=np.eye(6)).kx == np.eye(6).tolist()
+    assert Task("yaw x").names == ("x", "yaw")
+    assert len(Task("x z pitch")) == 3
+    servos = Servos(kp=[100, 50], torque=5)
+    assert servos.torque.tolist() == [5.0, 5.0]
+    assert len(servos) == 2
+    assert servos.no_load_speed is None
+
+
+def test_replace_changes_only_what_it_names():
+    settings = Settings.soft("y", rate=200.0)
+    other = settings.replace(rate=50.0)
+    assert other.axes == settings.axes
+    assert other.rate == 50.0
+    assert settings.rate == 200.0
+    assert Axis(soft=1.0).replace(firm=5.0) == Axis(soft=1.0, firm=5.0)
+    assert settings.replace(axes={}) == Settings(rate=200.0)
+
+
+def test_presets():
+    assert Settings.firm() == Settings()
+    paper = Settings.paper()
+    assert paper.law == "paper"
+    assert paper.gravity is False
+    assert all(axis == Axis() for axis in paper.axes.values())
+    door = Settings.door()
+    assert [name for name, axis in door.axes.items() if axis.yields] == ["y", "yaw"]
+    assert door.axes["y"].eta == 0.999
+    assert door.accept == ("eta",)
+    guided = Settings.hand_guiding(task="xyz", axes={"z": Axis(hold=20.0)})
+    assert [name for name, axis in guided.axes.items() if axis.yields] == ["x", "y"]
+    assert guided.axes["z"] == Axis(hold=20.0)
+    assert guided.alpha == 1.0
+    soft = Settings.soft("y", axes={"x": Axis(hold=30.0)}, rate=200.0)
+    assert soft.axes["y"] == Axis(yields="both", eta=0.9)
+    assert soft.axes["x"].hold == 30.0
+    assert soft.rate == 200.0
+    with pytest.raises(pliant.ConfigError, match="'yaw' is not an axis of the task"):
+        Settings.soft("yaw", task="xyz")
+
+
+def test_presets_make_controllers(model):
+    for settings in (
+        Settings.paper(),
+        Settings.firm(),
+        Settings.door(),
+        Settings.hand_guiding(),
+        Settings.soft("y yaw"),
+        Settings.soft("z", task="xyz"),
+    ):
+        assert pliant.Controller(model, settings).settings == settings
+
+
+WRONG = {
+    "an unknown field": (
+        lambda: Settings(lwa="cap"),
+        r"lwa: Settings has no such field; did you mean 'law'\?",
+    ),
+    "an unknown field of an axis": (
+        lambda: Axis(sofft=1.0),
+        r"did you mean 'soft'\? Fields: soft, firm",
+    ),
+    "an unknown field in replace": (lambda: Task().replace(axis="x"), r"did you mean 'axes'\?"),
+    "an unknown word": (
+        lambda: Settings(law="papr"),
+        r"law: must be one of 'cap', 'paper', got 'papr' \(str\); did you mean 'paper'\?",
+    ),
+    "a number for a word": (
+        lambda: Axis(yields=1),
+        r"yields: must be one of 'both', '\+', '-', 'none', got 1",
+    ),
+    "text for a number": (lambda: Settings(rate="fast"), r"rate: must be a number, got 'fast'"),
+    "a flag for a number": (lambda: Axis(eta=True), r"eta: must be a number, got True"),
+    "a number for a flag": (lambda: Settings(raw_deviation=1), r"must be True or False, got 1"),
+    "a triple for a pair": (lambda: Axis(soft=(1, 2, 3)), r"soft: must be a number, or a pair"),
+    "a gravity": (lambda: Settings(gravity="off"), r"True, False, 'goal' or 'limits', got 'off'"),
+    "a key twice": (
+        lambda: Settings(axes={"y": Axis(), "xyz": Axis()}),
+        r"axes: 'y' is named by both 'y' and 'xyz'",
+    ),
+    "no axis": (lambda: Settings(axes={"y": 2.0}), r"axes.y: must be an Axis, got 2.0"),
+    "no mapping": (lambda: Settings(axes=["y"]), r"axes: must be a dict"),
+    "an unknown key": (
+        lambda: Settings(axes={"q": Axis()}),
+        r"axes: 'q' is not an axis; use names",
+    ),
+    "an unknown task": (lambda: Task("xq"), r"task.axes: 'xq' is not an axis"),
+    "a frame": (lambda: Task(frame="world"), r"frame: must be 'base', 'tool' or a 3x3"),
+    "no rotation": (lambda: Task(frame=np.ones((3, 3))), r"task.frame: .*not a rotation"),
+    "an axis without effect": (lambda: Axis(eta=0.5), r"axes.\*.eta: 0.5 has no effect"),
+    "a risk": (lambda: Settings(accept="heat"), r"'heat' is not a risk"),
+    "servos without torque": (lambda: Servos(kp=1.0), r"servos.torque: is required"),
+    "duty without speed": (
+        lambda: Servos(kp=1.0, torque=1.0, kind="duty"),
+        r"servos.no_load_speed: kind=\"duty\" needs",
+    ),
+    "an unknown keyword of a model": (
+        lambda: pliant.Model.from_urdf_str("", bsae="x"),
+        r"bsae: no such keyword; did you mean 'base'\?",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_said_with_the_remedy(case):
+    call, message = WRONG[case]
+    with pytest.raises(pliant.ConfigError, match=message) as caught:
+        call()
+    assert caught.value.key
+
+
+def test_numbers_outside_their_bounds():
+    for call, what in (
+        (lambda: Axis(eta=1.0, soft=1.0), "axes.*.eta"),
+        (lambda: Settings(rate=0.0), "rate [Hz]"),
+        (lambda: Settings(rate=None), "rate [Hz]"),
+        (lambda: Settings(rate=float("nan")), "rate [Hz]"),
+        (lambda: Servos(kp=[1.0, -1.0], torque=1.0), "servos.kp[1]"),
+        (lambda: Payload(-1.0), "payload.mass [kg]"),
+    ):
+        with pytest.raises(pliant.LimitError) as caught:
+            call()
+        assert caught.value.what == what
+        assert caught.value.bound
+    with pytest.raises(pliant.ShapeError, match=r"servos.kp has shape \(2,\), expected \(3,\)"):
+        Servos(kp=[1.0, 2.0], torque=[1.0, 2.0, 3.0])
+
+
+@given(st.text(string.printable, max_size=12))
+def test_no_axis_key_gets_past_the_reader(key):
+    try:
+        names = Task(key).names
+    except pliant.ConfigError:
+        return
+    assert names
+    assert set(names) <= set(Task().names)
