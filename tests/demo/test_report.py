@@ -110,6 +110,13 @@ def test_processes_do_not_change_a_digit(pliant_command, tmp_path):
         assert figure.read_bytes() == (tmp_path / "2" / "figures" / figure.name).read_bytes()
 
 
+def test_a_machine_that_cannot_draw_gets_a_report_without_pictures(pliant_command, tmp_path):
+    args = ("demo", "--quick", "--only", "1", "--jobs", "1", "--out", "here")
+    done = pliant_command(*args, MUJOCO_GL="disable")
+    _, text = check_folder(tmp_path / "here", done)
+    assert "data:image/" not in text
+
+
 @pytest.mark.parametrize("robot", ["so101", "koch"])
 def test_quick_demo_of_a_small_arm(pliant_command, tmp_path, robot):
     done = pliant_command("demo", "--quick", "--robot", robot, "--out", "here")

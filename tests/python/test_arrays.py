@@ -14,22 +14,6 @@ import pliant
 
 GOLDEN = Path(__file__).resolve().parents[1] / "data" / "golden"
 
-#: Ways to hand over the same float64 vector or matrix.
-FORMS = {
-    "list": lambda a: a.tolist(),
-    "tuple": lambda a: tuple(a.tolist()),
-    "strided": lambda a: np.repeat(a, 2, axis=0)[::2],
-    "fortran": np.asfortranarray,
-    "big endian": lambda a: a.astype(">f8"),
-    "read-only": lambda a: _readonly(a),
-    "reversed": lambda a: a[::-1].copy()[::-1],
-    "unaligned": lambda a: _unaligned(a),
-    "subclass": lambda a: a.view(_Sub),
-    "long double": lambda a: a.astype(np.longdouble),
-    "object with __array__": lambda a: _Holder(a),
-    "memoryview": lambda a: memoryview(a),
-}
-
 
 class _Sub(np.ndarray):
     """A subclass of ndarray."""
@@ -56,6 +40,23 @@ def _unaligned(array):
     out = room[1:].view(np.float64).reshape(array.shape)
     out[...] = array
     return out
+
+
+#: Ways to hand over the same float64 vector or matrix.
+FORMS = {
+    "list": lambda a: a.tolist(),
+    "tuple": lambda a: tuple(a.tolist()),
+    "strided": lambda a: np.repeat(a, 2, axis=0)[::2],
+    "fortran": np.asfortranarray,
+    "big endian": lambda a: a.astype(">f8"),
+    "read-only": _readonly,
+    "reversed": lambda a: a[::-1].copy()[::-1],
+    "unaligned": _unaligned,
+    "subclass": lambda a: a.view(_Sub),
+    "long double": lambda a: a.astype(np.longdouble),
+    "object with __array__": _Holder,
+    "memoryview": memoryview,
+}
 
 
 def _calls():

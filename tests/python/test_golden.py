@@ -1,4 +1,4 @@
-"""The golden cases, made with Pinocchio and NumPy, through the functions and through the controller."""
+"""The golden cases (Pinocchio and NumPy) through the functions and through the controller."""
 
 from __future__ import annotations
 

@@ -27,7 +27,10 @@ def test_every_name_is_there_and_documented():
 
 
 def test_import_is_light():
-    code = "import numpy, sys; before = set(sys.modules); import pliant; print(*(set(sys.modules) - before))"
+    code = (
+        "import numpy, sys; before = set(sys.modules); import pliant; "
+        "print(*(set(sys.modules) - before))"
+    )
     own = {"pliant", "pliant._core"}
     assert set(run(code)) <= own | {"__future__", "importlib.metadata"}
 

@@ -74,9 +74,10 @@ def test_options(servos):
 
 
 def test_absent_limits_are_nan_and_infinite():
-    text = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="1"/><inertia ixx="1" ixy="0"
-    ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link><joint name="j" type="continuous"><parent link="a"/>
-    <child link="b"/><axis xyz="0 0 1"/></joint></robot>"""
+    text = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="1"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+    <joint name="j" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint>
+    </robot>"""
     model = pliant.Model.from_urdf_str(text)
     assert model.lower.tolist() == [-np.inf]
     assert model.upper.tolist() == [np.inf]
@@ -86,9 +87,9 @@ def test_absent_limits_are_nan_and_infinite():
 
 
 def test_a_file_that_is_not_there_is_pythons_own_error(tmp_path):
-    with pytest.raises(FileNotFoundError, match="no such file: '.*nowhere.urdf'"):
+    with pytest.raises(FileNotFoundError, match=r"no such file: '.*nowhere.urdf'"):
         pliant.Model.from_urdf(tmp_path / "nowhere.urdf")
-    with pytest.raises(FileNotFoundError, match="this is XML text: use Model.from_urdf_str"):
+    with pytest.raises(FileNotFoundError, match=r"this is XML text: use Model.from_urdf_str"):
         pliant.Model.from_urdf("<robot/>")
     with pytest.raises(pliant.UrdfError, match="cannot be read") as caught:
         pliant.Model.from_urdf(tmp_path)
@@ -111,7 +112,7 @@ def test_faults_carry_their_place(tmp_path):
 
 def test_a_missing_frame_lists_those_there_are():
     with pytest.raises(
-        pliant.FrameNotFound, match="frame 'hand' not found.*gripper_link"
+        pliant.FrameNotFound, match=r"frame 'hand' not found.*gripper_link"
     ) as caught:
         pliant.Model.from_urdf(URDF, tip="hand")
     assert caught.value.frame == "hand"

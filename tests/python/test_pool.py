@@ -173,7 +173,7 @@ def test_a_step_from_within_a_step_is_refused(controller, q, target):
             controller.step(q, target)
             return target
 
-    with pytest.raises(RuntimeError, match="[Bb]orrow"):
+    with pytest.raises(RuntimeError, match=r"[Bb]orrow"):
         controller.step(q, Nosy())
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from pliant import ConfigError, PliantError
+from pliant.experiments.runner import draw_off_screen
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -53,10 +52,7 @@ def run(
     if urdf is None and (base or tip):
         raise ConfigError("--base and --tip belong to --urdf, which was not given")
     wanted = numbers(only)
-    # Chosen before MuJoCo is loaded, here and in the processes that inherit it.
-    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        os.environ.setdefault("MUJOCO_GL", "egl")
-    os.environ.setdefault("MPLBACKEND", "Agg")
+    draw_off_screen()
     demo = _load()
     subject = _subject(robot, urdf, base, tip)
     demo.choose(subject.experiments, wanted)
@@ -137,14 +133,17 @@ def _close(console: Console, done: Demonstration) -> None:
     """Print what came out, the path of the report last."""
     from pliant.experiments.result import Verdict
 
+    paper = any(chapter.statements("paper") for chapter in done.chapters)
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title_justify="left")
-    table.title = "The paper's statements beside this run, and our own bands"
+    if paper:
+        table.title = "The paper's statements beside this run, and our own bands"
     table.add_column("experiment")
-    for heading in ("agrees", "differs", "does not", "bands kept"):
+    for heading in ("agrees", "differs", "does not") if paper else ():
         table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("bands kept", justify="right", no_wrap=True)
     facts = Table.grid(padding=(0, 2))
     for chapter in done.chapters:
-        counts = [str(chapter.count(verdict, "paper") or "–") for verdict in Verdict]
+        counts = [str(chapter.count(v, "paper") or "–") for v in Verdict] if paper else []
         ours = chapter.statements("study")
         kept = sum(s.verdict is Verdict.AGREES for s in ours)
         table.add_row(f"{chapter.number} {chapter.title}", *counts, f"{kept} of {len(ours)}")

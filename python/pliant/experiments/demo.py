@@ -14,7 +14,7 @@ from pliant.experiments import provenance, report
 from pliant.experiments.chapters import activation, comparison, doors, static, tracking
 from pliant.experiments.chapters.common import Options
 from pliant.experiments.result import Verdict
-from pliant.experiments.runner import Job, Workers, prefixed
+from pliant.experiments.runner import Job, Workers, draw_off_screen, prefixed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,10 +23,15 @@ if TYPE_CHECKING:
 
 
 class Experiment(Protocol):
-    """A chapter's module."""
+    """A chapter: a module, or an object that knows its robot."""
 
-    NUMBER: int
-    TITLE: str
+    @property
+    def NUMBER(self) -> int:
+        """As in `--only`."""
+
+    @property
+    def TITLE(self) -> str:
+        """Headline."""
 
     def jobs(self, options: Options) -> list[Job]:
         """Return its runs."""
@@ -41,9 +46,8 @@ class Experiment(Protocol):
         """Draw its figures."""
 
 
-#: Modules cannot be checked against a protocol with two type checkers alike; the tests walk through
-#: all of them.
-EXPERIMENTS: Mapping[int, Any] = {
+#: The chapters about the paper's arm, by number.
+EXPERIMENTS: Mapping[int, Experiment] = {
     module.NUMBER: module for module in (activation, static, tracking, doors, comparison)
 }
 
@@ -103,7 +107,7 @@ class Subject:
     """
 
     name: str
-    experiments: Mapping[int, Any]
+    experiments: Mapping[int, Experiment]
     about: str
     notes: tuple[str, ...] = field(default=())
 
@@ -113,8 +117,8 @@ ARM7 = Subject(
     "arm7",
     EXPERIMENTS,
     "The experiments of “Compliant Task-Space Control with Back-Drivable Servo Actuators” "
-    "(Stückler and Behnke, RoboCup 2011) "
-    "on a simulated arm of seven torque-limited position servos that is built like Cosero's.",
+    "(Stückler and Behnke, RoboCup 2011) on a simulated arm of seven torque-limited position "
+    "servos that is built like Cosero's.",
 )
 
 
@@ -144,6 +148,7 @@ def run(
         ConfigError: There is no experiment of a number.
     """
     begin = perf_counter()
+    draw_off_screen()
     watcher = watcher or Silence()
     chosen = choose(subject.experiments, only)
     options = Options(quick=quick, figures=out / "figures")
@@ -179,7 +184,7 @@ def run(
     )
 
 
-def choose(experiments: Mapping[int, Any], only: Sequence[int]) -> dict[int, Any]:
+def choose(experiments: Mapping[int, Experiment], only: Sequence[int]) -> dict[int, Experiment]:
     """Pick experiments by number, in their own order.
 
     Raises:

@@ -64,6 +64,7 @@ def write(
         title=escape(f"pliant: {subject.name}"),
         about=escape(subject.about),
         notes="".join(f'<p class="note">{_text(note)}</p>' for note in _notes(subject, quick)),
+        sources=_sources(chapters),
         summary=_summary(chapters),
         contents="".join(
             f'<li><a href="#c{c.number}">{c.number}. {escape(c.title)}</a></li>' for c in chapters
@@ -96,11 +97,29 @@ def _footer(facts: Facts, seconds: float) -> str:
     )
 
 
+def _sources(chapters: Sequence[Chapter]) -> str:
+    """Whose the statements are."""
+    if not _of_paper(chapters):
+        return (
+            "They are what we ask of the package on any arm; the paper knows none of these robots."
+        )
+    return (
+        '<span class="source">our band</span> marks what we ask of ourselves; everything else is '
+        "the paper’s, in our words."
+    )
+
+
+def _of_paper(chapters: Sequence[Chapter]) -> bool:
+    """Whether any statement is the paper's."""
+    return any(chapter.statements("paper") for chapter in chapters)
+
+
 def _summary(chapters: Sequence[Chapter]) -> str:
     """How many statements fared how, per experiment, and the numbers to remember."""
+    verdicts = tuple(Verdict) if _of_paper(chapters) else ()
     rows = []
     for chapter in chapters:
-        counts = "".join(f'<td class="n">{chapter.count(v, "paper") or "–"}</td>' for v in Verdict)
+        counts = "".join(f'<td class="n">{chapter.count(v, "paper") or "–"}</td>' for v in verdicts)
         ours = chapter.statements("study")
         kept = sum(s.verdict is Verdict.AGREES for s in ours)
         facts = "<br>".join(
@@ -111,13 +130,13 @@ def _summary(chapters: Sequence[Chapter]) -> str:
             f"</td>{counts}"
             f'<td class="n">{kept} of {len(ours)}</td><td class="facts">{facts}</td></tr>'
         )
+    paper = '<th colspan="3">the paper’s statements</th>' if verdicts else ""
+    headings = "".join(f'<th class="n">{name}</th>' for name in ("agrees", "differs", "does not"))
     return (
-        '<table class="summary"><thead><tr><th rowspan="2">experiment</th>'
-        '<th colspan="3">the paper’s statements</th>'
+        f'<table class="summary"><thead><tr><th rowspan="2">experiment</th>{paper}'
         '<th rowspan="2" class="n">our bands<br>kept</th>'
         '<th rowspan="2">numbers of this run</th></tr>'
-        '<tr><th class="n">agrees</th><th class="n">differs</th><th class="n">does not</th></tr>'
-        "</thead>"
+        f"<tr>{headings if verdicts else ''}</tr></thead>"
         f"<tbody>{''.join(rows)}</tbody></table>"
     )
 
@@ -204,7 +223,8 @@ def _themed(svg: str, name: str, title: str) -> str:
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", body)
-    body = re.sub(r'(<svg[^>]*?)\swidth="[^"]*"', r"\1", body, count=1)
+    # As wide as the page lets it be, yet never larger than drawn: text keeps one size.
+    body = re.sub(r'(<svg[^>]*?)\swidth="([^"]*)"', r'\1 style="max-width: \2"', body, count=1)
     body = re.sub(r'(<svg[^>]*?)\sheight="[^"]*"', r"\1", body, count=1)
     body = body.replace("<svg", f'<svg role="img" aria-label="{escape(title)}"', 1)
     body = re.sub(r'\bid="', f'id="{name}-', body)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from ctypes.util import find_library
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -85,6 +87,16 @@ class Workers:
         _wait(futures, progress)
         done = {key: future.result() for future, key in futures.items()}
         return {key: done[key] for key in keys}
+
+
+def draw_off_screen() -> None:
+    """Let MuJoCo draw without a display, here and in processes begun later; before it is loaded.
+
+    Without EGL MuJoCo would not even load with it chosen: then nothing is drawn, and the report
+    says so where the pictures would be.
+    """
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        os.environ.setdefault("MUJOCO_GL", "egl" if find_library("EGL") else "disable")
 
 
 def _wait(futures: Mapping[Future[Any], str], progress: Progress) -> None:

@@ -26,14 +26,14 @@ pub mod settings;
 mod survey;
 pub mod task;
 
+pub use controller::{Command, Controller, Record, StepInput};
 pub use error::{Error, Result};
 pub use functions::{
-    activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits, null_space_projector,
-    pose_error, responsibility,
+    activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,
+    null_space_projector, pose_error, responsibility,
 };
 pub use kinematics::{Frames, IkOptions, IkReason, IkSolution, Masses, Reference};
 pub use model::{Model, ModelOptions, Payload};
-pub use controller::{Command, Controller, Record, StepInput};
 pub use pose::Pose;
 pub use servos::{ServoKind, Servos};
 pub use settings::Settings;

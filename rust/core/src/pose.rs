@@ -38,11 +38,7 @@ impl Pose {
             ));
         }
         let pose = Self {
-            rotation: [
-                [m[0][0], m[0][1], m[0][2]],
-                [m[1][0], m[1][1], m[1][2]],
-                [m[2][0], m[2][1], m[2][2]],
-            ],
+            rotation: [[m[0][0], m[0][1], m[0][2]], [m[1][0], m[1][1], m[1][2]], [m[2][0], m[2][1], m[2][2]]],
             position: [m[0][3], m[1][3], m[2][3]],
         };
         pose.validate()?;
@@ -83,13 +79,18 @@ impl Pose {
         if !(worst <= ROTATION_TOLERANCE) {
             return Err(Error::config(
                 "pose",
-                format!("rotation part is not a rotation: largest entry of RᵀR − I is {worst:.3e}, at most {ROTATION_TOLERANCE:e}"),
+                format!(
+                    "rotation part is not a rotation: largest entry of RᵀR − I is {worst:.3e}, at most {ROTATION_TOLERANCE:e}"
+                ),
             ));
         }
         let det = r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1]) - r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0])
             + r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0]);
         if det < 0.0 {
-            return Err(Error::config("pose", "rotation part is a reflection (determinant −1); swap or negate an axis"));
+            return Err(Error::config(
+                "pose",
+                "rotation part is a reflection (determinant −1); swap or negate an axis",
+            ));
         }
         Ok(())
     }
@@ -97,9 +98,7 @@ impl Pose {
     /// As nalgebra's isometry.
     pub fn to_isometry(&self) -> Isometry3<f64> {
         let r = &self.rotation;
-        let m = Matrix3::new(
-            r[0][0], r[0][1], r[0][2], r[1][0], r[1][1], r[1][2], r[2][0], r[2][1], r[2][2],
-        );
+        let m = Matrix3::new(r[0][0], r[0][1], r[0][2], r[1][0], r[1][1], r[1][2], r[2][0], r[2][1], r[2][2]);
         let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(m));
         Isometry3::from_parts(Translation3::from(Vector3::from(self.position)), rotation)
     }

@@ -44,7 +44,8 @@ pub(crate) fn median_sigma(model: &Model, axes: &[usize], frame: &Frame, length:
             model.chain().forward(&q, &mut frames);
             model.chain().jacobian(&frames, &mut world);
             let rows = crate::task::rows(&world, &crate::task::base_from_task(frame, &frames.tool), axes);
-            let matrix = DMatrix::from_fn(axes.len(), n, |r, i| if axes[r] < 3 { rows[r][i] / length } else { rows[r][i] });
+            let matrix =
+                DMatrix::from_fn(axes.len(), n, |r, i| if axes[r] < 3 { rows[r][i] / length } else { rows[r][i] });
             singular_values(&matrix).min()
         })
         .collect();
@@ -84,6 +85,15 @@ fn least_capacity(row: &JointVec, sign: f64, usable: &JointVec, holding: &JointV
         }
     }
     least
+}
+
+/// A value rounded to two significant digits: 0.1465 → 0.15.
+pub(crate) fn round_to_two_digits(value: f64) -> f64 {
+    if !(value > 0.0 && value.is_finite()) {
+        return 0.0;
+    }
+    let step = 10.0_f64.powf(value.log10().floor() - 1.0);
+    (value / step).round() * step
 }
 
 /// A value rounded to halves of its leading decade: 4.03 → 4, 15.1 → 15, 0.948 → 0.95.
@@ -128,6 +138,9 @@ mod tests {
     fn rounding() {
         for (value, rounded) in [(4.03, 4.0), (15.1, 15.0), (0.948, 0.95), (40.3, 40.0), (3.555, 3.5), (0.0, 0.0)] {
             assert!((round_to_halves(value) - rounded).abs() < 1e-12);
+        }
+        for (value, rounded) in [(0.1465, 0.15), (0.0195, 0.02), (12.3, 12.0), (0.0, 0.0)] {
+            assert!((round_to_two_digits(value) - rounded).abs() < 1e-12);
         }
     }
 }

@@ -1,4 +1,5 @@
 //! Independent values of every intermediate of the control step (`tests/data/golden`, made with Pinocchio and NumPy).
+#![allow(clippy::unwrap_used, reason = "tests fail by panicking")]
 
 use std::sync::Arc;
 

@@ -93,13 +93,11 @@ def chapter(numbers: Numbers) -> Chapter:
         file="1-activation",
         title="Activation matrices of the two grasp poses (Fig. 3)",
         done="The arm holds the tool at (0.38, 0, −0.28) m, once with its axes along those of the "
-        "base to grasp a vertical "
-        "handle, once turned by 90° about x for a horizontal one. Each column tells how a torque "
-        "budget for one task axis "
-        "is shared among the joints, equation (10); the column of the null space stands apart.",
+        "base to grasp a vertical handle, once turned by 90° about x for a horizontal one. Each "
+        "column tells how a torque budget for one task axis is shared among the joints, equation "
+        "(10); the column of the null space stands apart.",
         paper="Cosero's matrices are printed without numbers; the text says which joints stand "
-        "out. Link lengths here are "
-        "ours, so the pattern is compared, not the shade.",
+        "out. Link lengths here are ours, so the pattern is compared, not the shade.",
         caption="Columns sum to one. Left: the posture, seen from the front right.",
         statements=(*_paper(share), _study(worst)),
     )
@@ -107,8 +105,7 @@ def chapter(numbers: Numbers) -> Chapter:
         number=NUMBER,
         title=TITLE,
         lead="A torque budget for a direction in space has to be shared among joints. The paper "
-        "shares it by how much "
-        "each joint contributes to a motion in that direction.",
+        "shares it by how much each joint contributes to a motion in that direction.",
         figures=(figure,),
         numbers=numbers,
         headline=(("activation, largest difference to the reference", f"{worst:.1e}"),),
@@ -153,9 +150,8 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
         ),
         Statement(
             claim="Other joints of shoulder and wrist contribute less to x.",
-            outcome=f"No other joint has more than {small:.2f}; elbow and shoulder pitch have "
-            "at least "
-            f"{min(column[[0, 3]].min() for column in x.values()):.2f}.",
+            outcome=f"No other joint has more than {small:.2f}; elbow and shoulder pitch have at "
+            f"least {min(column[[0, 3]].min() for column in x.values()):.2f}.",
             tests=(
                 at_most("largest other share", small, min(c[[0, 3]].min() for c in x.values())),
             ),
@@ -165,8 +161,7 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
             outcome=f"Largest in y: {_top(y['vertical'], 4)}.",
             tests=(at_least(more, _lead(y["vertical"], (1, 2, 4)), 0.0),),
             because="the three are there, but the wrist pitch has as much "
-            f"({y['vertical'][5]:.2f}); our lengths and "
-            "wrist angles are not Cosero's.",
+            f"({y['vertical'][5]:.2f}); our lengths and wrist angles are not Cosero's.",
         ),
         Statement(
             claim="Horizontal grasp: all joints but the elbow contribute to y.",

@@ -129,10 +129,9 @@ def _from_urdf(source: Source) -> tuple[pliant.Model, pliant.Servos, list[str]]:
     unknown = ~(effort > 0.0)
     notes = [
         "No servo data: stiffness, friction, damping and rotor inertia are guessed from the effort "
-        "limits of the URDF "
-        f"(k_p = effort / {FULL_EFFORT_ERROR} rad, friction {FRICTION_SHARE:.0%}, damping "
-        f"{DAMPING_SHARE:.0%} s/rad of the "
-        "effort). The numbers show what the law does with such servos, not what this arm does."
+        f"limits of the URDF (k_p = effort / {FULL_EFFORT_ERROR} rad, friction "
+        f"{FRICTION_SHARE:.0%}, damping {DAMPING_SHARE:.0%} s/rad of the effort). The numbers show "
+        "what the law does with such servos, not what this arm does."
     ]
     if unknown.any():
         effort[unknown] = np.maximum(STRONG_ENOUGH * _holding(model)[unknown], LEAST_EFFORT)

@@ -73,8 +73,7 @@ class Activation:
             file="1-activation",
             title="Activation matrix",
             done=f"Task axes {' '.join(arm.axes)} for {arm.model.n} joints; {arm.where}. Each "
-            "column tells how a torque "
-            "budget for one axis is shared among the joints.",
+            "column tells how a torque budget for one axis is shared among the joints.",
             caption="Columns sum to one; the column of the null space stands apart and is empty "
             "without redundancy.",
             statements=(
@@ -204,13 +203,11 @@ class Promised:
             file="4-promise",
             title="Promised cap against measured push-back",
             done="At well conditioned random poses each task axis in turn is made soft with one "
-            "cap, 30 % of this arm's median "
-            "static capacity (rotations 14 %), the tool is dragged away, and the force is read "
-            "when it is still. Poses "
-            "where the servos cannot give the cap are left out.",
+            "cap, 30 % of this arm's median static capacity (rotations 14 %), the tool is dragged "
+            "away, and the force is read when it is still. Poses where the servos cannot give the "
+            "cap are left out.",
             caption="On the diagonal the promise is kept exactly; the band is ± 15 % of the cap. "
-            "Friction of the joints is "
-            "allowed for on top in the count.",
+            "Friction of the joints is allowed for on top in the count.",
             statements=(
                 Statement(
                     claim="At least 92 % of the promises are kept within 15 % of the cap and the "

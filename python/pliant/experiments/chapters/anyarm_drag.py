@@ -116,10 +116,9 @@ class Dragged:
             file="2-dragged",
             title=f"A hand drags the tool by {mm(numbers['way'])} in {soft}",
             done=f"Law cap with this arm's default strengths in {soft}: {given['soft']:g} N at "
-            f"small, {given['firm']:g} N at "
-            f"large deviation, {given['hold']:g} N where it is stiff. The hand pulls within 2 to "
-            "3.5 s, holds on until 5 s, and "
-            f"lets go. With η = 0.999, with η = 0, and with all axes stiff; {arm.where}.",
+            f"small, {given['firm']:g} N at large deviation, {given['hold']:g} N where it is "
+            "stiff. The hand pulls within 2 to 3.5 s, holds on until 5 s, and lets go. With η = "
+            f"0.999, with η = 0, and with all axes stiff; {arm.where}.",
             caption="Solid: pulled toward +, dashed: toward −.",
             statements=(
                 Statement(
@@ -151,14 +150,12 @@ class Dragged:
                         ),
                     ),
                     because=f"a newton on its stiff axes moves them by up to {mm(follow['give'])}: "
-                    "no law makes servos "
-                    "stiffer than they are.",
+                    "no law makes servos stiffer than they are.",
                     source="study",
                 ),
                 Statement(
                     claim="η = 0: held away, it pulls back with the force that was set for that "
-                    "deviation, up to 15 % and "
-                    "friction, and returns.",
+                    "deviation, up to 15 % and friction, and returns.",
                     outcome=f"{firm['held']:.2f} N of {firm['promised']:.2f} N; {mm(firm['left'])} "
                     "are left 4 s after.",
                     tests=(
@@ -186,8 +183,7 @@ class Dragged:
             number=self.NUMBER,
             title=self.TITLE,
             lead="One axis yields, the others hold. What does a hand need to move the arm, what do "
-            "the other axes do, does "
-            "it come back?",
+            "the other axes do, does it come back?",
             figures=(figure,),
             tables=(_drag_table(numbers),),
             numbers=numbers,

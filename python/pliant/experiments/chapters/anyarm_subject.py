@@ -19,7 +19,7 @@ def subject(source: Source) -> Subject:
         name,
         anyarm_chapters.experiments(source),
         f"Compliant control of {name} ({arm.model.n} joints, task axes {' '.join(arm.axes)}) on "
-        "simulated position servos with "
-        "torque limits: what the default law does with this arm, in numbers of this run.",
+        "simulated position servos with torque limits: what the default law does with this arm, in "
+        "numbers of this run.",
         arm.notes,
     )

@@ -71,7 +71,7 @@ WAYS: Mapping[str, Way] = {
     "cap 0": Way("cap, η 0", partial(laws.cap, eta=0.0), "cap"),
     "cap 0.9": Way("cap, η 0.9", partial(laws.cap, eta=0.9), "cap"),
     "cap 0.999": Way("cap, η 0.999", laws.cap, "cap"),
-    "cap delayed": Way("cap, η 0.999, a tick each way", laws.cap, "cap", delay=(1, 1)),
+    "cap delayed": Way("cap, η 0.999, delayed", laws.cap, "cap", delay=(1, 1)),
     "impedance": Way("torque impedance, 1 kHz", baselines.torque_impedance, "impedance", 1000.0),
 }
 QUICK = ("stiff", "uniform 30", "paper literal", "paper 0.999", "cap 0", "cap 0.999", "impedance")
@@ -132,16 +132,13 @@ def chapter(numbers: Numbers) -> Chapter:
         file="5-comparison",
         title="Force to move it, and what the stiff axes do meanwhile",
         done="At the vertical grasp pose a strong hand (up to 80 N at the tool) moves the tool by "
-        "0.15 m in y within 1.5 s, "
-        "holds it, and lets go; every controller gets the same hand, in both directions. Torque "
-        "impedance is an arm with "
-        "torque-controlled joints at 1 kHz; all others send goals and torque limits to the same "
-        "position servos at "
-        "100 Hz.",
+        "0.15 m in y within 1.5 s, holds it, and lets go; every controller gets the same hand, in "
+        "both directions. Torque impedance is an arm with torque-controlled joints at 1 kHz; all "
+        "others send goals and torque limits to the same position servos at 100 Hz; “delayed” has "
+        "a tick of delay each way.",
         paper="The paper compares with no other method.",
         caption="Left: the worse of both directions, logarithmic; the lower left corner is where "
-        "one wants to be. Right: y over time "
-        "for one of each family, pushed toward +.",
+        "one wants to be. Right: y over time for one of each family, pushed toward +.",
         statements=_statements(numbers),
     )
     ours, stiff = numbers["cap 0.999"], numbers["stiff"]
@@ -149,8 +146,8 @@ def chapter(numbers: Numbers) -> Chapter:
         number=NUMBER,
         title=TITLE,
         lead="What does the effort buy? The same hand meets a stiff arm, an arm with all its "
-        "limits turned down, the paper's "
-        "law, the default law, and an arm that can command torques.",
+        "limits turned down, the paper's law, the default law, and an arm that can command "
+        "torques.",
         figures=(figure,),
         tables=(_table(numbers),),
         numbers=numbers,
@@ -173,9 +170,8 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
             claim="A position-controlled arm needs no torque interface to be moved as easily as "
             "one that has it.",
             outcome=f"Law cap (η 0.999): {ours['force']:.1f} N and {mm(ours['drift'])} of drift; "
-            "torque impedance: "
-            f"{torque['force']:.1f} N and {mm(torque['drift'])}; stiff: {stiff['force']:.1f} N and "
-            f"{mm(stiff['drift'])}.",
+            f"torque impedance: {torque['force']:.1f} N and {mm(torque['drift'])}; stiff: "
+            f"{stiff['force']:.1f} N and {mm(stiff['drift'])}.",
             tests=(
                 at_most("force over torque impedance", ours["force"] / torque["force"], 1.2),
                 at_most("drift", ours["drift"], 0.005, "m"),
@@ -184,11 +180,9 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
         ),
         Statement(
             claim="Limits alone do not select a direction: read literally, the paper's law drags "
-            "the stiff axes along about as "
-            "far as simply turning all limits down does.",
+            "the stiff axes along about as far as simply turning all limits down does.",
             outcome=f"Drift {mm(literal['drift'])} with the paper's limits only, "
-            f"{mm(uniform['drift'])} with 30 % of every "
-            "limit.",
+            f"{mm(uniform['drift'])} with 30 % of every limit.",
             tests=(
                 at_least("drift, limits only", literal["drift"], 0.05, "m"),
                 between("over uniform", literal["drift"] / uniform["drift"], 0.4, 4.0),
@@ -199,8 +193,7 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
             claim="With strong adaptation the paper's law is soft in the chosen axis only, but "
             "gravity moves it once let go.",
             outcome=f"Paper, η 0.999: {paper['force']:.1f} N, drift {mm(paper['drift'])}; moves by "
-            "another "
-            f"{mm(paper['crept'])} after the release.",
+            f"another {mm(paper['crept'])} after the release.",
             tests=(
                 at_most("force", paper["force"], 9.0, "N"),
                 at_most("drift", paper["drift"], 0.012, "m"),
@@ -212,8 +205,7 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
             claim="Law cap keeps its promise: with η = 0 and a cap of 15 N the hand meets 15 N, "
             "and the arm comes back.",
             outcome=f"Held with {firm['held']:.1f} N, drift {mm(firm['drift'])}; back within "
-            f"{mm(BACK[0])} after "
-            f"{seconds(firm['returned'])}.",
+            f"{mm(BACK[0])} after {seconds(firm['returned'])}.",
             tests=(
                 between("held", firm["held"], 11.5, 18.5, "N"),
                 at_most("drift", firm["drift"], 0.005, "m"),
@@ -240,9 +232,8 @@ def _table(numbers: Numbers) -> Table:
     ]
     return Table(
         caption="A strong hand moves the tool by 0.15 m in y; the worse of both directions. Force: "
-        "largest of any physics step; held: "
-        "mean while it holds still; drift: of x and z since the hand came; returned: until y stays "
-        "below 15 mm.",
+        "largest of any physics step; held: mean while it holds still; drift: of x and z since the "
+        "hand came; returned: until y stays below 15 mm.",
         columns=(
             "way",
             "force",

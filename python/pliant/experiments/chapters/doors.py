@@ -124,10 +124,8 @@ def chapter(numbers: Numbers) -> Chapter:
         number=NUMBER,
         title=TITLE,
         lead="The arm holds a handle, pulls straight back, and lets the door decide where the "
-        "handle goes: lateral motion "
-        "and rotation about the hinge's direction are compliant, everything else holds. No force "
-        "sensor is used, not "
-        "even to notice the end.",
+        "handle goes: lateral motion and rotation about the hinge's direction are compliant, "
+        "everything else holds. No force sensor is used, not even to notice the end.",
         figures=doors_text.figures(opening, both),
         tables=(doors_text.opening_table(opening), doors_text.closing_table(both)),
         numbers=numbers,

@@ -50,13 +50,11 @@ def figures(opening: Numbers, both: Numbers) -> tuple[Figure, ...]:
             file="4-door-strip",
             title="Opening a door with a rigid grip",
             done="The hand is welded to the handle of a 3 kg leaf; its hinge is 0.30 m to the "
-            "right. The target moves "
-            "straight back by 0.28 m at 0.05 m/s. Above: y and yaw compliant (law cap, η = 0.999); "
-            "below: all six axes "
-            "stiff.",
+            "right. The target moves straight back by 0.28 m at 0.05 m/s. Above: y and yaw "
+            "compliant (law cap, η = 0.999); below: all six axes stiff.",
             paper="The robot grasps the handle and moves back; lateral motion and rotation about "
-            "the vertical axis are "
-            "compliant, so that the hand can follow the circle of the handle.",
+            "the vertical axis are compliant, so that the hand can follow the circle of the "
+            "handle.",
             caption="Pictures of the simulation at equal times; the thin arc is the path the "
             "handle has to take.",
             statements=(_follows(opening),),
@@ -65,8 +63,8 @@ def figures(opening: Numbers, both: Numbers) -> tuple[Figure, ...]:
             file="4-door-force",
             title="What the handle has to bear",
             done="The same pull, from a closed door as far as each law gets: largest force at the "
-            "handle so far, against the "
-            "opening. The paper's law has no gravity model and a budget of 8 N·m.",
+            "handle so far, against the opening. The paper's law has no gravity model and a budget "
+            "of 8 N·m.",
             caption="A curve that ends early is a door that got stuck. An ideal pull of 0.28 m "
             "would open it by 69°.",
             statements=(_against_stiff(opening, grips), *_paper_law(opening)),
@@ -75,34 +73,26 @@ def figures(opening: Numbers, both: Numbers) -> tuple[Figure, ...]:
             file="4-scenes",
             title="Door, fridge and oven; target or base moving",
             done="The fridge weighs 6 kg and has a magnetic seal of 20 N; the oven's leaf turns "
-            "about a horizontal hinge below "
-            "its handle, so there z and pitch are compliant. With a moving base the target stands "
-            "still and the hinge moves "
-            "away at 0.05 m/s: the handle is kept where it is relative to the robot. Rigid grip: "
-            "welded; turning: the handle "
+            "about a horizontal hinge below its handle, so there z and pitch are compliant. With a "
+            "moving base the target stands still and the hinge moves away at 0.05 m/s: the handle "
+            "is kept where it is relative to the robot. Rigid grip: welded; turning: the handle "
             "can turn in the hand.",
             paper="Cosero and Dynamaid opened doors and a fridge this way, at RoboCup 2010 in "
-            "front of a jury, with handles "
-            "aligned vertically and horizontally.",
+            "front of a jury, with handles aligned vertically and horizontally.",
             caption="Largest force at the handle, all stiff against cap; the opening that was "
-            "reached is written beside "
-            "it.",
+            "reached is written beside it.",
             statements=(_all_open(opening), *_scene_bands(opening)),
         ),
         Figure(
             file="4-open-close",
             title="Open until it resists, close until it resists",
             done=f"The leaf has a stop at {STOP:g}°. From 1 s the target moves back until the "
-            "force in x, estimated from joint "
-            "positions, goals and limits alone, has exceeded 15 N for 0.2 s; after a second of "
-            "rest it moves forward until "
-            "the same happens.",
+            "force in x, estimated from joint positions, goals and limits alone, has exceeded 15 N "
+            "for 0.2 s; after a second of rest it moves forward until the same happens.",
             paper="The robot pulls until the handle resists further motion, and closes the door by "
-            "pushing forward until the "
-            "closed door resists.",
+            "pushing forward until the closed door resists.",
             caption="Above: opening of the leaf; dots: where the end was recognised. Below: the "
-            "estimated force, and the "
-            "threshold.",
+            "estimated force, and the threshold.",
             statements=(_ends(both), *_stiff_ends(both)),
         ),
     )
@@ -135,8 +125,7 @@ def _against_stiff(opening: Numbers, grips: list[str]) -> Statement:
     }
     parts = [
         f"{opening['door'][grip]['cap']['force']:.1f} N instead of "
-        f"{opening['door'][grip]['stiff']['force']:.1f} N "
-        f"({grip} grip)"
+        f"{opening['door'][grip]['stiff']['force']:.1f} N ({grip} grip)"
         for grip in grips
     ]
     return Statement(
@@ -160,8 +149,7 @@ def _paper_law(opening: Numbers) -> tuple[Statement, ...]:
         Statement(
             claim="The paper's own law opens the door.",
             outcome=f"With a handle that cannot turn in the hand it gets to {rigid['angle']:.1f}° "
-            f"at {rigid['force']:.1f} N"
-            f"{freer}.",
+            f"at {rigid['force']:.1f} N{freer}.",
             tests=(
                 at_least("angle, rigid grip", rigid["angle"], 60.0, "deg"),
                 *(
@@ -171,9 +159,8 @@ def _paper_law(opening: Numbers) -> tuple[Statement, ...]:
                 ),
             ),
             because="with a rigid grip the inverse of all six rows insists on moving in x without "
-            "moving in y and yaw, and "
-            "the servos hold on to that between two ticks. A real hand, like the one at RoboCup, "
-            "lets the handle turn.",
+            "moving in y and yaw, and the servos hold on to that between two ticks. A real hand, "
+            "like the one at RoboCup, lets the handle turn.",
         ),
     )
 

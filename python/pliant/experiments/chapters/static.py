@@ -103,8 +103,7 @@ def chapter(numbers: Numbers) -> Chapter:
         number=NUMBER,
         title=TITLE,
         lead="One axis is made compliant, the target stands still, and a hand pulls the arm away "
-        "and lets go. How far "
-        "does it follow, what do the other axes do, and does it come back?",
+        "and lets go. How far does it follow, what do the other axes do, and does it come back?",
         figures=tuple(figures),
         tables=tuple(static_text.table(axis, numbers[axis]) for axis in numbers),
         numbers={"back_below": {"m": BACK[0], "rad": BACK[1]}, **numbers},

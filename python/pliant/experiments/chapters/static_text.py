@@ -52,26 +52,21 @@ def figures(axis: str, numbers: Numbers) -> tuple[Figure, ...]:
     title = NUMBER_OF_FIGURE[axis]
     common = (
         f"{axis} is compliant, d⁻ = {of(RANGE[axis][0])}, d⁺ = {of(RANGE[axis][1])}. A hand of "
-        f"{push} pulls by "
-        f"{of(WAY[axis])} within 2 to 3.5 s, holds on until 5 s and lets go; the grey band marks "
-        "it."
+        f"{push} pulls by {of(WAY[axis])} within 2 to 3.5 s, holds on until 5 s and lets go; the "
+        "grey band marks it."
     )
     overview = Figure(
         file=f"2-static-{axis}",
         title=f"Pushed in {axis}: the paper's law and the default law side by side ({title})",
         done=f"{common} Once with the paper's law as printed, without a gravity model and with a "
-        "budget of 10 N·m on "
-        "every axis, once with the default law cap, which promises forces. Both directions, three "
-        "rates η of target "
-        "adaptation.",
+        "budget of 10 N·m on every axis, once with the default law cap, which promises forces. "
+        "Both directions, three rates η of target adaptation.",
         caption="Solid: pushed toward +, dashed: toward −. Middle: the farthest of the other "
-        "positions. Below: what the "
-        "hand feels.",
+        "positions. Below: what the hand feels.",
         paper="Without adaptation the arm gives way a little and then resists, and other axes are "
-        "dragged along; with "
-        "strong adaptation it follows the hand and the other axes keep to their targets. Let go, "
-        "it moves back slowly, "
-        "or, at η = 0.999, to where gravity and servos balance.",
+        "dragged along; with strong adaptation it follows the hand and the other axes keep to "
+        "their targets. Let go, it moves back slowly, or, at η = 0.999, to where gravity and "
+        "servos balance.",
         statements=(*_paper(axis, numbers["paper"]), *_study(axis, numbers["cap"])),
     )
     details = tuple(
@@ -79,10 +74,8 @@ def figures(axis: str, numbers: Numbers) -> tuple[Figure, ...]:
             file=f"2-static-{axis}-{law}",
             title=f"All deviations and the compliance c, {name} ({title})",
             done=f"The runs of the overview, as {title} prints them: deviation of all six axes "
-            "from the target and "
-            "compliance c, for η = 0 (left), 0.9 and 0.999 (right). Two runs in a row: pushed "
-            "toward +, then "
-            "toward −.",
+            "from the target and compliance c, for η = 0 (left), 0.9 and 0.999 (right). Two runs "
+            "in a row: pushed toward +, then toward −.",
             caption=f"Grey: the hand, and where it pulls. c is of {axis}, from the adapted "
             "deviation.",
         )
@@ -107,8 +100,7 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
             claim="η = 0: compliance falls with the deviation, the limits rise, and the arm "
             "resists.",
             outcome=f"c falls to {span('{:.2f}'.format, none, 'least_c')} while the hand pulls "
-            f"with up to {worst(none, 'force'):.1f} "
-            f"{_unit(axis)}.",
+            f"with up to {worst(none, 'force'):.1f} {_unit(axis)}.",
             tests=(at_most("smallest c", worst(none, "least_c"), 0.95),),
         ),
         Statement(
@@ -116,8 +108,7 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
             "targets.",
             outcome=f"The hand drags other positions by {mm(worst(none, 'drift'))} at η = 0 for "
             f"{of(least(none, 'moved'))} of {axis}, and by {mm(worst(full, 'drift'))} at η = 0.999 "
-            "for "
-            f"{of(least(full, 'moved'))}; the servos' own sag under gravity is not counted.",
+            f"for {of(least(full, 'moved'))}; the servos' own sag under gravity is not counted.",
             tests=(
                 at_least(
                     "deviation per motion, η 0 over η 0.999", ratio[0] / max(ratio[1], 1e-9), 1.5
@@ -133,9 +124,9 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
         Statement(
             claim="Let go, the tool moves back to its target slowly (η = 0 and 0.9).",
             outcome=f"Time until it is back within {of(BACK[axis == 'yaw'])}: {times(axis, none)} "
-            "(η = 0) and "
-            f"{times(axis, some)} (η = 0.9), {of(worst(some, 'left'))} being left; the fastest "
-            f"return goes at {max(worst(none, 'return_speed'), worst(some, 'return_speed')):.2f} "
+            f"(η = 0) and {times(axis, some)} (η = 0.9), {of(worst(some, 'left'))} being left; the "
+            "fastest return goes at "
+            f"{max(worst(none, 'return_speed'), worst(some, 'return_speed')):.2f} "
             f"{_unit(axis, 'speed')}.",
             tests=(
                 at_most(
@@ -154,11 +145,9 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
         Statement(
             claim="η = 0.999: let go, the arm moves on to a pose where gravity is in balance.",
             outcome=f"Within the rest of the run it moves by another {of(worst(full, 'crept'))} "
-            "and ends "
-            f"{of(worst(full, 'left'))} from its target, moving at "
-            f"{1e3 * worst(full, 'still_moving'):.1f} "
-            f"m{_unit(axis, 'speed')}; before the push it had already drifted by "
-            f"{of(worst(full, 'before'))}.",
+            f"and ends {of(worst(full, 'left'))} from its target, moving at "
+            f"{1e3 * worst(full, 'still_moving'):.1f} m{_unit(axis, 'speed')}; before the push it "
+            f"had already drifted by {of(worst(full, 'before'))}.",
             tests=(
                 at_least("motion after release", worst(full, "crept"), BACK[axis == "yaw"]),
                 at_most(
@@ -166,8 +155,7 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
                 ),
             ),
             because="it creeps on: with a target that follows, nothing but friction is left to "
-            "balance what the missing "
-            "gravity model leaves over.",
+            "balance what the missing gravity model leaves over.",
         ),
     )
 
@@ -183,8 +171,7 @@ def _why_not_slowly(axis: str, none: Numbers, some: Numbers) -> str:
     if max(worst(none, "return_speed"), worst(some, "return_speed")) > SLOW[axis]:
         reasons.append(
             "stretched servos of this stiffness throw the arm back; the servos' own speed limit, "
-            "which Cosero had, is not "
-            "used here"
+            "which Cosero had, is not used here"
         )
     return f"{'; '.join(reasons)}." if reasons else ""
 
@@ -196,11 +183,9 @@ def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
     statements = [
         Statement(
             claim=f"Law cap, η = 0.999: follows for at most {bands[1]:g} {_unit(axis)}, other "
-            "positions within "
-            f"{mm(bands[2])}, and stays where it is left.",
+            f"positions within {mm(bands[2])}, and stays where it is left.",
             outcome=f"{worst(full, 'force'):.2f} {_unit(axis)}, {mm(worst(full, 'position'))}; "
-            "moves by "
-            f"{of(worst(full, 'crept'))} after the hand has gone.",
+            f"moves by {of(worst(full, 'crept'))} after the hand has gone.",
             tests=(
                 at_least("moved", least(full, "moved"), bands[0]),
                 at_most("force", worst(full, "force"), bands[1]),
@@ -217,8 +202,7 @@ def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
                 claim="Law cap, η = 0.9: follows beyond 0.2 m for less than 13 N and comes back to "
                 "15 mm.",
                 outcome=f"Moves by {of(least(some, 'moved'))} for {worst(some, 'force'):.1f} N; "
-                "after the release back "
-                f"within 15 mm after {times(axis, some)}.",
+                f"after the release back within 15 mm after {times(axis, some)}.",
                 tests=(
                     at_least("moved", least(some, "moved"), 0.2),
                     at_most("force", worst(some, "force"), 13.0),
@@ -277,8 +261,7 @@ def table(axis: str, numbers: Numbers) -> Table:
     limit = "0.06 rad" if axis == "yaw" else "15 mm"
     return Table(
         caption=f"Compliant in {axis}: return time per η. Returned: time from the release until "
-        "the deviation stays below "
-        f"{limit}; left: deviation at the end of the run.",
+        f"the deviation stays below {limit}; left: deviation at the end of the run.",
         columns=(
             "law",
             "η",

@@ -100,8 +100,7 @@ def chapter(numbers: Numbers) -> Chapter:
         number=NUMBER,
         title=TITLE,
         lead="Being soft must not mean being late: the target swings with a period of 8 s along "
-        "one axis at a time, and that "
-        "axis is compliant, without target adaptation (η = 0).",
+        "one axis at a time, and that axis is compliant, without target adaptation (η = 0).",
         figures=tuple(figures),
         tables=(_table(numbers, axes),),
         numbers=numbers,
@@ -117,10 +116,8 @@ def _swing(numbers: Numbers, axes: list[str], file: str, title: str) -> Figure:
         file=file,
         title=f"Sinusoids in {listed(axes)} ({title})",
         done="The target swings twice about the vertical grasp pose, by 0.12 m in x and z, 0.15 m "
-        "in y, 0.5 rad in roll "
-        "and yaw, 0.4 rad in pitch. Laws: the paper's without gravity model (budget 10 N·m), the "
-        "same with gravity in "
-        "goals and limits (8 N·m), and cap.",
+        "in y, 0.5 rad in roll and yaw, 0.4 rad in pitch. Laws: the paper's without gravity model "
+        "(budget 10 N·m), the same with gravity in goals and limits (8 N·m), and cap.",
         paper="The compliant axis follows the target very well in y, z, roll, pitch and yaw.",
         caption="Above: the swinging axis and its target. Below: the farthest of the other "
         "positions.",
@@ -192,21 +189,17 @@ def _loss(numbers: Numbers) -> Figure:
         file="3-loss-of-z",
         title="Swinging in x without a gravity model, the arm loses height",
         done="The x swing once more, under the paper's law without gravity model: as printed (no "
-        "step limits, budget "
-        "10 N·m), with step limits per axis, and under law cap.",
+        "step limits, budget 10 N·m), with step limits per axis, and under law cap.",
         paper="With x compliant, the arm temporarily drops in z when it reaches far forward, "
-        "because pitch joints serve both "
-        "axes. The lag this causes in x lowers the compliance, the joints get more torque, and z "
-        "recovers.",
+        "because pitch joints serve both axes. The lag this causes in x lowers the compliance, the "
+        "joints get more torque, and z recovers.",
         caption="From above: x and its target, height, compliance c of x, and what the shoulder "
-        "pitch gives within its limit "
-        "under the printed law.",
+        "pitch gives within its limit under the printed law.",
         statements=(
             Statement(
                 claim="Far forward, z is lost downwards.",
                 outcome=f"{mm(literal['sunk'])} lower at x = {literal['x_when_lowest']:.2f} m; "
-                f"{mm(stepped['sunk'])} with "
-                "step limits per axis.",
+                f"{mm(stepped['sunk'])} with step limits per axis.",
                 tests=(
                     between("z lost", literal["sunk"], 0.035, 0.140, "m"),
                     at_least("x", literal["x_when_lowest"], 0.40, "m"),

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-
-# Without a display only EGL draws; it has to be chosen before MuJoCo is loaded.
-if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-    os.environ.setdefault("MUJOCO_GL", "egl")
 
 from pliant.sim import Plant
 from pliant.sim._mujoco import mujoco
@@ -45,7 +39,8 @@ class Studio:
         trail: Points (k, 3) of a thin line through the scene, base axes [m].
 
     Raises:
-        mujoco.FatalError: Nothing on this machine can draw.
+        RuntimeError: MuJoCo was loaded without a way to draw.
+        mujoco.FatalError: Its way to draw does not work here.
     """
 
     def __init__(
@@ -75,7 +70,10 @@ class Studio:
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         width, height = size
-        self._renderer = mujoco.Renderer(self._model, FINER * height, FINER * width)
+        try:
+            self._renderer = mujoco.Renderer(self._model, FINER * height, FINER * width)
+        except AttributeError as error:
+            raise RuntimeError("MuJoCo was loaded without a way to draw (MUJOCO_GL)") from error
         self._camera = mujoco.MjvCamera()
         self._camera.lookat[:] = look_at
         self._camera.distance, self._camera.azimuth, self._camera.elevation = (

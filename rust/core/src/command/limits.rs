@@ -79,10 +79,12 @@ pub(crate) fn finish(
 ) -> JointVec {
     let mut out = [0.0; MAX_JOINTS];
     for i in 0..n.min(MAX_JOINTS) {
-        let mut limit = at_most(at_least(wanted[i], floor[i]), ceiling[i]);
+        let mut limit = at_most(wanted[i], ceiling[i]);
         if let Some(before) = before {
             limit = at_most(limit, before[i] + rise[i]);
         }
+        // The floor comes last: one that was raised holds at once.
+        limit = at_most(at_least(limit, floor[i]), ceiling[i]);
         out[i] = limit;
     }
     out

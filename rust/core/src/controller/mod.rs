@@ -46,7 +46,8 @@ impl Command {
         &self.torque_limit[..self.n.min(MAX_JOINTS)]
     }
 
-    /// Speed for a servo's speed register [rad/s]: the most that keeps the tool within its speed by this joint alone.
+    /// Speed for a servo's speed register [rad/s]: the most that keeps the tool within its speed by this joint alone; ∞
+    /// where neither tool nor joint has a speed limit.
     pub fn velocity(&self) -> &[f64] {
         &self.velocity[..self.n.min(MAX_JOINTS)]
     }

@@ -48,7 +48,7 @@ pub struct Record {
     pub gamma: f64,
     /// Factors by which null-space, soft and stiff part were scaled to torque ceilings and speed limits.
     pub factors: [f64; 3],
-    /// Joints whose limit is at the ceiling or whose torque had to be scaled.
+    /// Joints whose limit is at the ceiling; `factors` say how far the motion had to be scaled for them.
     pub saturated: [bool; MAX_JOINTS],
     /// Joints at a position limit that left the inverse kinematics.
     pub locked: [bool; MAX_JOINTS],

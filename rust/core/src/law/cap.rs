@@ -150,20 +150,14 @@ pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
 #[inline]
 fn bound_null(null: &mut JointVec, tick: &Tick<'_>) {
     let plan = tick.plan;
-    let (mut torque, mut fastest) = (0.0, 0.0_f64);
-    for i in 0..plan.n.min(MAX_JOINTS) {
-        torque += plan.servos.kp[i] * null[i].abs();
-        fastest = fastest.max(null[i].abs());
-    }
-    let by_torque = if torque > plan.null_torque { plan.null_torque / torque } else { 1.0 };
-    let most = plan.null_speed * tick.horizon;
-    let by_speed = if fastest > most { most / fastest } else { 1.0 };
-    let scale = by_torque.min(by_speed);
-    if scale < 1.0 {
-        for value in null {
+    let torque: f64 = (0..plan.n.min(MAX_JOINTS)).map(|i| plan.servos.kp[i] * null[i].abs()).sum();
+    if torque > plan.null_torque {
+        let scale = plan.null_torque / torque;
+        for value in null.iter_mut() {
             *value *= scale;
         }
     }
+    plan.bound_null_speed(null, tick.horizon);
 }
 
 #[cfg(test)]

@@ -91,6 +91,7 @@ pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Activation) {
     let null = null_space.project(&tick.gradient.map(|g| -plan.alpha * h * g));
     let mut lead = gained(plan, &task);
     let mut null = gained(plan, &null);
+    plan.bound_null_speed(&mut null, h);
     let reach = plan.joint_speed.map(|speed| speed * h);
     let [null_factor, task_factor] = scale_to_fit(&[0.0; MAX_JOINTS], [&null, &lead], &reach, n);
     for i in 0..MAX_JOINTS {

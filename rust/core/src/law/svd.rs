@@ -107,7 +107,7 @@ mod tests {
             for (rows, columns, rank) in
                 [(6, 7, 6), (6, 7, 1), (6, 7, 5), (3, 3, 1), (6, 3, 2), (2, 2, 1), (6, 16, 6), (1, 7, 1), (6, 1, 1)]
             {
-                let m = matrix(rows, columns, rank, seed) * 10.0_f64.powi((seed % 40) as i32 * 10 - 200);
+                let m = matrix(rows, columns, rank, seed) * 10.0_f64.powf((seed % 40) as f64 * 10.0 - 200.0);
                 let svd = Svd::new(&m).unwrap();
                 let back = &svd.u * DMatrix::from_diagonal(&svd.sigma) * svd.v.transpose();
                 assert!((back - &m).amax() <= 1e-13 * m.amax(), "{rows}×{columns} of rank {rank}, seed {seed}");

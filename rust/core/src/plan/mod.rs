@@ -150,8 +150,9 @@ impl Plan {
             servos: arrays,
             axes,
         };
-        // Joint weights of J⁺ are those of the cost; the pseudo-inverse wants their inverse.
-        plan.joint_weight = plan.joint_weight.map(|w| 1.0 / w);
+        // The pseudo-inverse wants the inverse of the joints' cost; law `cap` weighs them by the servos' stiffness instead.
+        plan.joint_weight =
+            if settings.law == Law::Paper { plan.joint_weight.map(|w| 1.0 / w) } else { [1.0; MAX_JOINTS] };
         plan.kx = compact(
             &settings
                 .kx
@@ -183,6 +184,18 @@ impl Plan {
             }
         }
         out
+    }
+
+    /// Scales a null-space motion [rad] to its speed limit.
+    #[inline]
+    pub(crate) fn bound_null_speed(&self, null: &mut JointVec, horizon: f64) {
+        let most = self.null_speed * horizon;
+        let fastest = null.iter().fold(0.0_f64, |a, x| a.max(x.abs()));
+        if fastest > most {
+            for value in null {
+                *value *= most / fastest;
+            }
+        }
     }
 
     /// K_x h that the present delay allows.
@@ -217,6 +230,14 @@ fn compact(full: &[[f64; MAX_AXES]; MAX_AXES], k: usize) -> [[f64; MAX_AXES]; MA
 }
 
 fn check_gain(settings: &Settings, plan: &Plan) -> Result<()> {
+    let symmetric = DMatrix::from_fn(plan.k, plan.k, |r, c| 0.5 * (plan.kx[r][c] + plan.kx[c][r]));
+    let shift = 1e-9 * (1.0 + symmetric.amax());
+    if (symmetric + DMatrix::identity(plan.k, plan.k) * shift).cholesky().is_none() {
+        return Err(Error::config(
+            "kx",
+            "drives some direction away from its target: K + Kᵀ has a negative eigenvalue",
+        ));
+    }
     let (gain, bound) = (plan.gain(settings.horizon), plan.gain_bound(settings.delay, 1.0 / settings.rate));
     if settings.law == Law::Cap && gain > bound * (1.0 + 1e-12) {
         return Err(Error::limit(
@@ -287,7 +308,8 @@ fn resolve_damping(model: &Model, settings: &Settings, axes: &[usize], length: f
                     ),
                 ));
             }
-            DampingPlan { lambda_0: 0.13 * sigma_0, sigma_0, lambda_max: sigma_0 }
+            let sigma_0 = survey::round_to_two_digits(sigma_0);
+            DampingPlan { lambda_0: survey::round_to_two_digits(0.13 * sigma_0), sigma_0, lambda_max: sigma_0 }
         }
     })
 }

@@ -72,7 +72,7 @@ impl GravityUse {
 /// Damping λ of the inverse.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Damping {
-    /// From the arm: σ₀ = 2 × its median over 512 poses, λ_max = σ₀, λ₀ = 0.13 σ₀.
+    /// From the arm: σ₀ = 2 × its median over 512 poses, λ_max = σ₀, λ₀ = 0.13 σ₀; rounded to two digits.
     #[default]
     Auto,
     /// λ everywhere.
@@ -103,7 +103,8 @@ impl Gain {
     /// Spreads the gain to an `n × n` matrix in arrays of capacity `N`.
     pub(crate) fn spread<const N: usize>(&self, key: &str, n: usize) -> Result<[[f64; N]; N]> {
         let mut out = [[0.0; N]; N];
-        let wrong = |got: String| Error::Shape { what: key.into(), got, expected: format!("a number, ({n},) or ({n}, {n})") };
+        let wrong =
+            |got: String| Error::Shape { what: key.into(), got, expected: format!("a number, ({n},) or ({n}, {n})") };
         match self {
             Self::Scalar(k) => (0..n.min(N)).for_each(|i| out[i][i] = *k),
             Self::Diagonal(d) if d.len() == n => d.iter().enumerate().for_each(|(i, k)| out[i][i] = *k),

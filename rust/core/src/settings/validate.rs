@@ -74,7 +74,10 @@ impl Settings {
         self.validate_damping()?;
         for risk in &self.accept {
             if risk != "eta" {
-                return Err(Error::config("accept", format!("'{risk}' is not a risk that can be taken by name; known: eta")));
+                return Err(Error::config(
+                    "accept",
+                    format!("'{risk}' is not a risk that can be taken by name; known: eta"),
+                ));
             }
         }
         Ok(())
@@ -114,7 +117,10 @@ mod tests {
     #[test]
     fn wrong_values_name_setting_value_and_bound() {
         let message = |settings: Settings| settings.validate().unwrap_err().to_string();
-        assert_eq!(message(Settings { rate: f64::NAN, ..Settings::default() }), "rate [Hz] = NaN is outside [1, 100000]");
+        assert_eq!(
+            message(Settings { rate: f64::NAN, ..Settings::default() }),
+            "rate [Hz] = NaN is outside [1, 100000]"
+        );
         assert_eq!(
             message(Settings { kx: Gain::Scalar(-1.0), ..Settings::default() }),
             "kx [1/s] = -1 is outside [0, 100]"

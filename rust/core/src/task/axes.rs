@@ -222,7 +222,10 @@ impl Axis {
         if self.eta > 0.0 && self.effective_yields() == Yields::None {
             return Err(Error::config(
                 at("eta"),
-                format!("{} has no effect on an axis that does not yield: give soft or firm, or yields=\"both\"", self.eta),
+                format!(
+                    "{} has no effect on an axis that does not yield: give soft or firm, or yields=\"both\"",
+                    self.eta
+                ),
             ));
         }
         Ok(())
@@ -250,7 +253,12 @@ mod tests {
 
     #[test]
     fn wrong_keys_name_the_word() {
-        for (text, part) in [("q", "'q' is not an axis"), ("xx", "'x' is named twice"), ("", "no axis given"), ("all y", "'y' is named twice")] {
+        for (text, part) in [
+            ("q", "'q' is not an axis"),
+            ("xx", "'x' is named twice"),
+            ("", "no axis given"),
+            ("all y", "'y' is named twice"),
+        ] {
             let message = parse_axes("axes", text).unwrap_err().to_string();
             assert!(message.contains(part), "{message}");
         }

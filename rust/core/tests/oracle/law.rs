@@ -126,15 +126,10 @@ impl Want<'_> {
         let mut null = shares.projector() * self.gradient * (-alpha * settings.horizon);
         let torque: f64 = (0..n).map(|i| kp[i] * null[i].abs()).sum();
         let most = settings.null_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
-        let fastest = null.amax() / settings.horizon;
-        let mut scale: f64 = 1.0;
         if torque > most {
-            scale = most / torque;
+            null *= most / torque;
         }
-        if fastest > settings.null_speed {
-            scale = scale.min(settings.null_speed / fastest);
-        }
-        null *= scale;
+        null *= self.null_speed_factor(&null);
 
         // Over the ceiling W is scaled, soft first, then stiff; gravity and feed-forward never.
         let ceiling = self.oracle.ceiling();
@@ -157,6 +152,13 @@ impl Want<'_> {
             wrench: soft * (f_soft * g_soft) + stiff * (f_stiff * g_stiff),
             factors: [f_null, f_soft * g_soft, f_stiff * g_stiff],
         }
+    }
+
+    /// The null space's own speed limit.
+    fn null_speed_factor(&self, null: &Vector) -> f64 {
+        let settings = &self.oracle.settings;
+        let fastest = null.amax() / settings.horizon;
+        if fastest > settings.null_speed { settings.null_speed / fastest } else { 1.0 }
     }
 
     /// Factors that keep `(null + soft + stiff) / h` within the joints' speed limits; each gives way in its turn.
@@ -209,6 +211,7 @@ impl Want<'_> {
         let kq = Oracle::gain(&settings.kq, n);
         let (lead, mut null) = (&kq * task, &kq * null);
         let zero = Vector::zeros(n);
+        null *= self.null_speed_factor(&null);
         let [f_null, f_task, _] = self.slower(&null, &lead, &zero);
         null *= f_null;
         Motion { lead: lead * f_task, null, wrench: Vector::zeros(k), factors: [f_null, f_task, f_task] }

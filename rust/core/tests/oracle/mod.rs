@@ -436,7 +436,7 @@ impl Oracle {
         };
         let floor = settings.floor.as_ref().map_or(friction.clone(), |f| Vector::from_column_slice(f));
         let ceiling = self.ceiling();
-        let mut limit = Vector::from_fn(n, |i, _| wanted[i].max(floor[i]).min(ceiling[i]));
+        let mut limit = Vector::from_fn(n, |i, _| wanted[i].min(ceiling[i]));
         if let Some(before) = &self.memory.limit {
             for i in 0..n {
                 let rise = if settings.stiffening_time > 0.0 {
@@ -447,6 +447,7 @@ impl Oracle {
                 limit[i] = limit[i].min(before[i] + rise);
             }
         }
+        limit = Vector::from_fn(n, |i, _| limit[i].max(floor[i]).min(ceiling[i]));
         let mut goal = goal;
         for i in 0..n {
             if !cap {
