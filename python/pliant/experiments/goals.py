@@ -204,14 +204,14 @@ _ENTRIES = (
     ),
     _Entry(
         scenario="door, rigid grip",
-        preset='cap_rounded(soft="y yaw", alpha=1.0)',
+        preset='cap(soft="y yaw", alpha=1.0)',
         measure=merits.door("door"),
         goals={"angle [deg]": (Goal(low=67.0), Goal(low=66.0)), "force [N]": _most(24.5, 30.0)},
     ),
     *(
         _Entry(
             scenario=f"{scene}, rigid grip",
-            preset=f'cap_rounded(soft="{doors.SCENES[scene].soft}", alpha=1.0)',
+            preset=f'cap(soft="{doors.SCENES[scene].soft}", alpha=1.0)',
             measure=merits.door(scene),
             goals={"force [N]": (Goal(high=force), _FREE)},
         )

@@ -11,7 +11,6 @@ All of them run without tool speed limit and stiffening rate, which would blur t
 | `rows_free` | `rec` with soft rows outside the inverse kinematics |
 | `cap` | the default law |
 | `cap_tracking` | `cap` whose soft rotations have a little more torque for tracking |
-| `cap_rounded` | `cap` with the damping constants of `arm7` in round numbers |
 | `all_stiff` | `rec` without a soft axis, limits at the servo maximum |
 """
 
@@ -34,8 +33,6 @@ NONE = float("inf")
 UNBLURRED: Mapping[str, Any] = {"max_tool_speed": (NONE, NONE), "stiffening_time": 0.0}
 #: Damping of the J⁺ forms: λ₀, σ₀, λ_max.
 JACOBIAN_DAMPING = (0.02, 0.15, 0.2)
-#: Damping of `cap` on `arm7` in round numbers.
-CAP_DAMPING = (0.02, 0.15, 0.15)
 #: Force of a soft rotation at small deviations that still tracks [N·m].
 TRACKING_TORQUE = 0.84
 #: Steps of stiff and soft axes: [m/s], [rad/s].
@@ -154,11 +151,6 @@ def cap_tracking(*, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
     """
     axis = {"soft": TRACKING_TORQUE} if soft in AXES[3:] else None
     return cap(soft=soft, eta=eta, axis=axis, **more)
-
-
-def cap_rounded(*, soft: str = "y", eta: float = 0.999, **more: Any) -> Settings:
-    """`cap` with the damping constants of `arm7` in round numbers, σ₀ 0.15 instead of 0.1465."""
-    return cap(soft=soft, eta=eta, damping=CAP_DAMPING, **more)
 
 
 def cap_at_edge(**more: Any) -> Settings:

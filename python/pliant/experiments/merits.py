@@ -89,7 +89,7 @@ def door(scene: str) -> Measure:
     """Opening a rigidly gripped door."""
 
     def measure(conditions: Conditions) -> Figures:
-        seen = doors.open_door(laws.cap_rounded, scene, "rigid", conditions=conditions)
+        seen = doors.open_door(laws.cap, scene, "rigid", conditions=conditions)
         return {"angle [deg]": seen.angle, "force [N]": seen.force}
 
     return measure

@@ -44,7 +44,9 @@ fn caps_ceilings_and_floors_hold() {
         let target = random.target(&model, &q, 0.3, 1.0);
         controller.reset(&q).unwrap();
         for _ in 0..10 {
-            q.iter_mut().for_each(|value| *value += random.between(-0.02, 0.02));
+            for value in &mut q {
+                *value += random.between(-0.02, 0.02);
+            }
             let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
             for i in 0..n {
                 let floor = settings.floor.as_ref().map_or(servos.friction[i], |f| f[i]);
@@ -142,11 +144,11 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
 
 /// Walks from `a` to `b` and returns the jumps beyond `most`, with whether joints were locked or torque scaled there.
 fn jumps(probe: &Probe, a: &[f64], b: &[f64], most: f64) -> Vec<(f64, bool, bool)> {
-    let steps = 60;
-    let at = |s: usize| a.iter().zip(b).map(|(x, y)| x + (y - x) * s as f64 / f64::from(steps)).collect::<Vec<_>>();
+    let steps: usize = 60;
+    let at = |s: usize| a.iter().zip(b).map(|(x, y)| x + (y - x) * s as f64 / steps as f64).collect::<Vec<_>>();
     let mut found = Vec::new();
     let mut before = probe.at(&at(0)).0;
-    for s in 1..=steps as usize {
+    for s in 1..=steps {
         let (now, controller) = probe.at(&at(s));
         if distance(&before, &now) > 2.0 * most {
             let size = probe.jump(&at(s - 1), &at(s));
