@@ -3,7 +3,6 @@
 //! `paper`: fixed λ, printed projector, posture and limit cost, no gravity, no step limits. `defaults`: law `cap` as it
 //! comes. The others show what an option costs.
 #![allow(clippy::expect_used, reason = "a bench that cannot be set up has nothing to say")]
-#![expect(missing_docs, reason = "criterion's macros make undocumented items")]
 
 use std::hint::black_box;
 use std::path::Path;

@@ -23,7 +23,7 @@ arm = pliant.sim.Plant(model, rate=100.0, scene=[hand])
 arm.reset([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])  # [rad]
 target = arm.tool
 
-print("  time   y moved   x drift   z drift   hand")
+print("  time    y [mm]  x [mm]  z [mm]   hand")
 for tick in range(round(SECONDS * arm.rate)):
     command = controller.step(arm.read().q, target)
     arm.write(command.goal, command.torque_limit)
@@ -31,6 +31,4 @@ for tick in range(round(SECONDS * arm.rate)):
     if tick % 50 == 49:
         moved = 1e3 * (arm.tool[:3, 3] - target[:3, 3])  # [mm]
         force = np.linalg.norm(arm.hands[0].force)  # [N]
-        print(
-            f"{arm.time:5.1f} s {moved[1]:6.1f} mm {moved[0]:6.1f} mm {moved[2]:6.1f} mm {force:5.1f} N"
-        )
+        print(f"{arm.time:5.1f} s {moved[1]:8.1f} {moved[0]:7.1f} {moved[2]:7.1f} {force:6.1f} N")

@@ -8,7 +8,8 @@ import pliant.robots
 model = pliant.robots.arm7()
 settings = pliant.Settings(
     axes={
-        "y": pliant.Axis(soft=4.0, firm=(15.0, 25.0), eta=0.5),  # a pair: (pushed toward -, toward +)
+        # [N]; a pair is (pushed toward -, pushed toward +)
+        "y": pliant.Axis(soft=4.0, firm=(15.0, 25.0), eta=0.5),
         "yaw": pliant.Axis(soft=0.8, firm=1.5),  # [N·m]
     },
 )
@@ -19,7 +20,9 @@ target = model.forward_kinematics(q)
 controller.reset(q)
 
 # Somebody holds the tool 6 cm to the left of its target.
-pushed = model.inverse_kinematics(pliant.Pose.from_matrix(target) @ pliant.Pose.from_wxyz((0.0, 0.06, 0.0), (1.0, 0.0, 0.0, 0.0)), q)
+held = target.copy()
+held[1, 3] += 0.06
+pushed = model.inverse_kinematics(held, q)
 command = controller.step(pushed.q, target)
 
 names = ["x", "y", "z", "roll", "pitch", "yaw"]

@@ -27,4 +27,5 @@ for gravity in (False, True):
         arm.advance()
     x, y, z = 1e3 * (arm.tool[:3, 3] - target[:3, 3])  # [mm]
     word = "with" if gravity else "without"
-    print(f"{word:7} gravity model, {SECONDS:.0f} s, nobody touches it: x {x:+6.1f}  y {y:+6.1f}  z {z:+6.1f} mm")
+    print(f"{word:7} gravity model, nobody touches it, after {SECONDS:.0f} s: ", end="")
+    print(f"x {x:+6.1f}  y {y:+6.1f}  z {z:+6.1f} mm")

@@ -1,4 +1,4 @@
-"""A joint-space policy becomes soft without a change: `step_joints` takes joint positions as target.
+"""A joint-space policy becomes soft without a change: `step_joints` takes joint positions.
 
 A "policy" swings the arm; a wall stands in the way. Stiff, the arm leans on the wall as hard as its
 servos can; with a cap it leans with the force that was asked for, and goes on when it is free.
@@ -35,4 +35,5 @@ for name, axes in {"stiff": {}, "soft": {"x": pliant.Axis(soft=8.0, firm=8.0)}}.
         arm.write(command.goal, command.torque_limit)
         arm.advance()
         lag = max(lag, float(np.abs(controller.deviation[:3]).max()))
-    print(f"{name:5}: largest force on the wall {arm.hands[0].peak_force:5.1f} N, largest lag {1e3 * lag:5.1f} mm")
+    force = arm.hands[0].peak_force
+    print(f"{name:5}: most force on the wall {force:5.1f} N, most lag {1e3 * lag:5.1f} mm")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 import pliant
+from pliant.sim import Door
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -101,7 +102,7 @@ def run(
         target: Pose (4, 4) of the tool, or a function of time.
         duration: Length [s].
         q: Start (n,) [rad].
-        on_tick: Called before each tick with the time and the plant, e.g. to change a target or a setting.
+        on_tick: Called before each tick with the time and the plant, e.g. to change a setting.
 
     Returns:
         The record of the run.
@@ -109,7 +110,7 @@ def run(
     plant.reset(q)
     controller.reset(q)
     start = plant.tool
-    door = next((fixture for fixture in plant.fixtures if hasattr(fixture, "peak_force")), None)
+    door = next((fixture for fixture in plant.fixtures if isinstance(fixture, Door)), None)
     rows: list[tuple[Array, ...]] = []
     for tick in range(round(duration * plant.rate)):
         time = tick / plant.rate

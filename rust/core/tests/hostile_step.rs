@@ -151,7 +151,9 @@ fn hostile_inputs_leave_no_trace() {
         let mut q = random.joints(&model, 0.9);
         let target = random.target(&model, &q, 0.1, 0.5);
         for _ in 0..200 {
-            q.iter_mut().for_each(|value| *value += random.between(-1e-3, 1e-3));
+            for value in &mut q {
+                *value += random.between(-1e-3, 1e-3);
+            }
             let untouched = controller.clone();
             done += 1;
             if let Some(error) = assault(random, &mut controller, &q, &target) {

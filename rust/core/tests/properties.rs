@@ -175,7 +175,7 @@ fn sides_are_named_by_the_push() {
                     let mut controller = make(0, settings);
                     for (push, give) in [(pushed, true), (-pushed, false)] {
                         // Pushed toward +: the tool is beyond its target along +.
-                        let amount = push * if axis < 3 { 0.5 } else { 0.5 };
+                        let amount = push * 0.5;
                         let target = shifted(&tool, frame, axis, -amount);
                         let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
                         let record = controller.record();
@@ -299,7 +299,7 @@ fn run(controller: &mut Controller, ticks: std::ops::Range<u64>) -> Vec<[u64; 14
     ticks
         .map(|tick| {
             let mut random = Random::new(1000 + tick);
-            let q: Vec<f64> = (0..7).map(|i| -0.3 + 0.2 * (0.05 * tick as f64 + i as f64).sin()).collect();
+            let q: Vec<f64> = (0..7).map(|i| -0.3 + 0.2 * (0.05 * tick as f64 + f64::from(i)).sin()).collect();
             let (dq, gradient) = (random.vector(7, 0.5), random.vector(7, 0.2));
             let input = StepInput {
                 dt: random.pick(&[None, Some(0.008)]),
