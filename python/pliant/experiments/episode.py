@@ -124,7 +124,7 @@ def run(
         felt = plant.hands[0] if plant.hands else None
         rows.append(
             (
-                np.float64(plant.time),
+                np.array(plant.time),
                 plant.q,
                 plant.dq,
                 command.goal,
@@ -137,7 +137,7 @@ def run(
                 np.zeros(3) if felt is None else felt.force,
                 np.zeros(3) if felt is None else felt.torque,
                 np.zeros(2) if door is None else np.array([door.peak_force, door.peak_torque]),
-                np.float64(0.0 if door is None else door.angle),
+                np.array(0.0 if door is None else door.angle),
             )
         )
     return Trace(*(np.array(column) for column in zip(*rows, strict=True)))
