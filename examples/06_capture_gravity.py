@@ -1,0 +1,44 @@
+"""Servos that are softer than believed: the arm walks away, until gravity is captured.
+
+The offset that holds an arm is g / k_p. Where k_p is wrong it is measured instead: hold still with
+an integrating goal, keep the lead that was needed.
+"""
+
+import os
+
+import pliant
+import pliant.robots
+import pliant.sim
+
+SECONDS = 1.0 if os.environ.get("PLIANT_SHORT") else 4.0
+START = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657]  # [rad]
+
+model = pliant.robots.arm7()
+soft = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, eta=0.999)}, accept=("eta",))
+holding = pliant.Settings(integrate=4.0)  # every axis holds; the goal integrates [1/s]
+
+
+def run(controller: pliant.Controller, arm: pliant.sim.Plant, seconds: float) -> None:
+    """Hold the start for some seconds."""
+    target = model.forward_kinematics(START)
+    for _ in range(round(seconds * arm.rate)):
+        command = controller.step(arm.read().q, target)
+        arm.write(command.goal, command.torque_limit)
+        arm.advance()
+
+
+for capture in (False, True):
+    arm = pliant.sim.Plant(model, kp_scale=0.8)  # true stiffness 80 % of the table's
+    arm.reset(START)
+    controller = pliant.Controller(model, holding if capture else soft)
+    controller.reset(START)
+    if capture:
+        run(controller, arm, 2.0)
+        goal = controller.step(arm.read().q, model.forward_kinematics(START)).goal
+        controller.capture_gravity(arm.read().q, goal)
+        controller.update(soft)
+    before = arm.tool
+    run(controller, arm, SECONDS)
+    drift = 1e3 * (arm.tool[1, 3] - before[1, 3])  # [mm]
+    word = "captured" if capture else "believed"
+    print(f"gravity {word}: y drifts {drift:+6.1f} mm in {SECONDS:.0f} s")

@@ -1,0 +1,37 @@
+"""The arm opens a door that it grips rigidly, without knowing where the hinge is.
+
+Compliant sideways and in yaw it follows the handle; with all axes stiff it jams.
+"""
+
+import os
+
+import numpy as np
+
+import pliant
+import pliant.robots
+import pliant.sim
+
+SECONDS = 2.0 if os.environ.get("PLIANT_SHORT") else 7.0
+START = [-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115]  # [rad]
+
+model = pliant.robots.arm7()
+compliant = {
+    "y": pliant.Axis(soft=4.0, firm=15.0, eta=0.999),  # [N]
+    "yaw": pliant.Axis(soft=0.8, firm=1.5, eta=0.999),  # [N·m]
+}
+
+for name, axes in {"y and yaw compliant": compliant, "all axes stiff": {}}.items():
+    door = pliant.sim.Door(hinge=(0.0, -0.30, 0.0), mass=3.0, grip="rigid")
+    arm = pliant.sim.Plant(model, scene=[door])
+    arm.reset(START)
+    controller = pliant.Controller(model, pliant.Settings(axes=axes, alpha=1.0))
+    controller.reset(START)
+    target = arm.tool
+    for _ in range(round(SECONDS * arm.rate)):
+        if 1.0 < arm.time < 6.6:
+            target[0, 3] -= 0.05 / arm.rate  # pull back at 0.05 m/s
+        command = controller.step(arm.read().q, target)
+        arm.write(command.goal, command.torque_limit)
+        arm.advance()
+    angle = np.rad2deg(door.widest)
+    print(f"{name}: the door opened to {angle:.0f}°, at most {door.peak_force:.0f} N at the handle")
