@@ -1,7 +1,7 @@
 //! What a controller carries from one step to the next.
 
 use crate::law::feedforward::VelocityFilter;
-use crate::law::inverse::SingularValues;
+use crate::law::singular::SingularValues;
 use crate::pose::Pose;
 use crate::task::governor::Governor;
 use crate::{JointVec, MAX_JOINTS};

@@ -196,7 +196,7 @@ impl Controller {
         if self.settings.integrate <= 0.0 {
             self.memory.integral = [0.0; MAX_JOINTS];
         }
-        self.memory.singular = crate::law::inverse::SingularValues::start();
+        self.memory.singular = crate::law::singular::SingularValues::start();
         self.memory.cold = true;
         Ok(())
     }

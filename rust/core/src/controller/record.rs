@@ -3,8 +3,9 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::law::activation::{Activation, activation, responsibility};
-use crate::law::inverse::{SingularValues, pseudo_inverse};
+use crate::law::inverse::pseudo_inverse;
 use crate::law::nullspace::{NullSpace, fade_squared};
+use crate::law::singular::SingularValues;
 use crate::plan::Plan;
 use crate::settings::Projector;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};

@@ -6,13 +6,14 @@ pub(crate) mod feedforward;
 pub(crate) mod inverse;
 pub(crate) mod nullspace;
 pub(crate) mod paper;
+pub(crate) mod singular;
 pub(crate) mod svd;
 pub(crate) mod takeover;
 
 use crate::law::activation::Activation;
 use crate::law::cap::Wrench;
-use crate::law::inverse::SingularValues;
 use crate::law::nullspace::{NullSpace, fade_squared, manipulability_gradient};
+use crate::law::singular::SingularValues;
 use crate::plan::Plan;
 use crate::settings::{Law, Projector};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
