@@ -23,6 +23,7 @@ export MUJOCO_GL ?= egl
 export MPLBACKEND ?= Agg
 export OMP_NUM_THREADS ?= 1
 export PIP_ROOT_USER_ACTION := ignore
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 UV := $(shell command -v uv 2>/dev/null)
 # uv shall trust what the machine trusts, as pip does.

@@ -1129,8 +1129,7 @@ class Controller:
     """Compliant task-space controller: joint goals and torque limits from positions alone.
 
     Not to be shared between threads: a second call during a first one raises `RuntimeError`. Arrays
-        per axis have one
-    entry per axis of the task, in its order.
+    per axis have one entry per axis of the task, in its order.
 
     Args:
         model: The arm.

@@ -1,10 +1,40 @@
 //! Compliant task-space control for arms with back-drivable position servos: the core, free of Python.
 //!
-//! Data moves one way, and a module imports only what stands above it:
+//! Data moves one way, floor by floor:
 //!
-//! * [`error`], [`pose`]: what every floor shares;
 //! * [`model`]: URDF text → immutable, validated robot;
-//! * [`kinematics`]: joint positions → pose, Jacobian, gravity.
+//! * [`kinematics`]: joint positions → pose, Jacobian, gravity;
+//! * [`task`]: poses → deviation, softness, strength per axis;
+//! * [`law`]: deviation and strength → what each joint exerts and where it goes;
+//! * `command`: motion and force → goals and torque limits that a servo may be sent;
+//! * [`controller`]: calls each floor once per tick.
+//!
+//! [`settings`] and [`servos`] say what is asked and what is believed; a plan resolved from them, once, is what every floor
+//! reads. [`functions`] offers the mathematics for Jacobians of your own. [`error`] and [`pose`] are shared by all.
+//!
+//! ```
+//! use std::sync::Arc;
+//! use pliant_core::task::axes::Axis;
+//! use pliant_core::{Controller, Model, ModelOptions, Servos, Settings, StepInput};
+//!
+//! # fn main() -> pliant_core::Result<()> {
+//! # let urdf = include_str!("../../../python/pliant/robots/arm7.urdf");
+//! let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+//! let model = Arc::new(Model::from_urdf_str(urdf, &options)?);
+//! let servos = Servos::new(vec![150.0], vec![10.7]); // k_p [N·m/rad], usable torque [N·m], of every joint
+//!
+//! let mut settings = Settings::default();
+//! settings.set_axes("y", Axis { soft: Some([4.0; 2]), eta: 0.9, ..Axis::default() })?; // [N]
+//! let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos))?;
+//!
+//! let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // measured [rad]
+//! let target = model.forward_kinematics(&q)?;
+//! let command = controller.step(&q, &target, &StepInput::default())?;
+//! assert_eq!(command.goal().len(), 7); // [rad]
+//! assert!(command.torque_limit().iter().all(|limit| *limit <= 10.7)); // [N·m]
+//! # Ok(())
+//! # }
+//! ```
 //!
 //! Conventions: SI units; 6-vectors linear first; quaternions `xyzw`; poses `base_from_tool`; Jacobians are geometric,
 //! taken at the tool, in base axes unless said otherwise; gravity torques are those that *hold* the arm.

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::law::activation::{Activation, activation, responsibility};
+use crate::law::activation::{Activation, activation, null_column, product, responsibility};
 use crate::law::inverse::pseudo_inverse;
 use crate::law::nullspace::{NullSpace, fade_squared};
 use crate::law::singular::SingularValues;
@@ -103,8 +103,12 @@ impl Record {
 
     /// A of (10) over all joints, locked ones too.
     pub(crate) fn shares(&self, plan: &Plan) -> Activation {
-        let projector = (plan.k < plan.n).then(|| self.projector(plan));
-        let null = projector.as_ref().map(|matrix| (matrix, &self.gradient));
+        let null = if plan.k < plan.n {
+            let projector = self.projector(plan);
+            null_column(&product(&projector, &self.gradient, plan.n), || projector, plan.n)
+        } else {
+            [0.0; MAX_JOINTS]
+        };
         activation(&self.pseudo_inverse(plan), null, plan.k, plan.n)
     }
 
@@ -115,8 +119,8 @@ impl Record {
 
     /// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|` and `|α N∇g|`.
     pub(crate) fn responsibility(&self, plan: &Plan) -> DMatrix<f64> {
-        let null = (&self.projector(plan), &self.gradient);
-        responsibility(&self.pseudo_inverse(plan), &self.dx, null, plan.alpha, plan.k, plan.n).matrix(plan.k, plan.n)
+        let null = product(&self.projector(plan), &self.gradient, plan.n);
+        responsibility(&self.pseudo_inverse(plan), &self.dx, &null, plan.alpha, plan.k).matrix(plan.k, plan.n)
     }
 
     /// The task rows, k × n.

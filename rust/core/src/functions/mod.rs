@@ -79,7 +79,8 @@ pub fn responsibility(
     let projector = square("N", projector, n)?;
     let gradient: JointVec = array("gradient", gradient, n)?;
     check("alpha", alpha, alpha.is_finite(), "finite")?;
-    Ok(activation::responsibility(&transposed, &dx, (&projector, &gradient), alpha, k, n).matrix(k, n))
+    let motion = activation::product(&projector, &gradient, n);
+    Ok(activation::responsibility(&transposed, &dx, &motion, alpha, k).matrix(k, n))
 }
 
 /// Activation matrix A of (10), n × (k + 1): the columns of `|J⁺|` divided by their sums, the null-space column last.
@@ -97,7 +98,13 @@ pub fn activation(
     let (transposed, k, n) = inverse_rows(pseudo_inverse)?;
     let projector = square("N", projector, n)?;
     let gradient: JointVec = gradient.map_or(Ok([0.0; MAX_JOINTS]), |gradient| array("gradient", gradient, n))?;
-    Ok(activation::activation(&transposed, Some((&projector, &gradient)), k, n).matrix(k, n))
+    // With as many axes as joints N is rounding error: there is nothing to share out.
+    let null = if k < n {
+        activation::null_column(&activation::product(&projector, &gradient, n), || projector, n)
+    } else {
+        [0.0; MAX_JOINTS]
+    };
+    Ok(activation::activation(&transposed, null, k, n).matrix(k, n))
 }
 
 /// Compliance c of (8), one entry per axis: 1 below `d_minus`, 0 above `d_plus`, linear between.
@@ -245,6 +252,14 @@ mod tests {
         let limits = joint_torque_limits(&a, &[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
         assert!((limits.sum() - 15.0).abs() < 1e-12);
         assert!((r.column(0) / r.column(0).sum() - a.column(0)).amax() < 1e-12);
+    }
+
+    #[test]
+    fn without_redundancy_the_null_column_is_zero() {
+        let j = jacobian(4, 4);
+        let n = null_space_projector(&j, 0.0, Projector::Exact).unwrap();
+        let a = activation(&damped_pseudo_inverse(&j, 0.0).unwrap(), &n, Some(&[1.0; 4])).unwrap();
+        assert!(a.column(4).amax() < f64::MIN_POSITIVE && (a.column(0).sum() - 1.0).abs() < 1e-12);
     }
 
     #[test]

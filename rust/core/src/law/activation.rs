@@ -15,21 +15,14 @@ pub(crate) struct Activation {
     pub(crate) null: JointVec,
 }
 
-/// (10): the columns of `|J⁺|`, each divided by its sum.
+/// (10): the columns of `|J⁺|`, each divided by its sum, and the null-space column.
 ///
-/// The size of Δx in (6) cancels, which also settles the 0/0 of an axis at rest. `null_space` is `N` and the gradient
-/// of the null-space cost; `None` where the arm is not redundant, which leaves the null column zero.
-pub(crate) fn activation(
-    pinv_transposed: &Rows,
-    null_space: Option<(&JointSquare, &JointVec)>,
-    k: usize,
-    n: usize,
-) -> Activation {
+/// The size of Δx in (6) cancels, which also settles the 0/0 of an axis at rest.
+pub(crate) fn activation(pinv_transposed: &Rows, null: JointVec, k: usize, n: usize) -> Activation {
     let mut task = [[0.0; MAX_JOINTS]; MAX_AXES];
     for (row, source) in task.iter_mut().zip(pinv_transposed).take(k) {
         *row = shares(&source.map(f64::abs), n);
     }
-    let null = null_space.map_or([0.0; MAX_JOINTS], |(projector, gradient)| null_column(projector, gradient, n));
     Activation { task, null }
 }
 
@@ -37,39 +30,40 @@ pub(crate) fn activation(
 pub(crate) fn responsibility(
     pinv_transposed: &Rows,
     dx: &AxisVec,
-    (projector, gradient): (&JointSquare, &JointVec),
+    null_motion: &JointVec,
     alpha: f64,
     k: usize,
-    n: usize,
 ) -> Activation {
     let mut task = [[0.0; MAX_JOINTS]; MAX_AXES];
     for (row, (source, speed)) in task.iter_mut().zip(pinv_transposed.iter().zip(dx)).take(k) {
         *row = source.map(|value| (value * speed).abs());
     }
-    let mut null = [0.0; MAX_JOINTS];
-    for (share, row) in null.iter_mut().zip(projector).take(n) {
-        *share = (alpha * (0..n.min(MAX_JOINTS)).map(|j| row[j] * gradient[j]).sum::<f64>()).abs();
-    }
-    Activation { task, null }
+    Activation { task, null: null_motion.map(|motion| (alpha * motion).abs()) }
 }
 
-/// Shares of the joints in the null-space motion: `|N∇g|`, blended into the row norms of `N` where it vanishes.
-fn null_column(projector: &JointSquare, gradient: &JointVec, n: usize) -> JointVec {
-    let n = n.min(MAX_JOINTS);
-    let (mut motion, mut norms) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-    for i in 0..n {
-        let row = &projector[i];
-        motion[i] = (0..n).map(|j| row[j] * gradient[j]).sum::<f64>().abs();
-        norms[i] = (0..n).map(|j| row[j] * row[j]).sum::<f64>().sqrt();
-    }
-    let size: f64 = motion.iter().sum();
+/// Shares of the joints in the null-space motion `N∇g`: its sizes, blended into the row norms of `N` where it vanishes.
+///
+/// `projector` is asked only there: forming N costs more than all the rest.
+pub(crate) fn null_column(motion: &JointVec, projector: impl FnOnce() -> JointSquare, n: usize) -> JointVec {
+    let motion = motion.map(f64::abs);
+    let size: f64 = motion.iter().take(n).sum();
     let blend = ((size - GRADIENT_THRESHOLD) / GRADIENT_THRESHOLD).clamp(0.0, 1.0);
-    let (motion, norms) = (shares(&motion, n), shares(&norms, n));
+    let motion = shares(&motion, n);
+    if blend >= 1.0 {
+        return motion;
+    }
+    let norms = projector().map(|row| row.iter().take(n).map(|x| x * x).sum::<f64>().sqrt());
+    let norms = shares(&norms, n);
     let mut out = [0.0; MAX_JOINTS];
-    for i in 0..n {
+    for i in 0..n.min(MAX_JOINTS) {
         out[i] = blend * motion[i] + (1.0 - blend) * norms[i];
     }
     out
+}
+
+/// `M v` of an n × n matrix.
+pub(crate) fn product(m: &JointSquare, v: &JointVec, n: usize) -> JointVec {
+    m.map(|row| row.iter().zip(v).take(n).map(|(a, b)| a * b).sum())
 }
 
 fn shares(sizes: &JointVec, n: usize) -> JointVec {

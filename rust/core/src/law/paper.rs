@@ -1,7 +1,7 @@
 //! Law `paper`: velocity-based task-space control with torque budgets, equations (3)–(11).
 
 use crate::command::goal::scale_to_fit;
-use crate::law::activation::{Activation, activation};
+use crate::law::activation::{Activation, activation, null_column};
 use crate::law::cap::{Demand, Wrench};
 use crate::law::inverse::{Cholesky, Square, pseudo_inverse, transpose_times, weighted_gram};
 use crate::law::{Motion, Tick};
@@ -98,9 +98,12 @@ pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Activation) {
         lead[i] *= task_factor;
         null[i] *= null_factor;
     }
-    let redundant = k < n;
-    let projector = redundant.then(|| null_space.matrix());
-    let shares = activation(&pinv, projector.as_ref().map(|matrix| (matrix, tick.gradient)), k, n);
+    let null_shares = if k < n {
+        null_column(&null_space.project(tick.gradient), || null_space.matrix(), n)
+    } else {
+        [0.0; MAX_JOINTS]
+    };
+    let shares = activation(&pinv, null_shares, k, n);
     let factors = [null_factor, task_factor, task_factor];
     (Motion { lead, stiff_lead: lead, null, wrench: Wrench::default(), factors }, shares)
 }
