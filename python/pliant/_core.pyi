@@ -220,7 +220,7 @@ def as_pose(pose: _PoseLike, /) -> Pose:
 
     Args:
         pose: (4, 4), a `Pose`, a position (3,) (without rotation), or an object with `homogeneous`,
-            `as_matrix`, `to_matrix`, `matrix`, `A` or `mat`, as Pinocchio, SciPy, mink,
+            `as_matrix`, `matrix` or `A`, as Pinocchio, SciPy, mink,
             pytransform3d and Spatial Math have them.
 
     Raises:

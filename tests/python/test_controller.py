@@ -95,7 +95,7 @@ def _forms(target):
     yield np.asfortranarray(target)
     yield pliant.Pose(target)
     yield _Method(target)
-    for name in ("homogeneous", "matrix", "A", "to_matrix"):
+    for name in ("homogeneous", "matrix", "A", "as_matrix"):
         yield _Attribute(name, target)
     pin = pytest.importorskip("pinocchio", reason="PyPI `pin` is not installed")
     yield pin.SE3(target)

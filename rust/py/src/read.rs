@@ -11,7 +11,7 @@ use crate::error::{OrRaise, shape, shown, wrong_type};
 use crate::pose::Pose;
 
 /// Attributes and methods under which libraries keep a homogeneous matrix.
-const ACCESSORS: [&str; 6] = ["homogeneous", "as_matrix", "to_matrix", "matrix", "A", "mat"];
+const ACCESSORS: [&str; 4] = ["homogeneous", "as_matrix", "matrix", "A"];
 
 /// Why a bare vector of seven numbers is no pose.
 const SEVEN: &str = "(4, 4): seven numbers do not say whether w comes first or last; \
