@@ -20,7 +20,10 @@ compliant = {
     "yaw": pliant.Axis(soft=0.8, firm=1.5, eta=0.999),  # [N·m]
 }
 
-for name, axes in {"y and yaw compliant": compliant, "all axes stiff": {}}.items():
+# Nothing gives way, and the limits are all that the servos have.
+stiff = {"all": pliant.Axis(hold=1000.0)}
+
+for name, axes in {"y and yaw compliant": compliant, "all axes stiff": stiff}.items():
     door = pliant.sim.Door(hinge=(0.0, -0.30, 0.0), mass=3.0, grip="rigid")
     arm = pliant.sim.Plant(model, scene=[door])
     arm.reset(START)
@@ -29,7 +32,7 @@ for name, axes in {"y and yaw compliant": compliant, "all axes stiff": {}}.items
     target = arm.tool
     for _ in range(round(SECONDS * arm.rate)):
         if 1.0 < arm.time < 6.6:
-            target[0, 3] -= 0.05 / arm.rate  # pull back at 0.05 m/s
+            target[0, 3] -= 0.05 / arm.rate  # pull back at 0.05 m/s, 0.28 m in all
         command = controller.step(arm.read().q, target)
         arm.write(command.goal, command.torque_limit)
         arm.advance()

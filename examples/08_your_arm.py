@@ -38,4 +38,6 @@ for _ in range(round(SECONDS * arm.rate)):
     arm.write(command.goal, command.torque_limit)
     arm.advance()
 print(f"dragged 0.08 m to the side with {arm.hands[0].peak_force:.1f} N at most;", end=" ")
-print(f"rests {1e3 * np.linalg.norm(arm.tool[:3, 3] - target[:3, 3]):.0f} mm from its target")
+left = 1e3 * np.linalg.norm(arm.tool[:3, 3] - target[:3, 3])
+print(f"left {left:.0f} mm from its target,")
+print("where what pulls it back is less than the dry friction of its gears")

@@ -61,9 +61,14 @@ impl Pose {
     /// # Errors
     /// [`Error::Limit`] names the entry; [`Error::Config`] the rotation's fault.
     pub fn validate(&self) -> Result<()> {
+        self.check("pose")
+    }
+
+    /// [`Pose::validate`] with the argument's name in the message.
+    pub(crate) fn check(&self, name: &str) -> Result<()> {
         for (axis, &value) in ["x", "y", "z"].iter().zip(&self.position) {
             if !(value.abs() <= COORDINATE_BOUND) {
-                return Err(Error::limit(format!("pose: position {axis} [m]"), value, "±1e6 and finite"));
+                return Err(Error::limit(format!("{name}: position {axis} [m]"), value, "±1e6, finite"));
             }
         }
         let r = &self.rotation;
@@ -78,7 +83,7 @@ impl Pose {
         }
         if !(worst <= ROTATION_TOLERANCE) {
             return Err(Error::config(
-                "pose",
+                name,
                 format!(
                     "rotation part is not a rotation: largest entry of RᵀR − I is {worst:.3e}, at most {ROTATION_TOLERANCE:e}"
                 ),
@@ -87,10 +92,7 @@ impl Pose {
         let det = r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1]) - r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0])
             + r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0]);
         if det < 0.0 {
-            return Err(Error::config(
-                "pose",
-                "rotation part is a reflection (determinant −1); swap or negate an axis",
-            ));
+            return Err(Error::config(name, "rotation part is a reflection (determinant −1); swap or negate an axis"));
         }
         Ok(())
     }

@@ -2,6 +2,7 @@
 
 use nalgebra::DMatrix;
 
+use crate::error::{Error, Result};
 use crate::kinematics::{Frames, Masses};
 use crate::law::svd::singular_values;
 use crate::model::Model;
@@ -73,6 +74,41 @@ pub(crate) fn static_capacity(model: &Model, usable: &JointVec, masses: &Masses,
         }
     }
     [median(&mut forces), median(&mut moments)]
+}
+
+/// Refuses an arm that its servos cannot hold in a single one of the poses: a mass in grams, or a wrong table.
+pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &Masses, gravity: [f64; 3]) -> Result<()> {
+    let (mut frames, mut holding) = (Frames::default(), [0.0; MAX_JOINTS]);
+    // The joint that lacks least, in the pose that asks least.
+    let mut best = (f64::INFINITY, 0, 0.0);
+    for q in poses(model) {
+        model.chain().forward(&q, &mut frames);
+        model.chain().gravity(&frames, masses, gravity, &mut holding);
+        let mut worst = (0.0, 0, 0.0);
+        for i in 0..model.n() {
+            let share = holding[i].abs() / usable[i];
+            if share > worst.0 {
+                worst = (share, i, holding[i].abs());
+            }
+        }
+        if worst.0 < best.0 {
+            best = worst;
+        }
+        if best.0 <= 1.0 {
+            return Ok(());
+        }
+    }
+    let (share, joint, torque) = best;
+    let name = model.joint_names().get(joint).map_or("", String::as_str);
+    Err(Error::limit(
+        format!("torque that holds the arm at joint {name} [N·m]"),
+        torque,
+        format!(
+            "±{} even in the best of {POSES} poses ({share:.1} times too much): check masses [kg], payload [kg] and the \
+             servos' torque [N·m]",
+            usable[joint]
+        ),
+    ))
 }
 
 fn least_capacity(row: &JointVec, sign: f64, usable: &JointVec, holding: &JointVec, n: usize) -> f64 {

@@ -1,5 +1,6 @@
 //! The control step: the staircase that calls each floor once and has no formula of its own.
 
+mod input;
 pub(crate) mod memory;
 pub(crate) mod record;
 mod solve;
@@ -11,20 +12,16 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::error::{Error, Result};
 use crate::kinematics::Masses;
-use crate::law::feedforward::SPEED_BOUND;
 use crate::model::{Model, Payload};
 use crate::plan::Plan;
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::servos::Servos;
 use crate::settings::Settings;
-use crate::{JointVec, MAX_JOINTS};
+use crate::{JointVec, MAX_JOINTS, survey};
 
 pub use record::Record;
 
 use memory::Memory;
-
-/// Longest time between two steps [s].
-const LONGEST_PERIOD: f64 = 10.0;
 
 /// What the servos get: one entry per joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -93,6 +90,9 @@ impl Controller {
     pub fn new(model: Arc<Model>, settings: Settings, servos: Option<Servos>) -> Result<Self> {
         let plan = Plan::new(&model, &settings, servos.as_ref(), false)?;
         let masses = model.chain().masses(model.payload());
+        if settings.gravity != crate::settings::GravityUse::Off {
+            survey::check_holding(&model, &plan.servos.torque, &masses, model.gravity_vector())?;
+        }
         let zero = [0.0; MAX_JOINTS];
         Ok(Self {
             gravity: model.gravity_vector(),
@@ -172,7 +172,7 @@ impl Controller {
     /// # Errors
     /// [`Error::Shape`] or [`Error::Limit`] for `q`; the controller is then as before.
     pub fn reset(&mut self, q: &[f64]) -> Result<()> {
-        let q = self.joints("q", q, COORDINATE_BOUND)?;
+        let q = self.positions("q", q)?;
         self.restart(&q);
         Ok(())
     }
@@ -204,12 +204,14 @@ impl Controller {
     /// Takes another payload: mass [kg] and centre of mass in the tool frame [m]; `None` for none.
     ///
     /// # Errors
-    /// [`Error::Limit`] for a negative or non-finite value.
+    /// [`Error::Limit`] for a negative or non-finite value, and for a load that the servos cannot hold in any pose.
     pub fn set_payload(&mut self, payload: Option<&Payload>) -> Result<()> {
         if let Some(payload) = payload {
             payload.validate()?;
         }
-        self.masses = self.model.chain().masses(payload);
+        let masses = self.model.chain().masses(payload);
+        survey::check_holding(&self.model, &self.plan.servos.torque, &masses, self.gravity)?;
+        self.masses = masses;
         Ok(())
     }
 
@@ -255,7 +257,7 @@ impl Controller {
     /// # Errors
     /// [`Error::Shape`] or [`Error::Limit`] for `q` or `goal`; [`Error::Config`] without `k_p`.
     pub fn capture_gravity(&mut self, q: &[f64], goal: &[f64]) -> Result<Vec<f64>> {
-        let q = self.joints("q", q, COORDINATE_BOUND)?;
+        let q = self.positions("q", q)?;
         let goal = self.joints("goal", goal, COORDINATE_BOUND)?;
         if !self.plan.servos.has_kp {
             return Err(Error::config("servos", "capturing gravity needs the believed k_p: give servos"));
@@ -288,8 +290,8 @@ impl Controller {
     /// [`Error::Shape`], [`Error::Limit`] or [`Error::Config`] for an input that cannot be used; the controller and its
     /// last command are then as before.
     pub fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
-        let q = self.joints("q", q, COORDINATE_BOUND)?;
-        target.validate()?;
+        let q = self.positions("q", q)?;
+        target.check("target")?;
         self.advance(&q, target, input)
     }
 
@@ -298,8 +300,8 @@ impl Controller {
     /// # Errors
     /// As [`Controller::step`].
     pub fn step_joints(&mut self, q: &[f64], q_target: &[f64], input: &StepInput<'_>) -> Result<&Command> {
-        let q = self.joints("q", q, COORDINATE_BOUND)?;
-        let wanted = self.joints("q_target", q_target, COORDINATE_BOUND)?;
+        let q = self.positions("q", q)?;
+        let wanted = self.positions("q_target", q_target)?;
         let mut frames = crate::kinematics::Frames::default();
         self.model.chain().forward(&wanted, &mut frames);
         self.advance(&q, &frames.tool, &StepInput { posture: Some(q_target), ..*input })
@@ -312,21 +314,5 @@ impl Controller {
         self.model.chain().forward(q, &mut frames);
         self.model.chain().gravity(&frames, &self.masses, self.gravity, &mut holding);
         holding
-    }
-
-    /// Reads `values` as one finite number per joint within ±`bound`.
-    fn joints(&self, what: &str, values: &[f64], bound: f64) -> Result<JointVec> {
-        if values.len() != self.plan.n {
-            return Err(Error::length(what, values.len(), self.plan.n));
-        }
-        let mut out = [0.0; MAX_JOINTS];
-        for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
-            if !(value.abs() <= bound) {
-                let name = self.model.joint_names().get(i).map_or("", String::as_str);
-                return Err(Error::limit(format!("{what}[{i}] ({name})"), value, format!("±{bound:e} and finite")));
-            }
-            *slot = value;
-        }
-        Ok(out)
     }
 }

@@ -1,9 +1,10 @@
 //! Lines 7 to 11: the law, and what the other joints take over where one meets a position limit.
 
 use crate::command::goal::lock;
+use crate::controller::input::Input;
 use crate::controller::memory::Memory;
 use crate::controller::record::update_singular;
-use crate::controller::step::{Input, Seen};
+use crate::controller::step::Seen;
 use crate::law::activation::Activation;
 use crate::law::feedforward::{damping_squared, fade, resistance};
 use crate::law::inverse::times;

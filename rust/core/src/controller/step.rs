@@ -3,14 +3,15 @@
 use crate::command::goal::{register_speed, slew};
 use crate::command::integral::Addition;
 use crate::command::limits::{Load, finish, within};
+use crate::controller::input::Input;
 use crate::controller::memory::Memory;
 use crate::controller::record::Record;
 use crate::controller::solve::{Solution, solve};
-use crate::controller::{Command, Controller, LONGEST_PERIOD, SPEED_BOUND, StepInput};
+use crate::controller::{Command, Controller, StepInput};
 use crate::error::{Error, Result};
 use crate::kinematics::Frames;
 use crate::law::inverse::transpose_times;
-use crate::pose::{COORDINATE_BOUND, Pose};
+use crate::pose::Pose;
 use crate::settings::{Law, LimitRule};
 use crate::task;
 use crate::task::deviation::{into_frame, pose_error};
@@ -20,20 +21,8 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// Longest time [s] for which a slew or the integrating goal is advanced at once: a stalled host must not lunge.
 const LONGEST_SLEW: f64 = 0.1;
 
-/// Shortest time [s] that is divided by: two readings of one instant must not make infinite speeds.
-const SHORTEST_PERIOD: f64 = 1e-6;
-
 /// Lead [rad] allowed under law `paper` where nothing is known of the servos.
 const LEAD_UNKNOWN: f64 = 0.3;
-
-/// A step's input, read and checked.
-pub(super) struct Input {
-    dt: f64,
-    dq: Option<JointVec>,
-    twist: Option<AxisVec>,
-    pub(super) gradient: JointVec,
-    pub(super) rest: JointVec,
-}
 
 /// Line 2: the arm at the predicted positions.
 pub(super) struct Seen {
@@ -87,33 +76,6 @@ impl Controller {
                 Err(error)
             }
         }
-    }
-
-    fn read(&self, input: &StepInput<'_>) -> Result<Input> {
-        let dt = input.dt.unwrap_or(1.0 / self.settings.rate);
-        if !(dt > 0.0 && dt <= LONGEST_PERIOD) {
-            return Err(Error::limit("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]")));
-        }
-        for value in input.twist.into_iter().flatten() {
-            if !(value.abs() <= SPEED_BOUND) {
-                return Err(Error::limit("twist [m/s, rad/s]", *value, format!("±{SPEED_BOUND} and finite")));
-            }
-        }
-        let rest = match (input.posture, &self.settings.posture) {
-            (Some(posture), _) => self.joints("posture", posture, COORDINATE_BOUND)?,
-            (None, Some(posture)) => self.joints("posture", posture, COORDINATE_BOUND)?,
-            (None, None) => self.memory.rest,
-        };
-        Ok(Input {
-            dt: dt.max(SHORTEST_PERIOD),
-            dq: input.dq.map(|dq| self.joints("dq", dq, SPEED_BOUND)).transpose()?,
-            twist: input.twist.copied(),
-            gradient: match input.gradient {
-                Some(gradient) => self.joints("gradient", gradient, COORDINATE_BOUND)?,
-                None => [0.0; MAX_JOINTS],
-            },
-            rest,
-        })
     }
 
     /// Lines 1 to 12. Touches nothing: a result that cannot be sent is thrown away.

@@ -63,9 +63,7 @@ impl Task {
             return Err(Error::config("task.axes", "no axis given; e.g. \"xyz rpy\", \"xyz\", \"x z pitch\""));
         }
         if let Frame::Rotation(rotation) = self.frame {
-            crate::pose::Pose { rotation, position: [0.0; 3] }
-                .validate()
-                .map_err(|e| Error::config("task.frame", e.to_string()))?;
+            crate::pose::Pose { rotation, position: [0.0; 3] }.check("task.frame")?;
         }
         match self.length {
             Some(length) if !(length > 0.0 && length <= 100.0) => {
@@ -218,6 +216,14 @@ impl Axis {
         }
         if let Some(value) = self.d_plus {
             check(at("d_plus"), value, value > 0.0 && value.is_finite(), "(d_minus, ∞)")?;
+        }
+        if let (Some(low), Some(high)) = (self.d_minus, self.d_plus) {
+            check(at("d_minus"), low, low < high, &format!("[0, d_plus = {high})"))?;
+        }
+        if let (Some(soft), Some(firm)) = (self.soft, self.firm) {
+            for side in 0..2 {
+                check(at("soft"), soft[side], soft[side] <= firm[side], &format!("[0, firm = {}]", firm[side]))?;
+            }
         }
         if self.eta > 0.0 && self.effective_yields() == Yields::None {
             return Err(Error::config(

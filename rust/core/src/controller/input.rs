@@ -1,0 +1,95 @@
+//! What a step is given, checked: the cycle behind it trusts.
+
+use crate::controller::{Controller, StepInput};
+use crate::error::{Error, Result};
+use crate::law::feedforward::SPEED_BOUND;
+use crate::pose::COORDINATE_BOUND;
+use crate::{AxisVec, JointVec, MAX_JOINTS};
+
+/// Shortest time [s] that is divided by: two readings of one instant must not make infinite speeds.
+const SHORTEST_PERIOD: f64 = 1e-6;
+
+/// Longest time between two steps [s].
+const LONGEST_PERIOD: f64 = 10.0;
+
+/// How far a reading may lie beyond a joint's position limits [rad]: half a turn. Farther off it is in degrees, or of
+/// another robot.
+const BEYOND_LIMITS: f64 = std::f64::consts::PI;
+
+/// A step's input, read and checked.
+pub(super) struct Input {
+    pub(super) dt: f64,
+    pub(super) dq: Option<JointVec>,
+    pub(super) twist: Option<AxisVec>,
+    pub(super) gradient: JointVec,
+    pub(super) rest: JointVec,
+}
+
+impl Controller {
+    pub(super) fn read(&self, input: &StepInput<'_>) -> Result<Input> {
+        let dt = input.dt.unwrap_or(1.0 / self.settings.rate);
+        if !(dt > 0.0 && dt <= LONGEST_PERIOD) {
+            return Err(Error::limit("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]")));
+        }
+        for value in input.twist.into_iter().flatten() {
+            if !(value.abs() <= SPEED_BOUND) {
+                return Err(Error::limit("twist [m/s, rad/s]", *value, format!("±{SPEED_BOUND} and finite")));
+            }
+        }
+        let rest = match (input.posture, &self.settings.posture) {
+            (Some(posture), _) => self.positions("posture", posture)?,
+            (None, Some(posture)) => self.positions("posture", posture)?,
+            (None, None) => self.memory.rest,
+        };
+        Ok(Input {
+            dt: dt.max(SHORTEST_PERIOD),
+            dq: input.dq.map(|dq| self.joints("dq", dq, SPEED_BOUND)).transpose()?,
+            twist: input.twist.copied(),
+            gradient: match input.gradient {
+                Some(gradient) => self.joints("gradient", gradient, COORDINATE_BOUND)?,
+                None => [0.0; MAX_JOINTS],
+            },
+            rest,
+        })
+    }
+
+    /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
+    pub(super) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
+        let q = self.joints(what, values, COORDINATE_BOUND)?;
+        for i in 0..self.plan.n {
+            let (lower, upper) = (self.plan.lower[i], self.plan.upper[i]);
+            let prismatic = self.model.prismatic().get(i).copied().unwrap_or(false);
+            let beyond = if prismatic { upper - lower } else { BEYOND_LIMITS };
+            if q[i] < lower - beyond || q[i] > upper + beyond {
+                let name = self.model.joint_names().get(i).map_or("", String::as_str);
+                let (unit, hint) = if prismatic { ("m", "; is it in mm?") } else { ("rad", "; is it in degrees?") };
+                return Err(Error::limit(
+                    format!("{what}[{i}] ({name}) [{unit}]"),
+                    q[i],
+                    format!(
+                        "[{:.3}, {:.3}], far beyond the limits [{lower}, {upper}] of this joint{hint}",
+                        lower - beyond,
+                        upper + beyond
+                    ),
+                ));
+            }
+        }
+        Ok(q)
+    }
+
+    /// Reads `values` as one finite number per joint within ±`bound`.
+    pub(super) fn joints(&self, what: &str, values: &[f64], bound: f64) -> Result<JointVec> {
+        if values.len() != self.plan.n {
+            return Err(Error::length(what, values.len(), self.plan.n));
+        }
+        let mut out = [0.0; MAX_JOINTS];
+        for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
+            if !(value.abs() <= bound) {
+                let name = self.model.joint_names().get(i).map_or("", String::as_str);
+                return Err(Error::limit(format!("{what}[{i}] ({name})"), value, format!("±{bound:e} and finite")));
+            }
+            *slot = value;
+        }
+        Ok(out)
+    }
+}
