@@ -1,8 +1,9 @@
 """A joint-space policy becomes soft without a change: `step_joints` takes joint positions.
 
-A "policy" swings the arm; a wall stands in the way. Stiff, the arm leans on the wall as hard as its
-servos can; with a cap it leans with the force that was asked for (and the push of its own mass as it
-arrives), and goes on when it is free. The lag is how far the wall keeps it from where it was sent.
+A "policy" swings the arm; a wall stands in the way. Stiff, the arm leans on the wall as hard as
+its servos can; with a cap it leans with the force that was asked for (and the push of its own mass
+as it arrives), and goes on when it is free. The lag is how far the wall keeps it from where it was
+sent.
 """
 
 import os

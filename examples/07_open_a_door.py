@@ -20,14 +20,18 @@ compliant = {
     "yaw": pliant.Axis(soft=0.8, firm=1.5, eta=0.999),  # [N·m]
 }
 
-# Nothing gives way, and the limits are all that the servos have.
+# The picture's other row: nothing gives way, and every servo may use all it has.
 stiff = {"all": pliant.Axis(hold=1000.0)}
+ways = {
+    "y and yaw compliant": pliant.Settings(axes=compliant, alpha=1.0),
+    "all axes stiff": pliant.Settings.paper(axes=stiff, gravity=True, alpha=1.0),
+}
 
-for name, axes in {"y and yaw compliant": compliant, "all axes stiff": stiff}.items():
+for name, settings in ways.items():
     door = pliant.sim.Door(hinge=(0.0, -0.30, 0.0), mass=3.0, grip="rigid")
     arm = pliant.sim.Plant(model, scene=[door])
     arm.reset(START)
-    controller = pliant.Controller(model, pliant.Settings(axes=axes, alpha=1.0))
+    controller = pliant.Controller(model, settings)
     controller.reset(START)
     target = arm.tool
     for _ in range(round(SECONDS * arm.rate)):

@@ -139,7 +139,7 @@ class ConfigError(PliantError):
     key: str | None
 
 class ServoError(PliantError):
-    """A servo or its bus did not do what was asked."""
+    """A servo or its bus did not do what was asked. For those who drive servos; none ships yet."""
 
 class ServoTimeout(ServoError):
     """A servo did not answer in time."""
@@ -1122,7 +1122,10 @@ class Command:
 
     @property
     def velocity(self) -> _Array:
-        """Speed for a servo's speed register (n,) [rad/s]: the most within the tool's speed."""
+        """Speed for a servo's speed register (n,) [rad/s]: the most within the tool's speed.
+
+        inf where neither tool nor joint has a speed limit.
+        """
 
 @final
 class Controller:

@@ -132,7 +132,7 @@ def test_what_is_no_pose_is_refused(controller, q, target):
     ):
         bad = target.copy()
         spoil(bad)
-        with pytest.raises(pliant.ConfigError, match="pose: "):
+        with pytest.raises(pliant.ConfigError, match="target: "):
             controller.step(q, bad)
     for bad in (_Method(np.eye(3)), _Attribute("matrix", None)):
         with pytest.raises((pliant.ShapeError, TypeError), match=r"target\.(as_)?matrix"):

@@ -47,6 +47,11 @@ def axes(draw):
         "step_limit": draw(maybe(st.one_of(number(1e-3, 10), st.just(float("inf"))))),
         "soft_step_limit": draw(maybe(number(1e-3, 10))),
     }
+    if fields["firm"] is not None:
+        low, high = (np.broadcast_to(fields[key], 2) for key in ("soft", "firm"))
+        fields["soft"] = tuple(float(x) for x in np.minimum(low, high))
+    if fields["d_minus"] is not None and fields["d_plus"] is not None:
+        fields["d_plus"] += fields["d_minus"]
     return Axis(**fields)
 
 

@@ -44,6 +44,7 @@ mod command;
 pub mod controller;
 pub mod error;
 pub mod functions;
+mod halton;
 pub mod kinematics;
 pub mod law;
 pub mod model;

@@ -31,9 +31,17 @@ impl Pose {
     /// # Errors
     /// As [`Pose::validate`]; also when the last row is not `0 0 0 1`.
     pub fn from_rows(m: &[[f64; 4]; 4]) -> Result<Self> {
+        Self::from_rows_of("pose", m)
+    }
+
+    /// [`Pose::from_rows`] with the argument's name for the message.
+    ///
+    /// # Errors
+    /// As [`Pose::from_rows`].
+    pub fn from_rows_of(name: &str, m: &[[f64; 4]; 4]) -> Result<Self> {
         if !(m[3][0].abs() < 1e-9 && m[3][1].abs() < 1e-9 && m[3][2].abs() < 1e-9 && (m[3][3] - 1.0).abs() < 1e-9) {
             return Err(Error::config(
-                "pose",
+                name,
                 format!("last row of a 4×4 pose must be 0 0 0 1, got {} {} {} {}", m[3][0], m[3][1], m[3][2], m[3][3]),
             ));
         }
@@ -41,7 +49,7 @@ impl Pose {
             rotation: [[m[0][0], m[0][1], m[0][2]], [m[1][0], m[1][1], m[1][2]], [m[2][0], m[2][1], m[2][2]]],
             position: [m[0][3], m[1][3], m[2][3]],
         };
-        pose.validate()?;
+        pose.check(name)?;
         Ok(pose)
     }
 

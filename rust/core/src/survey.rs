@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::error::{Error, Result};
+use crate::halton;
 use crate::kinematics::{Frames, Masses};
 use crate::law::svd::singular_values;
 use crate::model::Model;
@@ -12,24 +13,9 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// Number of poses.
 const POSES: u32 = 512;
 
-/// Bases of the Halton sequence, one per joint.
-const PRIMES: [u32; MAX_JOINTS] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53];
-
 /// The first 512 Halton points inside the position limits (±π for continuous joints).
 pub(crate) fn poses(model: &Model) -> impl Iterator<Item = JointVec> + '_ {
-    (1..=POSES).map(|index| {
-        let mut q = [0.0; MAX_JOINTS];
-        let range = model.lower().iter().zip(model.upper());
-        for ((value, (&lower, &upper)), base) in q.iter_mut().zip(range).zip(PRIMES) {
-            let (low, high) = if lower.is_finite() && upper.is_finite() {
-                (lower, upper)
-            } else {
-                (-std::f64::consts::PI, std::f64::consts::PI)
-            };
-            *value = low + radical_inverse(index, base) * (high - low);
-        }
-        q
-    })
+    (1..=POSES).map(|index| halton::joints(model.lower(), model.upper(), index))
 }
 
 /// Median over the poses of the smallest singular value of the task rows, translations divided by `length`.
@@ -150,25 +136,9 @@ fn median(values: &mut [f64]) -> f64 {
     }
 }
 
-fn radical_inverse(mut index: u32, base: u32) -> f64 {
-    let (mut inverse, mut scale) = (0.0, 1.0);
-    while index > 0 {
-        scale /= f64::from(base);
-        inverse += scale * f64::from(index % base);
-        index /= base;
-    }
-    inverse
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn halton() {
-        let values: Vec<f64> = (1..=4).map(|i| radical_inverse(i, 2)).collect();
-        assert_eq!(values, [0.5, 0.25, 0.75, 0.125]);
-    }
 
     #[test]
     fn rounding() {

@@ -109,7 +109,7 @@ pub(crate) fn vector(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>>
 #[inline]
 pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
     let mut m = [0.0; 16];
-    if convert::copy(value, &[4, 4], &mut m) { from_numbers(&m) } else { pose_slowly(name, value, position_only) }
+    if convert::copy(value, &[4, 4], &mut m) { from_numbers(name, &m) } else { pose_slowly(name, value, position_only) }
 }
 
 #[cold]
@@ -137,7 +137,7 @@ fn from_array(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyRe
         ([4, 4], m) => {
             let mut all = [0.0; 16];
             all.copy_from_slice(m);
-            from_numbers(&all)
+            from_numbers(name, &all)
         }
         ([3], &[x, y, z]) if position_only => Ok(CorePose { position: [x, y, z], ..CorePose::IDENTITY }),
         ([3], _) => Err(shape(name, &got, "(4, 4); a position alone says nothing of the task's rotations")),
@@ -147,12 +147,12 @@ fn from_array(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyRe
 }
 
 #[inline]
-fn from_numbers(m: &[f64; 16]) -> PyResult<CorePose> {
+fn from_numbers(name: &str, m: &[f64; 16]) -> PyResult<CorePose> {
     let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
     if m[12..].iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(value, wanted): (&f64, f64)| value.to_bits() != wanted.to_bits())
     {
         // Another last row, or zeros with a sign: the core decides.
-        return CorePose::from_rows(&[row(0), row(1), row(2), row(3)]).or_raise();
+        return CorePose::from_rows_of(name, &[row(0), row(1), row(2), row(3)]).or_raise();
     }
     let rotation = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2]];
     Ok(CorePose { rotation: [rotation(0), rotation(1), rotation(2)], position: [m[3], m[7], m[11]] })

@@ -10,6 +10,7 @@ use nalgebra::{Matrix6, Rotation3, UnitQuaternion, Vector6};
 
 use super::forward::Frames;
 use crate::error::{Error, Result};
+use crate::halton;
 use crate::model::Model;
 use crate::pose::Pose;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
@@ -47,10 +48,10 @@ pub enum IkReason {
         /// The arm's length, [`Model::reach`].
         reach: f64,
     },
-    /// The closest pose found has joints at their limits (indices).
+    /// The closest pose found has joints at their limits.
     JointLimit {
-        /// Those joints.
-        joints: Vec<usize>,
+        /// Their names.
+        joints: Vec<String>,
     },
     /// The closest pose found is a local minimum, or iterations ran out.
     Stalled,
@@ -63,7 +64,7 @@ impl fmt::Display for IkReason {
             Self::OutOfReach { distance, reach } => {
                 write!(f, "out of reach: {distance:.3} m from the first joint, the arm reaches {reach:.3} m")
             }
-            Self::JointLimit { joints } => write!(f, "joint limits in the way: joints {joints:?}"),
+            Self::JointLimit { joints } => write!(f, "joint limits in the way: {}", joints.join(", ")),
             Self::Stalled => f.write_str("stalled: no closer pose found from any start"),
         }
     }
@@ -270,21 +271,7 @@ impl Search<'_> {
 
     /// The `index`-th Halton point of the joint ranges; continuous joints within ±π.
     fn fixed_point(&self, index: usize) -> JointVec {
-        const PRIMES: [usize; MAX_JOINTS] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53];
-        let mut q = [0.0; MAX_JOINTS];
-        for (k, (x, prime)) in q.iter_mut().zip(PRIMES).enumerate().take(self.model.n()) {
-            let (mut fraction, mut digit, mut rest) = (0.0, 1.0, index);
-            while rest > 0 {
-                digit /= prime as f64;
-                fraction += digit * (rest % prime) as f64;
-                rest /= prime;
-            }
-            let pi = std::f64::consts::PI;
-            let (lower, upper) = (self.model.lower()[k], self.model.upper()[k]);
-            let (lower, upper) = if lower.is_finite() && upper.is_finite() { (lower, upper) } else { (-pi, pi) };
-            *x = lower + fraction * (upper - lower);
-        }
-        q
+        halton::joints(self.model.lower(), self.model.upper(), u32::try_from(index).unwrap_or(u32::MAX))
     }
 
     fn why_not(&self, found: &Found) -> IkReason {
@@ -298,7 +285,8 @@ impl Search<'_> {
         let near = |x: f64, limit: f64| (x - limit).abs() <= 1e-9;
         let at_limit =
             |k: &usize| near(found.q[*k], self.model.lower()[*k]) || near(found.q[*k], self.model.upper()[*k]);
-        let joints: Vec<usize> = (0..self.model.n()).filter(at_limit).collect();
+        let names = self.model.joint_names();
+        let joints: Vec<String> = (0..self.model.n()).filter(at_limit).map(|k| names[k].clone()).collect();
         if joints.is_empty() { IkReason::Stalled } else { IkReason::JointLimit { joints } }
     }
 }

@@ -103,6 +103,13 @@ impl<'a> Source<'a> {
             roxmltree::Error::UnclosedRootNode | roxmltree::Error::UnexpectedEndOfStream => {
                 self.error(Position(None), "the text ends too early; </robot> is missing")
             }
+            other if !self.text.trim_start().starts_with('<') => self.error(
+                at,
+                format!(
+                    "not XML: {}; for a file use from_urdf, this reads its text",
+                    shortened(&other.to_string(), 300)
+                ),
+            ),
             other => self.error(at, format!("not well-formed XML: {}", shortened(&other.to_string(), 300))),
         }
     }
