@@ -20,7 +20,7 @@ compliant = {
     "yaw": pliant.Axis(soft=0.8, firm=1.5, eta=0.999),  # [N·m]
 }
 
-# The picture's other row: nothing gives way, and every servo may use all it has.
+# The picture's other row: the paper's law, nothing gives way, and every servo may use all it has.
 stiff = {"all": pliant.Axis(hold=1000.0)}
 ways = {
     "y and yaw compliant": pliant.Settings(axes=compliant, alpha=1.0),

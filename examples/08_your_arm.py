@@ -28,7 +28,8 @@ controller = pliant.Controller(model, settings)
 for axis, strength in controller.strengths.items():
     print(f"  {axis}: soft {strength.soft}, firm {strength.firm}, hold {strength.hold} N")
 
-start = np.clip([0.2, -0.3, 0.3, 0.9, 0.0][: model.n], model.lower, model.upper)
+bent = np.resize([0.2, -0.3, 0.3, 0.9, 0.0], model.n)  # [rad]
+start = np.clip(bent, model.lower, model.upper)
 hand = pliant.sim.Drag(axis="y", distance=0.08, stiffness=500.0, limit=20.0, at="tool")
 arm = pliant.sim.Plant(model, scene=[hand])
 arm.reset(start)

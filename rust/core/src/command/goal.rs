@@ -69,12 +69,13 @@ pub(crate) fn lock(
     added
 }
 
-/// Moves `from` toward `to` by at most `step`, then into the position limits.
+/// Moves `from` by at most `step` toward `to` within the position limits.
 ///
+/// A goal that starts outside them, as the joint itself does, walks back in; it does not jump.
 /// A `to` that is not a number stays one (`f64::max` would drop it), so that the step can refuse to send it.
 #[inline]
 pub(crate) fn slew(from: f64, to: f64, step: f64, lower: f64, upper: f64) -> f64 {
-    at_most(at_least(at_most(at_least(to, from - step), from + step), lower), upper)
+    at_most(at_least(at_most(at_least(to, lower), upper), from - step), from + step)
 }
 
 /// The larger of two numbers; NaN where `value` is.
@@ -139,6 +140,7 @@ mod tests {
         assert!(slew(0.5, f64::NAN, 0.1, -1.0, 1.0).is_nan());
         assert!((slew(0.5, 2.0, 0.1, -1.0, 1.0) - 0.6).abs() < 1e-15);
         assert!((slew(0.5, -2.0, f64::INFINITY, -1.0, 1.0) + 1.0).abs() < 1e-15);
+        assert!((slew(3.0, 0.0, 0.1, -1.0, 1.0) - 2.9).abs() < 1e-15);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use crate::model::Model;
 use crate::servos::ServoArrays;
 use crate::settings::{Law, Settings};
 use crate::survey;
-use crate::task::axes::{AXIS_NAMES, Axis, Profile};
+use crate::task::axes::{AXIS_NAMES, Axis, Profile, Yields};
 
 /// Largest η without knowing `k_p` or having captured gravity: beyond it a gravity error walks the arm away.
 const ETA_UNPROVEN: f64 = 0.95;
@@ -44,6 +44,22 @@ fn default_strengths(model: &Model, settings: &Settings, servos: &ServoArrays) -
     }
 }
 
+/// An arm that cannot hold itself in most poses has no force to give: its default strengths would be zero.
+fn check_defaults(settings: &Settings, axes: &[usize], defaults: &[[f64; 3]; 2]) -> Result<()> {
+    for &axis in axes {
+        let (given, strengths) = (&settings.axes[axis], &defaults[usize::from(axis >= 3)]);
+        let left_out = given.hold.is_none() || (given.effective_yields() != Yields::None && given.soft.is_none());
+        if left_out && strengths[2] <= 0.0 {
+            return Err(Error::config(
+                format!("axes.{}", AXIS_NAMES[axis]),
+                "no default strength: in the median of 512 poses gravity takes all the torque that the servos have; \
+                 check servos.torque [N·m] and the masses, or give soft, firm and hold",
+            ));
+        }
+    }
+    Ok(())
+}
+
 pub(super) fn resolve_rows(
     model: &Model,
     settings: &Settings,
@@ -57,6 +73,7 @@ pub(super) fn resolve_rows(
     } else {
         default_strengths(model, settings, servos)
     };
+    check_defaults(settings, axes, &defaults)?;
     let mut rows = [None; MAX_AXES];
     for (slot, &axis) in rows.iter_mut().zip(axes) {
         *slot = Some(resolve_row(settings, axis, defaults[usize::from(axis >= 3)], kp_known)?);

@@ -460,7 +460,7 @@ impl Oracle {
                 goal[i] = goal[i] - lead + clip(lead, most);
             }
             let (from, slew) = (self.memory.goal[i], settings.goal_slew * ahead);
-            goal[i] = goal[i].max(from - slew).min(from + slew).max(self.model.lower()[i]).min(self.model.upper()[i]);
+            goal[i] = goal[i].max(self.model.lower()[i]).min(self.model.upper()[i]).max(from - slew).min(from + slew);
         }
         let singular = self.scaled(&rows).singular_values();
 
