@@ -169,7 +169,7 @@ impl Controller {
             None => memory.filter.update(q, &self.plan.servos.count, self.settings.velocity_filter, input.dt),
         }
         let mut predicted = *q;
-        if self.plan.law == Law::Cap {
+        if self.plan.law.by_force() {
             let ahead = memory.gamma * self.settings.prediction_share * self.delay;
             (0..self.plan.n).for_each(|i| predicted[i] += ahead * memory.filter.velocity[i]);
         }
@@ -273,6 +273,7 @@ fn note(seen: &Seen, wish: &Wish, solution: &Solution, memory: &Memory, horizon:
         damping: solution.damping.sqrt(),
         gamma: memory.gamma,
         factors: solution.motion.factors,
+        gain_factor: solution.motion.gain_factor,
         saturated: [false; MAX_JOINTS],
         locked: solution.locked,
     }

@@ -2,8 +2,9 @@
 
 use crate::command::goal::scale_to_fit;
 use crate::law::activation::{Activation, activation};
-use crate::law::cap::{Demand, Wrench};
+use crate::law::cap::Demand;
 use crate::law::inverse::{Cholesky, Square, pseudo_inverse, transpose_times, weighted_gram};
+use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
 use crate::settings::Follow;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
@@ -102,7 +103,7 @@ pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Activation) {
     let projector = redundant.then(|| null_space.matrix());
     let shares = activation(&pinv, projector.as_ref().map(|matrix| (matrix, tick.gradient)), k, n);
     let factors = [null_factor, task_factor, task_factor];
-    (Motion { lead, stiff_lead: lead, null, wrench: Wrench::default(), factors }, shares)
+    (Motion { lead, stiff_lead: lead, null, wrench: Wrench::default(), factors, gain_factor: 1.0 }, shares)
 }
 
 /// `K_q v`.
