@@ -81,6 +81,9 @@ impl Judge<'_> {
             )
         };
         self.same("locked", locked(&record.locked).as_slice(), &locked(&tick.locked));
+        if controller.settings().law == Law::Impedance {
+            self.number("gain factor", controller.gain_factor(), tick.derating);
+        }
         self.same("factors", &record.factors, &Vector::from_column_slice(&tick.factors));
         self.same("W", &record.wrench[..k], &tick.wrench);
         self.matrix("A", &controller.activation(), &tick.activation);
@@ -97,6 +100,7 @@ struct Seen {
     saturated: usize,
     slowed: usize,
     singular: usize,
+    derated: usize,
 }
 
 /// One arm, one set of settings, a few ticks.
@@ -163,6 +167,7 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
         seen.locked += usize::from(want.locked.contains(&true));
         seen.saturated += usize::from(want.factors[1] < 1.0 || want.factors[2] < 1.0);
         seen.slowed += usize::from(want.factors[0] < 1.0);
+        seen.derated += usize::from(want.derating < 1.0);
         seen.singular += usize::from(want.sigma[0] < 0.02);
         for i in 0..n {
             q[i] += 0.01 * speed[i] + random.between(-1e-3, 1e-3);
@@ -172,7 +177,7 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
 
 #[test]
 fn both_transcriptions_agree() {
-    for law in [Law::Cap, Law::Paper] {
+    for law in [Law::Cap, Law::Impedance, Law::Paper] {
         let mut seen = Seen::default();
         let mut wrong = Vec::new();
         for seed in 0..1200 {
@@ -180,7 +185,7 @@ fn both_transcriptions_agree() {
             sequence(
                 usize::try_from(seed % 3).unwrap(),
                 law,
-                seed * 7919 + u64::from(law == Law::Cap),
+                seed * 7919 + u64::from(law == Law::Cap) + 2 * u64::from(law == Law::Impedance),
                 &mut seen,
                 &found,
             );
@@ -192,5 +197,6 @@ fn both_transcriptions_agree() {
             seen.locked > 300 && seen.saturated > 300 && seen.slowed > 80 && seen.singular > 200,
             "{law:?} {seen:?}"
         );
+        assert!(law != Law::Impedance || seen.derated > 300, "{seen:?}");
     }
 }
