@@ -213,7 +213,7 @@ WRONG = {
     "an unknown field in replace": (lambda: Task().replace(axis="x"), r"did you mean 'axes'\?"),
     "an unknown word": (
         lambda: Settings(law="papr"),
-        r"law: must be one of 'cap', 'paper', got 'papr' \(str\); did you mean 'paper'\?",
+        r"law: must be one of 'cap', 'impedance', 'paper', got 'papr' \(str\); did you mean 'paper'\?",
     ),
     "a number for a word": (
         lambda: Axis(yields=1),

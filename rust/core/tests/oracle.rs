@@ -4,7 +4,7 @@
 use std::cell::RefCell;
 use std::sync::Arc;
 
-use pliant_core::settings::{Damping, Law};
+use pliant_core::settings::Law;
 use pliant_core::{Controller, ModelOptions, Payload, StepInput};
 
 #[path = "oracle/cases.rs"]
@@ -111,17 +111,12 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
     let payload = random.chance(0.3).then(|| Payload { mass: random.between(0.0, 0.5), com: [0.02, 0.0, 0.05] });
     let model = seeded::arm(index, &ModelOptions { gravity, payload, ..ModelOptions::default() });
     let n = model.n();
-    let mut settings = cases::settings(random, &model, law);
+    let settings = cases::settings(random, &model, law);
     let with_servos = !cases::free_of_kp(&settings) || random.chance(0.5);
     let servos = with_servos.then(|| cases::servos(random, &seeded::servos(index), n));
+    let settings = cases::tamed(&model, settings, servos.as_ref());
     let at_limits = random.chance(0.3);
-    let made = Controller::new(Arc::clone(&model), settings.clone(), servos.clone()).or_else(|error| {
-        // Axes that this arm can nowhere move apart from each other have no damping of their own.
-        assert!(error.to_string().contains("cannot move"), "{error}");
-        settings.damping = Damping::Fixed(0.3);
-        Controller::new(Arc::clone(&model), settings.clone(), servos.clone())
-    });
-    let mut controller = made.unwrap();
+    let mut controller = Controller::new(Arc::clone(&model), settings.clone(), servos.clone()).unwrap();
     let mut oracle = Oracle::new(&model, &settings, servos.as_ref(), controller.damping());
     let mut q = random.joints(&model, if at_limits { 1.02 } else { 0.8 });
     if random.chance(0.2) {
@@ -192,9 +187,10 @@ fn both_transcriptions_agree() {
             wrong.extend(found.take().into_iter().next());
         }
         assert!(wrong.is_empty(), "{} sequences differ:\n{}", wrong.len(), wrong[..wrong.len().min(30)].join("\n"));
-        // The sequences must have been where it is difficult.
+        // The sequences must have been where it is difficult; springs are rarely too fast.
+        let slowed = if law == Law::Impedance { 30 } else { 80 };
         assert!(
-            seen.locked > 300 && seen.saturated > 300 && seen.slowed > 80 && seen.singular > 200,
+            seen.locked > 300 && seen.saturated > 300 && seen.slowed > slowed && seen.singular > 200,
             "{law:?} {seen:?}"
         );
         assert!(law != Law::Impedance || seen.derated > 300, "{seen:?}");

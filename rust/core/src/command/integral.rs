@@ -1,5 +1,6 @@
 //! The integrating goal of stiff axes, leashed to what the limits can use.
 
+use crate::command::goal::clip;
 use crate::law::inverse::{Cholesky, times, transpose_times, weighted_gram};
 use crate::plan::Plan;
 use crate::{AxisVec, JointVec, Rows};
@@ -33,7 +34,7 @@ impl Addition<'_> {
             let room = servos.torque[i] - self.gravity[i].abs();
             let usable = room.is_finite() && servos.has_kp;
             let leash = if usable { room.max(0.0) * servos.compliance[i] } else { LEAD_UNKNOWN };
-            stored[i] = (stored[i] + self.share * self.lead[i]).clamp(-leash, leash);
+            stored[i] = clip(stored[i] + self.share * self.lead[i], leash);
         }
         let by_force = plan.law.by_force();
         if !by_force && self.softness.iter().all(|&w| w <= 0.0) {

@@ -1,6 +1,6 @@
 //! One tick, from reading to command.
 
-use crate::command::goal::{register_speed, slew};
+use crate::command::goal::{clip, register_speed, slew};
 use crate::command::integral::Addition;
 use crate::command::limits::{Load, finish, within};
 use crate::controller::memory::Memory;
@@ -138,7 +138,7 @@ impl Controller {
         for i in 0..plan.n {
             if plan.law == Law::Paper {
                 let (lead, most) = (solution.motion.lead[i] + solution.motion.null[i], self.lead_limit(i, limit[i]));
-                goal[i] += lead.clamp(-most, most) - lead;
+                goal[i] += clip(lead, most) - lead;
             }
             goal[i] = slew(memory.goal[i], goal[i], settings.goal_slew * dt, plan.lower[i], plan.upper[i]);
             record.saturated[i] = limit[i] >= plan.servos.torque[i];

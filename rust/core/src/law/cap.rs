@@ -1,5 +1,6 @@
 //! Law `cap`: each task axis pushes back with at most a given force. Lines 7 and 8 of the control step.
 
+use crate::command::goal::clip;
 use crate::law::inverse::{Cholesky, Square, weighted_gram};
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
@@ -39,7 +40,7 @@ impl Demand<'_> {
         let mut out = [0.0; MAX_AXES];
         for j in 0..k.min(MAX_AXES) {
             let force = self.step[j] / self.compliance[j][j].max(f64::MIN_POSITIVE);
-            out[j] = self.softness[j] * force.clamp(-self.cap[j], self.cap[j]);
+            out[j] = self.softness[j] * clip(force, self.cap[j]);
         }
         out
     }
@@ -79,7 +80,7 @@ impl Demand<'_> {
             m[r][r] += self.damping[r];
             let most = self.cap[r] * self.compliance[r][r];
             let w = self.softness[r];
-            b[r] = (1.0 - w) * self.bounded_step[r] + w * self.bounded_step[r].clamp(-most, most);
+            b[r] = (1.0 - w) * self.bounded_step[r] + w * clip(self.bounded_step[r], most);
         }
         let all = Cholesky::new(&m, k).solve(&b);
         let mut out = Wrench::default();

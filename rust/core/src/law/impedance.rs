@@ -1,5 +1,6 @@
 //! Law `impedance`: a spring and a damper on each task axis, no solve. Takes the place of lines 6 to 8 of the control step.
 
+use crate::command::goal::clip;
 use crate::law::inverse::{Square, times, weighted_gram};
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
@@ -59,21 +60,26 @@ fn squared(m: &Square, k: usize) -> Square {
     out
 }
 
-/// `F = clip(f K ẽ + D (twist − v), ±most)` per axis, and `f` ≤ 1, which keeps `f ρ` within its bound at this pose.
+/// `F = clip(f K ẽ + f_D D (twist − v), ±most)` per axis, and `f` ≤ 1; f and f_D keep `f ρ(K)` and `f_D ρ(D)` within
+/// their bounds at this pose.
 #[inline]
 pub(crate) fn force(tick: &Tick<'_>) -> (AxisVec, f64) {
     let plan = tick.plan;
     let k = plan.k.min(MAX_AXES);
-    let rho = rho(tick.rows, &plan.servos.compliance, tick.stiffness, k, plan.n);
-    let factor = if rho > plan.stiffness_bound { plan.stiffness_bound / rho } else { 1.0 };
+    let share = |gains: &AxisVec, bound: f64| {
+        let rho = rho(tick.rows, &plan.servos.compliance, gains, k, plan.n);
+        if rho > bound { bound / rho } else { 1.0 }
+    };
+    let [most_stiff, most_damped] = plan.impedance_bounds;
+    let (stiff, damped) = (share(tick.stiffness, most_stiff), share(tick.viscosity, most_damped));
     let velocity = times(tick.rows, tick.velocity, k);
     let mut out = [0.0; MAX_AXES];
     for r in 0..k {
-        let spring = factor * tick.stiffness[r] * tick.adapted[r];
-        let damper = tick.viscosity[r] * (tick.twist[r] - velocity[r]);
-        out[r] = (spring + damper).clamp(-tick.most[r], tick.most[r]);
+        let spring = stiff * tick.stiffness[r] * tick.adapted[r];
+        let damper = damped * tick.viscosity[r] * (tick.twist[r] - velocity[r]);
+        out[r] = clip(spring + damper, tick.most[r]);
     }
-    (out, factor)
+    (out, stiff)
 }
 
 /// Null-space motion of a given stiffness, `−κ K_p⁻¹ N ∇cost` [rad]: its torque does no work on the task.
@@ -116,7 +122,7 @@ mod tests {
         }
         let mut compliance = [1.0; MAX_JOINTS];
         compliance[..7].copy_from_slice(&[1.0 / 150.0, 1.0 / 150.0, 1e-2, 1e-2, 1.0 / 60.0, 1.0 / 60.0, 1.0 / 60.0]);
-        for stiffness in [[800.0, 800.0, 800.0, 20.0, 20.0, 20.0], [0.0, 1e9, 1e-3, 5.0, 0.0, 0.0], [1.0; 6]] {
+        for stiffness in [[800.0_f64, 800.0, 800.0, 20.0, 20.0, 20.0], [0.0, 1e9, 1e-3, 5.0, 0.0, 0.0], [1.0; 6]] {
             let j = nalgebra::DMatrix::from_fn(6, 7, |r, i| rows[r][i] * stiffness[r].sqrt());
             let c = nalgebra::DVector::from_column_slice(&compliance[..7]);
             let largest = (&j * nalgebra::DMatrix::from_diagonal(&c) * j.transpose()).symmetric_eigenvalues().max();

@@ -1,6 +1,6 @@
 //! Law `paper`: velocity-based task-space control with torque budgets, equations (3)–(11).
 
-use crate::command::goal::scale_to_fit;
+use crate::command::goal::{clip, scale_to_fit};
 use crate::law::activation::{Activation, activation};
 use crate::law::cap::Demand;
 use crate::law::inverse::{Cholesky, Square, pseudo_inverse, transpose_times, weighted_gram};
@@ -35,7 +35,7 @@ pub(crate) fn within_budget(
             cost += kp[i] * pinv_transposed[r][i].abs();
         }
         let most = budget[r] / (horizon * cost).max(f64::MIN_POSITIVE);
-        out[r] = dx[r].clamp(-most, most);
+        out[r] = clip(dx[r], most);
     }
     out
 }

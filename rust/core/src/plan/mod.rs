@@ -56,8 +56,8 @@ pub(crate) struct Plan {
     pub(crate) kq: [[f64; MAX_JOINTS]; MAX_JOINTS],
     /// Factor ≤ 1 on K_x that keeps it within the bound of the present delay.
     pub(crate) kx_derating: f64,
-    /// Largest ρ of law `impedance` at the present delay; ∞ where that risk is taken by name.
-    pub(crate) stiffness_bound: f64,
+    /// Largest ρ of stiffness and of damping [s] of law `impedance` at the present delay; ∞ where that risk is taken by name.
+    pub(crate) impedance_bounds: [f64; 2],
     /// Stiffness of the null-space motion [N·m/rad], in place of α.
     pub(crate) null_stiffness: Option<f64>,
     pub(crate) alpha: f64,
@@ -135,7 +135,7 @@ impl Plan {
             kx: [[0.0; MAX_AXES]; MAX_AXES],
             kq: settings.kq.spread("kq", n)?,
             kx_derating: 1.0,
-            stiffness_bound: stiffness::bound(settings, settings.delay),
+            impedance_bounds: stiffness::bounds(settings, settings.delay),
             null_stiffness: settings.null_stiffness,
             alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
             takeover_damping: damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2),
@@ -224,7 +224,7 @@ impl Plan {
     pub(crate) fn derate(&mut self, delay: f64, settings: &Settings) {
         let (gain, bound) = (self.gain(settings.horizon), self.gain_bound(delay, 1.0 / settings.rate));
         self.kx_derating = if self.law == Law::Cap && gain > bound { bound / gain } else { 1.0 };
-        self.stiffness_bound = stiffness::bound(settings, delay);
+        self.impedance_bounds = stiffness::bounds(settings, delay);
     }
 }
 

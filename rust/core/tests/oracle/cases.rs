@@ -1,9 +1,11 @@
 //! Random settings, servos and inputs for both transcriptions.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
+use std::sync::Arc;
+
 use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
 use pliant_core::task::axes::{Axis, Frame, Profile, Task, Yields};
-use pliant_core::{Model, Servos};
+use pliant_core::{Controller, Model, Servos};
 
 use crate::seeded::Random;
 
@@ -125,6 +127,25 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
         lead_limit: random.pick(&[None, None, Some(0.05), Some(f64::INFINITY)]),
         ..Settings::default()
     }
+}
+
+/// The same where this arm takes them: springs as stiff as rate and delay allow in more than half of the poses, damping
+/// of its own where the axes can nowhere be moved apart from each other.
+pub(crate) fn tamed(model: &Arc<Model>, mut settings: Settings, servos: Option<&Servos>) -> Settings {
+    while let Err(error) = Controller::new(Arc::clone(model), settings.clone(), servos.cloned()) {
+        let text = error.to_string();
+        if text.contains("stiffness") || text.contains("axes.damping") {
+            for axis in &mut settings.axes {
+                axis.stiffness = axis.stiffness.map(|pair| pair.map(|k| 0.7 * k));
+                axis.damping = axis.damping.map(|pair| pair.map(|d| 0.7 * d));
+            }
+            settings.null_stiffness = settings.null_stiffness.map(|k| 0.7 * k);
+        } else {
+            assert!(text.contains("cannot move"), "{text}");
+            settings.damping = Damping::Fixed(0.3);
+        }
+    }
+    settings
 }
 
 /// Whether these settings can do without `k_p`.

@@ -134,22 +134,24 @@ impl Want<'_> {
         self.exert(&soft, &stiff, null)
     }
 
-    /// `F = clip(K ẽ − D v, ±most)` per axis, K no larger than `max(1, 0.03 s / T_e)` times the servos' own stiffness.
+    /// `F = clip(K ẽ − D v, ±most)` per axis, ρ(K) no larger than `max(1, 0.03 s / T_e)`, ρ(D) no larger
+    /// than `0.007 s² / (T_e + T_f)`.
     pub(super) fn impedance(&self) -> Motion {
         let (settings, kp) = (&self.oracle.settings, self.oracle.kp());
-        let root = diagonal(&self.stiffness.map(f64::sqrt));
-        let eigenvalues = (&root * self.c() * &root).symmetric_eigenvalues();
-        let largest_value = eigenvalues.max();
-        // The 64-norm of the eigenvalues stands for the largest of them.
-        let rho = if largest_value > 0.0 {
-            largest_value * eigenvalues.map(|x| (x / largest_value).powi(64)).sum().powf(1.0 / 64.0)
-        } else {
-            0.0
+        let within = |gains: &Vector, bound: f64| {
+            let root = diagonal(&gains.map(f64::sqrt));
+            let eigenvalues = (&root * self.c() * &root).symmetric_eigenvalues();
+            let top = eigenvalues.max();
+            // The 64-norm of the eigenvalues stands for the largest of them.
+            let rho =
+                if top > 0.0 { top * eigenvalues.map(|x| (x / top).powi(64)).sum().powf(1.0 / 64.0) } else { 0.0 };
+            if rho > bound { bound / rho } else { 1.0 }
         };
-        let bound = (0.03 / (self.oracle.delay + 0.5 / settings.rate)).max(1.0);
-        let derating = if rho > bound { bound / rho } else { 1.0 };
+        let late = self.oracle.delay + 0.5 / settings.rate;
+        let derating = within(self.stiffness, (0.03 / late).max(1.0));
+        let damped = within(self.viscosity, 0.007 / (late + settings.velocity_filter)) * self.viscosity;
         let force = Vector::from_fn(self.k(), |r, _| {
-            let wanted = derating * self.stiffness[r] * self.adapted[r] + self.viscosity[r] * self.relative[r];
+            let wanted = derating * self.stiffness[r] * self.adapted[r] + damped[r] * self.relative[r];
             wanted.max(-self.most[r]).min(self.most[r])
         });
         let null = match settings.null_stiffness {
