@@ -9,7 +9,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use pliant_core::settings::{Damping, Follow, LimitRule, Projector};
+use pliant_core::settings::{Damping, Follow, Law, LimitRule, Projector};
 use pliant_core::task::axes::{Axis, Task, Yields};
 use pliant_core::task::deviation::pose_error;
 use pliant_core::{Controller, Model, ModelOptions, Pose, Servos, Settings, StepInput};

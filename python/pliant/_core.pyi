@@ -1079,6 +1079,10 @@ class Settings:
     @property
     def null_torque(self) -> float | None: ...
     @property
+    def null_stiffness(self) -> float | None:
+        """Stiffness of the null-space motion under law impedance [N m/rad]."""
+
+    @property
     def null_speed(self) -> float: ...
     @property
     def gravity(self) -> bool | Literal["goal", "limits"]: ...

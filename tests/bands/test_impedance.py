@@ -25,7 +25,7 @@ LOOPS = {
     "200 Hz, 1+1": (FAST, laws.impedance, 65.0, 15.5, 6.2, 0.0045),  # 66.2, 14.0, 5.6, .0039
     "200 Hz, 1+1, as asked": (FAST, asked, 65.0, 15.5, 6.2, 0.0042),  # 66.2, 14.0, 5.6, .0036
 }
-#: Loops, and a factor on 800 N/m and 20 N·m/rad with which they ring: ρ T_e of .11, .07, .14, .14 s.
+#: Factor on 800 N/m and 20 N·m/rad with which loops ring: ρ T_e .11, .07, .14, .14 s.
 RINGING = {"100 Hz": 8.0, "100 Hz, 1+1": 1.0, "200 Hz, 1+1": 4.0, "50 Hz, 1+1": 1.0}
 CONDITIONS = {
     "100 Hz": NOMINAL,

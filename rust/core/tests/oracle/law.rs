@@ -154,12 +154,11 @@ impl Want<'_> {
             let wanted = derating * self.stiffness[r] * self.adapted[r] + damped[r] * self.relative[r];
             wanted.max(-self.most[r]).min(self.most[r])
         });
-        let null = match settings.null_stiffness {
-            Some(kappa) => (self.shares().projector() * self.gradient * -kappa).component_div(&kp),
-            None => {
-                let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
-                self.shares().projector() * self.gradient * (-alpha * settings.horizon)
-            }
+        let null = if let Some(kappa) = settings.null_stiffness {
+            (self.shares().projector() * self.gradient * -kappa).component_div(&kp)
+        } else {
+            let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
+            self.shares().projector() * self.gradient * (-alpha * settings.horizon)
         };
         let soft = force.component_mul(self.softness);
         let stiff = &force - &soft;
@@ -293,14 +292,14 @@ impl Want<'_> {
             (rows.transpose() * &wrench).component_div(&kp)
         };
         let mut factor = 1.0;
-        if settings.law != pliant_core::settings::Law::Paper {
+        if settings.law == pliant_core::settings::Law::Paper {
+            wrench.fill(0.0);
+        } else {
             let base = of(false, &(self.base + kp.component_mul(&whole)));
             let torque = kp.component_mul(&more);
             if beyond(&(&base + &torque), &self.oracle.ceiling()) {
                 factor = fit(&base, &torque, &self.oracle.ceiling());
             }
-        } else {
-            wrench.fill(0.0);
         }
         let before = of(false, &whole);
         let zero = Vector::zeros(n);
