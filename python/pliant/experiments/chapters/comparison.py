@@ -147,8 +147,8 @@ def chapter(numbers: Numbers) -> Chapter:
         number=NUMBER,
         title=TITLE,
         lead="What does the effort buy? The same hand meets a stiff arm, an arm with all its "
-        "limits turned down, the paper's law, the default law, and an arm that can command "
-        "torques.",
+        "limits turned down, the paper's law, the default law, springs on the same servos, and an "
+        "arm that can command torques.",
         figures=(figure,),
         tables=(_table(numbers),),
         numbers=numbers,
