@@ -9,7 +9,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use pliant_core::settings::{Damping, Follow, LimitRule, Projector};
+use pliant_core::settings::{Damping, Follow, Law, LimitRule, Projector};
 use pliant_core::task::axes::{Axis, Task, Yields};
 use pliant_core::task::deviation::pose_error;
 use pliant_core::{Controller, Model, ModelOptions, Pose, Servos, Settings, StepInput};
@@ -74,7 +74,7 @@ fn soft_y() -> Settings {
 fn step(criterion: &mut Criterion) {
     let model = arm();
     let states = states(&model);
-    let cases = [
+    let cases = vec![
         ("paper", paper()),
         (
             "paper, exact projector, adaptive damping",
@@ -87,6 +87,7 @@ fn step(criterion: &mut Criterion) {
         ("y yields, no tool speed limit", Settings { max_tool_speed: [f64::INFINITY; 2], ..soft_y() }),
         ("y yields, manipulability", Settings { manipulability: 0.1, ..soft_y() }),
         ("y yields, integrating", Settings { integrate: 1.0, ..soft_y() }),
+        ("impedance, y yields", Settings { law: Law::Impedance, ..soft_y() }),
         ("xyz", Settings { task: Task::of("xyz").expect("three axes"), ..Settings::default() }),
     ];
     let mut group = criterion.benchmark_group("step");

@@ -748,6 +748,8 @@ class _AxisFields(TypedDict, total=False):
     soft: float | tuple[float, float] | None
     firm: float | tuple[float, float] | None
     hold: float | None
+    stiffness: float | tuple[float, float] | None
+    damping: float | tuple[float, float] | None
     yields: Literal["both", "+", "-", "none"] | None
     eta: float
     d_minus: float | None
@@ -760,14 +762,17 @@ class _AxisFields(TypedDict, total=False):
 class Axis:
     """What is asked of one task axis. Frozen; None takes the default.
 
-    Default strengths depend on law and arm. They are forces [N] ([N m] for rotations) under law
-    `"cap"` and torque budgets [N m] under law `"paper"`. A pair is (pushed toward -, pushed
-    toward +).
+    Default strengths depend on law and arm. They are forces [N] ([N m] for rotations) under the
+    laws `"cap"` and `"impedance"`, torque budgets [N m] under law `"paper"`. A pair is (pushed
+    toward -, pushed toward +).
 
     Args:
         soft: Strength of the yielding axis at a small deviation, tau- of (9).
         firm: Strength of the yielding axis at a large deviation, tau+ of (9).
         hold: Strength where the axis does not yield.
+        stiffness: Law impedance: spring [N/m or N m/rad]; default 0 toward a side that yields,
+            else from the arm (`arm7`: 800 N/m, 20 N m/rad).
+        damping: Law impedance: damper [N s/m or N m s/rad]; default 0.
         yields: Pushes it gives way to; by default both where `soft` or `firm` is given, else none.
         eta: Target adaptation of (12), 0 <= eta < 1.
         d_minus: Deviation below which compliance is full, (8) [m or rad]; default 0.01 m, 0.04 rad.
@@ -775,7 +780,7 @@ class Axis:
         profile: `"firming"`: soft to firm with the deviation; `"constant"`: soft; `"yielding"`:
             firm to soft.
         step_limit: Most commanded velocity while stiff [m/s, rad/s]; default 0.4 m/s, 2 rad/s; inf
-            for none.
+            for none. Law impedance has none.
         soft_step_limit: The same while it yields; default none, under law `"paper"` 0.1 m/s, 0.5
             rad/s.
 
@@ -790,6 +795,8 @@ class Axis:
         soft: float | tuple[float, float] | None = None,
         firm: float | tuple[float, float] | None = None,
         hold: float | None = None,
+        stiffness: float | tuple[float, float] | None = None,
+        damping: float | tuple[float, float] | None = None,
         yields: Literal["both", "+", "-", "none"] | None = None,
         eta: float = 0.0,
         d_minus: float | None = None,
@@ -809,6 +816,14 @@ class Axis:
     @property
     def hold(self) -> float | None:
         """Strength where the axis does not yield."""
+
+    @property
+    def stiffness(self) -> tuple[float, float] | None:
+        """Spring of law impedance, pushed toward -, + [N/m or N m/rad]."""
+
+    @property
+    def damping(self) -> tuple[float, float] | None:
+        """Damper of law impedance, pushed toward -, + [N s/m or N m s/rad]."""
 
     @property
     def yields(self) -> Literal["both", "+", "-", "none"] | None:
@@ -845,7 +860,7 @@ class Axis:
     def __ne__(self, other: object, /) -> bool: ...
     def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
 
-_Law: TypeAlias = Literal["cap", "paper"]
+_Law: TypeAlias = Literal["cap", "impedance", "paper"]
 _Speeds: TypeAlias = float | tuple[float | None, float | None] | None
 _Damping: TypeAlias = float | tuple[float, float, float] | None
 
@@ -867,6 +882,7 @@ class _SettingsFields(TypedDict, total=False):
     limit_avoidance: float
     manipulability: float
     null_torque: float | None
+    null_stiffness: float | None
     null_speed: float | None
     gravity: bool | Literal["goal", "limits"]
     gravity_scale: float
@@ -899,11 +915,12 @@ class Settings:
         task: Controlled axes and their frame: a `Task`, or its axis key.
         axes: Axis key to `Axis`, e.g. ``{"y": Axis(soft=4.0), "xz": Axis(hold=40.0)}``; axes that
             are not named are stiff.
-        law: `"cap"`: force caps per axis; `"paper"`: equations (3)-(12), torque budgets per axis.
+        law: `"cap"`: force caps per axis; `"impedance"`: a spring and a damper per axis, with force
+            caps; `"paper"`: equations (3)-(12), torque budgets per axis.
         follow: `"free"`: yielding axes leave the solve and exert exactly their force; `"hold"`: one
-            solve for all; None: by law, free for cap and hold for paper.
-        limits: Rule of law cap for the joint torque limits: what the law wants at this tick, or the
-            `"sum"` over all axes of what each may ask for.
+            solve for all; None: by law, hold for paper. Law impedance has no solve.
+        limits: Rule for the joint torque limits, not law paper: what the law wants at this tick, or
+            the `"sum"` over all axes of what each may ask for.
         projector: `"exact"`, or `"paper"`: the printed I - J+ J with the damped J+.
         kx: Gain K_x of (5) [1/s]: a number, one per axis, or a matrix.
         horizon: Horizon h of the goal q + h dq [s].
@@ -918,6 +935,8 @@ class Settings:
         manipulability: Weight of the manipulability cost.
         null_torque: Most the null-space motion may ask of all joints together [N m]; None: 2 where
             the arm is redundant.
+        null_stiffness: Law impedance: stiffness of the null-space motion [N m/rad], in place of
+            `alpha`; None: as `alpha` has it.
         null_speed: Most speed of the null-space motion [rad/s]; None for no limit.
         gravity: Where the gravity model is used: True: goals and limits; `"goal"`; `"limits"`;
             False: nowhere.
@@ -938,14 +957,14 @@ class Settings:
         floor: Floor of the torque limits (n,) [N m]; None: the servos' friction.
         margin: Margin of the limits as a share of the usable torque.
         direction_band: Half-width of the band in which an axis that yields to one side changes
-            over, as a share of `d_minus`; None: 0.1 under law cap, 0 under law paper.
+            over, as a share of `d_minus`; None: 0.1, under law paper 0.
         raw_deviation: Compliance from the raw instead of the adapted deviation.
         budget_on_goal: Law paper: clamp each axis' step to what its budget can do.
         joint_weights: Law paper: weight of each joint in J+ (n,); None: 1.
         lead_limit: Law paper: how far a goal may lead [rad]; None: what the limit can use; inf for
             no limit.
         integrate: Rate at which the goal of stiff axes integrates [1/s]; 0 for none.
-        accept: Risks taken by name: `"eta"`.
+        accept: Risks taken by name: `"eta"`, `"stiffness"`.
 
     Raises:
         LimitError: A value outside its bounds. ShapeError: A list of the wrong shape. ConfigError:
@@ -973,6 +992,7 @@ class Settings:
         limit_avoidance: float = 0.0,
         manipulability: float = 0.0,
         null_torque: float | None = None,
+        null_stiffness: float | None = None,
         null_speed: float | None = None,
         gravity: bool | Literal["goal", "limits"] = True,
         gravity_scale: float = 1.1,
@@ -1058,6 +1078,10 @@ class Settings:
     def manipulability(self) -> float: ...
     @property
     def null_torque(self) -> float | None: ...
+    @property
+    def null_stiffness(self) -> float | None:
+        """Stiffness of the null-space motion under law impedance [N m/rad]."""
+
     @property
     def null_speed(self) -> float: ...
     @property
@@ -1238,7 +1262,7 @@ class Controller:
 
     @property
     def strengths(self) -> dict[_AxisName, Axis]:
-        """Every axis of the task with soft, firm, hold and yields filled in."""
+        """Every axis of the task, all that depends on law and arm filled in."""
 
     @property
     def damping_constants(self) -> tuple[float, float, float]:
@@ -1246,7 +1270,7 @@ class Controller:
 
     @property
     def gain_factor(self) -> float:
-        """Factor <= 1 on K_x that the delay demands."""
+        """Factor <= 1 on K_x that the delay demands; law impedance: on the stiffness, last step."""
 
     @property
     def commands_made(self) -> int:
@@ -1274,11 +1298,11 @@ class Controller:
 
     @property
     def holding_torque(self) -> _Array:
-        """Strength (k,): tau^x of (9) [N m] under law paper, the cap [N, N m] under law cap."""
+        """Strength (k,): tau^x of (9) [N m] under law paper, else the cap [N, N m]."""
 
     @property
     def wrench(self) -> _Array:
-        """Wrench on the target (k,) [N, N m], law cap."""
+        """Wrench on the target (k,) [N, N m], not under law paper."""
 
     @property
     def activation(self) -> _Array:

@@ -277,3 +277,35 @@ def test_what_a_law_needs_is_said(q):
         pliant.Controller(bare, None, pliant.Servos(kp=[1.0] * 6, torque=1.0))
     with pytest.raises(TypeError):
         pliant.Controller(bare, {"law": "cap"})
+
+
+def test_springs_of_law_impedance(q):
+    model = pliant.robots.arm7()
+    target = model.forward_kinematics(q)
+    settings = pliant.Settings(law="impedance", axes={"y": pliant.Axis(yields="both")})
+    controller = pliant.Controller(model, settings)
+    strengths = controller.strengths
+    assert strengths["x"].stiffness == (800.0, 800.0)
+    assert strengths["y"].stiffness == (0.0, 0.0)
+    assert strengths["yaw"].stiffness == (20.0, 20.0)
+    assert strengths["x"].damping == (0.0, 0.0)
+    away = target.copy()
+    away[:2, 3] += 0.01
+    for _ in range(100):  # the target moves no faster than the tool may
+        controller.step(q, away)
+    assert controller.gain_factor == 1.0
+    np.testing.assert_allclose(controller.wrench, [8.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-6)
+    controller.set_delay(0.1)  # a slow bus: springs no stiffer than the servos
+    controller.step(q, away)
+    assert 0.2 < controller.gain_factor < 0.6
+    wrench = controller.wrench
+    assert wrench[0] == pytest.approx(8.0 * controller.gain_factor, rel=1e-6)
+
+
+def test_too_stiff_springs_are_refused_with_the_nearest_that_work():
+    model = pliant.robots.arm7()
+    stiff = {"xyz": pliant.Axis(stiffness=2000.0)}
+    settings = pliant.Settings(law="impedance", axes=stiff, delay=0.02)
+    with pytest.raises(pliant.ConfigError, match=r"use x=\d+ N/m, y=\d+ N/m, z=\d+ N/m"):
+        pliant.Controller(model, settings)
+    pliant.Controller(model, settings.replace(accept="stiffness"))

@@ -80,6 +80,9 @@ def some_settings(draw):
         "accept": draw(st.sampled_from([(), ("eta",)])),
     }
     kept = draw(st.sets(st.sampled_from(sorted(fields))))
+    if draw(st.booleans()):
+        springs = Axis(stiffness=draw(sides(0, 1e3)), damping=draw(maybe(sides(0, 40))))
+        return Settings(law="impedance", axes={"x": springs}, null_stiffness=draw(number(0, 60)))
     return Settings(**{name: fields[name] for name in kept})
 
 
@@ -218,7 +221,8 @@ WRONG = {
     "an unknown field in replace": (lambda: Task().replace(axis="x"), r"did you mean 'axes'\?"),
     "an unknown word": (
         lambda: Settings(law="papr"),
-        r"law: must be one of 'cap', 'paper', got 'papr' \(str\); did you mean 'paper'\?",
+        r"law: must be one of 'cap', 'impedance', 'paper', got 'papr' \(str\); did you mean "
+        r"'paper'\?",
     ),
     "a number for a word": (
         lambda: Axis(yields=1),
@@ -289,3 +293,18 @@ def test_no_axis_key_gets_past_the_reader(key):
         return
     assert names
     assert set(names) <= set(Task().names)
+
+
+def test_springs_belong_to_law_impedance():
+    springs = {"y": Axis(stiffness=(100.0, 50.0), damping=5.0)}
+    settings = Settings(law="impedance", axes=springs, null_stiffness=2.0)
+    assert settings.axes["y"].stiffness == (100.0, 50.0)
+    assert settings.axes["y"].damping == (5.0, 5.0)
+    with pytest.raises(pliant.ConfigError, match=r'axes\.y\.stiffness: belongs to law="impedance"'):
+        Settings(axes=springs)
+    with pytest.raises(pliant.ConfigError, match=r'null_stiffness: belongs to law="impedance"'):
+        Settings(law="paper", null_stiffness=2.0)
+    with pytest.raises(pliant.ConfigError, match=r"has no solve"):
+        Settings(law="impedance", follow="hold")
+    with pytest.raises(pliant.LimitError, match=r"stiffness = -1 is outside"):
+        Axis(stiffness=-1.0)

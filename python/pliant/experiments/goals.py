@@ -152,8 +152,14 @@ _ENTRIES = (
     _Entry(
         scenario="15 N hand, η 0.999",
         preset="cap()",
-        measure=merits.light,
+        measure=merits.light(laws.cap()),
         goals={"force [N]": _most(5.6, 7.5), "drift [mm]": _most(2.3, 4.0)},
+    ),
+    _Entry(
+        scenario="15 N hand",
+        preset="impedance()",
+        measure=merits.light(laws.impedance()),
+        goals={"force [N]": (Goal(high=5.6), _FREE), "drift [mm]": (_FREE, _FREE)},
     ),
     _Entry(
         scenario="strong hand, η 0, cap 15 N",
@@ -207,6 +213,12 @@ _ENTRIES = (
         preset='cap(soft="y yaw", alpha=1.0)',
         measure=merits.door("door"),
         goals={"angle [deg]": (Goal(low=67.0), Goal(low=66.0)), "force [N]": _most(24.5, 30.0)},
+    ),
+    _Entry(
+        scenario="door, rigid grip",
+        preset='impedance(soft="y yaw", alpha=1.0)',
+        measure=merits.door("door", laws.impedance),
+        goals={"angle [deg]": (Goal(low=65.0), None), "force [N]": (Goal(high=16.0), _FREE)},
     ),
     *(
         _Entry(

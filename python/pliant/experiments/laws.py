@@ -11,6 +11,7 @@ All of them run without tool speed limit and stiffening rate, which would blur t
 | `rows_free` | `rec` with soft rows outside the inverse kinematics |
 | `cap` | the default law |
 | `cap_tracking` | `cap` whose soft rotations have a little more torque for tracking |
+| `impedance` | springs on the stiff axes, the soft ones free, force caps as `cap` |
 | `all_stiff` | `rec` without a soft axis, limits at the servo maximum |
 """
 
@@ -142,6 +143,36 @@ def cap(
     yielding = Axis(**{"yields": "both", "eta": eta, **(axis or {})})
     axes = {soft: yielding} if soft else {}
     return Settings(**{"axes": axes, **UNBLURRED, **more})
+
+
+def impedance(
+    *,
+    soft: str = "y",
+    eta: float = 0.0,
+    stiffness: Steps | None = None,
+    damping: Steps = (0.0, 0.0),
+    **more: Any,
+) -> Settings:
+    """Springs and dampers: law `impedance` with its default stiffness, `soft` axes free.
+
+    Args:
+        soft: Axes that yield, by name; "" for none.
+        eta: Target adaptation of these; without effect on axes that have no spring.
+        stiffness: Springs of the other axes [N/m, N·m/rad]; None for the arm's.
+        damping: Dampers of these [N·s/m, N·m·s/rad].
+        **more: Further settings.
+
+    Returns:
+        Settings as a user gets them, less tool speed limit and stiffening rate.
+    """
+    axes: dict[str, Axis] = {}
+    for index, name in enumerate(AXES):
+        if name in soft.split():
+            axes[name] = Axis(yields="both", eta=eta)
+        else:
+            spring = None if stiffness is None else stiffness[index // 3]
+            axes[name] = Axis(stiffness=spring, damping=damping[index // 3])
+    return Settings(**{"law": "impedance", "axes": axes, **UNBLURRED, **more})
 
 
 def cap_tracking(*, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:

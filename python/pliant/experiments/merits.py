@@ -34,10 +34,14 @@ def strong(law: hands.Law) -> Measure:
     return measure
 
 
-def light(conditions: Conditions) -> Figures:
+def light(law: hands.Law) -> Measure:
     """A 15 N hand at the wrist."""
-    seen = hands.drag(laws.cap(), LIGHT, conditions=conditions)
-    return {"force [N]": seen.force, "drift [mm]": 1e3 * seen.drift}
+
+    def measure(conditions: Conditions) -> Figures:
+        seen = hands.drag(law, LIGHT, conditions=conditions)
+        return {"force [N]": seen.force, "drift [mm]": 1e3 * seen.drift}
+
+    return measure
 
 
 def capped(conditions: Conditions) -> Figures:
@@ -85,11 +89,11 @@ def sinusoids(law: Callable[..., hands.Law]) -> Measure:
     return measure
 
 
-def door(scene: str) -> Measure:
+def door(scene: str, law: Callable[..., hands.Law] = laws.cap) -> Measure:
     """Opening a rigidly gripped door."""
 
     def measure(conditions: Conditions) -> Figures:
-        seen = doors.open_door(laws.cap, scene, "rigid", conditions=conditions)
+        seen = doors.open_door(law, scene, "rigid", conditions=conditions)
         return {"angle [deg]": seen.angle, "force [N]": seen.force}
 
     return measure

@@ -24,16 +24,21 @@ pub(crate) fn poses(model: &Model) -> impl Iterator<Item = JointVec> + '_ {
 /// rotation only, which changes no singular value.
 pub(crate) fn median_sigma(model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
     let n = model.n();
+    median_over_rows(model, axes, frame, |rows| {
+        let matrix = DMatrix::from_fn(axes.len(), n, |r, i| if axes[r] < 3 { rows[r][i] / length } else { rows[r][i] });
+        singular_values(&matrix).min()
+    })
+}
+
+/// Median over the poses of a function of the task rows.
+pub(crate) fn median_over_rows(model: &Model, axes: &[usize], frame: &Frame, of: impl Fn(&Rows) -> f64) -> f64 {
     let mut frames = Frames::default();
     let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
     let mut values: Vec<f64> = poses(model)
         .map(|q| {
             model.chain().forward(&q, &mut frames);
             model.chain().jacobian(&frames, &mut world);
-            let rows = crate::task::rows(&world, &crate::task::base_from_task(frame, &frames.tool), axes);
-            let matrix =
-                DMatrix::from_fn(axes.len(), n, |r, i| if axes[r] < 3 { rows[r][i] / length } else { rows[r][i] });
-            singular_values(&matrix).min()
+            of(&crate::task::rows(&world, &crate::task::base_from_task(frame, &frames.tool), axes))
         })
         .collect();
     median(&mut values)

@@ -30,16 +30,16 @@ fn open() -> Settings {
 #[test]
 fn caps_ceilings_and_floors_hold() {
     let mut random = Random::new(21);
-    let mut soft_ticks = 0;
+    let (mut soft_ticks, mut stiff_ticks) = (0, 0);
     for round in 0..600 {
         let index = round % 3;
         let model = arm(index);
         let n = model.n();
-        let settings = cases::settings(&mut random, &model, [Law::Cap, Law::Paper][round % 2]);
+        let settings =
+            cases::settings(&mut random, &model, [Law::Cap, Law::Paper, Law::Impedance, Law::Paper][round % 4]);
         let servos = cases::servos(&mut random, &seeded::servos(index), n);
-        let Ok(mut controller) = Controller::new(Arc::clone(&model), settings.clone(), Some(servos.clone())) else {
-            continue;
-        };
+        let settings = cases::tamed(&model, settings, Some(&servos));
+        let mut controller = Controller::new(Arc::clone(&model), settings.clone(), Some(servos.clone())).unwrap();
         let mut q = random.joints(&model, 1.0);
         let target = random.target(&model, &q, 0.3, 1.0);
         controller.reset(&q).unwrap();
@@ -57,6 +57,10 @@ fn caps_ceilings_and_floors_hold() {
             }
             let record = controller.record();
             for r in 0..controller.task_len() {
+                if settings.law == Law::Impedance && !record.locked.contains(&true) {
+                    stiff_ticks += 1;
+                    assert!(record.wrench[r].abs() <= record.holding_torque[r] * (1.0 + 1e-12));
+                }
                 let free = settings.effective_follow() == Follow::Free && settings.law == Law::Cap;
                 if free && record.softness[r] >= 1.0 {
                     soft_ticks += 1;
@@ -65,7 +69,7 @@ fn caps_ceilings_and_floors_hold() {
             }
         }
     }
-    assert!(soft_ticks > 1000);
+    assert!(soft_ticks > 1000 && stiff_ticks > 1000, "{soft_ticks} {stiff_ticks}");
 }
 
 #[test]

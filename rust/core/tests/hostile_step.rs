@@ -129,7 +129,7 @@ fn make(random: &mut Random, index: usize) -> Controller {
             manipulability: random.pick(&[0.0, 0.1]),
             integrate: random.pick(&[0.0, 2.0]),
             ..{
-                let law = random.pick(&[Law::Cap, Law::Paper]);
+                let law = random.pick(&[Law::Cap, Law::Impedance, Law::Paper]);
                 cases::settings(random, &model, law)
             }
         };
@@ -180,7 +180,7 @@ fn hostile_inputs_leave_no_trace() {
 
 #[test]
 fn a_vanishing_period_is_survived() {
-    for law in [Law::Cap, Law::Paper] {
+    for law in [Law::Cap, Law::Impedance, Law::Paper] {
         let model = seeded::arm(0, &ModelOptions::default());
         let settings = Settings { law, delay: 0.02, integrate: 1.0, ..Settings::default() };
         let mut controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(0))).unwrap();
@@ -222,10 +222,15 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         }
         _ => Gain::Scalar(if random.chance(0.1) { strange(random) } else { random.between(0.0, 6.0) }),
     };
+    let law = random.pick(&[Law::Cap, Law::Impedance, Law::Paper]);
+    // Rarely where they do not belong.
+    let springs = law == Law::Impedance || random.chance(0.02);
     let axis = |random: &mut Random| Axis {
         soft: maybe(random, |r| [number(r), number(r)]),
         firm: maybe(random, |r| [number(r), number(r)]),
         hold: maybe(random, number),
+        stiffness: if springs { maybe(random, |r| [number(r), 100.0 * number(r)]) } else { None },
+        damping: if springs { maybe(random, |r| [number(r), number(r)]) } else { None },
         yields: maybe(random, |r| r.pick(&[Yields::Both, Yields::Plus, Yields::Minus, Yields::None])),
         eta: if random.chance(0.6) { 0.0 } else { number(random) },
         d_minus: maybe(random, |r| number(r) * 0.01),
@@ -248,7 +253,7 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
             length: maybe(random, number),
         },
         axes: std::array::from_fn(|a| if on[a] && random.chance(0.4) { axis(random) } else { Axis::default() }),
-        law: random.pick(&[Law::Cap, Law::Paper]),
+        law,
         follow: maybe(random, |r| r.pick(&[Follow::Free, Follow::Hold])),
         limits: random.pick(&[LimitRule::Demand, LimitRule::Sum]),
         projector: random.pick(&[Projector::Exact, Projector::Paper]),
@@ -267,6 +272,7 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         limit_avoidance: or(random, 0.0),
         manipulability: or(random, 0.0),
         null_torque: maybe(random, number),
+        null_stiffness: if springs { maybe(random, number) } else { None },
         null_speed: or(random, f64::INFINITY),
         gravity: random.pick(&[GravityUse::Both, GravityUse::Goal, GravityUse::Limits, GravityUse::Off]),
         gravity_scale: or(random, 1.1),

@@ -76,13 +76,13 @@ fn the_counter_counts() {
 fn variants() -> Vec<(usize, Settings)> {
     let mut all = Vec::new();
     let axis = |yields| Axis { yields: Some(yields), ..Axis::default() };
-    for law in [Law::Cap, Law::Paper] {
+    for law in [Law::Cap, Law::Impedance, Law::Paper] {
         for follow in [Follow::Free, Follow::Hold] {
             for projector in [Projector::Exact, Projector::Paper] {
                 for (round, limits) in [LimitRule::Demand, LimitRule::Sum].into_iter().enumerate() {
                     let mut settings = Settings {
                         law,
-                        follow: Some(follow),
+                        follow: (law != Law::Impedance).then_some(follow),
                         projector,
                         limits,
                         manipulability: 0.2 * round as f64,
@@ -90,6 +90,7 @@ fn variants() -> Vec<(usize, Settings)> {
                         integrate: f64::from(u8::from(projector == Projector::Exact)),
                         budget_on_goal: law == Law::Paper && round == 1,
                         delay: 0.01,
+                        null_stiffness: (law == Law::Impedance && round == 1).then_some(2.0),
                         ..Settings::default()
                     };
                     settings.axes[1] = axis([Yields::Both, Yields::Plus][round]);

@@ -65,6 +65,68 @@ fn smallest(model: &Model, q: &[f64], axes: &[usize], length: f64) -> f64 {
 }
 
 #[test]
+fn stiffness_is_refused_where_half_the_poses_would_ring() {
+    let (_, servos) = arm(0);
+    let delayed = |stiffness: f64| {
+        let mut settings = Settings { law: Law::Impedance, delay: 0.02, ..Settings::default() };
+        settings.set_axes("x z", Axis { stiffness: Some([stiffness, 0.0]), ..Axis::default() }).unwrap();
+        settings
+    };
+    let message = refusal(delayed(2000.0), servos.clone());
+    assert!(
+        message.contains(" times what the median pose can have")
+            && message.contains(": use x=")
+            && message.contains("accept=(\"stiffness\",)"),
+        "{message}"
+    );
+    // What it names works, and twice that does not.
+    let nearest: f64 = message.split("use x=").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    controller(delayed(nearest)).unwrap();
+    assert!(controller(delayed(1.1 * nearest)).is_err());
+    controller(Settings { accept: vec!["stiffness".into()], ..delayed(2000.0) }).unwrap();
+    // Defaults are taken back tick by tick instead.
+    let defaults = Settings { law: Law::Impedance, delay: 0.02, rate: 50.0, ..Settings::default() };
+    let mut made = controller(defaults.clone()).unwrap();
+    assert_eq!(made.impedances()[0], ([800.0; 2], [0.0; 2]));
+    assert_eq!(made.impedances()[5], ([20.0; 2], [0.0; 2]));
+    let q = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+    let tool = arm(0).0.forward_kinematics(&q).unwrap();
+    made.step(&q, &tool, &StepInput::default()).unwrap();
+    assert!((made.gain_factor() - 1.0 / 2.7).abs() < 0.02, "{}", made.gain_factor());
+    let message = refusal(Settings { null_stiffness: Some(100.0), ..defaults }, servos.clone());
+    assert!(message.starts_with("null_stiffness [N·m/rad] = 100 is outside [0, 60.000]"), "{message}");
+    let mut damped = Settings { law: Law::Impedance, delay: 0.02, ..Settings::default() };
+    for (stiffness, taken) in [(40.0, true), (60.0, false)] {
+        damped.set_axes("xyz", Axis { damping: Some([stiffness; 2]), ..Axis::default() }).unwrap();
+        damped.set_axes("rpy", Axis { damping: Some([0.0375 * stiffness; 2]), ..Axis::default() }).unwrap();
+        assert_eq!(controller(damped.clone()).is_ok(), taken, "{stiffness}");
+    }
+    assert!(refusal(damped, servos.clone()).starts_with("axes.damping: is 1."));
+    // An axis that yields has no spring.
+    let mut soft = Settings { law: Law::Impedance, ..Settings::default() };
+    soft.set_axes("y", Axis { yields: Some(Yields::Plus), ..Axis::default() }).unwrap();
+    assert_eq!(controller(soft).unwrap().impedances()[1], ([800.0, 0.0], [0.0; 2]));
+}
+
+#[test]
+fn springs_belong_to_law_impedance() {
+    let (_, servos) = arm(0);
+    let message = |settings: Settings| refusal(settings, servos.clone());
+    let text = message(yielding("y", Axis { stiffness: Some([100.0; 2]), ..Axis::default() }));
+    assert!(text.starts_with("axes.y.stiffness: belongs to law=\"impedance\""), "{text}");
+    let text = message(yielding("yaw", Axis { damping: Some([1.0; 2]), ..Axis::default() }));
+    assert!(text.starts_with("axes.yaw.damping: belongs to law=\"impedance\""), "{text}");
+    assert!(
+        message(Settings { null_stiffness: Some(1.0), ..Settings::default() }).starts_with("null_stiffness: belongs")
+    );
+    let hold =
+        Settings { law: Law::Impedance, follow: Some(pliant_core::settings::Follow::Hold), ..Settings::default() };
+    assert!(message(hold).starts_with("follow: law=\"impedance\" has no solve"));
+    let text = Controller::new(arm(0).0, Settings { law: Law::Impedance, ..Settings::default() }, None).unwrap_err();
+    assert!(text.to_string().contains("law=\"impedance\" needs the stiffness k_p"), "{text}");
+}
+
+#[test]
 fn arm7_has_its_printed_defaults() {
     let controller = controller(Settings::default()).unwrap();
     for (axis, (soft, firm, hold)) in controller.strengths().into_iter().enumerate() {

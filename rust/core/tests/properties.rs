@@ -159,7 +159,7 @@ fn sides_are_named_by_the_push() {
     let q = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
     let tool = model.forward_kinematics(&q).unwrap();
     for frame in [Frame::Base, Frame::Rotation([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])] {
-        for law in [Law::Cap, Law::Paper] {
+        for law in [Law::Cap, Law::Impedance, Law::Paper] {
             for (axis, name) in NAMES.iter().enumerate() {
                 for (yields, pushed) in [(Yields::Plus, 1.0), (Yields::Minus, -1.0)] {
                     let (soft, firm) = ([1.0, 2.0], [3.0, 4.0]);
@@ -172,6 +172,10 @@ fn sides_are_named_by_the_push() {
                         ..Axis::default()
                     };
                     settings.set_axes(name, given).unwrap();
+                    if law == Law::Impedance {
+                        settings.axes[axis].stiffness = Some([50.0, 100.0]);
+                        settings.accept.push("stiffness".into());
+                    }
                     let mut controller = make(0, settings);
                     for (push, give) in [(pushed, true), (-pushed, false)] {
                         // Pushed toward +: the tool is beyond its target along +.
@@ -190,7 +194,7 @@ fn sides_are_named_by_the_push() {
                         let lead = DVector::from_fn(7, |i, _| command.goal()[i] - q[i] - gravity[i] / kp[i]);
                         let back = (rows * lead)[axis];
                         assert!(back * push < 0.0, "{law:?} {name} pushed {push}: moves {back}");
-                        if law == Law::Cap && give {
+                        if law != Law::Paper && give {
                             let factor = record.factors[1];
                             assert!(
                                 (record.wrench[axis] + push * strength * factor).abs() < 1e-9,
@@ -203,6 +207,63 @@ fn sides_are_named_by_the_push() {
             }
         }
     }
+}
+
+/// A spring pulls home, a damper takes energy away, and neither exceeds the cap, whatever the pose.
+#[test]
+fn springs_pull_home_and_dampers_take_energy() {
+    let model = arm(0);
+    let mut random = Random::new(12);
+    let (mut derated, mut capped) = (0, 0);
+    for round in 0..600 {
+        let (stiffness, damping) = [(300.0, 0.0), (0.0, 40.0), (300.0, 40.0)][round % 3];
+        let mut settings = Settings { law: Law::Impedance, gravity: GravityUse::Off, rate: 50.0, ..open() };
+        let spring = |scale: f64| Axis {
+            stiffness: Some([scale * stiffness; 2]),
+            damping: Some([scale * damping; 2]),
+            hold: Some(scale * 10.0),
+            ..Axis::default()
+        };
+        settings.set_axes("xyz", spring(1.0)).unwrap();
+        settings.set_axes("rpy", spring(0.02)).unwrap();
+        let mut controller = make(0, settings.clone());
+        let q = random.joints(&model, 0.9);
+        let size = random.pick(&[0.01, 0.3]);
+        let target = random.target(&model, &q, size, size);
+        let dq = random.vector(7, 0.5);
+        controller.reset(&q).unwrap();
+        controller.step(&q, &target, &StepInput { dq: Some(&dq), ..StepInput::default() }).unwrap();
+        let record = controller.record();
+        let v = controller.task_jacobian() * DVector::from_column_slice(&dq);
+        for r in 0..6 {
+            let force = record.wrench[r];
+            if stiffness == 0.0 {
+                assert!(force * v[r] <= 0.0, "a damper pushes: {force} {}", v[r]);
+            } else if damping == 0.0 {
+                assert!(force * record.deviation[r] >= 0.0, "a spring pushes away");
+            }
+            if !record.locked.contains(&true) {
+                assert!(force.abs() <= record.holding_torque[r] * (1.0 + 1e-12));
+            }
+            capped += usize::from(force.abs() > 0.999 * record.holding_torque[r]);
+        }
+        // What is exerted is never stiffer than the bound, here the servos themselves.
+        let k = DVector::from_fn(6, |r, _| if r < 3 { stiffness } else { 0.02 * stiffness } * controller.gain_factor());
+        let compliance = DMatrix::from_diagonal(&DVector::from_fn(7, |i, _| 1.0 / [150.0, 60.0][usize::from(i > 3)]));
+        let root = DMatrix::from_diagonal(&k.map(f64::sqrt));
+        let j = controller.task_jacobian();
+        let rho = (&root * &j * compliance * j.transpose() * root).symmetric_eigenvalues().max();
+        assert!(rho <= 3.0 * (1.0 + 1e-9), "{rho}");
+        derated += usize::from(controller.gain_factor() < 1.0);
+        // A delay that is measured later counts at once.
+        let relaxed = controller.gain_factor();
+        controller.set_delay(0.1).unwrap();
+        controller.reset(&q).unwrap();
+        controller.step(&q, &target, &StepInput::default()).unwrap();
+        assert!(controller.gain_factor() <= relaxed);
+        derated += usize::from(controller.gain_factor() < 1.0);
+    }
+    assert!(derated > 100 && capped > 100, "{derated} {capped}");
 }
 
 /// `pose` moved along or turned about one axis of a frame.
@@ -321,7 +382,7 @@ fn run(controller: &mut Controller, ticks: std::ops::Range<u64>) -> Vec<[u64; 14
 
 #[test]
 fn same_inputs_same_bits() {
-    for law in [Law::Cap, Law::Paper] {
+    for law in [Law::Cap, Law::Impedance, Law::Paper] {
         let settings =
             Settings { law, integrate: 1.0, delay: 0.01, manipulability: 0.1, ..Settings::soft("y yaw").unwrap() };
         let mut first = make(0, settings.clone());

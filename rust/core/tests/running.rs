@@ -100,7 +100,7 @@ fn new_settings_move_no_goal_beyond_the_slew() {
                 length: None,
             };
             let mut settings = Settings {
-                law: random.pick(&[Law::Cap, Law::Paper]),
+                law: random.pick(&[Law::Cap, Law::Impedance, Law::Paper]),
                 gravity: random.pick(&[GravityUse::Both, GravityUse::Off]),
                 integrate: random.pick(&[0.0, 2.0]),
                 max_tool_speed: random.pick(&[[0.25, 1.0], [f64::INFINITY; 2], [0.01, 0.05]]),

@@ -1,5 +1,6 @@
 //! `Controller`.
 
+use pliant_core::settings::Law;
 use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis};
 use pliant_core::{
     AxisVec, Command as CoreCommand, Controller as CoreController, JointVec, Payload as CorePayload,
@@ -208,10 +209,19 @@ readings! {
             let settings = self.core.settings();
             let axes = (0..AXIS_NAMES.len()).filter(|&axis| settings.task.axes[axis]);
             let out = PyDict::new(py);
-            for (axis, (soft, firm, hold)) in axes.zip(self.core.strengths()) {
+            let springs = settings.law == Law::Impedance;
+            for ((axis, (soft, firm, hold)), (spring, damper)) in axes.zip(self.core.strengths()).zip(self.core.impedances()) {
                 let given = settings.axes[axis];
                 let yields = Some(given.effective_yields());
-                let filled = CoreAxis { soft: Some(soft), firm: Some(firm), hold: Some(hold), yields, ..given };
+                let filled = CoreAxis {
+                    soft: Some(soft),
+                    firm: Some(firm),
+                    hold: Some(hold),
+                    stiffness: springs.then_some(spring),
+                    damping: springs.then_some(damper),
+                    yields,
+                    ..given
+                };
                 out.set_item(AXIS_NAMES[axis], Axis(filled).into_pyobject(py)?)?;
             }
             Ok(out)

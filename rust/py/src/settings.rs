@@ -67,6 +67,7 @@ fields! {
         limit_avoidance: Number,
         manipulability: Number,
         null_torque: Optional<Number>,
+        null_stiffness: Optional<Number>,
         null_speed: Number,
         gravity: Gravity,
         gravity_scale: Number,
@@ -98,7 +99,7 @@ fields! {
             text_signature = "(*, task='xyz rpy', axes={}, law='cap', follow=None, limits='demand', projector='exact', kx=4.0, \
                               horizon=0.25, kq=1.0, alpha=None, rate=100.0, damping=None, posture=None, \
                               posture_weights=None, limit_avoidance=0.0, manipulability=0.0, null_torque=None, \
-                              null_speed=None, gravity=True, gravity_scale=1.1, friction_share=0.9, damping_share=0.8, \
+                              null_stiffness=None, null_speed=None, gravity=True, gravity_scale=1.1, friction_share=0.9, damping_share=0.8, \
                               prediction_share=0.9, friction_speed=0.05, velocity_filter=0.02, delay=0.0, goal_slew=1.0, \
                               stiffening_time=0.2, max_tool_speed=(0.25, 1.0), max_tool_acceleration=(1.0, 4.0), \
                               joint_speed=None, floor=None, margin=0.1, direction_band=None, raw_deviation=False, \

@@ -76,6 +76,8 @@ fields! {
         soft: Optional<Sides>,
         firm: Optional<Sides>,
         hold: Optional<Number>,
+        stiffness: Optional<Sides>,
+        damping: Optional<Sides>,
         yields: Optional<Word<Yields>>,
         eta: Number,
         d_minus: Optional<Number>,
@@ -88,8 +90,8 @@ fields! {
         #[new]
         #[pyo3(
             signature = (**fields),
-            text_signature = "(*, soft=None, firm=None, hold=None, yields=None, eta=0.0, d_minus=None, d_plus=None, \
-                              profile='firming', step_limit=None, soft_step_limit=None)"
+            text_signature = "(*, soft=None, firm=None, hold=None, stiffness=None, damping=None, yields=None, eta=0.0, \
+                              d_minus=None, d_plus=None, profile='firming', step_limit=None, soft_step_limit=None)"
         )]
         fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
             Self::with(CoreAxis::default(), fields)

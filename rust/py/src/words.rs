@@ -41,7 +41,8 @@ impl<E: Words> Kind for Word<E> {
 }
 
 impl Words for Law {
-    const WORDS: &'static [(&'static str, Self)] = &[("cap", Self::Cap), ("paper", Self::Paper)];
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("cap", Self::Cap), ("impedance", Self::Impedance), ("paper", Self::Paper)];
 }
 
 impl Words for Follow {

@@ -1,4 +1,4 @@
-"""Chapter 5: five ways to be moved by a hand."""
+"""Chapter 5: six ways to be moved by a hand."""
 
 from __future__ import annotations
 
@@ -72,6 +72,7 @@ WAYS: Mapping[str, Way] = {
     "cap 0.9": Way("cap, η 0.9", partial(laws.cap, eta=0.9), "cap"),
     "cap 0.999": Way("cap, η 0.999", laws.cap, "cap"),
     "cap delayed": Way("cap, η 0.999, delayed", laws.cap, "cap", delay=(1, 1)),
+    "springs": Way("law impedance", laws.impedance, "impedance"),
     "impedance": Way("torque impedance, 1 kHz", baselines.torque_impedance, "impedance", 1000.0),
 }
 QUICK = ("stiff", "uniform 30", "paper literal", "paper 0.999", "cap 0", "cap 0.999", "impedance")
@@ -146,8 +147,8 @@ def chapter(numbers: Numbers) -> Chapter:
         number=NUMBER,
         title=TITLE,
         lead="What does the effort buy? The same hand meets a stiff arm, an arm with all its "
-        "limits turned down, the paper's law, the default law, and an arm that can command "
-        "torques.",
+        "limits turned down, the paper's law, the default law, springs on the same servos, and an "
+        "arm that can command torques.",
         figures=(figure,),
         tables=(_table(numbers),),
         numbers=numbers,

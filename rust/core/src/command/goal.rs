@@ -90,6 +90,12 @@ pub(crate) fn at_most(value: f64, bound: f64) -> f64 {
     if value > bound { bound } else { value }
 }
 
+/// `value` within ± `most`; NaN where `value` is, and no panic where `most` is.
+#[inline]
+pub(crate) fn clip(value: f64, most: f64) -> f64 {
+    at_most(at_least(value, -most), most)
+}
+
 /// Joint speeds [rad/s] that keep the tool within its `[linear, angular]` speed by one joint alone, and the joint's own.
 #[inline]
 pub(crate) fn register_speed(world: &Rows, tool: [f64; 2], joint: &JointVec, n: usize) -> JointVec {

@@ -1,8 +1,8 @@
 //! The integrating goal of stiff axes, leashed to what the limits can use.
 
+use crate::command::goal::clip;
 use crate::law::inverse::{Cholesky, times, transpose_times, weighted_gram};
 use crate::plan::Plan;
-use crate::settings::Law;
 use crate::{AxisVec, JointVec, Rows};
 
 /// Lead [rad] that may be stored where nothing is known of the servos.
@@ -26,17 +26,17 @@ pub(crate) struct Addition<'a> {
 }
 
 impl Addition<'_> {
-    /// Adds to `stored` [rad] and takes out again what would act on soft axes: on those nothing is stored. Under law `cap`
-    /// it also takes out what exceeds the strength of the stiff axes.
+    /// Adds to `stored` [rad] and takes out again what would act on soft axes: on those nothing is stored. Where strengths
+    /// are forces it also takes out what exceeds the strength of the stiff axes.
     pub(crate) fn store(&self, stored: &mut JointVec, plan: &Plan) {
         let (k, n, servos) = (plan.k, plan.n, &plan.servos);
         for i in 0..n {
             let room = servos.torque[i] - self.gravity[i].abs();
             let usable = room.is_finite() && servos.has_kp;
             let leash = if usable { room.max(0.0) * servos.compliance[i] } else { LEAD_UNKNOWN };
-            stored[i] = (stored[i] + self.share * self.lead[i]).clamp(-leash, leash);
+            stored[i] = clip(stored[i] + self.share * self.lead[i], leash);
         }
-        let by_force = plan.law == Law::Cap;
+        let by_force = plan.law.by_force();
         if !by_force && self.softness.iter().all(|&w| w <= 0.0) {
             return;
         }

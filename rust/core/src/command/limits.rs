@@ -1,6 +1,6 @@
 //! Joint torque limits.
 
-use crate::command::goal::{at_least, at_most};
+use crate::command::goal::{at_least, at_most, clip};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// What the limits are made from; all torques in N·m, one per joint.
@@ -62,7 +62,7 @@ impl Load<'_> {
 pub(crate) fn within(wrench: &AxisVec, most: &AxisVec, k: usize) -> AxisVec {
     let mut out = [0.0; MAX_AXES];
     for r in 0..k.min(MAX_AXES) {
-        out[r] = wrench[r].clamp(-most[r], most[r]);
+        out[r] = clip(wrench[r], most[r]);
     }
     out
 }

@@ -16,7 +16,7 @@ use crate::model::{Model, Payload};
 use crate::plan::Plan;
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::servos::Servos;
-use crate::settings::Settings;
+use crate::settings::{Law, Settings};
 use crate::{JointVec, MAX_JOINTS, survey};
 
 pub use record::Record;
@@ -134,6 +134,12 @@ impl Controller {
         self.plan.rows.iter().take(self.plan.k).map(|row| (row.soft, row.firm, row.hold)).collect()
     }
 
+    /// Stiffness [N/m, N·m/rad] and damping [N·s/m, N·m·s/rad] of each task axis with every default filled in, pairs as
+    /// in [`Controller::strengths`]; zero but under law `impedance`.
+    pub fn impedances(&self) -> Vec<([f64; 2], [f64; 2])> {
+        self.plan.rows.iter().take(self.plan.k).map(|row| (row.stiffness, row.viscosity)).collect()
+    }
+
     /// Damping in force: λ₀, σ₀, λ_max.
     pub fn damping(&self) -> [f64; 3] {
         let damping = self.plan.damping;
@@ -244,9 +250,10 @@ impl Controller {
         Ok(())
     }
 
-    /// Factor ≤ 1 on K_x that the delay demands.
+    /// Factor ≤ 1 on K_x that the delay demands; under law `impedance` the one on the stiffness at the last step, which
+    /// the pose demands too.
     pub fn gain_factor(&self) -> f64 {
-        self.plan.kx_derating
+        if self.plan.law == Law::Impedance { self.record.gain_factor } else { self.plan.kx_derating }
     }
 
     /// Takes the gravity offset from an arm that has been held still by an integrating goal.

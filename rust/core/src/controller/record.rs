@@ -27,9 +27,9 @@ pub struct Record {
     pub softness: AxisVec,
     /// Compliance c ∈ [0, 1] of (8).
     pub compliance: AxisVec,
-    /// Strength in force, `w F + (1 − w) hold`: holding torque τ^x of (9) under law `paper`, cap [N, N·m] under `cap`.
+    /// Strength in force, `w F + (1 − w) hold`: holding torque τ^x of (9) under law `paper`, else cap [N, N·m].
     pub holding_torque: AxisVec,
-    /// Wrench W on the target [N, N·m] (law `cap`).
+    /// Wrench W on the target [N, N·m] (not under law `paper`).
     pub wrench: AxisVec,
     /// Torques that hold the arm at q̂ [N·m].
     pub gravity: JointVec,
@@ -49,6 +49,9 @@ pub struct Record {
     pub gamma: f64,
     /// Factors by which null-space, soft and stiff part were scaled to torque ceilings and speed limits.
     pub factors: [f64; 3],
+    /// Factor ≤ 1 on the gain of the stiff axes: on K_x what the delay demands, on the stiffness of law `impedance` what
+    /// delay and pose do.
+    pub gain_factor: f64,
     /// Joints whose limit is at the ceiling; `factors` say how far the motion had to be scaled for them.
     pub saturated: [bool; MAX_JOINTS],
     /// Joints at a position limit that left the inverse kinematics.
@@ -76,6 +79,7 @@ impl Record {
             damping: 0.0,
             gamma: 1.0,
             factors: [1.0; 3],
+            gain_factor: 1.0,
             saturated: [false; MAX_JOINTS],
             locked: [false; MAX_JOINTS],
         }

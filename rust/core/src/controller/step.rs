@@ -1,6 +1,6 @@
 //! One tick, from reading to command.
 
-use crate::command::goal::{register_speed, slew};
+use crate::command::goal::{clip, register_speed, slew};
 use crate::command::integral::Addition;
 use crate::command::limits::{Load, finish, within};
 use crate::controller::input::Input;
@@ -100,7 +100,7 @@ impl Controller {
         for i in 0..plan.n {
             if plan.law == Law::Paper {
                 let (lead, most) = (solution.motion.lead[i] + solution.motion.null[i], self.lead_limit(i, limit[i]));
-                goal[i] += lead.clamp(-most, most) - lead;
+                goal[i] += clip(lead, most) - lead;
             }
             goal[i] = slew(memory.goal[i], goal[i], settings.goal_slew * dt, plan.lower[i], plan.upper[i]);
             record.saturated[i] = limit[i] >= plan.servos.torque[i];
@@ -131,7 +131,7 @@ impl Controller {
             None => memory.filter.update(q, &self.plan.servos.count, self.settings.velocity_filter, input.dt),
         }
         let mut predicted = *q;
-        if self.plan.law == Law::Cap {
+        if self.plan.law.by_force() {
             let ahead = memory.gamma * self.settings.prediction_share * self.delay;
             (0..self.plan.n).for_each(|i| predicted[i] += ahead * memory.filter.velocity[i]);
         }
@@ -235,6 +235,7 @@ fn note(seen: &Seen, wish: &Wish, solution: &Solution, memory: &Memory, horizon:
         damping: solution.damping.sqrt(),
         gamma: memory.gamma,
         factors: solution.motion.factors,
+        gain_factor: solution.motion.gain_factor,
         saturated: [false; MAX_JOINTS],
         locked: solution.locked,
     }

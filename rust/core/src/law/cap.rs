@@ -1,10 +1,11 @@
 //! Law `cap`: each task axis pushes back with at most a given force. Lines 7 and 8 of the control step.
 
-use crate::command::goal::scale_to_fit;
-use crate::law::inverse::{Cholesky, Square, transpose_times, weighted_gram};
+use crate::command::goal::clip;
+use crate::law::inverse::{Cholesky, Square, weighted_gram};
+use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
 use crate::settings::Follow;
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
+use crate::{AxisVec, MAX_AXES};
 
 /// One tick of one task, rows of the task's axes.
 #[derive(Debug, Clone, Copy)]
@@ -23,13 +24,6 @@ pub(crate) struct Demand<'a> {
     pub(crate) cap: &'a AxisVec,
 }
 
-/// Wrench on the target, in two parts that are scaled apart when a limit is met [N, N·m].
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(crate) struct Wrench {
-    pub(crate) soft: AxisVec,
-    pub(crate) stiff: AxisVec,
-}
-
 impl Demand<'_> {
     /// The wrench that the servos are to exert.
     #[inline]
@@ -46,7 +40,7 @@ impl Demand<'_> {
         let mut out = [0.0; MAX_AXES];
         for j in 0..k.min(MAX_AXES) {
             let force = self.step[j] / self.compliance[j][j].max(f64::MIN_POSITIVE);
-            out[j] = self.softness[j] * force.clamp(-self.cap[j], self.cap[j]);
+            out[j] = self.softness[j] * clip(force, self.cap[j]);
         }
         out
     }
@@ -86,7 +80,7 @@ impl Demand<'_> {
             m[r][r] += self.damping[r];
             let most = self.cap[r] * self.compliance[r][r];
             let w = self.softness[r];
-            b[r] = (1.0 - w) * self.bounded_step[r] + w * self.bounded_step[r].clamp(-most, most);
+            b[r] = (1.0 - w) * self.bounded_step[r] + w * clip(self.bounded_step[r], most);
         }
         let all = Cholesky::new(&m, k).solve(&b);
         let mut out = Wrench::default();
@@ -101,9 +95,8 @@ impl Demand<'_> {
 /// Goals' lead of law `cap`: the wrench through the joints, scaled to torque ceilings and speed limits.
 pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
     let plan = tick.plan;
-    let (k, n, servos) = (plan.k, plan.n, &plan.servos);
-    let compliance = weighted_gram(tick.rows, &servos.compliance, k, n);
-    let damping = tick.damping.map(|squared| squared / servos.kp_mean);
+    let compliance = weighted_gram(tick.rows, &plan.servos.compliance, plan.k, plan.n);
+    let damping = tick.damping.map(|squared| squared / plan.servos.kp_mean);
     let demand = Demand {
         compliance: &compliance,
         damping: &damping,
@@ -112,52 +105,7 @@ pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
         softness: tick.softness,
         cap: tick.strength,
     };
-    let mut wrench = demand.wrench(plan.follow, k);
-    let mut null = tick.null_motion();
-    bound_null(&mut null, tick);
-
-    // Torque ceilings: the soft part gives way first, then the stiff one, gravity never.
-    let mut soft = transpose_times(tick.rows, &wrench.soft, k);
-    let mut stiff = transpose_times(tick.rows, &wrench.stiff, k);
-    let mut base = [0.0; MAX_JOINTS];
-    for i in 0..n.min(MAX_JOINTS) {
-        let lead = null[i] + tick.integral[i];
-        base[i] = tick.gravity[i] + tick.feed_forward[i] + servos.kp[i] * lead;
-    }
-    let [soft_torque, stiff_torque] = scale_to_fit(&base, [&soft, &stiff], &servos.torque, n);
-    // Joint speeds: the null part first.
-    for i in 0..MAX_JOINTS {
-        soft[i] *= soft_torque * servos.compliance[i];
-        stiff[i] *= stiff_torque * servos.compliance[i];
-    }
-    let reach = plan.joint_speed.map(|speed| speed * tick.horizon);
-    let [null_speed, soft_speed, stiff_speed] = scale_to_fit(&[0.0; MAX_JOINTS], [&null, &soft, &stiff], &reach, n);
-    let factors = [null_speed, soft_torque * soft_speed, stiff_torque * stiff_speed];
-
-    let mut lead = [0.0; MAX_JOINTS];
-    for i in 0..MAX_JOINTS {
-        soft[i] *= soft_speed;
-        stiff[i] *= stiff_speed;
-        null[i] *= null_speed;
-        lead[i] = soft[i] + stiff[i];
-    }
-    wrench.soft = wrench.soft.map(|f| f * factors[1]);
-    wrench.stiff = wrench.stiff.map(|f| f * factors[2]);
-    Motion { lead, stiff_lead: stiff, null, wrench, factors }
-}
-
-/// Scales the null-space motion to its torque, `Σ k_p |null| ≤ τ₀`, and to its speed limit.
-#[inline]
-fn bound_null(null: &mut JointVec, tick: &Tick<'_>) {
-    let plan = tick.plan;
-    let torque: f64 = (0..plan.n.min(MAX_JOINTS)).map(|i| plan.servos.kp[i] * null[i].abs()).sum();
-    if torque > plan.null_torque {
-        let scale = plan.null_torque / torque;
-        for value in null.iter_mut() {
-            *value *= scale;
-        }
-    }
-    plan.bound_null_speed(null, tick.horizon);
+    tick.exert(demand.wrench(plan.follow, plan.k), tick.null_motion())
 }
 
 #[cfg(test)]

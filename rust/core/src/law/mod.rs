@@ -3,17 +3,19 @@
 pub mod activation;
 pub(crate) mod cap;
 pub(crate) mod feedforward;
+pub(crate) mod impedance;
 pub(crate) mod inverse;
 pub(crate) mod nullspace;
 pub(crate) mod paper;
 pub(crate) mod singular;
 pub(crate) mod svd;
 pub(crate) mod takeover;
+pub(crate) mod wrench;
 
 use crate::law::activation::Activation;
-use crate::law::cap::Wrench;
 use crate::law::nullspace::{NullSpace, fade_squared, manipulability_gradient};
 use crate::law::singular::SingularValues;
+use crate::law::wrench::Wrench;
 use crate::plan::Plan;
 use crate::settings::{Law, Projector};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
@@ -40,6 +42,16 @@ pub(crate) struct Tick<'a> {
     pub(crate) step: &'a AxisVec,
     /// The same within all per-axis limits.
     pub(crate) bounded_step: &'a AxisVec,
+    /// ẽ of each row.
+    pub(crate) adapted: &'a AxisVec,
+    /// Stiffness K of each row [N/m, N·m/rad] (law `impedance`).
+    pub(crate) stiffness: &'a AxisVec,
+    /// Its damping D [N·s/m, N·m·s/rad].
+    pub(crate) viscosity: &'a AxisVec,
+    /// Velocity of the target along each row.
+    pub(crate) twist: &'a AxisVec,
+    /// Filtered joint velocity.
+    pub(crate) velocity: &'a JointVec,
     /// Gradient of the null-space cost.
     pub(crate) gradient: &'a JointVec,
     /// Gravity in the goals.
@@ -58,10 +70,12 @@ pub(crate) struct Motion {
     pub(crate) stiff_lead: JointVec,
     /// Null-space part of the goals [rad].
     pub(crate) null: JointVec,
-    /// Wrench of law `cap` [N, N·m].
+    /// Wrench of the laws that speak of forces [N, N·m].
     pub(crate) wrench: Wrench,
     /// Factors by which null-space, soft and stiff part were scaled.
     pub(crate) factors: [f64; 3],
+    /// Factor ≤ 1 on the gain of the stiff axes that delay and pose demand.
+    pub(crate) gain_factor: f64,
 }
 
 /// Runs the law; the activation matrix comes along where the law makes its limits from it.
@@ -69,6 +83,7 @@ pub(crate) struct Motion {
 pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Option<Activation>) {
     match tick.plan.law {
         Law::Cap => (cap::motion(tick), None),
+        Law::Impedance => (impedance::motion(tick), None),
         Law::Paper => {
             let (motion, shares) = paper::motion(tick);
             (motion, Some(shares))

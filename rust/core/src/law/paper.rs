@@ -1,9 +1,10 @@
 //! Law `paper`: velocity-based task-space control with torque budgets, equations (3)–(11).
 
-use crate::command::goal::scale_to_fit;
+use crate::command::goal::{clip, scale_to_fit};
 use crate::law::activation::{Activation, activation, null_column};
-use crate::law::cap::{Demand, Wrench};
+use crate::law::cap::Demand;
 use crate::law::inverse::{Cholesky, Square, pseudo_inverse, transpose_times, weighted_gram};
+use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
 use crate::settings::Follow;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
@@ -34,7 +35,7 @@ pub(crate) fn within_budget(
             cost += kp[i] * pinv_transposed[r][i].abs();
         }
         let most = budget[r] / (horizon * cost).max(f64::MIN_POSITIVE);
-        out[r] = dx[r].clamp(-most, most);
+        out[r] = clip(dx[r], most);
     }
     out
 }
@@ -105,7 +106,7 @@ pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Activation) {
     };
     let shares = activation(&pinv, null_shares, k, n);
     let factors = [null_factor, task_factor, task_factor];
-    (Motion { lead, stiff_lead: lead, null, wrench: Wrench::default(), factors }, shares)
+    (Motion { lead, stiff_lead: lead, null, wrench: Wrench::default(), factors, gain_factor: 1.0 }, shares)
 }
 
 /// `K_q v`.

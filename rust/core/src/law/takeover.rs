@@ -33,7 +33,7 @@ pub(crate) struct Takeover<'a> {
 pub(crate) struct Addition {
     /// [rad]
     pub(crate) lead: JointVec,
-    /// Wrench of law `cap` [N, N·m].
+    /// Wrench of the laws that speak of forces [N, N·m].
     pub(crate) wrench: AxisVec,
 }
 
@@ -62,7 +62,7 @@ impl Takeover<'_> {
             (lead, wrench)
         };
         let mut factor: f64 = 1.0;
-        if plan.law == Law::Cap {
+        if plan.law.by_force() {
             let mut torque = lead;
             (0..MAX_JOINTS).for_each(|i| torque[i] *= plan.servos.kp[i]);
             [factor] = scale_to_fit(self.torque, [&torque], &plan.servos.torque, n);
@@ -71,7 +71,7 @@ impl Takeover<'_> {
         let [slower] = scale_to_fit(self.lead, [&lead], &reach, n);
         factor = factor.min(slower);
         lead.iter_mut().chain(&mut wrench).for_each(|value| *value *= factor);
-        Addition { lead, wrench: if plan.law == Law::Cap { wrench } else { [0.0; MAX_AXES] } }
+        Addition { lead, wrench: if plan.law.by_force() { wrench } else { [0.0; MAX_AXES] } }
     }
 }
 

@@ -1,6 +1,7 @@
 //! Settings, servos and model resolved into the arrays that the cycle reads.
 
 mod rows;
+mod stiffness;
 
 use nalgebra::DMatrix;
 
@@ -22,7 +23,7 @@ const REFERENCE_REACH: f64 = 0.71;
 /// λ that joints take over with at least, where the settings have none for singular poses.
 const LEAST_TAKEOVER: f64 = 0.05;
 
-/// `K_x h T_e` [s] up to which the stiff axes stay quiet.
+/// `K_x h T_e` or `ρ T_e` [s] up to which the stiff axes stay quiet.
 const GAIN_DELAY_BOUND: f64 = 0.03;
 
 /// λ of line 7, in the units of the scaled rows.
@@ -55,6 +56,10 @@ pub(crate) struct Plan {
     pub(crate) kq: [[f64; MAX_JOINTS]; MAX_JOINTS],
     /// Factor ≤ 1 on K_x that keeps it within the bound of the present delay.
     pub(crate) kx_derating: f64,
+    /// Largest ρ of stiffness and of damping [s] of law `impedance` at the present delay; ∞ where that risk is taken by name.
+    pub(crate) impedance_bounds: [f64; 2],
+    /// Stiffness of the null-space motion [N·m/rad], in place of α.
+    pub(crate) null_stiffness: Option<f64>,
     pub(crate) alpha: f64,
     pub(crate) damping: DampingPlan,
     /// λ² of what joints take over from one at its limit: as near a singular pose, for the arm that is left often is.
@@ -130,6 +135,8 @@ impl Plan {
             kx: [[0.0; MAX_AXES]; MAX_AXES],
             kq: settings.kq.spread("kq", n)?,
             kx_derating: 1.0,
+            impedance_bounds: stiffness::bounds(settings, settings.delay),
+            null_stiffness: settings.null_stiffness,
             alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
             takeover_damping: damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2),
             damping,
@@ -150,7 +157,7 @@ impl Plan {
             servos: arrays,
             axes,
         };
-        // The pseudo-inverse wants the inverse of the joints' cost; law `cap` weighs them by the servos' stiffness instead.
+        // The pseudo-inverse wants the inverse of the joints' cost; the others weigh them by the servos' stiffness instead.
         plan.joint_weight =
             if settings.law == Law::Paper { plan.joint_weight.map(|w| 1.0 / w) } else { [1.0; MAX_JOINTS] };
         plan.kx = compact(
@@ -160,6 +167,9 @@ impl Plan {
             k,
         );
         check_gain(settings, &plan)?;
+        if plan.law == Law::Impedance {
+            stiffness::check(model, settings, &plan)?;
+        }
         for i in 0..n {
             let usable = plan.servos.torque[i];
             let share = if usable.is_finite() { settings.margin * usable } else { 0.0 };
@@ -214,6 +224,7 @@ impl Plan {
     pub(crate) fn derate(&mut self, delay: f64, settings: &Settings) {
         let (gain, bound) = (self.gain(settings.horizon), self.gain_bound(delay, 1.0 / settings.rate));
         self.kx_derating = if self.law == Law::Cap && gain > bound { bound / gain } else { 1.0 };
+        self.impedance_bounds = stiffness::bounds(settings, delay);
     }
 }
 
@@ -274,6 +285,7 @@ fn check_kp(settings: &Settings, servos: &ServoArrays, model: &Model) -> Result<
     }
     let wants = match settings.law {
         Law::Cap => Some("law=\"cap\""),
+        Law::Impedance => Some("law=\"impedance\""),
         Law::Paper if settings.budget_on_goal => Some("budget_on_goal=True"),
         Law::Paper if settings.effective_follow() == Follow::Free => Some("follow=\"free\""),
         Law::Paper if settings.gravity.in_goal() => Some("gravity in the goals"),

@@ -4,6 +4,7 @@ use crate::MAX_AXES;
 use crate::error::{Error, Result};
 use crate::kinematics::Masses;
 use crate::model::Model;
+use crate::plan::stiffness::default_stiffness;
 use crate::servos::ServoArrays;
 use crate::settings::{Law, Settings};
 use crate::survey;
@@ -21,6 +22,9 @@ pub(crate) struct Row {
     pub(crate) firm: [f64; 2],
     pub(crate) hold: f64,
     pub(crate) yields: [f64; 2],
+    /// Spring [N/m, N·m/rad] and damper [N·s/m, N·m·s/rad]; zero but under law `impedance`.
+    pub(crate) stiffness: [f64; 2],
+    pub(crate) viscosity: [f64; 2],
     pub(crate) eta: f64,
     pub(crate) d_minus: f64,
     pub(crate) d_plus: f64,
@@ -35,7 +39,7 @@ pub(crate) struct Row {
 fn default_strengths(model: &Model, settings: &Settings, servos: &ServoArrays) -> [[f64; 3]; 2] {
     match settings.law {
         Law::Paper => [[0.5, 10.0, 10.0]; 2],
-        Law::Cap => {
+        Law::Cap | Law::Impedance => {
             let masses: Masses = model.chain().masses(model.payload());
             let capacity = survey::static_capacity(model, &servos.torque, &masses, model.gravity_vector());
             let of = |shares: [f64; 3], capacity: f64| shares.map(|share| survey::round_to_halves(share * capacity));
@@ -74,15 +78,17 @@ pub(super) fn resolve_rows(
         default_strengths(model, settings, servos)
     };
     check_defaults(settings, axes, &defaults)?;
+    let springs = default_stiffness(model, settings, servos);
     let mut rows = [None; MAX_AXES];
     for (slot, &axis) in rows.iter_mut().zip(axes) {
-        *slot = Some(resolve_row(settings, axis, defaults[usize::from(axis >= 3)], kp_known)?);
+        let block = usize::from(axis >= 3);
+        *slot = Some(resolve_row(settings, axis, defaults[block], springs[block], kp_known)?);
     }
-    let spare = resolve_row(&Settings::default(), 0, [0.0; 3], true)?;
+    let spare = resolve_row(&Settings::default(), 0, [0.0; 3], 0.0, true)?;
     Ok(rows.map(|row| row.unwrap_or(spare)))
 }
 
-fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], kp_known: bool) -> Result<Row> {
+fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], spring: f64, kp_known: bool) -> Result<Row> {
     let (given, name) = (&settings.axes[axis], AXIS_NAMES[axis]);
     let paper = settings.law == Law::Paper;
     let [soft, firm, hold] = defaults;
@@ -130,6 +136,8 @@ fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], kp_known: b
         firm,
         hold,
         yields: yields.sides().map(|on| f64::from(u8::from(on))),
+        stiffness: given.stiffness.unwrap_or_else(|| yields.sides().map(|on| if on { 0.0 } else { spring })),
+        viscosity: given.damping.unwrap_or_default(),
         eta: given.eta,
         d_minus,
         d_plus,

@@ -14,6 +14,15 @@ pub enum Law {
     /// Force caps per task axis; the default.
     #[default]
     Cap,
+    /// A spring and a damper per task axis, with force caps.
+    Impedance,
+}
+
+impl Law {
+    /// Whether strengths are forces at the tool, which needs `k_p`.
+    pub(crate) fn by_force(self) -> bool {
+        self != Self::Paper
+    }
 }
 
 /// Whether yielding axes stay in the inverse kinematics of the stiff ones.
@@ -25,7 +34,7 @@ pub enum Follow {
     Hold,
 }
 
-/// Rule of law `cap` for the joint torque limits.
+/// Rule of the laws `cap` and `impedance` for the joint torque limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LimitRule {
     /// What the law wants at this tick, plus a margin.
@@ -145,7 +154,7 @@ pub struct Settings {
     pub law: Law,
     /// Whether yielding axes stay in the solve; `None`: by law.
     pub follow: Option<Follow>,
-    /// Rule for the limits (law `cap`).
+    /// Rule for the limits (not law `paper`).
     pub limits: LimitRule,
     /// Null-space projector.
     pub projector: Projector,
@@ -172,6 +181,8 @@ pub struct Settings {
     /// Most the null-space motion may ask of all joints together [N·m], `Σ k_p |null| ≤ τ₀`, and its budget under law
     /// `paper`; `None`: 2 where the arm is redundant for the task.
     pub null_torque: Option<f64>,
+    /// Law `impedance`: stiffness of the null-space motion [N·m/rad], in place of `alpha`; `None`: as `alpha` has it.
+    pub null_stiffness: Option<f64>,
     /// Speed limit of the null-space motion [rad/s per joint]; ∞ for none.
     pub null_speed: f64,
     /// Where the gravity model is used.
@@ -205,7 +216,7 @@ pub struct Settings {
     /// Margin m of the limits as a share of the usable torque (at least twice the friction).
     pub margin: f64,
     /// Half-width of the band around zero in which an axis that yields to one side changes over, as a share of `d_minus`;
-    /// `None`: 0.1 under law `cap`, 0 under law `paper`.
+    /// `None`: 0.1, under law `paper` 0.
     pub direction_band: Option<f64>,
     /// Compliance from the raw instead of the adapted deviation.
     pub raw_deviation: bool,
@@ -217,7 +228,7 @@ pub struct Settings {
     pub lead_limit: Option<f64>,
     /// Rate [1/s] at which the goal of stiff axes integrates; 0 for none.
     pub integrate: f64,
-    /// Risks taken by name: `"eta"`.
+    /// Risks taken by name: `"eta"`, `"stiffness"`.
     pub accept: Vec<String>,
 }
 
@@ -241,6 +252,7 @@ impl Default for Settings {
             limit_avoidance: 0.0,
             manipulability: 0.0,
             null_torque: None,
+            null_stiffness: None,
             null_speed: f64::INFINITY,
             gravity: GravityUse::Both,
             gravity_scale: 1.1,
@@ -285,7 +297,7 @@ impl Settings {
     /// The follow mode in force.
     pub fn effective_follow(&self) -> Follow {
         self.follow.unwrap_or(match self.law {
-            Law::Cap => Follow::Free,
+            Law::Cap | Law::Impedance => Follow::Free,
             Law::Paper => Follow::Hold,
         })
     }

@@ -1,8 +1,11 @@
 //! Checks of everything that can be checked without arm and servos.
 
 use crate::error::{Error, Result};
-use crate::settings::{Damping, Gain, Settings};
+use crate::settings::{Damping, Follow, Gain, Law, Settings};
 use crate::task::axes::{AXIS_NAMES, Axis};
+
+/// Risks that can be taken by name.
+const RISKS: [&str; 2] = ["eta", "stiffness"];
 
 impl Settings {
     /// Checks every value that can be checked without arm and servos.
@@ -22,14 +25,16 @@ impl Settings {
                 ));
             }
         }
+        self.validate_impedance()?;
         let infinite = f64::INFINITY;
-        let ranges: [(&str, f64, f64, f64); 19] = [
+        let ranges: [(&str, f64, f64, f64); 20] = [
             ("horizon [s]", self.horizon, 1e-3, 10.0),
             ("rate [Hz]", self.rate, 1.0, 1e5),
             ("alpha [1/s]", self.alpha.unwrap_or(0.0), 0.0, 100.0),
             ("limit_avoidance", self.limit_avoidance, 0.0, 1e3),
             ("manipulability", self.manipulability, 0.0, 1e3),
             ("null_torque [N·m]", self.null_torque.unwrap_or(0.0), 0.0, 1e3),
+            ("null_stiffness [N·m/rad]", self.null_stiffness.unwrap_or(0.0), 0.0, 1e6),
             ("null_speed [rad/s]", self.null_speed, 0.0, infinite),
             ("gravity_scale", self.gravity_scale, 1.0, 2.0),
             ("friction_share", self.friction_share, 0.0, 1.0),
@@ -73,14 +78,40 @@ impl Settings {
         }
         self.validate_damping()?;
         for risk in &self.accept {
-            if risk != "eta" {
+            if !RISKS.contains(&risk.as_str()) {
                 return Err(Error::config(
                     "accept",
-                    format!("'{risk}' is not a risk that can be taken by name; known: eta"),
+                    format!("'{risk}' is not a risk that can be taken by name; known: {}", RISKS.join(", ")),
                 ));
             }
         }
         Ok(())
+    }
+
+    /// Springs and dampers go with law `impedance`, and it with no solve.
+    fn validate_impedance(&self) -> Result<()> {
+        if self.law == Law::Impedance {
+            return match self.follow {
+                Some(Follow::Hold) => Err(Error::config(
+                    "follow",
+                    "law=\"impedance\" has no solve in which a yielding axis could stay: leave it out, or use law=\"cap\"",
+                )),
+                _ => Ok(()),
+            };
+        }
+        let wrong = |key: String| {
+            let message = "belongs to law=\"impedance\": set that law, or leave it out; under the others soft, firm and hold \
+                           say how strong an axis is";
+            Err(Error::config(key, message))
+        };
+        for (axis, name) in self.axes.iter().zip(AXIS_NAMES) {
+            for (field, given) in [("stiffness", axis.stiffness), ("damping", axis.damping)] {
+                if given.is_some() {
+                    return wrong(format!("axes.{name}.{field}"));
+                }
+            }
+        }
+        if self.null_stiffness.is_some() { wrong("null_stiffness".into()) } else { Ok(()) }
     }
 
     fn validate_damping(&self) -> Result<()> {

@@ -6,6 +6,9 @@ use crate::error::{Error, Result};
 /// Names of the task axes, in the order of every 6-vector: linear first, then angular.
 pub const AXIS_NAMES: [&str; MAX_AXES] = ["x", "y", "z", "roll", "pitch", "yaw"];
 
+/// Largest stiffness and damping that is taken for a real one.
+const IMPEDANCE_BOUND: f64 = 1e9;
+
 /// Axes in which the task is expressed.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Frame {
@@ -153,8 +156,8 @@ pub enum Profile {
 
 /// What is asked of one task axis. `None` takes the default, which for the strengths depends on law and arm.
 ///
-/// Strengths are forces [N] ([N·m] for rotations) under law `cap` and torque budgets [N·m] under law `paper`; pairs are
-/// (pushed toward −, pushed toward +).
+/// Strengths are forces [N] ([N·m] for rotations) under the laws `cap` and `impedance`, torque budgets [N·m] under law
+/// `paper`; pairs are (pushed toward −, pushed toward +).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Axis {
     /// Strength of the yielding axis at a small deviation, τ⁻ of (9).
@@ -163,6 +166,10 @@ pub struct Axis {
     pub firm: Option<[f64; 2]>,
     /// Strength where the axis does not yield.
     pub hold: Option<f64>,
+    /// Law `impedance`: spring [N/m or N·m/rad]; by default 0 toward a side that yields, else from the arm.
+    pub stiffness: Option<[f64; 2]>,
+    /// Law `impedance`: damper [N·s/m or N·m·s/rad]; by default 0.
+    pub damping: Option<[f64; 2]>,
     /// Sides it yields to; by default both where `soft` or `firm` is given, else none.
     pub yields: Option<Yields>,
     /// Target adaptation η of (12), 0 ≤ η < 1.
@@ -173,7 +180,7 @@ pub struct Axis {
     pub d_plus: Option<f64>,
     /// How the strength changes between the two.
     pub profile: Profile,
-    /// Limit of the commanded task velocity while the axis is stiff [m/s or rad/s]; ∞ for none.
+    /// Limit of the commanded task velocity while the axis is stiff [m/s or rad/s]; ∞ for none. Law `impedance` has none.
     pub step_limit: Option<f64>,
     /// The same while it yields.
     pub soft_step_limit: Option<f64>,
@@ -200,6 +207,11 @@ impl Axis {
         for (field, pair) in [("soft", self.soft), ("firm", self.firm)] {
             for value in pair.into_iter().flatten() {
                 check(at(field), value, value >= 0.0 && value.is_finite(), "[0, ∞)")?;
+            }
+        }
+        for (field, pair) in [("stiffness", self.stiffness), ("damping", self.damping)] {
+            for value in pair.into_iter().flatten() {
+                check(at(field), value, (0.0..=IMPEDANCE_BOUND).contains(&value), "[0, 1e9]")?;
             }
         }
         if let Some(hold) = self.hold {

@@ -20,6 +20,12 @@ pub(crate) struct Wish {
     pub(crate) strength: AxisVec,
     /// w F + (1 − w) hold.
     pub(crate) most: AxisVec,
+    /// K [N/m, N·m/rad] for the side it is pushed from.
+    pub(crate) stiffness: AxisVec,
+    /// D [N·s/m, N·m·s/rad] for that side.
+    pub(crate) viscosity: AxisVec,
+    /// Velocity of the target [m/s, rad/s].
+    pub(crate) twist: AxisVec,
     /// s = h (K_x ẽ + twist), within the limit of soft axes.
     pub(crate) step: AxisVec,
     /// The same within the limits of stiff axes too.
@@ -38,6 +44,9 @@ impl Wish {
             compliance: zero,
             strength: zero,
             most: zero,
+            stiffness: zero,
+            viscosity: zero,
+            twist: zero,
             step: zero,
             bounded: zero,
         };
@@ -56,6 +65,9 @@ impl Wish {
             wish.compliance[r] = c;
             wish.strength[r] = strength;
             wish.most[r] = w * strength + (1.0 - w) * row.hold;
+            wish.stiffness[r] = between(row.stiffness);
+            wish.viscosity[r] = between(row.viscosity);
+            wish.twist[r] = twist[row.axis];
         }
         wish.take_steps(plan, settings.horizon, twist);
         wish

@@ -1,27 +1,37 @@
 //! Random settings, servos and inputs for both transcriptions.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
+use std::sync::Arc;
+
 use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
 use pliant_core::task::axes::{Axis, Frame, Profile, Task, Yields};
-use pliant_core::{Model, Servos};
+use pliant_core::{Controller, Model, Servos};
 
 use crate::seeded::Random;
 
 fn axis(random: &mut Random, law: Law, translation: bool, small: bool) -> Axis {
     let unit = match (law, translation, small) {
-        (Law::Cap, true, false) => 40.0,
-        (Law::Cap, true, true) | (Law::Paper, _, _) => 8.0,
-        (Law::Cap, false, false) => 4.0,
-        (Law::Cap, false, true) => 1.0,
+        (Law::Paper, _, _) | (_, true, true) => 8.0,
+        (_, true, false) => 40.0,
+        (_, false, false) => 4.0,
+        (_, false, true) => 1.0,
     };
     let hold = unit * random.between(0.4, 1.5);
     let firm = [hold * random.between(0.2, 1.0), hold * random.between(0.2, 1.0)];
     let yields = random.pick(&[Yields::Both, Yields::Both, Yields::None, Yields::None, Yields::Plus, Yields::Minus]);
     let d_minus = random.between(0.0, 0.05);
+    let scale = unit * if small { 1.0 } else { 4.0 };
+    let mut springs = |most: f64| {
+        let pair = [most * random.unit(), most * random.unit()];
+        (law == Law::Impedance).then(|| random.pick(&[pair, pair, [0.0, pair[1]], [0.0; 2]]))
+    };
+    let (stiffness, damping) = (springs(10.0 * scale), springs(0.5 * scale));
     Axis {
         soft: Some([firm[0] * random.unit(), firm[1] * random.unit()]),
         firm: Some(firm),
         hold: Some(hold),
+        stiffness,
+        damping,
         yields: Some(yields),
         eta: if yields == Yields::None { 0.0 } else { random.pick(&[0.0, 0.5, 0.9, 0.999]) },
         d_minus: Some(d_minus),
@@ -74,7 +84,11 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
         task: Task { axes, frame, length },
         axes: per_axis,
         law,
-        follow: if free_of_kp { None } else { random.pick(&[None, Some(Follow::Free), Some(Follow::Hold)]) },
+        follow: if free_of_kp || law == Law::Impedance {
+            None
+        } else {
+            random.pick(&[None, Some(Follow::Free), Some(Follow::Hold)])
+        },
         limits: random.pick(&[LimitRule::Demand, LimitRule::Demand, LimitRule::Sum]),
         projector: random.pick(&[Projector::Exact, Projector::Exact, Projector::Paper]),
         kx: gain(random, k, 4.0),
@@ -90,6 +104,7 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
         posture_weights: random.chance(0.3).then(|| joints(random, 0.0, 1.5)),
         limit_avoidance: random.pick(&[0.0, 0.0, 0.3]),
         null_torque: if k < n { random.pick(&[None, Some(0.3), Some(8.0)]) } else { None },
+        null_stiffness: if law == Law::Impedance { random.pick(&[None, Some(0.0), Some(2.0)]) } else { None },
         null_speed: random.pick(&[f64::INFINITY, 0.05]),
         gravity: if free_of_kp {
             GravityUse::Limits
@@ -112,6 +127,25 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
         lead_limit: random.pick(&[None, None, Some(0.05), Some(f64::INFINITY)]),
         ..Settings::default()
     }
+}
+
+/// The same where this arm takes them: springs as stiff as rate and delay allow in more than half of the poses, damping
+/// of its own where the axes can nowhere be moved apart from each other.
+pub(crate) fn tamed(model: &Arc<Model>, mut settings: Settings, servos: Option<&Servos>) -> Settings {
+    while let Err(error) = Controller::new(Arc::clone(model), settings.clone(), servos.cloned()) {
+        let text = error.to_string();
+        if text.contains("stiffness") || text.contains("axes.damping") {
+            for axis in &mut settings.axes {
+                axis.stiffness = axis.stiffness.map(|pair| pair.map(|k| 0.7 * k));
+                axis.damping = axis.damping.map(|pair| pair.map(|d| 0.7 * d));
+            }
+            settings.null_stiffness = settings.null_stiffness.map(|k| 0.7 * k);
+        } else {
+            assert!(text.contains("cannot move"), "{text}");
+            settings.damping = Damping::Fixed(0.3);
+        }
+    }
+    settings
 }
 
 /// Whether these settings can do without `k_p`.

@@ -17,6 +17,12 @@ pub(super) struct Want<'a> {
     pub(super) soft_step: &'a Vector,
     /// Within the per-axis limits.
     pub(super) step: &'a Vector,
+    pub(super) adapted: &'a Vector,
+    /// Spring and damper of each row.
+    pub(super) stiffness: &'a Vector,
+    pub(super) viscosity: &'a Vector,
+    /// Velocity of the target less that of the tool.
+    pub(super) relative: &'a Vector,
     pub(super) gradient: &'a Vector,
     /// Gravity and feed-forward.
     pub(super) base: &'a Vector,
@@ -29,6 +35,8 @@ pub(super) struct Motion {
     pub(super) null: Vector,
     pub(super) wrench: Vector,
     pub(super) factors: [f64; 3],
+    /// On the stiffness, by ρ.
+    pub(super) derating: f64,
 }
 
 fn inverse(m: &Matrix) -> Matrix {
@@ -97,7 +105,7 @@ impl Want<'_> {
     }
 
     pub(super) fn cap(&self) -> Motion {
-        let (n, k, kp) = (self.n(), self.k(), self.oracle.kp());
+        let k = self.k();
         let settings = &self.oracle.settings;
         let c = self.c();
         let (mut soft, mut stiff) = (Vector::zeros(k), Vector::zeros(k));
@@ -121,9 +129,46 @@ impl Want<'_> {
         }
 
         // 9: −α h N ∇cost, Σ k_p |null| ≤ τ₀, own speed limit.
-        let shares = self.shares();
         let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
-        let mut null = shares.projector() * self.gradient * (-alpha * settings.horizon);
+        let null = self.shares().projector() * self.gradient * (-alpha * settings.horizon);
+        self.exert(&soft, &stiff, null)
+    }
+
+    /// `F = clip(K ẽ − D v, ±most)` per axis, ρ(K) no larger than `max(1, 0.03 s / T_e)`, ρ(D) no larger
+    /// than `0.007 s² / (T_e + T_f)`.
+    pub(super) fn impedance(&self) -> Motion {
+        let (settings, kp) = (&self.oracle.settings, self.oracle.kp());
+        let within = |gains: &Vector, bound: f64| {
+            let root = diagonal(&gains.map(f64::sqrt));
+            let eigenvalues = (&root * self.c() * &root).symmetric_eigenvalues();
+            let top = eigenvalues.max();
+            // The 64-norm of the eigenvalues stands for the largest of them.
+            let rho =
+                if top > 0.0 { top * eigenvalues.map(|x| (x / top).powi(64)).sum().powf(1.0 / 64.0) } else { 0.0 };
+            if rho > bound { bound / rho } else { 1.0 }
+        };
+        let late = self.oracle.delay + 0.5 / settings.rate;
+        let derating = within(self.stiffness, (0.03 / late).max(1.0));
+        let damped = within(self.viscosity, 0.007 / (late + settings.velocity_filter)) * self.viscosity;
+        let force = Vector::from_fn(self.k(), |r, _| {
+            let wanted = derating * self.stiffness[r] * self.adapted[r] + damped[r] * self.relative[r];
+            wanted.max(-self.most[r]).min(self.most[r])
+        });
+        let null = if let Some(kappa) = settings.null_stiffness {
+            (self.shares().projector() * self.gradient * -kappa).component_div(&kp)
+        } else {
+            let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
+            self.shares().projector() * self.gradient * (-alpha * settings.horizon)
+        };
+        let soft = force.component_mul(self.softness);
+        let stiff = &force - &soft;
+        Motion { derating, ..self.exert(&soft, &stiff, null) }
+    }
+
+    /// `K_p⁻¹ Jᵀ (soft + stiff)` and the null part within torque ceilings and joint speeds.
+    fn exert(&self, soft: &Vector, stiff: &Vector, mut null: Vector) -> Motion {
+        let (n, k, kp) = (self.n(), self.k(), self.oracle.kp());
+        let settings = &self.oracle.settings;
         let torque: f64 = (0..n).map(|i| kp[i] * null[i].abs()).sum();
         let most = settings.null_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
         if torque > most {
@@ -134,7 +179,7 @@ impl Want<'_> {
         // Over the ceiling W is scaled, soft first, then stiff; gravity and feed-forward never.
         let ceiling = self.oracle.ceiling();
         let base = self.base + kp.component_mul(&null);
-        let (tau_soft, tau_stiff) = (self.rows.transpose() * &soft, self.rows.transpose() * &stiff);
+        let (tau_soft, tau_stiff) = (self.rows.transpose() * soft, self.rows.transpose() * stiff);
         let (mut f_soft, mut f_stiff) = (1.0, 1.0);
         if beyond(&(&base + &tau_soft + &tau_stiff), &ceiling) {
             f_soft = fit(&(&base + &tau_stiff), &tau_soft, &ceiling);
@@ -151,6 +196,7 @@ impl Want<'_> {
             null: null * f_null,
             wrench: soft * (f_soft * g_soft) + stiff * (f_stiff * g_stiff),
             factors: [f_null, f_soft * g_soft, f_stiff * g_stiff],
+            derating: 1.0,
         }
     }
 
@@ -214,7 +260,7 @@ impl Want<'_> {
         null *= self.null_speed_factor(&null);
         let [f_null, f_task, _] = self.slower(&null, &lead, &zero);
         null *= f_null;
-        Motion { lead: lead * f_task, null, wrench: Vector::zeros(k), factors: [f_null, f_task, f_task] }
+        Motion { lead: lead * f_task, null, wrench: Vector::zeros(k), factors: [f_null, f_task, f_task], derating: 1.0 }
     }
 
     /// `all` with locked joints at their `fixed` lead; what they lack is solved for over the other joints, with the damping
@@ -246,14 +292,14 @@ impl Want<'_> {
             (rows.transpose() * &wrench).component_div(&kp)
         };
         let mut factor = 1.0;
-        if settings.law == pliant_core::settings::Law::Cap {
+        if settings.law == pliant_core::settings::Law::Paper {
+            wrench.fill(0.0);
+        } else {
             let base = of(false, &(self.base + kp.component_mul(&whole)));
             let torque = kp.component_mul(&more);
             if beyond(&(&base + &torque), &self.oracle.ceiling()) {
                 factor = fit(&base, &torque, &self.oracle.ceiling());
             }
-        } else {
-            wrench.fill(0.0);
         }
         let before = of(false, &whole);
         let zero = Vector::zeros(n);
@@ -264,6 +310,7 @@ impl Want<'_> {
             null: of(false, &all.null),
             wrench: &all.wrench + wrench * factor,
             factors: all.factors,
+            derating: all.derating,
         }
     }
 

@@ -56,6 +56,7 @@ pub(crate) struct Tick {
     pub(crate) feed_forward: Vector,
     pub(crate) wrench: Vector,
     pub(crate) factors: [f64; 3],
+    pub(crate) derating: f64,
     pub(crate) activation: Matrix,
     pub(crate) responsibility: Matrix,
     pub(crate) lambda: f64,
@@ -75,6 +76,8 @@ struct Row {
     c: f64,
     strength: f64,
     most: f64,
+    stiffness: f64,
+    viscosity: f64,
 }
 
 impl Oracle {
@@ -243,7 +246,16 @@ impl Oracle {
             Profile::Constant => soft,
             Profile::Yielding => c * firm + (1.0 - c) * soft,
         };
-        Row { e, adapted, w, c, strength, most: w * strength + (1.0 - w) * given.hold.unwrap() }
+        Row {
+            e,
+            adapted,
+            w,
+            c,
+            strength,
+            most: w * strength + (1.0 - w) * given.hold.unwrap(),
+            stiffness: given.stiffness.map_or(0.0, mix),
+            viscosity: given.damping.map_or(0.0, mix),
+        }
     }
 
     /// Limit of the commanded task velocity of an axis of softness `w`: its own while stiff, another while soft.
@@ -263,7 +275,7 @@ impl Oracle {
         self.settings.axes[axis].soft_step_limit.unwrap_or(match (self.settings.law, axis < 3) {
             (Law::Paper, true) => 0.1,
             (Law::Paper, false) => 0.5,
-            (Law::Cap, _) => f64::INFINITY,
+            _ => f64::INFINITY,
         })
     }
 
@@ -303,7 +315,7 @@ impl Oracle {
         let dt = input.dt.unwrap_or(1.0 / settings.rate);
         let h = settings.horizon;
         let axes = self.axes();
-        let (k, kp, cap) = (axes.len(), self.kp(), settings.law == Law::Cap);
+        let (k, kp, cap) = (axes.len(), self.kp(), settings.law != Law::Paper);
 
         // 1
         let measured = Vector::from_column_slice(q);
@@ -327,6 +339,8 @@ impl Oracle {
         let wishes: Vec<Row> = (0..k).map(|r| self.row(axes[r], e[r])).collect();
         let of = |f: fn(&Row) -> f64| Vector::from_iterator(k, wishes.iter().map(f));
         let (adapted, softness, strength, most) = (of(|r| r.adapted), of(|r| r.w), of(|r| r.strength), of(|r| r.most));
+        let (stiffness, viscosity) = (of(|r| r.stiffness), of(|r| r.viscosity));
+        let relative = &twist - &rows * &velocity;
         // 6
         let s = (Self::gain(&settings.kx, k) * &adapted + &twist) * h;
         let clip = |value: f64, bound: f64| value.max(-bound).min(bound);
@@ -378,10 +392,18 @@ impl Oracle {
             most: &most,
             soft_step: &soft_step,
             step: &step,
+            adapted: &adapted,
+            stiffness: &stiffness,
+            viscosity: &viscosity,
+            relative: &relative,
             gradient: &gradient,
             base: &(&in_goal + &feed_forward),
         };
-        let all_joints = if cap { want.cap() } else { want.paper() };
+        let all_joints = match settings.law {
+            Law::Cap => want.cap(),
+            Law::Impedance => want.impedance(),
+            Law::Paper => want.paper(),
+        };
         let without_lead = &q + feed_forward.component_div(&kp) + in_goal.component_div(&self.kg);
         let mut motion = all_joints.clone();
         let mut locked = vec![false; n];
@@ -473,6 +495,7 @@ impl Oracle {
             deviation: e,
             compliance: of(|r| r.c),
             factors: motion.factors,
+            derating: motion.derating,
             wrench: motion.wrench,
             lambda: lambda2.sqrt(),
             sigma: [singular.min(), singular.max()],

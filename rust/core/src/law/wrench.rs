@@ -1,0 +1,65 @@
+//! From a wrench to the goals' lead, within torque ceilings and joint speeds: shared by the laws that speak of forces.
+
+use crate::command::goal::scale_to_fit;
+use crate::law::inverse::transpose_times;
+use crate::law::{Motion, Tick};
+use crate::{AxisVec, JointVec, MAX_JOINTS};
+
+/// Wrench on the target, in two parts that are scaled apart when a limit is met [N, N·m].
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Wrench {
+    pub(crate) soft: AxisVec,
+    pub(crate) stiff: AxisVec,
+}
+
+impl Tick<'_> {
+    /// Goals' lead that exerts `wrench`, with `null` [rad] beside it; what does not fit gives way in its order.
+    pub(crate) fn exert(&self, mut wrench: Wrench, mut null: JointVec) -> Motion {
+        let plan = self.plan;
+        let (k, n, servos) = (plan.k, plan.n, &plan.servos);
+        self.bound_null(&mut null);
+
+        // Torque ceilings: the soft part gives way first, then the stiff one, gravity never.
+        let mut soft = transpose_times(self.rows, &wrench.soft, k);
+        let mut stiff = transpose_times(self.rows, &wrench.stiff, k);
+        let mut base = [0.0; MAX_JOINTS];
+        for i in 0..n.min(MAX_JOINTS) {
+            let lead = null[i] + self.integral[i];
+            base[i] = self.gravity[i] + self.feed_forward[i] + servos.kp[i] * lead;
+        }
+        let [soft_torque, stiff_torque] = scale_to_fit(&base, [&soft, &stiff], &servos.torque, n);
+        // Joint speeds: the null part first.
+        for i in 0..MAX_JOINTS {
+            soft[i] *= soft_torque * servos.compliance[i];
+            stiff[i] *= stiff_torque * servos.compliance[i];
+        }
+        let reach = plan.joint_speed.map(|speed| speed * self.horizon);
+        let [null_speed, soft_speed, stiff_speed] = scale_to_fit(&[0.0; MAX_JOINTS], [&null, &soft, &stiff], &reach, n);
+        let factors = [null_speed, soft_torque * soft_speed, stiff_torque * stiff_speed];
+
+        let mut lead = [0.0; MAX_JOINTS];
+        for i in 0..MAX_JOINTS {
+            soft[i] *= soft_speed;
+            stiff[i] *= stiff_speed;
+            null[i] *= null_speed;
+            lead[i] = soft[i] + stiff[i];
+        }
+        wrench.soft = wrench.soft.map(|f| f * factors[1]);
+        wrench.stiff = wrench.stiff.map(|f| f * factors[2]);
+        Motion { lead, stiff_lead: stiff, null, wrench, factors, gain_factor: plan.kx_derating }
+    }
+
+    /// Scales the null-space motion to its torque, `Σ k_p |null| ≤ τ₀`, and to its speed limit.
+    #[inline]
+    fn bound_null(&self, null: &mut JointVec) {
+        let plan = self.plan;
+        let torque: f64 = (0..plan.n.min(MAX_JOINTS)).map(|i| plan.servos.kp[i] * null[i].abs()).sum();
+        if torque > plan.null_torque {
+            let scale = plan.null_torque / torque;
+            for value in null.iter_mut() {
+                *value *= scale;
+            }
+        }
+        plan.bound_null_speed(null, self.horizon);
+    }
+}

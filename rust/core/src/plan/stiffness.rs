@@ -1,0 +1,108 @@
+//! Stiffness of law `impedance`: defaults, and what delay and servos allow.
+
+use crate::error::{Error, Result};
+use crate::law::impedance::rho;
+use crate::model::Model;
+use crate::plan::{GAIN_DELAY_BOUND, Plan, REFERENCE_REACH};
+use crate::servos::ServoArrays;
+use crate::settings::{Law, Settings};
+use crate::survey;
+use crate::task::axes::AXIS_NAMES;
+use crate::{AxisVec, MAX_AXES};
+
+/// Stiffness of translations [N/m] and rotations [N·m/rad] of the arm on which they were found, and its mean k_p.
+const REFERENCE: [f64; 2] = [800.0, 20.0];
+const REFERENCE_KP: f64 = 780.0 / 7.0;
+
+/// `ρ(D) (T_e + T_f)` [s²] up to which dampers stay quiet: their velocity comes through the filter.
+const DAMPING_DELAY_BOUND: f64 = 0.007;
+
+/// Largest ρ at a delay [s], with half a period added to it: of stiffness `max(1, 0.03 s / T_e)`, of damping
+/// `0.007 s² / (T_e + T_f)`.
+pub(super) fn bounds(settings: &Settings, delay: f64) -> [f64; 2] {
+    if settings.accept.iter().any(|risk| risk == "stiffness") {
+        return [f64::INFINITY; 2];
+    }
+    let late = delay + 0.5 / settings.rate;
+    [(GAIN_DELAY_BOUND / late).max(1.0), DAMPING_DELAY_BOUND / (late + settings.velocity_filter)]
+}
+
+/// Stiffness of axes that do not yield, translations and rotations; zero under the other laws.
+pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &ServoArrays) -> [f64; 2] {
+    if settings.law != Law::Impedance {
+        return [0.0; 2];
+    }
+    let stiffer = servos.kp_mean / REFERENCE_KP;
+    let longer = if model.reach() > 0.0 { model.reach() / REFERENCE_REACH } else { 1.0 };
+    [REFERENCE[0] * stiffer / (longer * longer), REFERENCE[1] * stiffer].map(survey::round_to_halves)
+}
+
+/// Refuses stiffness and damping that were asked for and that more than half of the poses could not have: they would ring
+/// there.
+///
+/// What a pose demands beyond that is taken off tick by tick, see [`rho`]; so is the default stiffness of other axes.
+pub(super) fn check(model: &Model, settings: &Settings, plan: &Plan) -> Result<()> {
+    let [most_stiff, most_damped] = plan.impedance_bounds;
+    if let Some(stiffness) = settings.null_stiffness {
+        let softest = plan.servos.kp[..plan.n].iter().copied().fold(f64::INFINITY, f64::min);
+        let most = most_stiff * softest;
+        if stiffness > most {
+            let bound = format!("[0, {most:.3}]: {}", why(settings));
+            return Err(Error::limit("null_stiffness [N·m/rad]", stiffness, bound));
+        }
+    }
+    let (mut stiffness, mut damping) = ([0.0; MAX_AXES], [0.0; MAX_AXES]);
+    for (r, row) in plan.rows.iter().enumerate().take(plan.k) {
+        if settings.axes[row.axis].stiffness.is_some() {
+            stiffness[r] = row.stiffness[0].max(row.stiffness[1]);
+        }
+        damping[r] = row.viscosity[0].max(row.viscosity[1]);
+    }
+    for (field, units, asked, most) in [
+        ("stiffness", ["N/m", "N·m/rad"], stiffness, most_stiff),
+        ("damping", ["N·s/m", "N·m·s/rad"], damping, most_damped),
+    ] {
+        let ratio = overshoot(model, plan, &asked, most);
+        if ratio > 1.0 {
+            let nearest: Vec<String> = (0..plan.k)
+                .filter(|&r| asked[r] > 0.0)
+                .map(|r| {
+                    let axis = plan.rows[r].axis;
+                    let value = floor_to_two_digits(asked[r] / ratio);
+                    format!("{}={value} {}", AXIS_NAMES[axis], units[usize::from(axis >= 3)])
+                })
+                .collect();
+            return Err(Error::config(
+                format!("axes.{field}"),
+                format!(
+                    "is {ratio:.2} times what the median pose can have, and {}: use {}, shorten delay and period, or take \
+                     the risk by name: Settings(accept=(\"stiffness\",))",
+                    why(settings),
+                    nearest.join(", ")
+                ),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// ρ of these gains in the median pose, over its bound.
+fn overshoot(model: &Model, plan: &Plan, gains: &AxisVec, most: f64) -> f64 {
+    if most.is_infinite() || gains.iter().all(|&gain| gain <= 0.0) {
+        return 0.0;
+    }
+    let compliance = &plan.servos.compliance;
+    survey::median_over_rows(model, &plan.axes, &plan.frame, |rows| rho(rows, compliance, gains, plan.k, plan.n)) / most
+}
+
+fn why(settings: &Settings) -> String {
+    format!("with a delay of {} s at {} Hz a stiffer loop oscillates", settings.delay, settings.rate)
+}
+
+/// A value rounded down to two significant digits.
+fn floor_to_two_digits(value: f64) -> f64 {
+    let step = 10.0_f64.powf(value.log10().floor() - 1.0);
+    // Powers of ten below one are not exact: print what was meant.
+    let digits = (value / step).floor();
+    if step < 1.0 { digits / (1.0 / step).round() } else { digits * step }
+}
