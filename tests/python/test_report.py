@@ -59,7 +59,9 @@ def test_report_of_the_last_step_needs_one(controller, q, target):
 def test_sentences_say_it_plainly(controller, q):
     report = controller.report(q)
     said = report.sentences()
-    assert any(line.startswith("±y gives way at") and "cannot be softer than" in line for line in said)
+    assert any(
+        line.startswith("±y gives way at") and "cannot be softer than" in line for line in said
+    )
     assert any(line.startswith("If the host dies now") for line in said)
     assert all(line.endswith(".") for line in said)
     assert all(line in str(report) for line in said)

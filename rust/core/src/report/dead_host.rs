@@ -10,7 +10,7 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 pub(super) const TRAVEL: [f64; 2] = [0.15, 0.4];
 
 /// Steps on that way, most steps in all, and the longest of one joint [rad or m].
-const STEPS: (f64, usize, f64) = (10.0, 18, 0.2);
+const STEPS: (f64, usize, f64) = (15.0, 24, 0.15);
 
 /// An arm whose limits stay as they are.
 pub(super) struct Dead<'a> {
