@@ -126,7 +126,7 @@ fields! {
             servos: Option<&Servos>,
         ) -> PyResult<Self> {
             let poses = path.map_or(Ok(Vec::new()), |path| postures("path", path, model.core.n()))?;
-            let servos = servos.or_else(|| model.servos.as_ref().map(|servos| servos.get())).map(|servos| &servos.0);
+            let servos = servos.or_else(|| model.servos.as_ref().map(Py::get)).map(|servos| &servos.0);
             py.detach(|| self.0.tracking(&model.core, servos, &poses)).or_raise().map(Self)
         }
 
