@@ -69,7 +69,7 @@ impl Report {
             }
         }
         self.joint_sentence(&self.saturated, "at the servo's ceiling", &mut out);
-        self.joint_sentence(&self.locked, "at a position limit; the others do its part", &mut out);
+        self.joint_sentence(&self.locked, "at a position limit, so that the others do their part", &mut out);
         if self.sigma_min < NEAR_SINGULAR * self.sigma_0 {
             out.push(format!(
                 "This is near a singular pose: σ_min is {}, condition {:.0}.",
@@ -126,7 +126,7 @@ impl Report {
         let named: Vec<&str> =
             self.joints.iter().zip(flags).filter(|(_, on)| **on).map(|(name, _)| name.as_str()).collect();
         if !named.is_empty() {
-            out.push(format!("At present {} is {what}.", named.join(", ")));
+            out.push(format!("Now {what}: {}.", named.join(", ")));
         }
     }
 }
