@@ -12,9 +12,11 @@ __version__: Final[str]
 
 __all__ = [
     "Axis",
+    "Check",
     "Command",
     "ConfigError",
     "Controller",
+    "Finding",
     "FrameNotFound",
     "IkSolution",
     "Inertial",
@@ -26,6 +28,7 @@ __all__ = [
     "Payload",
     "PliantError",
     "Pose",
+    "Report",
     "ServoError",
     "ServoFault",
     "ServoTimeout",
@@ -38,6 +41,7 @@ __all__ = [
     "activation",
     "adapt_target",
     "as_pose",
+    "check",
     "compliance",
     "damped_pseudo_inverse",
     "holding_torque",
@@ -1041,6 +1045,21 @@ class Settings:
     def hand_guiding(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
         """A hand leads the tool: all axes of the task yield with eta 0.95; alpha 1."""
 
+    def tracking(
+        self, model: Model, path: ArrayLike | None = None, *, servos: Servos | None = None
+    ) -> Settings:
+        """These settings with `soft` raised, where it is below, to what friction leaves.
+
+        Softer, a yielding axis cannot follow its target: the joints' friction that the feed-forward
+        does not compensate, seen along the axis, holds it back.
+
+        Args:
+            model: The arm.
+            path: Postures (n,) or (N, n) [rad] of which the worst counts; None: the median over the
+                joint space.
+            servos: None for those of the model.
+        """
+
     def replace(self, **changes: Unpack[_SettingsFields]) -> Settings:
         """The same with some fields changed; `axes` replaces all axes."""
 
@@ -1152,6 +1171,170 @@ class Command:
         """
 
 @final
+class Report:
+    """What one pose can do under the settings in force.
+
+    One row per axis of the task (k) or joint (n); pairs are (pushed toward -, pushed toward +).
+    Forces in N, for rotations N m. `str` gives a table and the sentences.
+    """
+
+    @property
+    def axes(self) -> tuple[_AxisName, ...]:
+        """Names of the task's axes."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
+
+    @property
+    def q(self) -> _Array:
+        """Positions that this is about (n,) [rad]."""
+
+    @property
+    def torque_limit(self) -> _Array:
+        """Torque limits in force there (n,) [N m]."""
+
+    @property
+    def static_force(self) -> _Array:
+        """Largest static force that these limits hold (k, 2); negative: cannot hold itself."""
+
+    @property
+    def capacity(self) -> _Array:
+        """The same with all the torque that the servos have (k, 2)."""
+
+    @property
+    def gives_way(self) -> _Array:
+        """Force of giving way, friction apart (k, 2, 2): [axis, side, small | large deviation]."""
+
+    @property
+    def yields(self) -> list[tuple[bool, bool]]:
+        """Whether each axis yields, per side."""
+
+    @property
+    def friction(self) -> _Array:
+        """Dry friction of the joints along each axis (k,): a push at rest meets it on top."""
+
+    @property
+    def friction_left(self) -> _Array:
+        """What the feed-forward leaves of it (k,): the least `soft` that can track."""
+
+    @property
+    def coupling(self) -> _Array:
+        """How firm an axis of strength 0 is by what the others ask of its joints (k, 2)."""
+
+    @property
+    def coupled_to(self) -> list[tuple[_AxisName | None, _AxisName | None]]:
+        """The other axis that asks for most of that, per side."""
+
+    @property
+    def thresholds(self) -> _Array:
+        """Deviations d-/(1 - eta), d+/(1 - eta) where the strength changes (k, 2)."""
+
+    @property
+    def gravity_margin(self) -> _Array:
+        """L - g and L + g (n, 2) [N m]: what limits leave beside gravity; negative: falls."""
+
+    @property
+    def sigma_min(self) -> float:
+        """Smallest singular value of the task rows, translations over the arm's length."""
+
+    @property
+    def condition(self) -> float:
+        """Largest over smallest singular value."""
+
+    @property
+    def sigma_0(self) -> float:
+        """Singular value below which damping grows."""
+
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """Joints whose limit is at the servo's ceiling (n,)."""
+
+    @property
+    def locked(self) -> NDArray[np.bool_]:
+        """Joints at a position limit that left the inverse kinematics (n,)."""
+
+    @property
+    def dead_host(self) -> _Array:
+        """Most that a hand meets on 0.15 m or 0.4 rad if the host dies now (k, 2)."""
+
+    def sentences(self) -> list[str]:
+        """One plain sentence per axis, and per thing that is in the way."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Every figure as lists, numbers and words, and the sentences."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+
+@final
+class Finding:
+    """One thing that a pose cannot do as asked."""
+
+    @property
+    def pose(self) -> int:
+        """Index of the worst pose on the path."""
+
+    @property
+    def about(self) -> str:
+        """Axis with its side, or joint."""
+
+    @property
+    def required(self) -> bool:
+        """Whether the settings ask for it by name; a default that cannot be met is a note."""
+
+    @property
+    def reason(self) -> str:
+        """What is asked, and what there is."""
+
+    @property
+    def setting(self) -> str | None:
+        """Setting to change, e.g. `axes.y.firm`; None where none helps."""
+
+    @property
+    def value(self) -> float | None:
+        """The nearest value that works."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+
+@final
+class Check:
+    """Whether a pose or a path can do what the settings ask; true if so. `str` says why not."""
+
+    @property
+    def achievable(self) -> bool:
+        """Whether nothing that is asked for by name is missing."""
+
+    @property
+    def poses(self) -> int:
+        """How many poses were looked at."""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is missing, the required first."""
+
+    @property
+    def axes(self) -> tuple[_AxisName, ...]:
+        """Names of the task's axes."""
+
+    @property
+    def capacity(self) -> _Array:
+        """Least force that the servos' torque can answer (k, 2), per side [N, N m]."""
+
+    @property
+    def worst_pose(self) -> list[tuple[int, int]]:
+        """Poses of those."""
+
+    @property
+    def friction_left(self) -> _Array:
+        """Most friction left along each axis (k,): the least `soft` that can track."""
+
+    def __bool__(self) -> bool: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+
+@final
 class Controller:
     """Compliant task-space controller: joint goals and torque limits from positions alone.
 
@@ -1246,6 +1429,26 @@ class Controller:
 
         Raises:
             ConfigError: The controller knows no `kp`.
+        """
+
+    def report(self, q: ArrayLike | None = None) -> Report:
+        """What a pose can do: forces per axis and side, margins, and what a dead host would leave.
+
+        Args:
+            q: Posture (n,) [rad], the arm at rest on its target; None: pose and limits of the last
+                step.
+
+        Raises:
+            ConfigError: Neither `q` nor a step so far.
+        """
+
+    def check(self, path_or_pose: _PoseLike | ArrayLike, *, q0: ArrayLike | None = None) -> Check:
+        """Whether these settings can be met, and which to change to what if not.
+
+        Args:
+            path_or_pose: Postures (n,) or (N, n) [rad]; or a pose of the tool: `Pose`, or (4, 4)
+                with the last row 0 0 0 1.
+            q0: Where the search for a pose starts (n,) [rad]; None: mid-range.
         """
 
     @property
@@ -1422,6 +1625,16 @@ def activation(J_pinv: ArrayLike, N: ArrayLike, gradient: ArrayLike | None = Non
     Raises:
         ShapeError: Sizes that do not go together. LimitError: An entry that is not finite.
     """
+
+def check(
+    model: Model,
+    settings: Settings,
+    path_or_pose: _PoseLike | ArrayLike,
+    *,
+    servos: Servos | None = None,
+    q0: ArrayLike | None = None,
+) -> Check:
+    """`Controller(model, settings, servos).check(path_or_pose, q0=q0)`."""
 
 @overload
 def compliance(deviation: float, d_minus: float, d_plus: float) -> float:

@@ -52,6 +52,7 @@ mod plan;
 pub mod pose;
 mod pose_forms;
 mod presets;
+pub mod report;
 pub mod servos;
 pub mod settings;
 mod survey;
@@ -66,6 +67,7 @@ pub use functions::{
 pub use kinematics::{Frames, IkOptions, IkReason, IkSolution, Masses, Reference};
 pub use model::{Model, ModelOptions, Payload};
 pub use pose::Pose;
+pub use report::{Check, Finding, Report};
 pub use servos::{ServoKind, Servos};
 pub use settings::Settings;
 

@@ -132,7 +132,7 @@ pub(crate) fn round_to_halves(value: f64) -> f64 {
     (value / step).round() * step
 }
 
-fn median(values: &mut [f64]) -> f64 {
+pub(crate) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     match values.len() {
         0 => 0.0,

@@ -15,6 +15,7 @@ use crate::error::{OrRaise, wrong_type};
 use crate::model::Model;
 use crate::read::{array_into, joints, number, pose, vector3};
 use crate::record::readings;
+use crate::report::{Check, Report, check_with};
 use crate::servos::Servos;
 use crate::settings::Settings;
 use crate::task::Axis;
@@ -91,7 +92,7 @@ readings! {
     methods {
         #[new]
         #[pyo3(signature = (model, settings = None, servos = None))]
-        fn new(
+        pub(crate) fn new(
             py: Python<'_>,
             model: Py<Model>,
             settings: Option<Py<Settings>>,
@@ -187,6 +188,24 @@ readings! {
             let (at, goal) = (joints("q", q, n)?, joints("goal", goal, n)?);
             let stiffness = self.core.capture_gravity(&at[..n], &goal[..n]).or_raise()?;
             Ok(new_array(q.py(), &[n], &stiffness))
+        }
+
+        #[pyo3(signature = (q = None))]
+        fn report(&self, q: Option<&Bound<'_, PyAny>>) -> PyResult<Report> {
+            let report = match q {
+                Some(q) => self.core.report_at(&joints("q", q, self.n)?[..self.n]),
+                None => self.core.report(),
+            };
+            report.or_raise().map(Report)
+        }
+
+        #[pyo3(signature = (path_or_pose, *, q0 = None))]
+        pub(crate) fn check(
+            &self,
+            path_or_pose: &Bound<'_, PyAny>,
+            q0: Option<&Bound<'_, PyAny>>,
+        ) -> PyResult<Check> {
+            check_with(&self.core, path_or_pose, q0)
         }
 
         #[getter]

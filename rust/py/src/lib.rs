@@ -14,6 +14,7 @@ mod options;
 mod pose;
 mod read;
 mod record;
+mod report;
 mod servos;
 mod settings;
 mod solution;
@@ -44,6 +45,8 @@ mod _core {
     use crate::options::Payload;
     #[pymodule_export]
     use crate::pose::{Pose, as_pose};
+    #[pymodule_export]
+    use crate::report::{Check, Finding, Report, check};
     #[pymodule_export]
     use crate::servos::Servos;
     #[pymodule_export]

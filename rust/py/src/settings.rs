@@ -8,6 +8,9 @@ use pyo3::types::{PyDict, PyTuple, PyType};
 use crate::error::OrRaise;
 use crate::fields::{Fields, fields};
 use crate::kinds::{Dampings, Flag, Gains, Joints, Kind, Names, Number, Optional, Speeds};
+use crate::model::Model;
+use crate::report::path as postures;
+use crate::servos::Servos;
 use crate::task::{AxesField, TaskField, merged};
 use crate::words::{Gravity, Word};
 
@@ -113,6 +116,19 @@ fields! {
         #[pyo3(signature = (**overrides))]
         fn paper(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
             Self::preset(CoreSettings::paper(), true, overrides)
+        }
+
+        #[pyo3(signature = (model, path = None, *, servos = None))]
+        fn tracking(
+            &self,
+            py: Python<'_>,
+            model: &Model,
+            path: Option<&Bound<'_, PyAny>>,
+            servos: Option<&Servos>,
+        ) -> PyResult<Self> {
+            let poses = path.map_or(Ok(Vec::new()), |path| postures("path", path, model.core.n()))?;
+            let servos = servos.or_else(|| model.servos.as_ref().map(Py::get)).map(|servos| &servos.0);
+            py.detach(|| self.0.tracking(&model.core, servos, &poses)).or_raise().map(Self)
         }
 
         #[classmethod]

@@ -54,7 +54,7 @@ impl Controller {
     }
 
     /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
-    pub(super) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
+    pub(crate) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
         let q = self.joints(what, values, COORDINATE_BOUND)?;
         for i in 0..self.plan.n {
             let (lower, upper) = (self.plan.lower[i], self.plan.upper[i]);
@@ -78,7 +78,7 @@ impl Controller {
     }
 
     /// Reads `values` as one finite number per joint within ±`bound`.
-    pub(super) fn joints(&self, what: &str, values: &[f64], bound: f64) -> Result<JointVec> {
+    pub(crate) fn joints(&self, what: &str, values: &[f64], bound: f64) -> Result<JointVec> {
         if values.len() != self.plan.n {
             return Err(Error::length(what, values.len(), self.plan.n));
         }

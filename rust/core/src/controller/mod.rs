@@ -71,13 +71,13 @@ pub struct Controller {
     model: Arc<Model>,
     settings: Settings,
     servos: Option<Servos>,
-    plan: Plan,
-    masses: Masses,
-    gravity: [f64; 3],
+    pub(crate) plan: Plan,
+    pub(crate) masses: Masses,
+    pub(crate) gravity: [f64; 3],
     /// k_g where gravity was captured.
     captured: Option<JointVec>,
     delay: f64,
-    memory: Memory,
+    pub(crate) memory: Memory,
     record: Record,
     command: Command,
 }
@@ -149,6 +149,11 @@ impl Controller {
     /// Intermediates of the last step.
     pub fn record(&self) -> &Record {
         &self.record
+    }
+
+    /// The last command; zeros before the first step.
+    pub fn last_command(&self) -> &Command {
+        &self.command
     }
 
     /// Activation matrix A of the last step, n × (k + 1), the null-space column last.

@@ -1,0 +1,250 @@
+//! Before switching on: whether a pose or a path can do what the settings ask, and what to change if not.
+
+use crate::controller::Controller;
+use crate::error::Result;
+use crate::kinematics::IkOptions;
+use crate::pose::Pose as ToolPose;
+use crate::report::promise::Pose;
+use crate::report::statics::static_force;
+use crate::report::words::{number, round_down, round_up, unit};
+use crate::settings::Law;
+use crate::task::axes::{AXIS_NAMES, Frame};
+
+/// σ_min, as a share of σ₀, below which a pose is called near singular.
+pub(super) const NEAR_SINGULAR: f64 = 0.1;
+
+/// One thing that a pose cannot do as asked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Finding {
+    /// Index of the worst pose on the path.
+    pub pose: usize,
+    /// Axis or joint it is about, with the side of an axis: `+y`.
+    pub about: String,
+    /// Whether the settings ask for it by name. Defaults that a pose cannot meet are worth knowing, no more.
+    pub required: bool,
+    /// What is asked, and what there is.
+    pub reason: String,
+    /// Setting to change, e.g. `axes.y.firm`; `None` where none helps.
+    pub setting: Option<String>,
+    /// The nearest value that works.
+    pub value: Option<f64>,
+}
+
+/// Whether a path can do what the settings ask.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Check {
+    /// Whether nothing that is asked for by name is missing.
+    pub achievable: bool,
+    /// How many poses were looked at.
+    pub poses: usize,
+    /// What is missing, the required first.
+    pub findings: Vec<Finding>,
+    /// Names of the task's axes.
+    pub axes: Vec<&'static str>,
+    /// Least force that the servos' torque can answer along each axis, pushed toward (−, +) [N, N·m].
+    pub capacity: Vec<[f64; 2]>,
+    /// Poses of those.
+    pub worst_pose: Vec<[usize; 2]>,
+    /// Most of the friction that is left along each axis: the least `soft` that can track [N, N·m].
+    pub friction_left: Vec<f64>,
+}
+
+/// The worst value of a path and its pose.
+#[derive(Clone, Copy)]
+struct Worst {
+    value: f64,
+    pose: usize,
+}
+
+impl Worst {
+    const NONE: Self = Self { value: f64::NEG_INFINITY, pose: 0 };
+
+    fn see(&mut self, value: f64, pose: usize) {
+        if value > self.value {
+            *self = Self { value, pose };
+        }
+    }
+}
+
+impl Controller {
+    /// Checks the settings against every posture (n) [rad] of a path, the arm at rest on its target. Changes nothing.
+    ///
+    /// # Errors
+    /// As [`Controller::step`].
+    pub fn check(&self, path: &[Vec<f64>]) -> Result<Check> {
+        let (k, n, torque) = (self.plan.k, self.plan.n, self.plan.servos.torque);
+        let mut lack = vec![[Worst::NONE; 2]; k];
+        let mut rub = vec![Worst::NONE; k];
+        let (mut weight, mut limit, mut outside) = (vec![Worst::NONE; n], vec![Worst::NONE; n], vec![Worst::NONE; n]);
+        let mut singular = Worst::NONE;
+        for (index, q) in path.iter().enumerate() {
+            let rest = self.at_rest(q)?;
+            let (record, limits) = (rest.record(), rest.limits_in_force());
+            let pose = Pose::new(&rest.plan, rest.settings(), record);
+            let friction = pose.friction();
+            for r in 0..k {
+                for (side, sign) in [-1.0, 1.0].into_iter().enumerate() {
+                    let (force, _) = static_force(&record.rows[r], sign, &torque, &record.gravity, n);
+                    lack[r][side].see(-force, index);
+                }
+                rub[r].see(friction[r] * pose.friction_share_left(), index);
+            }
+            for i in 0..n {
+                weight[i].see(record.gravity[i].abs() - torque[i], index);
+                limit[i].see(record.gravity[i].abs() - limits[i], index);
+                outside[i].see((self.plan.lower[i] - q[i]).max(q[i] - self.plan.upper[i]), index);
+            }
+            singular.see(-record.sigma_min, index);
+        }
+        let mut findings = self.joint_findings(&weight, &limit, &outside);
+        for r in 0..k {
+            self.axis_findings(r, lack[r], rub[r], &mut findings);
+        }
+        let least = NEAR_SINGULAR * self.plan.damping.sigma_0;
+        if -singular.value < least {
+            findings.push(Finding {
+                pose: singular.pose,
+                about: "σ_min".into(),
+                required: false,
+                reason: format!(
+                    "{} is near a singular pose (below {}): some axis moves late",
+                    number(-singular.value),
+                    number(least)
+                ),
+                setting: None,
+                value: None,
+            });
+        }
+        findings.sort_by_key(|finding| !finding.required);
+        Ok(Check {
+            achievable: !findings.iter().any(|finding| finding.required),
+            poses: path.len(),
+            findings,
+            axes: self.plan.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
+            capacity: lack.iter().map(|sides| sides.map(|worst| -worst.value)).collect(),
+            worst_pose: lack.iter().map(|sides| sides.map(|worst| worst.pose)).collect(),
+            friction_left: rub.iter().map(|worst| worst.value).collect(),
+        })
+    }
+
+    /// Checks the settings in a pose of the tool, reached from `q0` (n) [rad].
+    ///
+    /// # Errors
+    /// As [`Controller::step`].
+    pub fn check_pose(&self, target: &ToolPose, q0: &[f64]) -> Result<Check> {
+        let task = &self.settings().task;
+        let mut axes = task.axes;
+        if task.frame != Frame::Base {
+            for block in axes.chunks_mut(3) {
+                let on = block.iter().any(|&on| on);
+                block.fill(on);
+            }
+        }
+        let options = IkOptions { axes, position_tolerance: 1e-6, rotation_tolerance: 1e-6, ..IkOptions::default() };
+        let found = self.model().inverse_kinematics(target, q0, &options)?;
+        let mut check = self.check(&[found.q])?;
+        if !found.converged {
+            check.achievable = false;
+            let finding = Finding {
+                pose: 0,
+                about: "target".into(),
+                required: true,
+                reason: format!(
+                    "the arm comes no closer than {:.1} mm and {:.3} rad: {}",
+                    1e3 * found.position_error,
+                    found.rotation_error,
+                    found.reason
+                ),
+                setting: None,
+                value: None,
+            };
+            check.findings.insert(0, finding);
+        }
+        Ok(check)
+    }
+
+    fn joint_findings(&self, weight: &[Worst], limit: &[Worst], outside: &[Worst]) -> Vec<Finding> {
+        let mut out = Vec::new();
+        for (i, name) in self.model().joint_names().iter().enumerate() {
+            let mut add = |worst: Worst, reason: String, setting: Option<&str>, value: Option<f64>| {
+                let (about, setting) = (name.clone(), setting.map(Into::into));
+                out.push(Finding { pose: worst.pose, about, required: true, reason, setting, value });
+            };
+            if outside[i].value > 1e-6 {
+                add(outside[i], format!("is {} rad beyond its position limit", number(outside[i].value)), None, None);
+            }
+            let usable = self.plan.servos.torque[i];
+            if weight[i].value > 0.0 {
+                let needs = usable + weight[i].value;
+                add(
+                    weight[i],
+                    format!(
+                        "needs {} N·m to hold the arm, the servo has {}: another pose or less payload",
+                        number(needs),
+                        number(usable)
+                    ),
+                    None,
+                    None,
+                );
+            } else if limit[i].value > 0.0 {
+                let missing = number(limit[i].value);
+                add(
+                    limit[i],
+                    format!(
+                        "cannot hold the arm: its limit is {missing} N·m short of its load; gravity belongs into the limits (gravity=True)"
+                    ),
+                    Some("gravity"),
+                    None,
+                );
+            }
+        }
+        out
+    }
+
+    fn axis_findings(&self, r: usize, lack: [Worst; 2], rub: Worst, out: &mut Vec<Finding>) {
+        if self.plan.law == Law::Paper {
+            return; // Budgets, not forces: what they hold is in the report.
+        }
+        let row = &self.plan.rows[r];
+        let (name, given, unit) = (AXIS_NAMES[row.axis], &self.settings().axes[row.axis], unit(row.axis));
+        for side in 0..2 {
+            let (has, about) = (-lack[side].value, format!("{}{name}", ["−", "+"][side]));
+            let asked: &[(&str, f64, bool)] = if row.yields[side] > 0.0 {
+                &[("firm", row.firm[side], given.firm.is_some()), ("soft", row.soft[side], given.soft.is_some())]
+            } else {
+                &[("hold", row.hold, given.hold.is_some())]
+            };
+            for &(field, strength, required) in asked {
+                if strength > has {
+                    let most = round_down(has).max(0.0);
+                    out.push(Finding {
+                        pose: lack[side].pose,
+                        about: about.clone(),
+                        required,
+                        reason: format!(
+                            "{field} is {} {unit}, the servos' torque ends at {} {unit}",
+                            number(strength),
+                            number(has)
+                        ),
+                        setting: (has > 0.0).then(|| format!("axes.{name}.{field}")),
+                        value: (has > 0.0).then_some(most),
+                    });
+                }
+            }
+            if row.yields[side] > 0.0 && row.soft[side] < rub.value {
+                out.push(Finding {
+                    pose: rub.pose,
+                    about,
+                    required: given.soft.is_some(),
+                    reason: format!(
+                        "soft is {} {unit}, friction leaves {} {unit}: it cannot track",
+                        number(row.soft[side]),
+                        number(rub.value)
+                    ),
+                    setting: Some(format!("axes.{name}.soft")),
+                    value: Some(round_up(rub.value)),
+                });
+            }
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! What the present pose and settings can and cannot do, in numbers and in sentences.
+//!
+//! Off the hot path, but cheap enough to run beside the loop. Sides are named by the push: the first number of a pair is
+//! for a push toward −, the second for one toward +.
+
+mod check;
+mod dead_host;
+mod promise;
+mod statics;
+mod tracking;
+mod words;
+
+use crate::controller::{Controller, StepInput};
+use crate::error::{Error, Result};
+use crate::kinematics::Frames;
+use crate::pose::COORDINATE_BOUND;
+use crate::settings::Law;
+use crate::task::axes::AXIS_NAMES;
+use crate::{JointVec, MAX_JOINTS};
+
+pub use check::{Check, Finding};
+
+use dead_host::Dead;
+use promise::Pose;
+use statics::static_force;
+
+/// What one pose can do under the settings in force; one entry per task axis, or per joint.
+///
+/// Forces in N, for rotations N·m; all torques in N·m.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Report {
+    /// Names of the task's axes.
+    pub axes: Vec<&'static str>,
+    /// Names of the joints.
+    pub joints: Vec<String>,
+    /// Law in force.
+    pub law: Law,
+    /// Positions that this is about [rad].
+    pub q: Vec<f64>,
+    /// Torque limits in force there [N·m].
+    pub torque_limit: Vec<f64>,
+    /// The largest static force that these limits hold: `min_i (L_i + s_i g_i) / |a_i|`, `a = Jᵀd`. Negative: the arm
+    /// cannot hold itself.
+    pub static_force: Vec<[f64; 2]>,
+    /// The same with all the torque that the servos have.
+    pub capacity: Vec<[f64; 2]>,
+    /// Force at which the axis gives way under the law, friction apart: at a small and at a large deviation, d⁻/(1 − η)
+    /// and d⁺/(1 − η) or as far as a hand is followed, 0.15 m or 0.4 rad.
+    pub gives_way: Vec<[[f64; 2]; 2]>,
+    /// Whether the axis yields toward (−, +).
+    pub yields: Vec<[bool; 2]>,
+    /// Dry friction of the joints seen along the axis, `Σ_i |J⁺_ij| τ_f,i`: what a push at rest meets on top.
+    pub friction: Vec<f64>,
+    /// What the feed-forward leaves of it in motion: the least `soft` that can track.
+    pub friction_left: Vec<f64>,
+    /// How firm the axis would be at strength 0, by the limits that the other axes ask of the same joints.
+    pub coupling: Vec<[f64; 2]>,
+    /// The other axis that asks for most of that.
+    pub coupled_to: Vec<[Option<&'static str>; 2]>,
+    /// Deviations d⁻/(1 − η), d⁺/(1 − η) between which the strength changes [m, rad].
+    pub thresholds: Vec<[f64; 2]>,
+    /// What the limit leaves beside gravity, for a joint pushed toward (−, +): `L − g`, `L + g` [N·m].
+    pub gravity_margin: Vec<[f64; 2]>,
+    /// Smallest singular value of the task rows, translations divided by the arm's length.
+    pub sigma_min: f64,
+    /// Largest over smallest singular value.
+    pub condition: f64,
+    /// σ₀ of the damping: poses with a σ_min far below are near singular.
+    pub sigma_0: f64,
+    /// Joints whose limit is at the servo's ceiling.
+    pub saturated: Vec<bool>,
+    /// Joints at a position limit that left the inverse kinematics.
+    pub locked: Vec<bool>,
+    /// The largest force that a hand meets on 0.15 m or 0.4 rad along the axis if the host dies now, friction included.
+    pub dead_host: Vec<[f64; 2]>,
+}
+
+impl Controller {
+    /// Report on the pose and the limits of the last step.
+    ///
+    /// # Errors
+    /// [`Error::Config`] before the first step.
+    pub fn report(&self) -> Result<Report> {
+        if self.memory.limit.is_none() {
+            return Err(Error::config("report", "no step has been made yet: make one, or report on a given q"));
+        }
+        Ok(self.compose())
+    }
+
+    /// Report on the arm at rest on its target in `q` (n) [rad]. The controller stays as it is.
+    ///
+    /// # Errors
+    /// As [`Controller::step`].
+    pub fn report_at(&self, q: &[f64]) -> Result<Report> {
+        Ok(self.at_rest(q)?.compose())
+    }
+
+    /// A copy of this controller after its first step on its target in `q`.
+    fn at_rest(&self, q: &[f64]) -> Result<Self> {
+        let at = self.joints("q", q, COORDINATE_BOUND)?;
+        let mut copy = self.clone();
+        copy.reset(q)?;
+        let mut frames = Frames::default();
+        copy.model().chain().forward(&at, &mut frames);
+        copy.step(q, &frames.tool, &StepInput::default())?;
+        Ok(copy)
+    }
+
+    fn compose(&self) -> Report {
+        let (plan, record) = (&self.plan, self.record());
+        let (k, n) = (plan.k, plan.n);
+        let limit = self.limits_in_force();
+        let pose = Pose::new(plan, self.settings(), record);
+        let singular = record.singular_values(plan);
+        let sigma_min = singular.iter().copied().fold(f64::INFINITY, f64::min);
+        let friction = pose.friction();
+        let mut report = Report {
+            axes: plan.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
+            joints: self.model().joint_names().to_vec(),
+            law: plan.law,
+            q: record.q[..n].to_vec(),
+            torque_limit: limit[..n].to_vec(),
+            static_force: Vec::with_capacity(k),
+            capacity: Vec::with_capacity(k),
+            gives_way: Vec::with_capacity(k),
+            yields: plan.rows[..k].iter().map(|row| row.yields.map(|w| w > 0.0)).collect(),
+            friction: friction[..k].to_vec(),
+            friction_left: friction[..k].iter().map(|f| f * pose.friction_share_left()).collect(),
+            coupling: Vec::with_capacity(k),
+            coupled_to: Vec::with_capacity(k),
+            thresholds: plan.rows[..k]
+                .iter()
+                .map(|row| [row.d_minus, row.d_plus].map(|d| d / (1.0 - row.eta)))
+                .collect(),
+            gravity_margin: (0..n).map(|i| [limit[i] - record.gravity[i], limit[i] + record.gravity[i]]).collect(),
+            sigma_min,
+            condition: singular.max() / sigma_min,
+            sigma_0: plan.damping.sigma_0,
+            saturated: record.saturated[..n].to_vec(),
+            locked: record.locked[..n].to_vec(),
+            dead_host: Vec::with_capacity(k),
+        };
+        let mut keeps = limit;
+        (0..n).for_each(|i| keeps[i] += plan.servos.friction[i]);
+        let mut frames = Frames::default();
+        self.model().chain().forward(&record.q, &mut frames);
+        let dead = Dead {
+            model: self.model(),
+            plan,
+            masses: &self.masses,
+            gravity: self.gravity,
+            base_from_task: crate::task::base_from_task(&plan.frame, &frames.tool),
+            q: &record.q,
+            limit: &keeps,
+        };
+        for row in 0..k {
+            let hold = |limit: &JointVec| {
+                [-1.0, 1.0].map(|sign| static_force(&record.rows[row], sign, limit, &record.gravity, n).0)
+            };
+            report.static_force.push(hold(&limit));
+            report.capacity.push(hold(&plan.servos.torque));
+            report.gives_way.push([0, 1].map(|side| pose.gives_way(row, side)));
+            let coupling = [0, 1].map(|side| pose.coupling(row, side));
+            report.coupling.push(coupling.map(|(force, _)| force));
+            report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[plan.axes[other]])));
+            report.dead_host.push([-1.0, 1.0].map(|sign| dead.largest(row, sign)));
+        }
+        report
+    }
+
+    /// Limits of the last command.
+    fn limits_in_force(&self) -> JointVec {
+        let mut out = [0.0; MAX_JOINTS];
+        for (slot, limit) in out.iter_mut().zip(self.last_command().torque_limit()) {
+            *slot = *limit;
+        }
+        out
+    }
+}

@@ -1,0 +1,151 @@
+//! What an axis pushes back with, and what the other axes add to it.
+
+use crate::command::limits::{Load, within};
+use crate::controller::Record;
+use crate::law::activation::Activation;
+use crate::law::inverse::{pseudo_inverse, transpose_times};
+use crate::law::nullspace::fade_squared;
+use crate::plan::Plan;
+use crate::report::dead_host::TRAVEL;
+use crate::report::statics::static_force;
+use crate::settings::{Law, LimitRule, Settings};
+use crate::task::compliance::{compliance, strength};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
+
+/// One step's pose, seen by the laws.
+pub(super) struct Pose<'a> {
+    plan: &'a Plan,
+    settings: &'a Settings,
+    record: &'a Record,
+    /// Only where the law makes its limits from it.
+    shares: Option<Activation>,
+    /// Budget of the null-space motion under the sum rule [N·m].
+    null: JointVec,
+}
+
+impl<'a> Pose<'a> {
+    pub(super) fn new(plan: &'a Plan, settings: &'a Settings, record: &'a Record) -> Self {
+        let needed = plan.law == Law::Paper || plan.limits == LimitRule::Sum;
+        let shares = needed.then(|| record.shares(plan));
+        let null = shares.map_or([0.0; MAX_JOINTS], |shares| shares.null.map(|share| share * plan.null_torque));
+        Self { plan, settings, record, shares: shares.filter(|_| plan.law == Law::Paper), null }
+    }
+
+    /// `Σ_i |J⁺_ij| τ_f,i` of each axis: what moves the tool along it turns every joint against its friction.
+    pub(super) fn friction(&self) -> AxisVec {
+        let (plan, record) = (self.plan, self.record);
+        let scaled = plan.scale_rows(&record.rows);
+        let squared = [fade_squared(record.sigma_min, record.sigma_max); MAX_AXES];
+        let inverse = pseudo_inverse(&scaled, &[1.0; MAX_JOINTS], &squared, plan.k, plan.n);
+        let mut out = [0.0; MAX_AXES];
+        for r in 0..plan.k.min(MAX_AXES) {
+            let felt: f64 = (0..plan.n).map(|i| inverse[r][i].abs() * plan.servos.friction[i]).sum();
+            out[r] = felt * plan.row_scale[r];
+        }
+        out
+    }
+
+    /// Share of the friction that the feed-forward leaves.
+    pub(super) fn friction_share_left(&self) -> f64 {
+        match self.plan.law {
+            Law::Cap | Law::Impedance => 1.0 - (self.settings.friction_share * self.record.gamma).min(1.0),
+            Law::Paper => 1.0,
+        }
+    }
+
+    /// Force at which axis `row`, pushed toward `side`, gives way: at a small and at a large deviation.
+    pub(super) fn gives_way(&self, row: usize, side: usize) -> [f64; 2] {
+        let (plan, record) = (self.plan, self.record);
+        let axis = &plan.rows[row];
+        let d = [axis.d_minus, axis.d_plus];
+        match plan.law {
+            Law::Cap | Law::Impedance => {
+                let sign = [-1.0, 1.0][side];
+                let ceiling = static_force(&record.rows[row], sign, &plan.servos.torque, &record.gravity, plan.n).0;
+                d.map(|d| self.cap(row, side, d).min(ceiling))
+            }
+            Law::Paper => {
+                let strengths = if axis.yields[side] > 0.0 {
+                    [1.0, 0.0].map(|c| strength(c, axis.soft[side], axis.firm[side], axis.profile))
+                } else {
+                    [axis.hold; 2]
+                };
+                strengths.map(|most| self.with_strength(row, side, most))
+            }
+        }
+    }
+
+    /// The promise of law `cap`, `min(F, h K_x (1 − η)|e| / C_jj)`, or of law `impedance`, `min(F, K (1 − η)|e|)`, where `ẽ`
+    /// is `threshold` or as far as a hand goes.
+    fn cap(&self, row: usize, side: usize, threshold: f64) -> f64 {
+        let (plan, record) = (self.plan, self.record);
+        let axis = &plan.rows[row];
+        let w = axis.yields[side];
+        let left = 1.0 - axis.eta * w;
+        let travel = TRAVEL[usize::from(axis.axis >= 3)];
+        let e = if self.settings.raw_deviation { threshold } else { threshold / left }.min(travel);
+        let seen = if self.settings.raw_deviation { e } else { left * e };
+        let c = compliance(seen, axis.d_minus, axis.d_plus);
+        let soft = strength(c, axis.soft[side], axis.firm[side], axis.profile);
+        let most = w * soft + (1.0 - w) * axis.hold;
+        if plan.law == Law::Impedance {
+            return most.min(record.gain_factor * axis.stiffness[side] * left * e);
+        }
+        let own: f64 = (0..plan.n).map(|i| record.rows[row][i].powi(2) * plan.servos.compliance[i]).sum();
+        let damping = plan.damping_scale[row] * record.damping * record.damping / plan.servos.kp_mean;
+        let h = self.settings.horizon;
+        let bound = h * if w > 0.0 { axis.soft_step_limit } else { axis.step_limit };
+        let step = (h * plan.kx_derating * plan.kx[row][row] * left * e).min(bound);
+        most.min(step / (own + (1.0 - w) * damping))
+    }
+
+    /// Static force that the limits would hold if axis `row` had this strength and the others what they have.
+    fn with_strength(&self, row: usize, side: usize, most: f64) -> f64 {
+        let mut all = self.record.holding_torque;
+        all[row] = most;
+        self.held(row, side, &all)
+    }
+
+    /// How firm the axis is at strength 0, and which other axis asks for most of that.
+    pub(super) fn coupling(&self, row: usize, side: usize) -> (f64, Option<usize>) {
+        let mut most = self.record.holding_torque;
+        most[row] = 0.0;
+        let whole = self.held(row, side, &most);
+        let (mut least, mut with) = (whole - 1e-9 * whole.abs(), None);
+        for other in (0..self.plan.k).filter(|&other| other != row) {
+            let mut fewer = most;
+            fewer[other] = 0.0;
+            let force = self.held(row, side, &fewer);
+            if force < least {
+                (least, with) = (force, Some(other));
+            }
+        }
+        (whole, with)
+    }
+
+    /// Static force along `row` that the limits of the law hold when each axis may ask for `most`.
+    fn held(&self, row: usize, side: usize, most: &AxisVec) -> f64 {
+        let (plan, record) = (self.plan, self.record);
+        let (k, n) = (plan.k, plan.n);
+        let in_limits = self.settings.gravity.in_limits();
+        let nothing = [0.0; MAX_JOINTS];
+        let load = Load {
+            gravity: if in_limits { &record.gravity } else { &nothing },
+            feed_forward: &record.feed_forward,
+            task: &transpose_times(&record.rows, &within(&record.wrench, most, k), k),
+            offset: &nothing,
+            gravity_scale: self.settings.gravity_scale,
+            margin: &plan.margin,
+        };
+        let mut limit = match (&self.shares, plan.limits) {
+            (Some(shares), _) => load.budget(&shares.distribute(most, plan.null_torque, k), n),
+            (None, LimitRule::Demand) => load.demand(n),
+            (None, LimitRule::Sum) => load.sum(&record.rows, most, &self.null, k, n),
+        };
+        for i in 0..n {
+            limit[i] = limit[i].max(plan.floor[i]).min(plan.servos.torque[i]);
+        }
+        let sign = [-1.0, 1.0][side];
+        static_force(&record.rows[row], sign, &limit, &record.gravity, n).0
+    }
+}

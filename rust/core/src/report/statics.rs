@@ -1,0 +1,82 @@
+//! What limits hold in one pose: pure forces through the transposed Jacobian.
+
+use crate::{JointVec, MAX_JOINTS};
+
+/// Lever, as a share of the longest, below which a joint does not feel a push.
+const NO_LEVER: f64 = 1e-9;
+
+/// The largest static force that limits hold against a push along `sign · d`, and the joint that gives way first.
+///
+/// `min_i (L_i + s_i g_i) / |a_i|` with `a = Jᵀd` and `s_i = sign(sign · a_i)`: servo i gives `g_i − F a_i`, which may
+/// not fall below `−L_i` where the push turns it forward. Exact for a pure force at this pose, up to friction. Negative:
+/// the arm cannot hold itself. ∞ where no joint feels the push.
+#[inline]
+pub(super) fn static_force(a: &JointVec, sign: f64, limit: &JointVec, gravity: &JointVec, n: usize) -> (f64, usize) {
+    let longest = a.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+    let (mut least, mut weakest) = (f64::INFINITY, 0);
+    for i in 0..n.min(MAX_JOINTS) {
+        let lever = sign * a[i];
+        if lever.abs() > NO_LEVER * longest {
+            let force = (limit[i] + lever.signum() * gravity[i]) / lever.abs();
+            if force < least {
+                (least, weakest) = (force, i);
+            }
+        }
+    }
+    (least, weakest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn joints(values: &[f64]) -> JointVec {
+        let mut out = [0.0; MAX_JOINTS];
+        out[..values.len()].copy_from_slice(values);
+        out
+    }
+
+    /// The same by search: the largest F for which every servo that the push loads stays within its limit.
+    fn searched(a: &JointVec, sign: f64, limit: &JointVec, gravity: &JointVec, n: usize) -> f64 {
+        let holds = |force: f64| {
+            (0..n).all(|i| {
+                let (lever, torque) = (sign * a[i], gravity[i] - force * sign * a[i]);
+                if lever > 0.0 { torque >= -limit[i] } else { lever == 0.0 || torque <= limit[i] }
+            })
+        };
+        let (mut low, mut high) = (-1e3, 1e3);
+        for _ in 0..80 {
+            let middle = 0.5 * (low + high);
+            if holds(middle) { low = middle } else { high = middle }
+        }
+        low
+    }
+
+    #[test]
+    fn the_formula_is_what_a_search_finds() {
+        let noise = |i: usize| (((i + 1) as f64 * 12.9898).sin() * 43_758.545_3).fract();
+        for seed in 0..500 {
+            let draw = |from: usize| joints(&std::array::from_fn::<f64, 7, _>(|i| noise(seed * 40 + from + i)));
+            let (a, gravity) = (draw(0), draw(10).map(|g| 3.0 * g));
+            let limit = draw(20).map(|l| 4.0 * l.abs());
+            for sign in [-1.0, 1.0] {
+                let (force, weakest) = static_force(&a, sign, &limit, &gravity, 7);
+                let expected = searched(&a, sign, &limit, &gravity, 7);
+                assert!((force - expected).abs() < 1e-9 * (1.0 + expected.abs()), "{force} {expected}");
+                // One that gives way is at its limit exactly.
+                assert!(((gravity[weakest] - force * sign * a[weakest]).abs() - limit[weakest].abs()).abs() < 1e-9);
+                // Turning axis and side around is the same push.
+                let mirrored = static_force(&a.map(|x| -x), -sign, &limit, &gravity, 7).0;
+                assert!((force - mirrored).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn an_arm_that_cannot_hold_itself_has_a_negative_force_toward_the_load() {
+        let (a, limit, gravity) = (joints(&[0.5]), joints(&[2.0]), joints(&[-3.0]));
+        assert!((static_force(&a, 1.0, &limit, &gravity, 1).0 + 2.0).abs() < 1e-15);
+        assert!((static_force(&a, -1.0, &limit, &gravity, 1).0 - 10.0).abs() < 1e-15);
+        assert!(static_force(&joints(&[0.0]), 1.0, &limit, &gravity, 1).0.is_infinite());
+    }
+}

@@ -1,0 +1,70 @@
+//! Settings soft enough to yield, firm enough to follow.
+
+use std::sync::Arc;
+
+use crate::controller::Controller;
+use crate::error::Result;
+use crate::model::Model;
+use crate::report::promise::Pose;
+use crate::report::words::round_up;
+use crate::servos::Servos;
+use crate::settings::Settings;
+use crate::survey;
+use crate::{AxisVec, MAX_AXES};
+
+impl Settings {
+    /// These settings with `soft` of every yielding axis raised to what friction leaves: softer, it cannot track.
+    ///
+    /// Of the worst pose of `path`, one posture (n) [rad] each; without a path, of the median over the arm's joint space.
+    /// `firm` and `hold` are raised where they would be below.
+    ///
+    /// # Errors
+    /// As [`Controller::new`] and [`Controller::step`].
+    pub fn tracking(&self, model: &Arc<Model>, servos: Option<&Servos>, path: &[Vec<f64>]) -> Result<Self> {
+        let controller = Controller::new(Arc::clone(model), self.clone(), servos.cloned())?;
+        let plan = &controller.plan;
+        let least = if path.is_empty() {
+            let n = plan.n;
+            let seen: Vec<AxisVec> =
+                survey::poses(model).map(|q| controller.friction_left(&q[..n])).collect::<Result<_>>()?;
+            let mut out = [0.0; MAX_AXES];
+            for (r, slot) in out.iter_mut().enumerate().take(plan.k) {
+                *slot = survey::median(&mut seen.iter().map(|one| one[r]).collect::<Vec<_>>());
+            }
+            out
+        } else {
+            let mut out = [0.0; MAX_AXES];
+            for q in path {
+                let seen = controller.friction_left(q)?;
+                (0..plan.k).for_each(|r| out[r] = seen[r].max(out[r]));
+            }
+            out
+        };
+        let mut raised = self.clone();
+        for (row, least) in plan.rows.iter().zip(least).take(plan.k) {
+            let mut soft = row.soft;
+            for side in (0..2).filter(|&side| row.yields[side] > 0.0) {
+                soft[side] = soft[side].max(round_up(least));
+            }
+            if (0..2).any(|side| row.yields[side] > 0.0 && row.soft[side] < least) {
+                let axis = &mut raised.axes[row.axis];
+                axis.yields = Some(axis.effective_yields());
+                axis.soft = Some(soft);
+                // What is not given makes room by itself.
+                axis.firm = axis.firm.map(|firm| [0, 1].map(|side| firm[side].max(soft[side])));
+                let most = soft[0].max(soft[1]);
+                axis.hold = axis.hold.map(|hold| hold.max(most));
+            }
+        }
+        Ok(raised)
+    }
+}
+
+impl Controller {
+    /// What the feed-forward leaves of the friction along each axis, at rest in `q`.
+    fn friction_left(&self, q: &[f64]) -> Result<AxisVec> {
+        let resting = self.at_rest(q)?;
+        let pose = Pose::new(&resting.plan, resting.settings(), resting.record());
+        Ok(pose.friction().map(|friction| friction * pose.friction_share_left()))
+    }
+}

@@ -1,0 +1,191 @@
+//! The report in sentences and as a table.
+
+use std::fmt;
+
+use crate::report::Report;
+use crate::report::check::{Check, NEAR_SINGULAR};
+use crate::report::dead_host::TRAVEL;
+use crate::settings::Law;
+
+const SIDES: [&str; 2] = ["−", "+"];
+
+/// Unit of a strength along an axis.
+pub(super) fn unit(axis: usize) -> &'static str {
+    if axis < 3 { "N" } else { "N·m" }
+}
+
+/// A number as one says it: two or three digits.
+pub(super) fn number(value: f64) -> String {
+    match value.abs() {
+        size if size.is_infinite() => "∞".into(),
+        size if size >= 100.0 => format!("{value:.0}"),
+        size if size >= 0.995 || size == 0.0 => format!("{value:.1}"),
+        size if size >= 0.0995 => format!("{value:.2}"),
+        _ => format!("{value:.3}"),
+    }
+}
+
+/// The largest number of two digits that is not above.
+pub(super) fn round_down(value: f64) -> f64 {
+    digits(value, f64::floor)
+}
+
+/// The smallest number of two digits that is not below.
+pub(super) fn round_up(value: f64) -> f64 {
+    digits(value, f64::ceil)
+}
+
+fn digits(value: f64, round: impl Fn(f64) -> f64) -> f64 {
+    if !(value > 0.0 && value.is_finite()) {
+        return value;
+    }
+    // A power of ten that is a whole number keeps 0.3 what it is.
+    let exponent = 1.0 - value.log10().floor();
+    if exponent >= 0.0 {
+        let scale = 10.0_f64.powf(exponent).round();
+        round(value * scale) / scale
+    } else {
+        let step = 10.0_f64.powf(-exponent).round();
+        round(value / step) * step
+    }
+}
+
+impl Report {
+    /// One plain sentence for each axis, and for each thing that is in the way.
+    pub fn sentences(&self) -> Vec<String> {
+        let mut out = Vec::new();
+        for row in 0..self.axes.len() {
+            let said = [0, 1].map(|side| self.axis_sentence(row, side));
+            if said[0] == said[1] {
+                out.push(format!("±{} {}", self.axes[row], said[0]));
+            } else {
+                out.extend([1, 0].map(|side| format!("{}{} {}", SIDES[side], self.axes[row], said[side])));
+            }
+        }
+        for (i, name) in self.joints.iter().enumerate() {
+            let least = self.gravity_margin[i][0].min(self.gravity_margin[i][1]);
+            if least < 0.0 {
+                out.push(format!("joint {name} cannot hold its load: its limit is {} N·m short.", number(-least)));
+            }
+        }
+        self.joint_sentence(&self.saturated, "at the servo's ceiling", &mut out);
+        self.joint_sentence(&self.locked, "at a position limit, so that the others do their part", &mut out);
+        if self.sigma_min < NEAR_SINGULAR * self.sigma_0 {
+            out.push(format!(
+                "This is near a singular pose: σ_min is {}, condition {:.0}.",
+                number(self.sigma_min),
+                self.condition
+            ));
+        }
+        let mut meets = Vec::new();
+        for (row, axis) in self.axes.iter().enumerate() {
+            for side in [1, 0] {
+                meets.push(format!("{}{axis} {} {}", SIDES[side], number(self.dead_host[row][side]), self.unit(row)));
+            }
+        }
+        out.push(format!("If the host dies now, a hand meets at most: {}.", meets.join(", ")));
+        out
+    }
+
+    fn unit(&self, row: usize) -> &'static str {
+        if matches!(self.axes[row], "x" | "y" | "z") { "N" } else { "N·m" }
+    }
+
+    fn axis_sentence(&self, row: usize, side: usize) -> String {
+        let (unit, [small, large]) = (self.unit(row), self.gives_way[row][side]);
+        let translation = unit == "N";
+        let at = |d: f64| if translation { format!("{:.0} mm", 1e3 * d) } else { format!("{} rad", number(d)) };
+        if large < 0.0 && small < 0.0 {
+            return format!("cannot hold itself: it lacks {} {unit}.", number(-large));
+        }
+        let mut said = Vec::new();
+        if self.yields[row][side] {
+            let friction = format!("(friction: {} {unit})", number(self.friction[row]));
+            said.push(if (small - large).abs() > 0.02 * small.abs().max(large.abs()) {
+                let far = at(self.thresholds[row][1].min(TRAVEL[usize::from(!translation)]));
+                format!("gives way at {} {unit}, at {} {unit} from {far} on {friction}", number(small), number(large))
+            } else {
+                format!("gives way at {} {unit} {friction}", number(small))
+            });
+            let (least, held) = match (self.law, self.coupled_to[row][side]) {
+                (Law::Paper, Some(other)) => (self.coupling[row][side].max(0.0), format!(" while {other} is held")),
+                (Law::Paper, None) => (self.coupling[row][side].max(0.0), String::new()),
+                _ => (self.friction_left[row], String::new()),
+            };
+            said.push(format!("cannot be softer than {} {unit}{held}", number(least)));
+        } else {
+            said.push(format!("holds up to {} {unit}", number(large)));
+        }
+        if large >= 0.999 * self.capacity[row][side] {
+            said.push("there the servos' torque ends".into());
+        }
+        said.join("; ") + "."
+    }
+
+    fn joint_sentence(&self, flags: &[bool], what: &str, out: &mut Vec<String>) {
+        let named: Vec<&str> =
+            self.joints.iter().zip(flags).filter(|(_, on)| **on).map(|(name, _)| name.as_str()).collect();
+        if !named.is_empty() {
+            out.push(format!("Now {what}: {}.", named.join(", ")));
+        }
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "axis      gives way    held by limits   torque ends   host dead   friction left  unit")?;
+        for (row, axis) in self.axes.iter().enumerate() {
+            for side in [1, 0] {
+                let [small, large] = self.gives_way[row][side].map(number);
+                writeln!(
+                    f,
+                    "{:<7}{:>5} … {:<6}{:>12}{:>14}{:>14}{:>10} {:<6}{:<4}",
+                    format!("{}{axis}", SIDES[side]),
+                    small,
+                    large,
+                    number(self.static_force[row][side]),
+                    number(self.capacity[row][side]),
+                    number(self.dead_host[row][side]),
+                    number(self.friction[row]),
+                    number(self.friction_left[row]),
+                    self.unit(row)
+                )?;
+            }
+        }
+        for sentence in self.sentences() {
+            writeln!(f, "{sentence}")?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Check {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let verdict = if self.achievable { "achievable" } else { "not achievable" };
+        write!(f, "{verdict} in {} {}", self.poses, if self.poses == 1 { "pose" } else { "poses" })?;
+        for finding in &self.findings {
+            let weight = if finding.required { "" } else { "note: " };
+            write!(f, "\n{weight}{} at pose {}: {}", finding.about, finding.pose, finding.reason)?;
+            match (&finding.setting, finding.value) {
+                (Some(setting), Some(value)) => write!(f, "; nearest that works: {setting}={value}")?,
+                (Some(setting), None) => write!(f, "; change {setting}")?,
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_rounded_to_the_safe_side() {
+        for (value, down, up) in [(4.567, 4.5, 4.6), (0.3, 0.3, 0.3), (123.0, 120.0, 130.0), (0.0123, 0.012, 0.013)] {
+            assert!((round_down(value) - down).abs() < 1e-12 && (round_up(value) - up).abs() < 1e-12, "{value}");
+        }
+        assert_eq!(number(4.66), "4.7");
+        assert_eq!(number(f64::INFINITY), "∞");
+    }
+}

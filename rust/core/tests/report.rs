@@ -1,0 +1,241 @@
+//! The report: its forces against a search, its signs, and what a check proposes.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
+
+use std::sync::Arc;
+
+use pliant_core::settings::{GravityUse, LimitRule};
+use pliant_core::task::axes::{Axis, Task};
+use pliant_core::{Controller, Model, ModelOptions, Payload, Reference, Servos, Settings, StepInput};
+
+#[path = "common/mod.rs"]
+mod common;
+
+const GRASP: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+
+fn servos() -> Servos {
+    let each = |arm: f64, wrist: f64| vec![arm, arm, arm, arm, wrist, wrist, wrist];
+    Servos {
+        friction: each(0.2, 0.1),
+        damping: each(1.2, 0.8),
+        kp_known: true,
+        ..Servos::new(each(150.0, 60.0), each(10.7, 6.4))
+    }
+}
+
+fn arm() -> Arc<Model> {
+    Arc::new(common::arm7())
+}
+
+fn controller(settings: Settings) -> Controller {
+    Controller::new(arm(), settings, Some(servos())).unwrap()
+}
+
+fn soft(axes: &str, soft: f64, firm: f64) -> Settings {
+    let mut settings = Settings::default();
+    settings.set_axes(axes, Axis { soft: Some([soft; 2]), firm: Some([firm; 2]), ..Axis::default() }).unwrap();
+    settings
+}
+
+/// The largest F ≥ 0 for which torques within the limits balance gravity and a push F d, by bisection.
+fn searched(model: &Model, q: &[f64], limit: &[f64], axis: usize, sign: f64) -> f64 {
+    let (jacobian, gravity) = (model.jacobian(q, Reference::WorldAligned).unwrap(), model.gravity(q).unwrap());
+    let holds = |force: f64| {
+        (0..model.n()).all(|i| (gravity[i] - sign * force * jacobian[(axis, i)]).abs() <= limit[i] * (1.0 + 1e-12))
+    };
+    assert!(holds(0.0));
+    let (mut low, mut high) = (0.0, 1e5);
+    for _ in 0..100 {
+        let middle = 0.5 * (low + high);
+        if holds(middle) { low = middle } else { high = middle }
+    }
+    low
+}
+
+#[test]
+fn static_force_and_capacity_are_what_a_search_finds() {
+    for settings in [soft("y yaw", 4.0, 15.0), Settings { limits: LimitRule::Sum, ..soft("y", 4.0, 15.0) }] {
+        let controller = controller(settings);
+        let torque = servos().torque;
+        for seed in 0..60 {
+            let q = common::state(controller.model(), seed);
+            let report = controller.report_at(&q).unwrap();
+            for axis in 0..6 {
+                for (side, sign) in [-1.0, 1.0].into_iter().enumerate() {
+                    for (said, limit) in [
+                        (report.static_force[axis][side], &report.torque_limit),
+                        (report.capacity[axis][side], &torque),
+                    ] {
+                        let found = searched(controller.model(), &q, limit, axis, sign);
+                        common::close("force", said, found, 1e-6 * (1.0 + found));
+                    }
+                    assert!(report.capacity[axis][side] >= report.static_force[axis][side]);
+                    // What the dead arm meets on its way is at least what it meets where it died.
+                    assert!(report.dead_host[axis][side] >= report.static_force[axis][side]);
+                    assert!(report.gives_way[axis][side][1] <= report.capacity[axis][side] + 1e-12);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn sides_are_named_by_the_push() {
+    let report = controller(soft("y", 4.0, 15.0)).report_at(&GRASP).unwrap();
+    let axis = Axis { soft: Some([2.0, 4.0]), firm: Some([6.0, 8.0]), d_minus: Some(0.02), ..Axis::default() };
+    let mut uneven = Settings::default();
+    uneven.set_axes("y", axis).unwrap();
+    let sided = controller(uneven).report_at(&GRASP).unwrap();
+    for (side, [small, large]) in [[2.0, 6.0], [4.0, 8.0]].into_iter().enumerate() {
+        common::close("small", sided.gives_way[1][side][0], small, 1e-12);
+        common::close("large", sided.gives_way[1][side][1], large, 1e-12);
+    }
+    // The arm hangs forward: a push down finds less torque left than one up.
+    assert!(report.capacity[2][0] < report.capacity[2][1]);
+    for i in 0..7 {
+        let gravity = arm().gravity(&GRASP).unwrap()[i];
+        common::close("L − g", report.gravity_margin[i][0], report.torque_limit[i] - gravity, 1e-12);
+        common::close("L + g", report.gravity_margin[i][1], report.torque_limit[i] + gravity, 1e-12);
+    }
+    assert_eq!(report.axes, ["x", "y", "z", "roll", "pitch", "yaw"]);
+    assert!(report.yields[1] == [true, true] && report.yields[2] == [false, false]);
+}
+
+#[test]
+fn target_adaptation_moves_the_thresholds_and_lowers_the_force_within_reach() {
+    let mut settings = soft("y", 4.0, 15.0);
+    settings.axes[1].eta = 0.9;
+    let report = controller(settings).report_at(&GRASP).unwrap();
+    common::close("d−", report.thresholds[1][0], 0.1, 1e-12);
+    common::close("d+", report.thresholds[1][1], 1.0, 1e-12);
+    let plain = controller(soft("y", 4.0, 15.0)).report_at(&GRASP).unwrap();
+    assert!(report.gives_way[1][1][1] < plain.gives_way[1][1][1]);
+}
+
+#[test]
+fn the_last_step_and_the_same_pose_at_rest_agree_and_nothing_is_touched() {
+    let mut one = controller(soft("y", 4.0, 15.0));
+    assert!(one.report().unwrap_err().to_string().contains("no step"));
+    let mut two = one.clone();
+    let target = one.model().forward_kinematics(&GRASP).unwrap();
+    for _ in 0..3 {
+        one.step(&GRASP, &target, &StepInput::default()).unwrap();
+        two.step(&GRASP, &target, &StepInput::default()).unwrap();
+        let _ = (two.report().unwrap(), two.report_at(&[0.1; 7]).unwrap(), two.check(&[GRASP.to_vec()]).unwrap());
+        assert_eq!(one.last_command(), two.last_command());
+    }
+    assert_eq!(controller(soft("y", 4.0, 15.0)).report_at(&GRASP).unwrap().static_force.len(), 6);
+    let (now, rest) = (one.report().unwrap(), one.report_at(&GRASP).unwrap());
+    for (a, b) in now.static_force.iter().flatten().zip(rest.static_force.iter().flatten()) {
+        common::close("static force", *a, *b, 1e-9);
+    }
+}
+
+#[test]
+fn an_arm_that_cannot_hold_itself_says_so() {
+    let options = ModelOptions {
+        payload: Some(Payload { mass: 8.0, com: [0.0; 3] }),
+        tip: Some("tool".into()),
+        ..ModelOptions::default()
+    };
+    let model = Arc::new(Model::from_urdf_file(common::root().join("tests/data/golden/arm7.urdf"), &options).unwrap());
+    let controller = Controller::new(model, Settings::default(), Some(servos())).unwrap();
+    let report = controller.report_at(&GRASP).unwrap();
+    assert!(report.capacity[2][0] < 0.0 && report.static_force[2][0] < 0.0);
+    assert!(report.gravity_margin.iter().flatten().any(|margin| *margin < 0.0));
+    assert!(report.sentences().iter().any(|sentence| sentence.contains("cannot hold")));
+    let check = controller.check(&[GRASP.to_vec()]).unwrap();
+    assert!(!check.achievable && check.findings[0].setting.is_none(), "{check}");
+}
+
+#[test]
+fn the_paper_without_gravity_in_its_limits_is_told_to_put_it_there() {
+    let mut settings = Settings::paper();
+    settings.set_axes("all", Axis { hold: Some(1.0), ..Axis::default() }).unwrap();
+    let check = controller(settings.clone()).check(&[GRASP.to_vec()]).unwrap();
+    assert!(!check.achievable && check.findings.iter().any(|found| found.setting.as_deref() == Some("gravity")));
+    settings.gravity = GravityUse::Both;
+    assert!(controller(settings).check(&[GRASP.to_vec()]).unwrap().achievable);
+}
+
+#[test]
+fn coupling_names_the_axis_that_shares_the_joints() {
+    let mut settings = Settings::paper();
+    settings.gravity = GravityUse::Both;
+    settings.set_axes("y", Axis { soft: Some([0.5; 2]), ..Axis::default() }).unwrap();
+    let report = controller(settings).report_at(&GRASP).unwrap();
+    for side in 0..2 {
+        assert!(report.coupling[1][side] > 0.0 && report.coupling[1][side] <= report.gives_way[1][side][0]);
+        assert!(report.coupled_to[1][side].is_some());
+    }
+    assert!(report.sentences().iter().any(|sentence| sentence.contains("is held")));
+}
+
+#[test]
+fn what_a_check_proposes_works_and_a_little_more_does_not() {
+    let path: Vec<Vec<f64>> = (0..20).map(|k| GRASP.iter().map(|q| q + 0.01 * f64::from(k)).collect()).collect();
+    let mut settings = soft("y", 0.05, 60.0);
+    settings.set_axes("z", Axis { hold: Some(90.0), ..Axis::default() }).unwrap();
+    let mut check = controller(settings.clone()).check(&path).unwrap();
+    assert!(!check.achievable && check.poses == 20);
+    for _ in 0..3 {
+        for found in check.findings.iter().filter(|found| found.required) {
+            let value = found.value.unwrap();
+            match found.setting.as_deref().unwrap() {
+                "axes.y.soft" => settings.axes[1].soft = Some([value; 2]),
+                "axes.y.firm" => settings.axes[1].firm = Some([value.min(settings.axes[1].firm.unwrap()[0]); 2]),
+                "axes.z.hold" => settings.axes[2].hold = Some(value.min(settings.axes[2].hold.unwrap())),
+                other => panic!("{other}"),
+            }
+        }
+        check = controller(settings.clone()).check(&path).unwrap();
+    }
+    assert!(check.achievable, "{check}");
+    settings.axes[2].hold = settings.axes[2].hold.map(|hold| 1.1 * hold);
+    assert!(!controller(settings).check(&path).unwrap().achievable);
+}
+
+#[test]
+fn a_target_that_cannot_be_reached_is_not_achievable() {
+    let controller = controller(Settings::default());
+    let mut target = controller.model().forward_kinematics(&GRASP).unwrap();
+    assert!(controller.check_pose(&target, &GRASP).unwrap().achievable);
+    target.position[0] += 2.0;
+    let check = controller.check_pose(&target, &GRASP).unwrap();
+    assert!(!check.achievable && check.to_string().contains("out of reach"), "{check}");
+}
+
+#[test]
+fn tracking_raises_soft_to_what_friction_leaves_and_no_more() {
+    let (model, servos, path) = (arm(), servos(), [GRASP.to_vec()]);
+    let settings = soft("y", 0.01, 0.02);
+    let raised = settings.tracking(&model, Some(&servos), &path).unwrap();
+    let left = controller(settings.clone()).report_at(&GRASP).unwrap().friction_left[1];
+    let [soft, _] = raised.axes[1].soft.unwrap();
+    assert!(soft >= left && soft < 1.1 * left && raised.axes[1].firm.unwrap()[0] >= soft);
+    let check = Controller::new(arm(), raised.clone(), Some(servos.clone())).unwrap().check(&path).unwrap();
+    assert!(check.achievable, "{check}");
+    // Firm enough already: nothing changes, with a path or over the whole joint space.
+    assert_eq!(raised.tracking(&model, Some(&servos), &path).unwrap(), raised);
+    let firm = Settings::soft("y").unwrap();
+    assert_eq!(firm.tracking(&model, Some(&servos), &[]).unwrap(), firm);
+}
+
+#[test]
+fn fewer_axes_and_other_frames() {
+    let mut settings = soft("y", 4.0, 15.0);
+    settings.task = Task { frame: pliant_core::task::axes::Frame::Tool, ..Task::of("y z").unwrap() };
+    let controller = controller(settings);
+    for seed in 0..20 {
+        let q = common::state(controller.model(), seed);
+        let report = controller.report_at(&q).unwrap();
+        let (pose, jacobian) = controller.model().kinematics(&q, Reference::Local).unwrap();
+        let gravity = controller.model().gravity(&q).unwrap();
+        assert!(pose.position[0].is_finite() && report.axes == ["y", "z"]);
+        let by_hand = (0..7)
+            .filter(|&i| jacobian[(1, i)].abs() > 1e-9)
+            .map(|i| (report.torque_limit[i] + jacobian[(1, i)].signum() * gravity[i]) / jacobian[(1, i)].abs())
+            .fold(f64::INFINITY, f64::min);
+        common::close("tool's y", report.static_force[0][1], by_hand, 1e-9 * (1.0 + by_hand.abs()));
+        assert!(report.dead_host.iter().flatten().all(|force| force.is_finite()));
+    }
+}

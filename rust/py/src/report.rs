@@ -1,0 +1,289 @@
+//! `Report`, `Check` and `Finding`.
+
+use numpy::PyArray1;
+use pliant_core::{
+    Check as CoreCheck, Controller as CoreController, Finding as CoreFinding, Model as CoreModel, Pose as CorePose,
+    Report as CoreReport,
+};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+use crate::controller::Controller;
+use crate::convert::new_array;
+use crate::error::{OrRaise, shape};
+use crate::model::Model;
+use crate::pose::Pose;
+use crate::read::{joints, numbers};
+use crate::servos::Servos;
+use crate::settings::Settings;
+
+/// What one pose can do under the settings in force.
+#[pyclass(module = "pliant", frozen, eq)]
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Report(pub(crate) CoreReport);
+
+/// Attributes from fields of the core's report.
+macro_rules! attributes {
+    (vectors: $($vector:ident),*; pairs: $($pair:ident),*; flags: $($flag:ident),*; numbers: $($number:ident),*;) => {
+        #[pymethods]
+        impl Report {
+            $(#[getter]
+            fn $vector<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+                new_array(py, &[self.0.$vector.len()], &self.0.$vector)
+            })*
+
+            $(#[getter]
+            fn $pair<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+                pairs(py, &self.0.$pair)
+            })*
+
+            $(#[getter]
+            fn $flag<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+                PyArray1::from_slice(py, &self.0.$flag).into_any()
+            })*
+
+            $(#[getter]
+            fn $number(&self) -> f64 {
+                self.0.$number
+            })*
+
+            #[getter]
+            fn gives_way<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+                new_array(py, &[self.0.gives_way.len(), 2, 2], self.0.gives_way.as_flattened().as_flattened())
+            }
+
+            #[getter]
+            fn axes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+                PyTuple::new(py, &self.0.axes)
+            }
+
+            #[getter]
+            fn joints<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+                PyTuple::new(py, &self.0.joints)
+            }
+
+            #[getter]
+            fn yields(&self) -> Vec<(bool, bool)> {
+                self.0.yields.iter().map(|&[minus, plus]| (minus, plus)).collect()
+            }
+
+            #[getter]
+            fn coupled_to(&self) -> Vec<(Option<&'static str>, Option<&'static str>)> {
+                self.0.coupled_to.iter().map(|&[minus, plus]| (minus, plus)).collect()
+            }
+
+            fn sentences(&self) -> Vec<String> {
+                self.0.sentences()
+            }
+
+            fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+                let (out, report) = (PyDict::new(py), &self.0);
+                out.set_item("axes", &report.axes)?;
+                out.set_item("joints", &report.joints)?;
+                $(out.set_item(stringify!($vector), &report.$vector)?;)*
+                $(out.set_item(stringify!($pair), &report.$pair)?;)*
+                $(out.set_item(stringify!($flag), &report.$flag)?;)*
+                $(out.set_item(stringify!($number), report.$number)?;)*
+                out.set_item("gives_way", &report.gives_way)?;
+                out.set_item("yields", &report.yields)?;
+                out.set_item("coupled_to", &report.coupled_to)?;
+                out.set_item("sentences", report.sentences())?;
+                Ok(out)
+            }
+
+            fn __str__(&self) -> String {
+                self.0.to_string()
+            }
+
+            fn __repr__(&self) -> String {
+                format!("<Report: axes {}; {} joints>", self.0.axes.join(" "), self.0.joints.len())
+            }
+        }
+    };
+}
+
+attributes! {
+    vectors: q, torque_limit, friction, friction_left;
+    pairs: static_force, capacity, coupling, thresholds, gravity_margin, dead_host;
+    flags: saturated, locked;
+    numbers: sigma_min, condition, sigma_0;
+}
+
+fn pairs<'py>(py: Python<'py>, values: &[[f64; 2]]) -> Bound<'py, PyAny> {
+    new_array(py, &[values.len(), 2], values.as_flattened())
+}
+
+/// One thing that a pose cannot do as asked.
+#[pyclass(module = "pliant", frozen, eq)]
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Finding(CoreFinding);
+
+#[pymethods]
+impl Finding {
+    #[getter]
+    fn pose(&self) -> usize {
+        self.0.pose
+    }
+
+    #[getter]
+    fn about(&self) -> &str {
+        &self.0.about
+    }
+
+    #[getter]
+    fn required(&self) -> bool {
+        self.0.required
+    }
+
+    #[getter]
+    fn reason(&self) -> &str {
+        &self.0.reason
+    }
+
+    #[getter]
+    fn setting(&self) -> Option<&str> {
+        self.0.setting.as_deref()
+    }
+
+    #[getter]
+    fn value(&self) -> Option<f64> {
+        self.0.value
+    }
+
+    fn __repr__(&self) -> String {
+        let weight = if self.0.required { "required" } else { "note" };
+        format!("<Finding ({weight}): {} at pose {}: {}>", self.0.about, self.0.pose, self.0.reason)
+    }
+}
+
+/// Whether a pose or a path can do what the settings ask.
+#[pyclass(module = "pliant", frozen, eq)]
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Check(CoreCheck);
+
+#[pymethods]
+impl Check {
+    #[getter]
+    fn achievable(&self) -> bool {
+        self.0.achievable
+    }
+
+    #[getter]
+    fn poses(&self) -> usize {
+        self.0.poses
+    }
+
+    #[getter]
+    fn findings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let found: PyResult<Vec<_>> =
+            self.0.findings.iter().map(|finding| Bound::new(py, Finding(finding.clone()))).collect();
+        PyTuple::new(py, found?)
+    }
+
+    #[getter]
+    fn axes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(py, &self.0.axes)
+    }
+
+    #[getter]
+    fn capacity<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        pairs(py, &self.0.capacity)
+    }
+
+    #[getter]
+    fn worst_pose(&self) -> Vec<(usize, usize)> {
+        self.0.worst_pose.iter().map(|&[minus, plus]| (minus, plus)).collect()
+    }
+
+    #[getter]
+    fn friction_left<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        new_array(py, &[self.0.friction_left.len()], &self.0.friction_left)
+    }
+
+    fn __bool__(&self) -> bool {
+        self.0.achievable
+    }
+
+    fn __str__(&self) -> String {
+        self.0.to_string()
+    }
+
+    fn __repr__(&self) -> String {
+        let verdict = if self.0.achievable { "achievable" } else { "not achievable" };
+        format!("<Check: {verdict}, {} poses, {} findings>", self.0.poses, self.0.findings.len())
+    }
+}
+
+/// What can be checked.
+enum Checked {
+    Pose(CorePose),
+    Path(Vec<Vec<f64>>),
+}
+
+/// One posture (n) or several (N, n).
+pub(crate) fn path(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec<Vec<f64>>> {
+    let (got, values) = numbers(name, value)?;
+    postures(&got, &values, n).ok_or_else(|| shape(name, &got, format!("({n},) or (N, {n})")))
+}
+
+fn postures(got: &[usize], values: &[f64], n: usize) -> Option<Vec<Vec<f64>>> {
+    match got {
+        [one] if *one == n => Some(vec![values.to_vec()]),
+        [count, columns] if *columns == n && *count > 0 => Some(values.chunks(n).map(<[f64]>::to_vec).collect()),
+        _ => None,
+    }
+}
+
+/// A pose of the tool (an object of ours, or a 4×4 array whose last row says so) or postures.
+fn checked(value: &Bound<'_, PyAny>, n: usize) -> PyResult<Checked> {
+    if let Ok(pose) = value.cast::<Pose>() {
+        return Ok(Checked::Pose(pose.get().0));
+    }
+    let (got, values) = numbers("path_or_pose", value)?;
+    let last = [0.0, 0.0, 0.0, 1.0_f64];
+    if got == [4, 4] && values[12..].iter().zip(last).all(|(a, b)| (a - b).abs() < 1e-12) {
+        let row = |i: usize| [values[4 * i], values[4 * i + 1], values[4 * i + 2], values[4 * i + 3]];
+        return CorePose::from_rows(&[row(0), row(1), row(2), row(3)]).or_raise().map(Checked::Pose);
+    }
+    postures(&got, &values, n)
+        .map(Checked::Path)
+        .ok_or_else(|| shape("path_or_pose", &got, format!("(4, 4), ({n},) or (N, {n})")))
+}
+
+/// Where a search for a pose starts if nobody says: the middle of the joint ranges.
+fn middle(model: &CoreModel) -> Vec<f64> {
+    let ranges = model.lower().iter().zip(model.upper());
+    ranges.map(|(&low, &high)| if low.is_finite() && high.is_finite() { 0.5 * (low + high) } else { 0.0 }).collect()
+}
+
+/// [`CoreController::check`] or [`CoreController::check_pose`], by what is given.
+pub(crate) fn check_with(
+    core: &CoreController,
+    path_or_pose: &Bound<'_, PyAny>,
+    q0: Option<&Bound<'_, PyAny>>,
+) -> PyResult<Check> {
+    let n = core.model().n();
+    match checked(path_or_pose, n)? {
+        Checked::Path(path) => path_or_pose.py().detach(|| core.check(&path)).or_raise().map(Check),
+        Checked::Pose(target) => {
+            let start = match q0 {
+                Some(q0) => joints("q0", q0, n)?[..n].to_vec(),
+                None => middle(core.model()),
+            };
+            core.check_pose(&target, &start).or_raise().map(Check)
+        }
+    }
+}
+
+#[pyfunction]
+#[pyo3(signature = (model, settings, path_or_pose, *, servos = None, q0 = None))]
+pub(crate) fn check(
+    py: Python<'_>,
+    model: Py<Model>,
+    settings: Py<Settings>,
+    path_or_pose: &Bound<'_, PyAny>,
+    servos: Option<&Servos>,
+    q0: Option<&Bound<'_, PyAny>>,
+) -> PyResult<Check> {
+    Controller::new(py, model, Some(settings), servos)?.check(path_or_pose, q0)
+}

@@ -1,0 +1,108 @@
+"""Report and check from Python: shapes, words, inputs."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import pliant
+
+SHAPES = {
+    "q": (7,),
+    "torque_limit": (7,),
+    "static_force": (6, 2),
+    "capacity": (6, 2),
+    "gives_way": (6, 2, 2),
+    "friction": (6,),
+    "friction_left": (6,),
+    "coupling": (6, 2),
+    "thresholds": (6, 2),
+    "gravity_margin": (7, 2),
+    "saturated": (7,),
+    "locked": (7,),
+    "dead_host": (6, 2),
+}
+
+
+def test_report_has_everything_and_can_be_written_down(controller, q):
+    report = controller.report(q=q)
+    for name, shape in SHAPES.items():
+        assert getattr(report, name).shape == shape, name
+    assert report.axes == ("x", "y", "z", "roll", "pitch", "yaw")
+    assert len(report.joints) == len(report.q)
+    assert len(report.yields) == len(report.coupled_to) == 6
+    assert report.sigma_min > 0.0
+    assert report.condition > 1.0
+    assert json.loads(json.dumps(report.to_dict()))["axes"] == list(report.axes)
+    assert set(SHAPES) <= set(report.to_dict())
+    assert report == controller.report(q)
+
+
+def test_formula_of_the_static_force(controller, model, q):
+    report = controller.report(q)
+    jacobian, gravity = model.jacobian(q), model.gravity(q)
+    for side, sign in enumerate((-1.0, 1.0)):
+        lever = sign * jacobian
+        room = (report.torque_limit + np.sign(lever) * gravity) / np.abs(lever)
+        np.testing.assert_allclose(report.static_force[:, side], room.min(axis=1), rtol=1e-9)
+
+
+def test_report_of_the_last_step_needs_one(controller, q, target):
+    with pytest.raises(pliant.ConfigError, match="no step"):
+        controller.report()
+    command = controller.step(q, target)
+    np.testing.assert_array_equal(controller.report().torque_limit, command.torque_limit)
+
+
+def test_sentences_say_it_plainly(controller, q):
+    report = controller.report(q)
+    said = report.sentences()
+    assert any(
+        line.startswith("±y gives way at") and "cannot be softer than" in line for line in said
+    )
+    assert any(line.startswith("If the host dies now") for line in said)
+    assert all(line.endswith(".") for line in said)
+    assert all(line in str(report) for line in said)
+    assert "Report" in repr(report)
+
+
+def test_check_takes_a_posture_a_path_and_a_pose(controller, model, q):
+    assert controller.check(q)
+    path = q + 0.1 * np.sin(np.arange(35).reshape(5, 7))
+    check = controller.check(path)
+    assert check.poses == 5
+    assert check.achievable
+    assert check.capacity.shape == (6, 2)
+    assert check.friction_left.shape == (6,)
+    assert len(check.worst_pose) == 6
+    assert max(max(pair) for pair in check.worst_pose) < 5
+    pose = model.forward_kinematics(q)
+    for target in (pose, pliant.Pose(pose)):
+        assert controller.check(target, q0=q).achievable
+    with pytest.raises(pliant.ShapeError, match=r"\(N, 7\)"):
+        controller.check(np.zeros(6))
+
+
+def test_check_names_the_setting_and_a_value_that_works(model, q):
+    asked = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=80.0)})
+    check = pliant.check(model, asked, q)
+    assert not check
+    worst = min((f for f in check.findings if f.required), key=lambda f: f.value)
+    assert worst.setting == "axes.y.firm"
+    assert worst.about in ("+y", "−y")
+    assert f"nearest that works: axes.y.firm={worst.value:g}" in str(check)
+    better = asked.replace(axes={"y": pliant.Axis(soft=4.0, firm=worst.value)})
+    assert pliant.check(model, better, q)
+
+
+def test_tracking_raises_soft_where_friction_leaves_more(model, q):
+    asked = pliant.Settings(axes={"y": pliant.Axis(soft=0.01, firm=5.0)}, friction_share=0.5)
+    raised = asked.tracking(model, q)
+    left = pliant.Controller(model, asked).report(q).friction_left[1]
+    soft = np.max(raised.axes["y"].soft)
+    assert left <= soft <= 1.1 * left
+    np.testing.assert_array_equal(raised.axes["y"].firm, 5.0)
+    assert raised.tracking(model, q) == raised
+    assert np.min(asked.tracking(model).axes["y"].soft) > 0.1
