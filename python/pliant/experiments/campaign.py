@@ -1,0 +1,63 @@
+"""The cap campaign: every promised cap against the push-back that a hand feels.
+
+``python -m pliant.experiments.campaign`` tries every axis, sign and cap in random poses of every
+arm, with the other axes free and guided; on `arm7` also one disturbance at a time on a tenth of the
+poses. A cap that the torque limits cannot hold in a pose is refused, with the formula of
+`Arm.capacity` as the proof; everything else counts.
+
+The promise is ``min(F, K_x h (1 - η)|e| / C_jj)``; it is kept within
+``0.15 F + Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|)``, plus ``0.25 F`` where k_p is wrong and not identified.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from pliant.experiments import campaign_table
+from pliant.experiments.campaign_arms import available
+from pliant.experiments.campaign_jobs import POSES, jobs, run
+
+
+@dataclass(frozen=True)
+class Options:
+    """Measure every promised cap against what a hand feels.
+
+    Attributes:
+        poses: Poses of arm7; other arms have a quarter of them, each disturbance a tenth.
+        arm: Arms by name; by default all there are.
+        jobs: Processes at once (extra `sweep`).
+        out: Folder for results.json and the picture.
+        friction: Whether Stribeck and load-dependent friction join in.
+        disturbed: Whether arm7 meets disturbances.
+    """
+
+    poses: int = POSES
+    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    jobs: int = 2
+    out: Path = Path("campaign")
+    friction: bool = False
+    disturbed: bool = True
+
+
+def main(options: Options) -> None:
+    """Run the campaign of these options, print the table, write the files."""
+    there, absent = available()
+    for name in absent:
+        print(f"campaign: SKIPPED {name}: its URDF is not in ../shared/robots")
+    arms = list(options.arm) or there
+    work = jobs(arms, options.poses, disturbed=options.disturbed, friction=options.friction)
+    found = run(work, options.jobs)
+    rows = [campaign_table.summary(*key, promises) for key, promises in found.items()]
+    print(campaign_table.text(rows))
+    about = {"poses": options.poses, "arms": arms, "skipped": absent}
+    campaign_table.save(options.out, rows, found, about)
+    campaign_table.draw(options.out, rows, found)
+    print(f"campaign: {options.out / 'results.json'}, {options.out / 'campaign.png'}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
