@@ -74,7 +74,9 @@ def jobs(
         out += [Job(name, NOMINAL, pose) for pose in range(count)]
         tenth = max(1, count // TENTH)
         if main and disturbed:
-            out += [Job(name, one, pose) for one in (*DISTURBANCES, BEYOND) for pose in range(tenth)]
+            out += [
+                Job(name, one, pose) for one in (*DISTURBANCES, BEYOND) for pose in range(tenth)
+            ]
         if friction and name in REAL_GEARS:
             out += [Job(name, gears(name), pose) for pose in range(tenth)]
     return out

@@ -118,13 +118,21 @@ def _quantile(values: Sequence[float], q: float) -> float:
 def text(rows: Sequence[Row]) -> str:
     """The table, as Markdown."""
     lines = [
-        "| arm | disturbance | poses | cases | refused % | in band % | free | guided | by a stop | clear of "
-        "stops | true friction | error: median % | 95th % | free: median | 95th "
+        "| arm | disturbance | poses | cases | refused % | in band % | free | guided | by a stop "
+        "| clear of stops | true friction | error: median % | 95th % | free: median | 95th "
         "| drift 95th [mm] | < 5 mm % | met |",
         "|---" * 18 + "|",
     ]
     for r in rows:
-        shares = (r.refused, r.kept, r.kept_free, r.kept_guided, r.stopped, r.kept_clear, r.kept_truly)
+        shares = (
+            r.refused,
+            r.kept,
+            r.kept_free,
+            r.kept_guided,
+            r.stopped,
+            r.kept_clear,
+            r.kept_truly,
+        )
         errors = (r.median, r.p95, r.median_free, r.p95_free)
         cells = [r.arm, r.disturbance, str(r.poses), str(r.cases)]
         cells += [f"{100.0 * value:.1f}" for value in (*shares, *errors)]
