@@ -17,9 +17,10 @@ from typing import Annotated
 
 import tyro
 
-from pliant.experiments import campaign_table
+from pliant.experiments import campaign_table, laws, merits
 from pliant.experiments.campaign_arms import available
-from pliant.experiments.campaign_jobs import POSES, jobs, run
+from pliant.experiments.campaign_jobs import POSES, REAL_GEARS, jobs, run
+from pliant.experiments.conditions import NOMINAL
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Options:
         arm: Arms by name; by default all there are.
         jobs: Processes at once (extra `sweep`).
         out: Folder for results.json and the picture.
-        friction: Whether Stribeck and load-dependent friction join in.
+        friction: Whether Stribeck and load-dependent friction join in: caps, drag and door.
         disturbed: Whether arm7 meets disturbances.
     """
 
@@ -41,6 +42,25 @@ class Options:
     out: Path = Path("campaign")
     friction: bool = False
     disturbed: bool = True
+
+
+def gears_text() -> str:
+    """Drag and door with the table's friction and with gears as they are, believed as in the table.
+
+    Returns:
+        A table in Markdown; forces in N, drift in mm, the door's opening in deg.
+    """
+    measures = {
+        "15 N hand": merits.light,
+        "strong hand": merits.strong(laws.cap()),
+        "door, rigid grip": merits.door("door"),
+    }
+    lines = ["| scene | figure | friction of the table | gears as they are |", "|---|---|---|---|"]
+    real = NOMINAL.with_plant(friction=REAL_GEARS["arm7"])
+    for scene, measure in measures.items():
+        table, gears = measure(NOMINAL), measure(real)
+        lines += [f"| {scene} | {name} | {table[name]:.3g} | {gears[name]:.3g} |" for name in table]
+    return "\n".join(lines)
 
 
 def main(options: Options) -> None:
@@ -53,6 +73,8 @@ def main(options: Options) -> None:
     found = run(work, options.jobs)
     rows = [campaign_table.summary(*key, promises) for key, promises in found.items()]
     print(campaign_table.text(rows))
+    if options.friction and "arm7" in arms:
+        print(gears_text())
     about = {"poses": options.poses, "arms": arms, "skipped": absent}
     campaign_table.save(options.out, rows, found, about)
     campaign_table.draw(options.out, rows, found)
