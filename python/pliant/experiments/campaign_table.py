@@ -200,12 +200,13 @@ def _strips(ax: Any, keys: Sequence[tuple[str, str]], found: Found, *, name: int
             (1.0, place),
             xycoords=("axes fraction", "data"),
             ha="right",
-            va="bottom",
+            va="center",
             fontsize=7.5,
             color=style.MUTED,
         )
     ax.set_yticks(range(len(keys)), [key[name] for key in reversed(keys)])
-    ax.set_xlim(-100.0, 130.0)
+    ax.set_xlim(-105.0, 185.0)
+    ax.set_xticks((-100, -50, 0, 50, 100), ("≤ −100", "−50", "0", "50", "≥ 100"))
     ax.set_ylim(-0.6, len(keys) - 0.2)
     ax.axvline(0.0, color=style.MUTED, linewidth=0.7)
     ax.set_xlabel("felt − promised [% of the cap]: middle 95 %, half, median")

@@ -15,6 +15,7 @@ from pliant.sim import spec as spec_module
 from pliant.sim._mujoco import mujoco
 from pliant.sim.bank import ServoBank
 from pliant.sim.bus import Bus
+from pliant.sim.checks import load, physics_steps
 from pliant.sim.friction import Friction, Gears
 from pliant.sim.gains import per_joint, resolve
 from pliant.sim.state import Felt, Order, State
@@ -122,7 +123,7 @@ class Plant:
         """Build the arm; it stands in the middle of its ranges until reset."""
         n = self.n = int(model.n)
         self.model, self.dt, self.rate = model, float(dt), float(rate)
-        self.steps = _steps(dt, rate)
+        self.steps = physics_steps(dt, rate)
         self.period = 1.0 / self.rate
         self.gains = resolve(model, servos, kind).scaled(kp_scale, friction_scale, damping_scale)
         self._bus = Bus(
@@ -142,7 +143,7 @@ class Plant:
             self.gains,
             dt=self.dt,
             off_chain=off_chain,
-            payload=_load(payload),
+            payload=load(payload),
             backlash=per_joint(backlash, n, "backlash", low=0.0),
         )
         for fixture in self._fixtures:
@@ -382,18 +383,6 @@ class Plant:
         return array
 
 
-def _steps(dt: float, rate: float) -> int:
-    """Physics steps per control period."""
-    if not (np.isfinite(dt) and 0.0 < dt <= 0.01):
-        raise ConfigError(f"dt must be in (0, 0.01] s, got {dt!r}")
-    if not (np.isfinite(rate) and rate > 0.0):
-        raise ConfigError(f"rate must be positive [Hz], got {rate!r}")
-    steps = round(1.0 / (rate * dt))
-    if steps < 1 or abs(steps * rate * dt - 1.0) > 1e-9:
-        raise ConfigError(f"a period of 1/{rate:g} s is no whole number of steps of {dt:g} s")
-    return steps
-
-
 def _split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
     """Tell force laws from things with bodies."""
     hands: list[Hand] = []
@@ -404,14 +393,3 @@ def _split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
         else:
             hands.append(item)
     return hands, fixtures
-
-
-def _load(payload: Any) -> tuple[float, Array] | None:
-    """Check an unknown load, a pair or a `Payload`."""
-    if payload is None:
-        return None
-    mass, com = (payload.mass, payload.com) if hasattr(payload, "mass") else payload
-    com = np.asarray(com, dtype=np.float64)
-    if not (np.isfinite(mass) and mass >= 0.0) or com.shape != (3,) or not np.isfinite(com).all():
-        raise ConfigError(f"payload is a mass >= 0 kg and a centre (3,) m, got {payload!r}")
-    return float(mass), com
