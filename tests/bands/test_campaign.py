@@ -79,7 +79,7 @@ def test_small_arms_keep_their_caps(arm):
 
 
 def test_campaign_is_one_table_one_file_one_picture(tmp_path):
-    found = run(jobs(["koch"], 1), 1)
+    found = dict(run(jobs(["koch"], 1), 1))
     rows = [table.summary(*key, promises) for key, promises in found.items()]
     lines = table.text(rows).splitlines()
     assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")

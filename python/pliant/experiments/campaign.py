@@ -19,6 +19,7 @@ import tyro
 
 from pliant.experiments import campaign_table, laws, merits
 from pliant.experiments.campaign_arms import available
+from pliant.experiments.campaign_bench import Promise
 from pliant.experiments.campaign_jobs import POSES, REAL_GEARS, jobs, run
 from pliant.experiments.conditions import NOMINAL
 
@@ -70,9 +71,13 @@ def main(options: Options) -> None:
         print(f"campaign: SKIPPED {name}: its URDF is not in ../shared/robots")
     arms = list(options.arm) or there
     work = jobs(arms, options.poses, disturbed=options.disturbed, friction=options.friction)
-    found = run(work, options.jobs)
-    rows = [campaign_table.summary(*key, promises) for key, promises in found.items()]
-    print(campaign_table.text(rows))
+    found: dict[tuple[str, str], list[Promise]] = {}
+    rows: list[campaign_table.Row] = []
+    for key, promises in run(work, options.jobs):
+        found[key] = promises
+        rows.append(campaign_table.summary(*key, promises))
+        lines = campaign_table.text(rows).splitlines()
+        print("\n".join(lines[-1:] if len(rows) > 1 else lines), flush=True)
     if options.friction and "arm7" in arms:
         print(gears_text())
     about = {"poses": options.poses, "arms": arms, "skipped": absent}

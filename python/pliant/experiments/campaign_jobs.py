@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from pliant.experiments.campaign_arms import load
@@ -18,7 +19,10 @@ from pliant.experiments.campaign_bench import (
 from pliant.sim.friction import MX64, MX106, STS3215, Friction
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator, Sequence
+
+    #: Arm and disturbance by name.
+    Key = tuple[str, str]
 
 #: Poses of `arm7` and of the other arms; the share of the former under each disturbance.
 POSES, OTHER_POSES, TENTH = 200, 50, 10
@@ -82,15 +86,15 @@ def jobs(
     return out
 
 
-def run(work: Sequence[Job], processes: int = 1) -> dict[tuple[str, str], list[Promise]]:
+def run(work: Sequence[Job], processes: int = 1) -> Iterator[tuple[Key, list[Promise]]]:
     """Run jobs, in parallel where joblib is there.
 
     Args:
-        work: What to do.
+        work: What to do, arm by arm and disturbance by disturbance.
         processes: How many at once.
 
-    Returns:
-        Promises by arm and disturbance, in the order of the jobs.
+    Yields:
+        Arm and disturbance, and all their promises, as soon as they are there.
     """
     if processes > 1:
         try:
@@ -98,11 +102,12 @@ def run(work: Sequence[Job], processes: int = 1) -> dict[tuple[str, str], list[P
         except ImportError:
             print("campaign: one process only; for more: pip install 'pliant[sweep]'")
             processes = 1
+    done: Iterable[list[Promise]]
     if processes > 1:
-        done = Parallel(n_jobs=processes)(delayed(Job.run)(job) for job in work)
+        parallel = Parallel(n_jobs=processes, return_as="generator")
+        done = parallel(delayed(Job.run)(job) for job in work)
     else:
-        done = [job.run() for job in work]
-    found: dict[tuple[str, str], list[Promise]] = {}
-    for job, promises in zip(work, done, strict=True):
-        found.setdefault((job.arm, job.disturbance.name), []).extend(promises)
-    return found
+        done = (job.run() for job in work)
+    pairs = zip(work, done, strict=True)
+    for key, group in groupby(pairs, key=lambda pair: (pair[0].arm, pair[0].disturbance.name)):
+        yield key, [promise for _, promises in group for promise in promises]
