@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pliant.experiments import campaign_table as table
-from pliant.experiments.campaign_arms import available, load
+from pliant.experiments.campaign_arms import load
 from pliant.experiments.campaign_bench import BEYOND, DISTURBANCES, NOMINAL, Bench
 from pliant.experiments.campaign_jobs import jobs, run
 
@@ -101,15 +101,6 @@ def test_a_promise_repeats():
 def test_nominal_campaign_in_full():
     promises = tried("arm7", NOMINAL, range(200))
     row = table.summary("arm7", "nominal", promises)
-    assert row.kept >= 0.88
-    assert row.kept_clear >= 0.985
+    assert row.kept >= 0.92  # (.943 over 80 poses); the goal is .97
+    assert row.kept_clear >= 0.985  # (.999)
     assert row.refused < 0.08
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("arm", available()[0])
-def test_other_arms_in_full(arm):
-    if arm == "arm7":
-        pytest.skip("has a test of its own")
-    row = table.summary(arm, "nominal", tried(arm, NOMINAL, range(50)))
-    assert row.kept_clear >= 0.90
