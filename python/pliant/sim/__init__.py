@@ -11,6 +11,7 @@ axes; all units SI.
 """
 
 from pliant.sim.doors import Door, Drive, door, fridge, oven
+from pliant.sim.friction import MX64, MX106, STS3215, Friction
 from pliant.sim.hand import (
     LIGHT,
     ROBUST,
@@ -33,8 +34,11 @@ from pliant.sim.truth import Frame, Truth
 
 __all__ = [
     "LIGHT",
+    "MX64",
+    "MX106",
     "ROBUST",
     "STRONG",
+    "STS3215",
     "YAW",
     "Course",
     "Door",
@@ -43,6 +47,7 @@ __all__ = [
     "Felt",
     "Fixture",
     "Frame",
+    "Friction",
     "Guide",
     "Hand",
     "Overload",

@@ -79,6 +79,16 @@ class ServoBank:
             qpos[model.jnt_qposadr[follower]] = offset + slope * angle
 
     @property
+    def addresses(self) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+        """Degrees of freedom and actuators of the chain's joints (n,), (n,)."""
+        return self._dof, self._servo
+
+    @property
+    def needs_drive(self) -> bool:
+        """Whether `drive` has something to do at every physics step."""
+        return self._inner
+
+    @property
     def q(self) -> Array:
         """True positions of the links (n,) [rad]."""
         q: Array = self._data.qpos[self._qpos]

@@ -6,7 +6,7 @@ physics of one control period.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from pliant.sim import spec as spec_module
 from pliant.sim._mujoco import mujoco
 from pliant.sim.bank import ServoBank
 from pliant.sim.bus import Bus
+from pliant.sim.checks import load, physics_steps
+from pliant.sim.friction import Friction, Gears
 from pliant.sim.gains import per_joint, resolve
 from pliant.sim.state import Felt, Order, State
 from pliant.sim.tree import last_moving
@@ -63,6 +65,7 @@ class Plant:
         speed_limit: Speed at which servos walk to their goals [rad/s], None for at once.
         kind: `current` or `duty`, overriding the table.
         overload: Self-protection of the servos, None for none.
+        friction: Dry friction of the gears: `coulomb`, as in the table, or by speed and load.
         off_chain: `held` gives a gripper servos of its own, `welded` freezes it.
         scene: Hands, walls and fixtures (doors).
         seed: Of all chance; equal seeds give equal runs.
@@ -112,6 +115,7 @@ class Plant:
         speed_limit: ArrayLike | None = None,
         kind: Kind | None = None,
         overload: Overload | None = None,
+        friction: Literal["coulomb"] | Friction = "coulomb",
         off_chain: OffChain = "held",
         scene: Iterable[Hand | Fixture] = (),
         seed: int = 0,
@@ -119,7 +123,7 @@ class Plant:
         """Build the arm; it stands in the middle of its ranges until reset."""
         n = self.n = int(model.n)
         self.model, self.dt, self.rate = model, float(dt), float(rate)
-        self.steps = _steps(dt, rate)
+        self.steps = physics_steps(dt, rate)
         self.period = 1.0 / self.rate
         self.gains = resolve(model, servos, kind).scaled(kp_scale, friction_scale, damping_scale)
         self._bus = Bus(
@@ -139,7 +143,7 @@ class Plant:
             self.gains,
             dt=self.dt,
             off_chain=off_chain,
-            payload=_load(payload),
+            payload=load(payload),
             backlash=per_joint(backlash, n, "backlash", low=0.0),
         )
         for fixture in self._fixtures:
@@ -160,6 +164,7 @@ class Plant:
             speed=None if speed_limit is None else per_joint(speed_limit, n, "speed_limit", low=0),
             overload=overload,
         )
+        self._gears = self._make_gears(friction)
         names = {TOOL: model.tip, WRIST: last_moving(model)}
         self.truth = Truth(self.mj_model, self.mj_data, names)
         self._tool, self._wrist = self.truth.frame(TOOL), self.truth.frame(WRIST)
@@ -219,8 +224,12 @@ class Plant:
         self._bank.apply(self._bus.deliver(self.time), self.period)
         for felt in self.hands:
             felt.begin()
-        for _ in range(steps):
-            self._step()
+        if self._is_passive():
+            mujoco.mj_step(self.mj_model, self.mj_data, steps)
+            self._bank.count()
+        else:
+            for _ in range(steps):
+                self._step()
         self._bank.close()
         for felt in self.hands:
             felt.end(steps)
@@ -303,6 +312,13 @@ class Plant:
         """The doors and other bodies of the scene, in the order given."""
         return tuple(self._fixtures)
 
+    @property
+    def friction(self) -> Array:
+        """Dry friction of the joints in this state, at most (n,) [N·m]."""
+        if self._gears is None:
+            return self.gains.friction.copy()
+        return self._gears.update()
+
     def set_hands(self, hands: Iterable[Hand]) -> None:
         """Replace hands and walls; their records start empty."""
         self.hands = [Felt(hand) for hand in hands]
@@ -314,10 +330,29 @@ class Plant:
         applied = self.mj_data.qfrc_applied
         mujoco.mj_applyFT(self.mj_model, self.mj_data, force, torque, point, body, applied)
 
+    def _make_gears(self, friction: Literal["coulomb"] | Friction) -> Gears | None:
+        """What sets the friction of the joints, None where it is constant."""
+        if isinstance(friction, Friction):
+            dof, servo = self._bank.addresses
+            return Gears(self.mj_model, self.mj_data, friction, dof, servo)
+        if friction != "coulomb":
+            raise ConfigError(f"friction is 'coulomb' or a sim.Friction, got {friction!r}")
+        return None
+
+    def _is_passive(self) -> bool:
+        """Whether MuJoCo alone can run a period: nothing in the scene needs Python at every step.
+
+        `torque` is then that of the period's last step.
+        """
+        scene = bool(self._fixtures) and all(getattr(f, "passive", False) for f in self._fixtures)
+        return scene and not (self.hands or self._bank.needs_drive or self._gears)
+
     def _step(self) -> None:
         """One physics step: servo, positions, outer forces at these positions, motion."""
         data = self.mj_data
         self._bank.drive(self.dt)
+        if self._gears is not None:
+            self._gears.update()
         for fixture in self._fixtures:
             fixture.before(self)
         mujoco.mj_step1(self.mj_model, data)
@@ -348,18 +383,6 @@ class Plant:
         return array
 
 
-def _steps(dt: float, rate: float) -> int:
-    """Physics steps per control period."""
-    if not (np.isfinite(dt) and 0.0 < dt <= 0.01):
-        raise ConfigError(f"dt must be in (0, 0.01] s, got {dt!r}")
-    if not (np.isfinite(rate) and rate > 0.0):
-        raise ConfigError(f"rate must be positive [Hz], got {rate!r}")
-    steps = round(1.0 / (rate * dt))
-    if steps < 1 or abs(steps * rate * dt - 1.0) > 1e-9:
-        raise ConfigError(f"a period of 1/{rate:g} s is no whole number of steps of {dt:g} s")
-    return steps
-
-
 def _split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
     """Tell force laws from things with bodies."""
     hands: list[Hand] = []
@@ -370,14 +393,3 @@ def _split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
         else:
             hands.append(item)
     return hands, fixtures
-
-
-def _load(payload: Any) -> tuple[float, Array] | None:
-    """Check an unknown load, a pair or a `Payload`."""
-    if payload is None:
-        return None
-    mass, com = (payload.mass, payload.com) if hasattr(payload, "mass") else payload
-    com = np.asarray(com, dtype=np.float64)
-    if not (np.isfinite(mass) and mass >= 0.0) or com.shape != (3,) or not np.isfinite(com).all():
-        raise ConfigError(f"payload is a mass >= 0 kg and a centre (3,) m, got {payload!r}")
-    return float(mass), com

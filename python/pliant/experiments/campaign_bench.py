@@ -1,0 +1,380 @@
+"""The bench of the cap campaign: one arm, one hand that moves one axis, and what the hand feels.
+
+The hand is made of MuJoCo's own actuators, so that a control period is one call.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import pliant
+from pliant.experiments.campaign_arms import AXES
+from pliant.experiments.laws import UNBLURRED
+from pliant.sim import Plant
+from pliant.sim._mujoco import mujoco
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from pliant.experiments.campaign_arms import Arm
+    from pliant.sim.spec import Build
+
+    Array = NDArray[np.float64]
+
+#: How far the hand goes: as far as the cap alone lets the axis, times this, and a little [m, rad].
+WAY, MORE = 1.25, (0.005, 0.03)
+#: Farthest it goes, beyond which the pose is another one [m, rad].
+FARTHEST = (0.10, 0.40)
+#: Springs of hand and guide on `arm7` [N/m, N·m/rad], their damping, and the capacity of `arm7`
+#: [N] by which they grow on other arms.
+STIFFNESS, DAMPING, OF_CAPACITY = (3000.0, 60.0), (30.0, 0.5), 33.6
+#: Start of the motion, its length, rest, and how much of the end is looked at [s].
+START, RISE, REST, LOOK = 0.1, 0.7, 0.7, 0.15
+#: Speed of a hand that does not come to rest [m/s, rad/s].
+MOVING = (0.05, 0.25)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disturbance:
+    """One thing that is not as it should be.
+
+    Attributes:
+        name: For tables.
+        eta: Target adaptation of the soft axis.
+        moving: Whether the hand is looked at in motion.
+        delay: Ticks each way, known.
+        count: Encoder count [rad], flickering by one, known.
+        kp: True over believed stiffness.
+        identified: Whether the controller knows the true stiffness.
+        captured: Whether gravity was captured in this pose.
+        payload: Unknown mass at the tool [kg].
+        beyond: How far the controller's goals may pass the stops [rad].
+        plant: More options of the plant.
+    """
+
+    name: str
+    eta: float = 0.0
+    moving: bool = False
+    delay: tuple[int, int] = (0, 0)
+    count: float = 0.0
+    kp: float = 1.0
+    identified: bool = False
+    captured: bool = False
+    payload: float = 0.0
+    beyond: float = 0.0
+    plant: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the stiffness is wrong and the controller does not know."""
+        return self.kp != 1.0 and not self.identified
+
+
+NOMINAL = Disturbance(name="nominal")
+DISTURBANCES = (
+    Disturbance(name="moving at 0.05 m/s", moving=True),
+    Disturbance(name="η 0.9", eta=0.9),
+    *(
+        Disturbance(name=f"k_p × {kp:g}, {word}", kp=kp, identified=known, captured=captured)
+        for kp in (0.75, 1.25)
+        for word, known, captured in (
+            ("identified", True, False),
+            ("not identified", False, False),
+            ("not identified, gravity captured", False, True),
+        )
+    ),
+    Disturbance(name="payload 0.3 kg", payload=0.3),
+    Disturbance(name="payload 0.3 kg, gravity captured", payload=0.3, captured=True),
+    Disturbance(name="encoder 0.088°, flicker", count=np.deg2rad(0.088)),
+    Disturbance(name="a tick each way", delay=(1, 1)),
+)
+#: What the goals' position limits cost: not a disturbance, but the remedy of one.
+BEYOND = Disturbance(name="goals may pass stops by 0.5 rad", beyond=0.5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Promise:
+    """One cap in one pose, and what came of it.
+
+    Attributes:
+        pose: Index among the arm's poses.
+        axis: Name.
+        sign: Direction of the push.
+        cap: F [N or N·m].
+        guided: Whether springs held the other axes.
+        refused: The limits cannot hold the cap here; nothing was run.
+        promise: min(F, K_x h (1 - η)|e| / C_jj) at the deviation reached [N or N·m].
+        felt: What the hand felt [N or N·m].
+        friction: Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|), what the believed joints may hide [N or N·m].
+        true_friction: The same with the dry friction there truly was.
+        band: Largest difference that keeps the promise [N or N·m].
+        stop: What mechanical stops take of the push, Σ_i J⁺_ij t_i [N or N·m]; 0 without contact.
+        locked: Whether a joint's goal was held by its position limit.
+        room: Distance of the nearest joint to its stop at the end [rad].
+        drift: Largest distance of the stiff axes from the target over the run's end [m].
+        speed: Rms speed of the joints at the end [rad/s].
+    """
+
+    pose: int
+    axis: str
+    sign: float
+    cap: float
+    guided: bool
+    refused: bool
+    promise: float = np.nan
+    felt: float = np.nan
+    friction: float = np.nan
+    true_friction: float = np.nan
+    band: float = np.nan
+    stop: float = 0.0
+    locked: bool = False
+    room: float = np.nan
+    drift: float = np.nan
+    speed: float = np.nan
+
+    @property
+    def error(self) -> float:
+        """Felt less promised, as a share of the cap."""
+        return (self.felt - self.promise) / self.cap
+
+    @property
+    def kept(self) -> bool:
+        """Whether the promise was kept."""
+        return abs(self.felt - self.promise) <= self.band
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it was not kept because a joint stood at its mechanical stop, and provably so."""
+        return (
+            not self.kept
+            and self.stop != 0.0
+            and abs(self.felt - self.stop - self.promise) <= self.band
+        )
+
+
+class Grip:
+    """Springs between the tool and a place in the base, one per base axis; a scene's fixture.
+
+    The rest length of each is the integral of its control, so that a hand moves evenly.
+    """
+
+    passive = True
+
+    def __init__(self, scale: float) -> None:
+        """Make a hand for an arm `scale` times as strong as `arm7`."""
+        self.stiffness = np.repeat(np.array(STIFFNESS) * scale, 3)
+        self.damping = np.repeat(np.array(DAMPING) * scale, 3)
+
+    def add(self, build: Build) -> None:
+        """Add one actuator for each axis, all let go."""
+        # A place and a turn that coincide with nothing: MuJoCo would fold them into constants.
+        build.spec.worldbody.add_site(name="grip", pos=(1, 2, 3), quat=(0.5, 0.5, 0.5, 0.5))
+        for row, name in enumerate(AXES):
+            act = build.spec.add_actuator(name=f"grip:{name}", target=build.model.tip)
+            act.refsite, act.trntype = "grip", mujoco.mjtTrn.mjTRN_SITE
+            act.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+            act.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+            act.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            act.gear = np.eye(6)[row]
+
+    def place(self, plant: Plant) -> None:
+        """Take the tool's present pose as the place of all springs."""
+        model, tool = plant.mj_model, plant.tool
+        site = model.site("grip").id
+        model.site_pos[site] = tool[:3, 3]
+        mujoco.mju_mat2Quat(model.site_quat[site], tool[:3, :3].reshape(9))
+        self._ids = np.array([model.actuator(f"grip:{name}").id for name in AXES])
+        self._place = plant
+        # Gears are in the axes of the place; the hand's are the base's.
+        for row, index in enumerate(self._ids):
+            block = slice(3 * (row // 3), 3 * (row // 3) + 3)
+            model.actuator_gear[index] = 0.0
+            model.actuator_gear[index, block] = tool[row % 3, :3]
+
+    def hold(self, rows: list[int]) -> None:
+        """Hold these axes by springs, let the others go."""
+        model = self._place.mj_model
+        held = np.isin(np.arange(6), rows)
+        model.actuator_gainprm[self._ids, 0] = np.where(held, self.stiffness, 0.0)
+        model.actuator_biasprm[self._ids, 1] = np.where(held, -self.stiffness, 0.0)
+        model.actuator_biasprm[self._ids, 2] = np.where(held, -self.damping, 0.0)
+
+    def move(self, row: int, speed: float) -> None:
+        """Let the place of one axis go on at a speed [m/s or rad/s]."""
+        self._place.mj_data.ctrl[self._ids[row]] = speed
+
+    def force(self, row: int) -> float:
+        """What the hand exerts along an axis [N or N·m]."""
+        return float(self._place.mj_data.actuator_force[self._ids[row]])
+
+    def before(self, plant: Plant) -> None:
+        """Nothing: MuJoCo does it all."""
+
+    during = after = before
+
+
+class Bench:
+    """An arm under one disturbance; made once, used for all its promises."""
+
+    def __init__(self, arm: Arm, disturbance: Disturbance = NOMINAL) -> None:
+        """Build plant and hand."""
+        self.arm, self.disturbance = arm, disturbance
+        self.scale = arm.median_capacity[0] / OF_CAPACITY
+        self.grip = Grip(self.scale)
+        self.plant = Plant(
+            arm.model,
+            scene=[self.grip],
+            delay=disturbance.delay,
+            count=disturbance.count,
+            flicker=1 if disturbance.count else 0,
+            kp_scale=disturbance.kp,
+            payload=(disturbance.payload, (0.0, 0.0, 0.0)) if disturbance.payload else None,
+            **disturbance.plant,
+        )
+        known = disturbance.kp if disturbance.identified else 1.0
+        count = disturbance.count
+        self.servos = arm.servos.replace(kp=known * np.asarray(arm.servos.kp), count=count)
+        self.believed = arm.believed(disturbance.beyond)
+        self.compliance = 1.0 / np.asarray(self.servos.kp)
+        gains = self.plant.gains
+        self.damping = gains.damping + gains.kv
+        self._controllers: dict[tuple[str, float], pliant.Controller] = {}
+        self._captured: tuple[bytes, Array, Array] | None = None
+
+    def promises(self, pose: int, q: Array) -> list[Promise]:
+        """All promises in one pose: axis, sign, cap, free and guided."""
+        return [
+            self.keep(pose, q, axis, sign, cap, guided=guided)
+            for axis, row in zip(self.arm.axes, self.arm.rows, strict=True)
+            for sign in (1.0, -1.0)
+            for cap in self.arm.caps(row)
+            for guided in (False, True)
+        ]
+
+    def keep(
+        self, pose: int, q: Array, axis: str, sign: float, cap: float, *, guided: bool
+    ) -> Promise:
+        """Move one axis away from its target and compare the force with the promise."""
+        row, seen = AXES.index(axis), self.disturbance
+        named: dict[str, Any] = {
+            "pose": pose,
+            "axis": axis,
+            "sign": sign,
+            "cap": cap,
+            "guided": guided,
+        }
+        if self.arm.capacity(q, row, sign, seen.payload) < cap:
+            return Promise(**named, refused=True)
+        controller = self._controller(axis, cap)
+        if seen.captured:
+            controller.capture_gravity(*self._capture(q))
+        plant, grip, model = self.plant, self.grip, self.arm.model
+        plant.reset(q)
+        controller.reset(q)
+        grip.hold(self.arm.rows if guided else [row])
+        way, speed = self._way(q, row, cap)
+        target = model.forward_kinematics(q)
+        stop = START + way / speed
+        end = stop if seen.moving else stop + REST
+        felt, moved, speeds, drift, stiff = [], [], [], 0.0, [r for r in range(3) if r != row]
+        stiff = [r for r in stiff if r in self.arm.rows]
+        for tick in range(round(end * plant.rate)):
+            now = tick / plant.rate
+            grip.move(row, sign * speed if START <= now < stop - 1e-9 else 0.0)
+            command = controller.step(plant.read().q, target[:3, 3] if self._flat else target)
+            plant.write(command.goal, command.torque_limit)
+            plant.advance()
+            if now >= end - LOOK:
+                error = pliant.pose_error(plant.tool, target)
+                felt.append(sign * grip.force(row))
+                moved.append(abs(error[row]))
+                speeds.append(np.abs(plant.dq))
+                drift = max(drift, float(np.linalg.norm(error[stiff])))
+        jacobian = model.jacobian(plant.q)[self.arm.rows]
+        column = np.linalg.pinv(jacobian)[:, self.arm.rows.index(row)]
+        inverse = np.abs(column)
+        c = float(jacobian[self.arm.rows.index(row)] ** 2 @ self.compliance)
+        joint_speed = np.mean(speeds, axis=0)
+        rubs = self.damping * joint_speed if seen.moving else 0.0 * joint_speed
+        friction = float(inverse @ (np.asarray(self.arm.servos.friction) + rubs))
+        space = np.minimum(plant.q - model.lower, np.asarray(model.upper) - plant.q)
+        return Promise(
+            **named,
+            refused=False,
+            promise=min(cap, (1.0 - seen.eta) * float(np.mean(moved)) / c),
+            felt=float(np.mean(felt)),
+            friction=friction,
+            true_friction=float(inverse @ (plant.friction + rubs)),
+            band=(0.40 if seen.wrong else 0.15) * cap + friction,
+            stop=-sign * float(column @ self._stops()),
+            locked=bool(np.any(controller.locked)),
+            room=float(space.min()),
+            drift=drift,
+            speed=float(np.sqrt(np.mean(np.square(speeds)))),
+        )
+
+    @property
+    def _flat(self) -> bool:
+        """Whether the task has no rotations."""
+        return not any(row > 2 for row in self.arm.rows)
+
+    def _way(self, q: Array, row: int, cap: float) -> tuple[float, float]:
+        """How far the hand's place goes and how fast: until the axis gives the cap, and on."""
+        kind = row // 3
+        c = float(self.arm.model.jacobian(q)[row] ** 2 @ self.compliance)
+        alone = WAY * cap * c / (1.0 - self.disturbance.eta) + MORE[kind]
+        way = min(alone, FARTHEST[kind]) + cap / self.grip.stiffness[row]
+        return way, MOVING[kind] if self.disturbance.moving else way / RISE
+
+    def _settings(self, **more: Any) -> pliant.Settings:
+        delay = sum(self.disturbance.delay) / self.plant.rate
+        task = " ".join(self.arm.axes)
+        return pliant.Settings(task=task, delay=delay, **{**UNBLURRED, **more})
+
+    def _controller(self, axis: str, cap: float) -> pliant.Controller:
+        key = (axis, cap)
+        if key not in self._controllers:
+            soft = pliant.Axis(soft=cap, firm=cap, eta=self.disturbance.eta)
+            settings = self._settings(axes={axis: soft})
+            self._controllers[key] = pliant.Controller(self.believed, settings, self.servos)
+        return self._controllers[key]
+
+    def _capture(self, q: Array) -> tuple[Array, Array]:
+        """Hold q for 2 s by an integrating goal: where the arm stands, and the goals there."""
+        if self._captured is None or self._captured[0] != q.tobytes():
+            # Feed-forward and integration together ring: 9 of 20 poses with k_p 25 % too low.
+            holding = self._settings(integrate=4.0, friction_share=0.0, damping_share=0.0)
+            controller = pliant.Controller(self.believed, holding, self.servos)
+            self.plant.reset(q)
+            controller.reset(q)
+            self.grip.hold([])
+            target = self.arm.model.forward_kinematics(q)
+            goal = q
+            for _ in range(round(2.0 * self.plant.rate)):
+                command = controller.step(
+                    self.plant.read().q, target[:3, 3] if self._flat else target
+                )
+                goal = command.goal
+                self.plant.write(goal, command.torque_limit)
+                self.plant.advance()
+            self._captured = (q.tobytes(), np.array(self.plant.read().q), np.array(goal))
+        return self._captured[1:]
+
+    def _stops(self) -> Array:
+        """Torques (n,) [N·m] with which mechanical stops press against the joints."""
+        model, data, arm = self.plant.mj_model, self.plant.mj_data, self.arm.model
+        out = np.zeros(arm.n)
+        stops = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
+        q, names = self.plant.q, list(arm.joint_names)
+        for joint, force in zip(data.efc_id[stops], data.efc_force[stops], strict=True):
+            name = model.joint(joint).name
+            if name in names:
+                i = names.index(name)
+                upper = arm.upper[i] - q[i] < q[i] - arm.lower[i]
+                out[i] += -force if upper else force
+        return out

@@ -1,0 +1,212 @@
+"""What came of a cap campaign: figures per arm and disturbance, a table, a file and a picture."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from pliant.experiments.campaign_bench import Promise
+
+    #: Promises by arm and disturbance.
+    Found = Mapping[tuple[str, str], Sequence[Promise]]
+
+#: Distance from the stops from which on a pose is called clear [rad].
+CLEAR = 0.15
+#: Shares of promises to keep: nominal, disturbed.
+GOALS = (0.97, 0.95)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """Figures of one arm under one disturbance; shares are of what was run, errors of the cap.
+
+    Attributes:
+        arm, disturbance: Names.
+        poses: How many.
+        cases: Promises, refused ones included.
+        refused: Share of the cases that the limits cannot hold.
+        kept: Share in band, every pose and axis.
+        kept_free, kept_guided: The same with the other axes free and held.
+        stopped: Share not in band, provably by a joint at its mechanical stop.
+        kept_clear: Share in band with every joint clear of its stops at the end.
+        clear: Share of such cases.
+        kept_truly: Share within the band of the friction there truly was.
+        median, p95: Median and 95th percentile of |felt - promised| over the cap.
+        median_free, p95_free: The same, other axes free.
+        drift: 95th percentile of the stiff axes' drift under the middle cap, other axes free [mm].
+        drift_kept: Share of these below 5 mm.
+        friction: Median of what friction may hide [N or N·m], over the cap.
+    """
+
+    arm: str
+    disturbance: str
+    poses: int
+    cases: int
+    refused: float
+    kept: float
+    kept_free: float
+    kept_guided: float
+    stopped: float
+    kept_clear: float
+    clear: float
+    kept_truly: float
+    median: float
+    p95: float
+    median_free: float
+    p95_free: float
+    drift: float
+    drift_kept: float
+    friction: float
+
+    @property
+    def met(self) -> bool:
+        """Whether enough promises were kept."""
+        return self.kept >= GOALS[self.disturbance != "nominal"]
+
+
+def summary(arm: str, disturbance: str, found: Sequence[Promise]) -> Row:
+    """Figures of one arm under one disturbance."""
+    run = [one for one in found if not one.refused]
+    caps = {axis: sorted({p.cap for p in found if p.axis == axis}) for axis in "xyz"}
+    drifts = [
+        1e3 * p.drift
+        for p in run
+        if not p.guided and caps.get(p.axis) and p.cap == caps[p.axis][len(caps[p.axis]) // 2]
+    ]
+    free = [p for p in run if not p.guided]
+    clear = [p for p in run if p.room >= CLEAR]
+    return Row(
+        arm=arm,
+        disturbance=disturbance,
+        poses=len({p.pose for p in found}),
+        cases=len(found),
+        refused=1.0 - len(run) / max(len(found), 1),
+        kept=_share([p.kept for p in run]),
+        kept_free=_share([p.kept for p in free]),
+        kept_guided=_share([p.kept for p in run if p.guided]),
+        stopped=_share([p.stopped for p in run]),
+        kept_clear=_share([p.kept for p in clear]),
+        clear=len(clear) / max(len(run), 1),
+        kept_truly=_share(
+            [abs(p.felt - p.promise) <= p.band - p.friction + p.true_friction for p in run]
+        ),
+        median=_quantile([abs(p.error) for p in run], 0.5),
+        p95=_quantile([abs(p.error) for p in run], 0.95),
+        median_free=_quantile([abs(p.error) for p in free], 0.5),
+        p95_free=_quantile([abs(p.error) for p in free], 0.95),
+        drift=_quantile(drifts, 0.95),
+        drift_kept=_share([d < 5.0 for d in drifts]),
+        friction=_quantile([p.friction / p.cap for p in run], 0.5),
+    )
+
+
+def _share(values: Sequence[bool]) -> float:
+    return float(np.mean(values)) if values else float("nan")
+
+
+def _quantile(values: Sequence[float], q: float) -> float:
+    return float(np.quantile(values, q)) if values else float("nan")
+
+
+def text(rows: Sequence[Row]) -> str:
+    """The table, as Markdown."""
+    lines = [
+        "| arm | disturbance | poses | cases | refused % | in band % | free | guided | by a stop "
+        "| clear of stops | true friction | error: median % | 95th % | free: median | 95th "
+        "| drift 95th [mm] | < 5 mm % | met |",
+        "|---" * 18 + "|",
+    ]
+    for r in rows:
+        shares = (
+            r.refused,
+            r.kept,
+            r.kept_free,
+            r.kept_guided,
+            r.stopped,
+            r.kept_clear,
+            r.kept_truly,
+        )
+        errors = (r.median, r.p95, r.median_free, r.p95_free)
+        cells = [r.arm, r.disturbance, str(r.poses), str(r.cases)]
+        cells += [f"{100.0 * value:.1f}" for value in (*shares, *errors)]
+        cells += [f"{r.drift:.1f}", f"{100.0 * r.drift_kept:.0f}", "yes" if r.met else "NO"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def save(folder: Path, rows: Sequence[Row], found: Found, about: Mapping[str, Any]) -> None:
+    """Write `results.json`: what was asked, the figures, and every promise that was not kept."""
+    folder.mkdir(parents=True, exist_ok=True)
+    missed = [
+        {"arm": arm, "disturbance": disturbance, **asdict(one)}
+        for (arm, disturbance), promises in found.items()
+        for one in promises
+        if not (one.refused or one.kept)
+    ]
+    data = {**about, "rows": [asdict(row) for row in rows], "missed": missed}
+    (folder / "results.json").write_text(json.dumps(_plain(data), indent=1) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    """The same without NumPy's types and without NaN, which JSON has not."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return round(float(value), 6) if np.isfinite(value) else None
+    return value
+
+
+def draw(folder: Path, rows: Sequence[Row], found: Found) -> None:
+    """Write `campaign.png`: how the errors are distributed, by arm and by disturbance."""
+    from pliant.experiments.figures import style
+
+    arms = [key for key in found if key[1] == "nominal"]
+    first = rows[0].arm if rows else ""
+    disturbed = [key for key in found if key[0] == first]
+    height = 1.2 + 0.42 * max(len(arms), len(disturbed), 4)
+    with style.canvas(1, 2, size=(style.WIDE, height)) as (figure, axes):
+        titles = ("Nominal, by arm", f"{first}, one disturbance at a time")
+        for ax, keys, title in zip(axes[0], (arms, disturbed), titles, strict=True):
+            _strips(ax, keys, found, name=0 if keys is arms else 1)
+            ax.set_title(title)
+        style.save(figure, folder, "campaign")
+
+
+def _strips(ax: Any, keys: Sequence[tuple[str, str]], found: Found, *, name: int) -> None:
+    """One line per key: the middle 95 % and half of the errors, the median, the share in band."""
+    from pliant.experiments.figures import style
+
+    for place, key in enumerate(reversed(keys)):
+        run = [p for p in found[key] if not p.refused]
+        if not run:
+            continue
+        marks = 100.0 * np.quantile([p.error for p in run], (0.025, 0.25, 0.5, 0.75, 0.975))
+        low, a, middle, b, high = np.clip(marks, -100.0, 100.0)
+        ax.plot((low, high), (place, place), color=style.SKY, linewidth=2.0)
+        ax.plot((a, b), (place, place), color=style.BLUE, linewidth=6.0)
+        ax.plot(middle, place, "|", color=style.CARD, markersize=8, markeredgewidth=1.5)
+        share = 100.0 * _share([p.kept for p in run])
+        ax.annotate(
+            f"{share:.1f} % in band",
+            (1.0, place),
+            xycoords=("axes fraction", "data"),
+            ha="right",
+            va="center",
+            fontsize=7.5,
+            color=style.MUTED,
+        )
+    ax.set_yticks(range(len(keys)), [key[name] for key in reversed(keys)])
+    ax.set_xlim(-105.0, 185.0)
+    ax.set_xticks((-100, -50, 0, 50, 100), ("≤ −100", "−50", "0", "50", "≥ 100"))
+    ax.set_ylim(-0.6, len(keys) - 0.2)
+    ax.axvline(0.0, color=style.MUTED, linewidth=0.7)
+    ax.set_xlabel("felt − promised [% of the cap]: middle 95 %, half, median")

@@ -1,0 +1,180 @@
+"""Dry friction of real gears: more at rest than in motion (Stribeck), more under load.
+
+With the Stribeck share ``s = exp(-|ω/ω_s|^a)`` (1 at rest, 0 in fast motion), the motor's torque
+τ_m and what the load exerts on the joint τ_e (equal and opposite at rest), friction is at most
+
+``base + s stribeck + |k_e τ_e - k_m τ_m| + s |k_es τ_e - k_ms τ_m| + s opposed quadratic``,
+
+where ``opposed`` is 1 while τ_e and τ_m have opposite signs and ``quadratic`` is ``q_e τ_e²`` while
+the motor wins, ``q_m τ_m²`` while the load does. Models M1 to M6 of Duclusaud et al., Extended
+Friction Models for the Physics Simulation of Servo Actuators, arXiv 2410.08650 (2024); M2 has only
+the first two terms, M4 has ``k_e = k_m``, M6 has all of them. Their viscous term stays with the
+damping of the servo table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import ConfigError
+from pliant.sim._mujoco import mujoco
+from pliant.sim.gains import per_joint
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Friction:
+    """Friction of gears by speed and load; every entry a number or one per joint, at least 0.
+
+    Attributes:
+        base: Present always [N·m].
+        stribeck: In addition at rest [N·m].
+        motor, external: In addition per torque of the motor and of the load [1].
+        motor_stribeck, external_stribeck: The same at rest [1].
+        motor_quadratic, external_quadratic: In addition at rest, per squared torque [1/(N·m)].
+        speed: ω_s, at which the Stribeck share has fallen to 1/e [rad/s], above 0.
+        exponent: How suddenly it falls.
+    """
+
+    base: ArrayLike = 0.0
+    stribeck: ArrayLike = 0.0
+    motor: ArrayLike = 0.0
+    external: ArrayLike = 0.0
+    motor_stribeck: ArrayLike = 0.0
+    external_stribeck: ArrayLike = 0.0
+    motor_quadratic: ArrayLike = 0.0
+    external_quadratic: ArrayLike = 0.0
+    speed: ArrayLike = 1.0
+    exponent: ArrayLike = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        for field in fields(self):
+            value = np.asarray(getattr(self, field.name), dtype=np.float64)
+            if not (np.isfinite(value).all() and (value >= 0.0).all()):
+                raise ConfigError(f"Friction.{field.name} must be at least 0, got {value.tolist()}")
+        if not (np.asarray(self.speed) > 0.0).all():
+            raise ConfigError(f"Friction.speed must be above 0 rad/s, got {self.speed!r}")
+
+    def most(self, motor: ArrayLike, external: ArrayLike, speed: ArrayLike) -> Array:
+        """Largest dry friction [N·m] for torques of motor and load [N·m] and a speed [rad/s]."""
+        motor, external = np.asarray(motor, dtype=np.float64), np.asarray(external, np.float64)
+        share = np.exp(-(np.abs(np.asarray(speed) / self.speed) ** np.asarray(self.exponent)))
+        at_rest = self.stribeck + np.abs(
+            np.multiply(self.external_stribeck, external) - np.multiply(self.motor_stribeck, motor)
+        )
+        quadratic = np.where(
+            np.abs(external) < np.abs(motor),
+            np.multiply(self.external_quadratic, external**2),
+            np.where(
+                np.abs(external) > np.abs(motor), np.multiply(self.motor_quadratic, motor**2), 0.0
+            ),
+        )
+        at_rest = at_rest + np.where(motor * external < 0.0, quadratic, 0.0)
+        load = np.abs(np.multiply(self.external, external) - np.multiply(self.motor, motor))
+        out: Array = self.base + load + share * at_rest
+        return out
+
+    def at_rest(self, torque: ArrayLike) -> Array:
+        """Friction [N·m] of a joint at rest whose motor holds a load of `torque` [N·m]."""
+        torque = np.asarray(torque, dtype=np.float64)
+        return self.most(torque, -torque, 0.0)
+
+    def spread(self, n: int) -> Friction:
+        """The same with one entry per joint.
+
+        Raises:
+            ShapeError: An entry is no number and has not n entries.
+        """
+        names = [field.name for field in fields(self)]
+        return Friction(**{name: per_joint(getattr(self, name), n, name) for name in names})
+
+    @staticmethod
+    def of(joints: Sequence[Friction]) -> Friction:
+        """One arm from the friction of each of its joints."""
+        names = [field.name for field in fields(Friction)]
+        columns = {name: np.array([getattr(one, name) for one in joints]) for name in names}
+        return Friction(**columns)
+
+
+#: Identified on a pendulum by the authors of the models (github.com/Rhoban/bam, rounded to three
+#: digits): Dynamixel MX-106 and MX-64 at 15 V, Feetech STS3215 at 7.4 V; form M6.
+MX106 = Friction(
+    base=0.0,
+    stribeck=0.122,
+    motor=0.198,
+    external=0.0222,
+    motor_stribeck=0.199,
+    external_stribeck=0.0871,
+    motor_quadratic=0.01,
+    external_quadratic=7.3e-5,
+    speed=1.75,
+    exponent=1.14,
+)
+MX64 = Friction(
+    base=0.0,
+    stribeck=0.123,
+    motor=0.311,
+    external=0.0,
+    motor_stribeck=0.188,
+    external_stribeck=0.0141,
+    motor_quadratic=0.00691,
+    external_quadratic=0.01,
+    speed=2.58,
+    exponent=0.841,
+)
+STS3215 = Friction(
+    base=0.0533,
+    stribeck=0.0,
+    motor=0.0449,
+    external=0.244,
+    motor_stribeck=0.0,
+    external_stribeck=0.142,
+    motor_quadratic=0.00759,
+    external_quadratic=0.0034,
+    speed=0.371,
+    exponent=9.93,
+)
+
+
+class Gears:
+    """Sets the dry friction of n joints of a compiled model before every physics step."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        friction: Friction,
+        dof: NDArray[np.int_],
+        servo: NDArray[np.int_],
+    ) -> None:
+        """Take the joints by degree of freedom (n,) and their servos by actuator (n,)."""
+        self._model, self._data = model, data
+        self._friction, self._dof, self._servo = friction.spread(dof.size), dof, servo
+
+    def loads(self) -> tuple[Array, Array]:
+        """Torques (n,) [N·m] of the motors, and of everything else but friction and damping."""
+        data, dof = self._data, self._dof
+        rubbing = np.zeros(self._model.nv)
+        dry = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+        rubbing[data.efc_id[dry]] = data.efc_force[dry]
+        motor: Array = data.actuator_force[self._servo]
+        outer = data.qfrc_applied + data.qfrc_actuator + data.qfrc_constraint - rubbing
+        external: Array = (outer - data.qfrc_bias)[dof] - motor
+        return motor, external
+
+    def update(self) -> Array:
+        """Set and return the friction (n,) [N·m] from the loads of the last step."""
+        motor, external = self.loads()
+        loss = self._friction.most(motor, external, self._data.qvel[self._dof])
+        self._model.dof_frictionloss[self._dof] = loss
+        return loss

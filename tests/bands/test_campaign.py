@@ -1,0 +1,106 @@
+"""The promised cap in random poses: a seeded part that always runs, the rest marked `full`."""
+
+import json
+
+import numpy as np
+import pytest
+
+from pliant.experiments import campaign_table as table
+from pliant.experiments.campaign_arms import load
+from pliant.experiments.campaign_bench import BEYOND, DISTURBANCES, NOMINAL, Bench
+from pliant.experiments.campaign_jobs import jobs, run
+
+#: Seeded poses of `arm7`: one (1) has a joint at its stop, one (2) is clear of all of them.
+POSES = range(1, 3)
+
+
+def tried(arm, disturbance, poses):
+    bench = Bench(load(arm), disturbance)
+    places = bench.arm.poses(max(poses) + 1)
+    return [promise for pose in poses for promise in bench.promises(pose, places[pose])]
+
+
+def ran(promises):
+    return [one for one in promises if not one.refused]
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return tried("arm7", NOMINAL, POSES)
+
+
+def test_caps_of_arm7_are_those_of_the_protocol():
+    arm = load("arm7")
+    assert arm.caps(0) == (5.0, 10.0, 20.0)
+    assert arm.caps(3) == (0.5, 1.0)
+    assert len(arm.poses(200)) == 200
+
+
+def test_a_refusal_is_proven_by_the_limits(nominal):
+    arm, (heavy, *_) = load("arm7"), [one for one in nominal if one.refused]
+    q = arm.poses(heavy.pose + 1)[heavy.pose]
+    row = ("x", "y", "z", "roll", "pitch", "yaw").index(heavy.axis)
+    push = heavy.sign * heavy.cap * np.asarray(arm.model.jacobian(q)[row])
+    beyond = np.abs(arm.model.gravity(q) - push) - np.asarray(arm.servos.torque)
+    assert beyond.max() > 0.0
+    assert np.mean([one.refused for one in nominal]) < 0.08  # (.038)
+
+
+def test_every_cap_is_kept_where_joints_are_clear_of_their_stops(nominal):
+    clear = [one for one in ran(nominal) if one.room >= table.CLEAR]
+    assert len(clear) > 30  # (56)
+    assert np.mean([one.kept for one in clear]) >= 0.97  # (1.0)
+    assert np.median([abs(one.error) for one in clear]) < 0.06
+
+
+def test_with_goals_past_the_stops_only_mechanical_stops_break_a_promise():
+    promises = ran(tried("arm7", BEYOND, [1]))
+    assert np.mean([one.kept or one.stopped for one in promises]) >= 0.97
+
+
+@pytest.mark.parametrize(
+    "disturbance",
+    [
+        one
+        for one in DISTURBANCES
+        if one.name in {"moving at 0.05 m/s", "k_p × 1.25, identified", "a tick each way"}
+    ],
+    ids=lambda one: one.name.split(",")[0].replace("×", "x"),
+)
+def test_caps_hold_under_what_the_controller_knows_or_can_bear(disturbance):
+    promises = [one for one in ran(tried("arm7", disturbance, [2])) if one.room >= table.CLEAR]
+    assert np.mean([one.kept for one in promises]) >= 0.95
+
+
+@pytest.mark.parametrize("arm", ["so101", "koch"])
+def test_small_arms_keep_their_caps(arm):
+    clear = [one for one in ran(tried(arm, NOMINAL, range(1))) if one.room >= table.CLEAR]
+    assert np.mean([one.kept for one in clear]) >= 0.90
+
+
+def test_campaign_is_one_table_one_file_one_picture(tmp_path):
+    found = dict(run(jobs(["koch"], 1), 1))
+    rows = [table.summary(*key, promises) for key, promises in found.items()]
+    lines = table.text(rows).splitlines()
+    assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
+    table.save(tmp_path, rows, found, {"poses": 1})
+    assert json.loads((tmp_path / "results.json").read_text())["rows"][0]["arm"] == "koch"
+    pytest.importorskip("matplotlib", reason="pictures need the extra plot")
+    table.draw(tmp_path, rows, found)
+    assert (tmp_path / "campaign.png").stat().st_size > 10_000
+
+
+def test_a_promise_repeats():
+    bench = Bench(load("koch"))
+    q = bench.arm.poses(1)[0]
+    first, _, again = (bench.keep(0, q, "z", way, 0.5, guided=False) for way in (1.0, -1.0, 1.0))
+    assert first == again
+
+
+@pytest.mark.full
+def test_nominal_campaign_in_full():
+    promises = tried("arm7", NOMINAL, range(200))
+    row = table.summary("arm7", "nominal", promises)
+    assert row.kept >= 0.92  # (.943 over 80 poses); the goal is .97
+    assert row.kept_clear >= 0.985  # (.999)
+    assert row.refused < 0.08

@@ -1,0 +1,88 @@
+"""Friction by speed and load: the formula, and the simulated joint against it."""
+
+import numpy as np
+import pytest
+
+import pliant.robots
+from pliant import ConfigError, ShapeError
+from pliant.sim import MX64, MX106, STS3215, Friction, Plant
+
+#: Grasp pose (7,) [rad].
+GRASP = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
+
+
+def test_stribeck_share_falls_from_one_to_nothing():
+    gear = Friction(base=0.1, stribeck=0.3, speed=0.5, exponent=2.0)
+    speeds = np.array([0.0, 0.5, -0.5, 50.0])
+    share = np.array([1.0, np.exp(-1.0), np.exp(-1.0), 0.0])
+    np.testing.assert_allclose(gear.most(0.0, 0.0, speeds), 0.1 + 0.3 * share, atol=1e-15)
+
+
+def test_load_adds_what_motor_and_load_press_on_the_teeth():
+    gear = Friction(base=0.1, motor=0.2, external=0.1, motor_stribeck=0.3, speed=1.0)
+    at_rest = 0.1 + abs(0.1 * -2.0 - 0.2 * 3.0) + abs(0.3 * 3.0)
+    assert gear.most(3.0, -2.0, 0.0) == pytest.approx(at_rest)
+    fast = 0.1 + abs(0.1 * -2.0 - 0.2 * 3.0)
+    assert gear.most(3.0, -2.0, 100.0) == pytest.approx(fast)
+
+
+@pytest.mark.parametrize(
+    ("motor", "external", "most"),
+    [(2.0, -1.0, 0.5 * 1.0), (1.0, -2.0, 0.25 * 1.0), (2.0, 1.0, 0.0), (2.0, -2.0, 0.0)],
+)
+def test_quadratic_part_acts_only_between_opposed_torques(motor, external, most):
+    gear = Friction(motor_quadratic=0.25, external_quadratic=0.5)
+    assert gear.most(motor, external, 0.0) == pytest.approx(most)
+
+
+@pytest.mark.parametrize("gear", [MX106, MX64, STS3215])
+def test_identified_gears_rub_more_at_rest_and_under_load(gear):
+    assert gear.at_rest(2.0) > gear.at_rest(0.5) > gear.at_rest(0.0) > 0.0
+    assert gear.most(1.0, -1.0, 0.0) >= gear.most(1.0, -1.0, 5.0)
+
+
+def test_gears_of_an_arm_are_those_of_its_joints():
+    arm = Friction.of([MX106] * 4 + [MX64] * 3)
+    assert arm.at_rest(np.ones(7))[[0, 6]] == pytest.approx([MX106.at_rest(1), MX64.at_rest(1)])
+
+
+def test_simulated_joint_breaks_away_at_the_friction_of_its_load():
+    """A joint without gravity that presses with a torque moves once it exceeds base and load."""
+    arm = pliant.robots.arm7(gravity=(0.0, 0.0, 0.0))
+    gear = Friction(base=0.2, motor=0.5)  # stands still while τ ≤ 0.2 + 0.5 τ: up to 0.4 N·m
+    for torque, moves in ((0.35, False), (0.6, True)):
+        plant = Plant(arm, friction=gear)
+        plant.reset(GRASP)
+        goal = GRASP + 0.5 * (np.arange(7) == 0)  # [rad], far: the servo gives its limit
+        for _ in range(30):
+            plant.write(goal, np.full(7, torque))
+            plant.advance()
+        assert (abs(plant.q[0] - GRASP[0]) > 5e-3) == moves
+
+
+def test_simulated_friction_is_the_formula_at_the_load_of_the_pose():
+    arm = pliant.robots.arm7()
+    plant = Plant(arm, friction=MX106)
+    plant.reset(GRASP)
+    gravity = arm.gravity(GRASP)
+    for _ in range(100):
+        plant.write(GRASP + gravity / arm.servos.kp)
+        plant.advance()
+    formula = MX106.most(plant.torque, -arm.gravity(plant.q), 0.0)
+    np.testing.assert_allclose(plant.friction, formula, rtol=0.02, atol=5e-3)
+
+
+def test_coulomb_friction_is_that_of_the_table():
+    arm = pliant.robots.arm7()
+    np.testing.assert_array_equal(Plant(arm).friction, arm.servos.friction)
+
+
+def test_what_is_no_friction_is_refused():
+    with pytest.raises(ConfigError, match=r"Friction\.motor must be at least 0"):
+        Friction(motor=-0.1)
+    with pytest.raises(ConfigError, match="speed must be above 0"):
+        Friction(speed=0.0)
+    with pytest.raises(ConfigError, match="friction is 'coulomb' or"):
+        Plant(pliant.robots.arm7(), friction="stribeck")
+    with pytest.raises(ShapeError, match="base has shape"):
+        Plant(pliant.robots.arm7(), friction=Friction(base=[0.1, 0.2]))
