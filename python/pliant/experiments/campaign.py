@@ -52,7 +52,7 @@ def gears_text() -> str:
         A table in Markdown; forces in N, drift in mm, the door's opening in deg.
     """
     measures = {
-        "15 N hand": merits.light,
+        "15 N hand": merits.light(laws.cap()),
         "strong hand": merits.strong(laws.cap()),
         "door, rigid grip": merits.door("door"),
     }

@@ -133,7 +133,7 @@ fn the_last_step_and_the_same_pose_at_rest_agree_and_nothing_is_touched() {
 #[test]
 fn an_arm_that_cannot_hold_itself_says_so() {
     let options = ModelOptions {
-        payload: Some(Payload { mass: 8.0, com: [0.0; 3] }),
+        payload: Some(Payload { mass: 3.0, com: [0.0; 3] }),
         tip: Some("tool".into()),
         ..ModelOptions::default()
     };
