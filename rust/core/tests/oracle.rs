@@ -81,6 +81,11 @@ impl Judge<'_> {
             )
         };
         self.same("locked", locked(&record.locked).as_slice(), &locked(&tick.locked));
+        let met: Vec<f64> = tick.met.iter().map(|&on| f64::from(u8::from(on))).collect();
+        let got: Vec<f64> = record.deviation_limited[..k].iter().map(|&on| f64::from(u8::from(on))).collect();
+        self.same("deviation limited", &got, &Vector::from_vec(met));
+        let position = Vector::from_column_slice(&tick.reference.position);
+        self.to_scale("reference", &record.reference.position, &position, 1.0);
         if controller.settings().law == Law::Impedance {
             self.number("gain factor", controller.gain_factor(), tick.derating);
         }
@@ -102,6 +107,7 @@ struct Seen {
     singular: usize,
     derated: usize,
     faded: usize,
+    limited: usize,
 }
 
 /// One arm, one set of settings, a few ticks.
@@ -165,6 +171,7 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
         seen.slowed += usize::from(want.factors[0] < 1.0);
         seen.faded += usize::from(want.faded);
         seen.derated += usize::from(want.derating < 1.0);
+        seen.limited += usize::from(want.met.contains(&true));
         seen.singular += usize::from(want.sigma[0] < 0.02);
         for i in 0..n {
             q[i] += 0.01 * speed[i] + random.between(-1e-3, 1e-3);
@@ -192,7 +199,11 @@ fn both_transcriptions_agree() {
         // The sequences must have been where it is difficult; springs are rarely too fast.
         let slowed = if law == Law::Impedance { 30 } else { 80 };
         assert!(
-            seen.locked > 300 && seen.saturated > 300 && seen.slowed > slowed && seen.singular > 200,
+            seen.locked > 300
+                && seen.saturated > 300
+                && seen.limited > 300
+                && seen.slowed > slowed
+                && seen.singular > 200,
             "{law:?} {seen:?}"
         );
         assert!(law != Law::Impedance || seen.derated > 300, "{seen:?}");

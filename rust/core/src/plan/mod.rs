@@ -12,10 +12,11 @@ use crate::servos::{ServoArrays, Servos};
 use crate::settings::{Damping, Follow, Law, LimitRule, Projector, Settings};
 use crate::survey;
 use crate::task::axes::{AXIS_NAMES, Frame};
+use crate::task::deviation_limit::DeviationLimit;
 
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 pub(crate) use rows::Row;
-use rows::resolve_rows;
+use rows::{deviation_limits, resolve_rows};
 
 /// Reach [m] of the arm on which the damping constants were found; others are scaled to it.
 const REFERENCE_REACH: f64 = 0.71;
@@ -48,6 +49,8 @@ pub(crate) struct Plan {
     /// Axis index of each row.
     pub(crate) axes: Vec<usize>,
     pub(crate) rows: [Row; MAX_AXES],
+    /// Axes with a deviation limit; where there are none, a step knows nothing of them.
+    pub(crate) deviation_limits: Vec<DeviationLimit>,
     /// 1 / length for translations, 1 for rotations: what makes singular values of mixed rows comparable.
     pub(crate) row_scale: AxisVec,
     /// Factor on λ² of each row.
@@ -134,6 +137,7 @@ impl Plan {
             budget_on_goal: settings.budget_on_goal,
             frame: settings.task.frame,
             rows,
+            deviation_limits: deviation_limits(settings, &axes),
             row_scale,
             damping_scale,
             kx: [[0.0; MAX_AXES]; MAX_AXES],

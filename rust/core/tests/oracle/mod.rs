@@ -11,6 +11,7 @@ use pliant_core::settings::{Damping, Gain, Law, LimitRule, Settings};
 use pliant_core::task::axes::{Frame, Profile, Yields};
 use pliant_core::{Model, Pose, Reference, ServoKind, Servos, StepInput};
 
+mod deviation_limit;
 mod law;
 
 pub(crate) type Vector = DVector<f64>;
@@ -36,6 +37,8 @@ pub(crate) struct Memory {
     goal: Vector,
     limit: Option<Vector>,
     rest: Vector,
+    /// Target of the last tick as far as the deviation limits let it.
+    reference: Pose,
 }
 
 /// Everything that one tick came to; one entry per row of the task, or per joint.
@@ -64,6 +67,9 @@ pub(crate) struct Tick {
     pub(crate) locked: Vec<bool>,
     /// Whether a force led out of a limit that its joint had passed.
     pub(crate) faded: bool,
+    /// Axes that met their deviation limit.
+    pub(crate) met: Vec<bool>,
+    pub(crate) reference: Pose,
     pub(crate) goal: Vector,
     pub(crate) limit: Vector,
     /// Smallest and largest singular value of the rows, by SVD.
@@ -102,13 +108,16 @@ impl Oracle {
                 goal: zero.clone(),
                 limit: None,
                 rest: zero,
+                reference: Pose::IDENTITY,
             },
         }
     }
 
     pub(crate) fn reset(&mut self, q: &[f64]) {
+        let reference = self.model.forward_kinematics(q).unwrap();
         let q = Vector::from_column_slice(q);
         self.memory = Memory {
+            reference,
             held: q.clone(),
             velocity: Vector::zeros(q.len()),
             gamma: 1.0,
@@ -165,7 +174,7 @@ impl Oracle {
         usable.zip_map(&friction, |m, f| m.max(2.0 * f))
     }
 
-    fn base_from_task(&self, tool: &Pose) -> Matrix3<f64> {
+    pub(crate) fn base_from_task(&self, tool: &Pose) -> Matrix3<f64> {
         let of = |r: &[[f64; 3]; 3]| Matrix3::from_fn(|i, j| r[i][j]);
         match &self.settings.task.frame {
             Frame::Base => Matrix3::identity(),
@@ -197,7 +206,7 @@ impl Oracle {
     }
 
     /// (1)(2): position difference, rotation vector of `R_d Rᵀ`, turned into the task frame; then only the task's axes.
-    fn deviation(&self, tool: &Pose, target: &Pose) -> Vector {
+    pub(crate) fn deviation(&self, tool: &Pose, target: &Pose) -> Vector {
         let of = |r: &[[f64; 3]; 3]| Rotation3::from_matrix_unchecked(Matrix3::from_fn(|i, j| r[i][j]));
         let turn = (of(&target.rotation) * of(&tool.rotation).inverse()).scaled_axis();
         let position = Vector3::from(target.position) - Vector3::from(tool.position);
@@ -330,8 +339,10 @@ impl Oracle {
         // 2
         let tool = self.model.forward_kinematics(q.as_slice()).unwrap();
         let rows = self.rows(&q);
-        let e = self.deviation(&tool, target);
-        let twist = input.twist.copied().unwrap_or_default();
+        let (reference, met) = self.reference(&tool, target);
+        let e = self.deviation(&tool, &reference);
+        // A reference that does not reach its target does not have the target's velocity.
+        let twist = input.twist.copied().filter(|_| !met.contains(&true)).unwrap_or_default();
         let twist = self.in_task(
             &tool,
             &Vector3::new(twist[0], twist[1], twist[2]),
@@ -510,6 +521,7 @@ impl Oracle {
         let singular = self.scaled(&rows).singular_values();
 
         self.memory.gamma = gamma;
+        self.memory.reference = reference;
         self.memory.goal.clone_from(&goal);
         self.memory.limit = Some(limit.clone());
         Tick {
@@ -536,6 +548,8 @@ impl Oracle {
             gamma,
             locked,
             faded,
+            met,
+            reference,
             goal,
             limit,
         }
