@@ -8,6 +8,7 @@ Register tables, checksums and conversions are this package's own, shared with n
 them.
 """
 
+from pliant.servo.emulator.arm import ArmEmulator, ArmPhysics, Mount, emulate
 from pliant.servo.emulator.device import Device
 from pliant.servo.emulator.emulator import Emulator
 from pliant.servo.emulator.faults import Faults
@@ -20,6 +21,8 @@ from pliant.servo.emulator.timing import Timing
 
 __all__ = [
     "MODELS",
+    "ArmEmulator",
+    "ArmPhysics",
     "Delivery",
     "Device",
     "Drive",
@@ -29,10 +32,12 @@ __all__ = [
     "Line",
     "Load",
     "Log",
+    "Mount",
     "Physics",
     "Servo",
     "Shaft",
     "Timing",
     "Transaction",
     "Write",
+    "emulate",
 ]

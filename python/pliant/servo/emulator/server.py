@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import select
@@ -164,7 +165,12 @@ class Server:
                     if port.pty.master is not None
                 }
                 pause = self._pause()
-            ready, _, _ = select.select([self._wake_r, *masters], [], [], pause)
+            try:
+                ready, _, _ = select.select([self._wake_r, *masters], [], [], pause)
+            except OSError as error:
+                if error.errno == errno.EBADF:
+                    continue  # an adapter was pulled in between
+                raise
             if self._wake_r in ready:
                 os.read(self._wake_r, 4096)
             with self.lock:
