@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import termios
+import time
+import tty
+
 from pliant.servo.emulator import Device, Line
 
 BAUD = 1_000_000
@@ -51,3 +56,31 @@ def two(value):
 
 def four(value):
     return tuple(value >> 8 * k & 0xFF for k in range(4))
+
+
+class Host:
+    """The barest serial client: raw bytes, a deadline."""
+
+    def __init__(self, path, speed=termios.B1000000):
+        self.fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(self.fd)
+        settings = termios.tcgetattr(self.fd)
+        settings[4] = settings[5] = speed
+        termios.tcsetattr(self.fd, termios.TCSANOW, settings)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        os.close(self.fd)
+
+    def ask(self, request, length, patience=2.0):
+        """Write, and read so many bytes or until patience ends."""
+        os.write(self.fd, request)
+        answer, end = b"", time.monotonic() + patience
+        while len(answer) < length and time.monotonic() < end:
+            try:
+                answer += os.read(self.fd, 4096)
+            except BlockingIOError:
+                time.sleep(0.0005)
+        return answer

@@ -5,42 +5,13 @@ from __future__ import annotations
 import os
 import termios
 import time
-import tty
 from pathlib import Path
 
 import pytest
-from emulator.helpers import p1, two
+from emulator.helpers import Host, p1, two
 
 from pliant import ConfigError, ServoError
 from pliant.servo.emulator import Device, Emulator, Timing
-
-
-class Host:
-    """The barest serial client: raw bytes, a deadline."""
-
-    def __init__(self, path, speed=termios.B1000000):
-        self.fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        tty.setraw(self.fd)
-        settings = termios.tcgetattr(self.fd)
-        settings[4] = settings[5] = speed
-        termios.tcsetattr(self.fd, termios.TCSANOW, settings)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        os.close(self.fd)
-
-    def ask(self, request, length, patience=2.0):
-        """Write, and read so many bytes or until patience ends."""
-        os.write(self.fd, request)
-        answer, end = b"", time.monotonic() + patience
-        while len(answer) < length and time.monotonic() < end:
-            try:
-                answer += os.read(self.fd, 4096)
-            except BlockingIOError:
-                time.sleep(0.0005)
-        return answer
 
 
 def sts(count=1, **options):
@@ -184,9 +155,11 @@ def test_two_ports_share_a_clock():
 
 def test_log_is_bounded_and_decodes():
     with sts(log=10) as emulator, Host(emulator.port) as host:
+        seen = []
+        emulator.log.watch = seen.append
         for _ in range(30):
             host.ask(p1(1, 1), 6)
-        assert (len(emulator.log), emulator.log.count) == (10, 30)
+        assert (len(emulator.log), emulator.log.count, len(seen)) == (10, 30, 30)
         host.ask(p1(1, 3, 48, *two(300)), 6)
         host.ask(p1(1, 3, 42, *two(2048)), 6)
         host.ask(p1(1, 3, 40, 1), 6)

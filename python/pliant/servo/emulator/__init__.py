@@ -16,6 +16,7 @@ from pliant.servo.emulator.line import Delivery, Line
 from pliant.servo.emulator.log import Log, Transaction, Write
 from pliant.servo.emulator.models import MODELS
 from pliant.servo.emulator.motion import Joints, Physics
+from pliant.servo.emulator.process import Remote
 from pliant.servo.emulator.servo import Drive, Load, Servo, Shaft
 from pliant.servo.emulator.timing import Timing
 
@@ -34,6 +35,7 @@ __all__ = [
     "Log",
     "Mount",
     "Physics",
+    "Remote",
     "Servo",
     "Shaft",
     "Timing",
