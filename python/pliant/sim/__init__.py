@@ -10,6 +10,7 @@
 axes; all units SI.
 """
 
+from pliant.arm.state import State
 from pliant.sim.doors import Door, Drive, door, fridge, oven
 from pliant.sim.friction import MX64, MX106, STS3215, Friction
 from pliant.sim.hand import (
@@ -29,7 +30,7 @@ from pliant.sim.imperfections import Overload
 from pliant.sim.plant import Plant
 from pliant.sim.record import Recorder
 from pliant.sim.scene import Fixture, Table, Wall, table
-from pliant.sim.state import Felt, State
+from pliant.sim.state import Felt
 from pliant.sim.truth import Frame, Truth
 
 __all__ = [
