@@ -53,11 +53,14 @@ from pliant._core import (
     pose_error,
     responsibility,
 )
+from pliant.connect import connect
 
 if TYPE_CHECKING:
+    from pliant import arm as arm
     from pliant import experiments as experiments
     from pliant import robots as robots
     from pliant import sim as sim
+    from pliant.loop import Loop as Loop
 
 __all__ = [
     "Axis",
@@ -72,6 +75,7 @@ __all__ = [
     "Joint",
     "LimitError",
     "Link",
+    "Loop",
     "Mimic",
     "Model",
     "Payload",
@@ -92,6 +96,7 @@ __all__ = [
     "as_pose",
     "check",
     "compliance",
+    "connect",
     "damped_pseudo_inverse",
     "holding_torque",
     "joint_torque_limits",
@@ -101,10 +106,12 @@ __all__ = [
 ]
 
 #: Parts that are loaded when they are first named: they need extras, or time.
-_PARTS = ("experiments", "robots", "sim")
+_PARTS = ("arm", "experiments", "robots", "sim")
 
 
 def __getattr__(name: str) -> Any:
+    if name == "Loop":
+        return importlib.import_module("pliant.loop").Loop
     if name in _PARTS:
         return importlib.import_module(f"pliant.{name}")
     raise AttributeError(f"module 'pliant' has no attribute {name!r}")

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pliant import Model, Servos
 
     Array = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
     Phase = Literal["rest", "down", "ramp", "blind", "done"]
 
 #: Speed of the tool and every joint origin on the way down [m/s], and of any joint [rad/s].
@@ -48,6 +49,12 @@ PATIENCE = 0.2
 LONGEST = 60.0
 #: Longest time between two ticks that counts [s].
 LONGEST_TICK = 0.1
+
+
+def margin(servos: Servos, gravity: Array) -> Array:
+    """Torque (n,) [N·m] that joints may exert beyond their weight g (n,) [N·m]."""
+    least = np.maximum(0.1 * np.asarray(servos.torque), 2.0 * np.asarray(servos.friction))
+    return np.maximum(least, 0.3 * np.abs(gravity))
 
 
 class Lowering:
@@ -80,7 +87,7 @@ class Lowering:
             speed: Largest speed of any point of the arm [m/s].
             points: The arm's points, where the caller has them already.
         """
-        self._model, self._speed = model, speed
+        self._model, self._servos, self._speed = model, servos, speed
         self._kp = np.asarray(servos.kp, dtype=np.float64)
         self._usable = np.asarray(servos.torque, dtype=np.float64)
         self._friction = np.asarray(servos.friction, dtype=np.float64)
@@ -99,9 +106,7 @@ class Lowering:
         self._way = 0.0
         self._before: Array | None = None
 
-    def step(
-        self, q: Array, dt: float, ok: NDArray[np.bool_] | bool = True
-    ) -> tuple[Array, Array] | None:
+    def step(self, q: Array, dt: float, ok: Flags | bool = True) -> tuple[Array, Array] | None:
         """One tick.
 
         Args:
@@ -125,7 +130,7 @@ class Lowering:
             self._last = self._blind(dt)
         return None if self.share <= 0.0 else self._last
 
-    def _sighted(self, dt: float, good: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def _sighted(self, dt: float, good: Flags) -> tuple[Array, Array]:
         """Goals and limits while at least one position arrives."""
         gravity = self._gravity()
         if self.phase == "blind":
@@ -139,7 +144,7 @@ class Lowering:
             goal, limit = self._ramp(dt, gravity, good)
         return np.where(lost, self._last[0], goal), limit
 
-    def _descend(self, dt: float, gravity: Array, lost: Array) -> tuple[Array, Array]:
+    def _descend(self, dt: float, gravity: Array, lost: Flags) -> tuple[Array, Array]:
         """Phases `rest` and `down`."""
         if self.phase == "rest" and self._rest is not None:
             u = TO_REST * (self._rest - self._ref)
@@ -161,7 +166,7 @@ class Lowering:
             self._enter("ramp")
         return self._ref + gravity / self._kp, self._limit(gravity)
 
-    def _ramp(self, dt: float, gravity: Array, good: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def _ramp(self, dt: float, gravity: Array, good: Flags) -> tuple[Array, Array]:
         """Limits fall while nothing moves; they come back where something falls."""
         place = self._points(self._q)
         if self._before is not None and good.all() and dt > 0.0:
@@ -200,16 +205,10 @@ class Lowering:
         """Holding torques (n,) [N·m] at the last good positions."""
         return np.asarray(self._model.gravity(self._q), dtype=np.float64)
 
-    def _push(self, gravity: Array) -> Array:
-        """Torque (n,) [N·m] that a joint may press with, beyond its weight."""
-        return np.maximum(
-            np.maximum(0.1 * self._usable, 2.0 * self._friction), 0.3 * np.abs(gravity)
-        )
-
     def _leash(self, ref: Array, gravity: Array) -> Array:
         """Keep the reference where the servos can answer for it."""
         lift = np.maximum(self._usable - np.abs(gravity), 0.0) / self._kp
-        press = self._push(gravity) / self._kp
+        press = margin(self._servos, gravity) / self._kp
         above = np.where(gravity > 0.0, lift, press)
         below = np.where(gravity > 0.0, press, lift)
         return self._q + np.clip(ref - self._q, -below, above)
@@ -217,12 +216,12 @@ class Lowering:
     def _limit(self, gravity: Array) -> Array:
         """Torque limits (n,) [N·m] for the present reference."""
         wanted = np.abs(gravity + self._kp * (self._ref - self._q))
-        limit = np.maximum(SUPPORT * np.abs(gravity), wanted) + self._push(gravity)
+        limit = np.maximum(SUPPORT * np.abs(gravity), wanted) + margin(self._servos, gravity)
         return np.minimum(limit, self._usable)
 
-    def _has_arrived(self, gravity: Array, outward: Array, lost: Array) -> bool:
+    def _has_arrived(self, gravity: Array, outward: Flags, lost: Flags) -> bool:
         """At the rest pose; or hanging: no joint has more to carry than its friction."""
-        if self.phase == "rest":
+        if self.phase == "rest" and self._rest is not None:
             return bool((np.abs(self._rest - self._ref) < ARRIVED)[~lost].all())
         idle = outward | lost | (np.abs(gravity) < 1.5 * self._friction)
         return bool(idle.all())

@@ -29,9 +29,7 @@ class Points:
             joint = model.joints[link.parent_joint]
             path.append(joint)
             link = model.links[joint.parent]
-        self._steps: list[
-            tuple[int, bool, float, float, Array, Array, Array, Array, Array]
-        ] = []
+        self._steps: list[tuple[int, bool, float, float, Array, Array, Array, Array, Array]] = []
         fixed = np.eye(4)
         for joint in reversed(path):
             fixed = fixed @ np.asarray(joint.origin.matrix)
@@ -78,7 +76,7 @@ class Points:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """a × b; NumPy's own takes twenty times as long for three numbers."""
+    """Cross product a × b; NumPy's own takes twenty times as long for three numbers."""
     return np.array(
         (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
     )

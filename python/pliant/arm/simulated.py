@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +21,10 @@ if TYPE_CHECKING:
 
 
 class SimClock:
-    """Simulated time: waiting runs the physics, as fast as it goes or no faster than life.
+    """Simulated time: waiting runs the physics, as fast as it goes or as fast as life.
+
+    In real time the physics follows the machine's clock, and a program that dawdles finds that its
+    arm has gone on without it.
 
     Attributes:
         period: Control period of the plant [s], the grain of this time.
@@ -34,20 +36,30 @@ class SimClock:
         self.plant, self.period = plant, plant.period
         self.on_tick: Callable[[], object] | None = None
         self._wall = MonotonicClock() if real_time else None
-        self._offset = time.perf_counter() - plant.time
+        self._offset = plant.time - (self._wall.now() if self._wall else 0.0)
 
     def now(self) -> float:
         """Time since the plant's reset [s]."""
-        return self.plant.time
+        return self.plant.time if self._wall is None else self._wall.now() + self._offset
 
     def wait_until(self, deadline: float) -> None:
         """Run the physics until `deadline` [s]."""
-        while self.plant.time < deadline - 1e-9:
-            self.plant.advance()
-            if self.on_tick is not None:
-                self.on_tick()
-        if self._wall is not None:
-            self._wall.wait_until(self.plant.time + self._offset)
+        if self._wall is None:
+            while self.plant.time < deadline - 1e-9:
+                self._advance()
+        else:
+            self._wall.wait_until(deadline - self._offset)
+            self.catch_up()
+
+    def catch_up(self) -> None:
+        """In real time, let the physics come up to the present."""
+        while self._wall is not None and self.plant.time + self.period <= self.now():
+            self._advance()
+
+    def _advance(self) -> None:
+        self.plant.advance()
+        if self.on_tick is not None:
+            self.on_tick()
 
 
 class SimDrive:
@@ -70,7 +82,7 @@ class SimDrive:
 
         Args:
             plant: The simulated arm.
-            real_time: Let simulated time pass no faster than real time.
+            real_time: Let simulated time be real time.
         """
         self.plant = plant
         self.clock = SimClock(plant, real_time)
@@ -94,6 +106,11 @@ class SimDrive:
         self.counters: dict[str, int] = {"reads": 0, "lost reads": 0, "writes": 0}
         self._on = np.ones(len(self.names), dtype=bool)
 
+    @property
+    def enabled(self) -> NDArray[np.bool_]:
+        """Which joints have torque (N,)."""
+        return self._on.copy()
+
     def open(self) -> None:
         """Nothing to connect."""
 
@@ -102,6 +119,7 @@ class SimDrive:
 
     def read(self) -> Sample:
         """What the simulated bus reports."""
+        self.clock.catch_up()
         state = self.plant.read()
         self.counters["reads"] += 1
         self.counters["lost reads"] += not state.fresh
@@ -110,6 +128,7 @@ class SimDrive:
 
     def write(self, goal: Array, limit: Array) -> None:
         """Send goals (N,) [rad] and limits (N,) [N·m]; joints without torque stay without."""
+        self.clock.catch_up()
         n = self.plant.n
         limit = np.where(self._on, limit, 0.0)
         pairs = zip(goal[n:].tolist(), limit[n:].tolist(), strict=True)
