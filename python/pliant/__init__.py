@@ -53,13 +53,13 @@ from pliant._core import (
     pose_error,
     responsibility,
 )
-from pliant.connect import connect
 
 if TYPE_CHECKING:
     from pliant import arm as arm
     from pliant import experiments as experiments
     from pliant import robots as robots
     from pliant import sim as sim
+    from pliant.arm.connect import connect as connect
     from pliant.loop import Loop as Loop
 
 __all__ = [
@@ -107,11 +107,13 @@ __all__ = [
 
 #: Parts that are loaded when they are first named: they need extras, or time.
 _PARTS = ("arm", "experiments", "robots", "sim")
+#: Names that live in one of them.
+_NAMES = {"Loop": "pliant.loop", "connect": "pliant.arm.connect"}
 
 
 def __getattr__(name: str) -> Any:
-    if name == "Loop":
-        return importlib.import_module("pliant.loop").Loop
+    if name in _NAMES:
+        return getattr(importlib.import_module(_NAMES[name]), name)
     if name in _PARTS:
         return importlib.import_module(f"pliant.{name}")
     raise AttributeError(f"module 'pliant' has no attribute {name!r}")
