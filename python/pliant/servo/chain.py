@@ -187,8 +187,12 @@ class ServoChain:
 
     @property
     def counters(self) -> dict[str, int]:
-        """What has happened since open, all ports together; see `pliant.servo.guard.Counters`."""
-        total: dict[str, int] = {}
+        """What has happened since open, all ports together.
+
+        As `pliant.servo.guard.Counters`, and `mismatches`: limits that read back other than
+        written.
+        """
+        total = {"mismatches": sum(device.mismatches for device in self._devices)}
         for port in self._ports:
             for name, value in asdict(port.guard.counters).items():
                 total[name] = total.get(name, 0) + value

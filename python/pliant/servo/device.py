@@ -47,6 +47,7 @@ class Device:
         conditions: What the last answer's status said.
         hardware: What the hardware error register said (Protocol 2.0).
         rota: Faults that the rota found, by what they concern.
+        mismatches: How often a limit read back other than written.
     """
 
     def __init__(self, spec: ServoSpec, joint: int, id: int, sign: int) -> None:
@@ -76,7 +77,7 @@ class Device:
         self.conditions: tuple[str, ...] = ()
         self.hardware: tuple[str, ...] = ()
         self.rota: dict[str, str] = {}
-        self._wrong = 0
+        self.mismatches = self._wrong = 0
 
     def set_range(self) -> None:
         """Narrow the limits of goals to those of the joint.
@@ -225,18 +226,15 @@ class Device:
     def _check_limit(self, found: int) -> None:
         """Compare the limit with what was written; silence is how a servo refuses a packet."""
         self.limit_read = found
-        self._wrong = self._wrong + 1 if self.enabled and found != self.limit else 0
+        is_wrong = self.enabled and found != self.limit
+        self._wrong = self._wrong + 1 if is_wrong else 0
+        self.mismatches += is_wrong
         read, written = self.units.torque(found), self.units.torque(self.limit)
         self.fault(
             "limit",
             self._wrong >= MISMATCHES,
             f"its torque limit reads {read:.2f} N·m, written was {written:.2f} N·m",
         )
-
-    @property
-    def is_mismatched(self) -> bool:
-        """Whether the limit read back wrong the last time."""
-        return self._wrong > 0
 
     def _unwrap(self, raw: int) -> tuple[int, float]:
         """Turns and unwrapped count of a position register: nearest to the last, or in range."""

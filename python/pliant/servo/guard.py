@@ -44,7 +44,6 @@ class Counters:
         stale: Answers that were not to the request they came after: kept out.
         drains: How often the line had to be drained.
         refused: Requests that a servo answered with a refusal.
-        mismatches: Torque limits that read back other than written.
     """
 
     transactions: int = 0
@@ -54,7 +53,6 @@ class Counters:
     stale: int = 0
     drains: int = 0
     refused: int = 0
-    mismatches: int = 0
 
 
 @dataclass(frozen=True)

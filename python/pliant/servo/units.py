@@ -149,8 +149,7 @@ class Units:
     def speed_register(self, speed: float) -> int:
         """Speed cap of a joint speed: at least 1, since 0 means no cap."""
         counts = abs(speed) * self.spec.gear / (self.row.speed_unit * RPM)
-        size = 32767 if self.row.family.status != "p1" else 1023
-        return max(1, min(floor(counts), size))
+        return max(1, min(floor(counts), self.row.family.speed_max))
 
     def stiffness(self, gain: int) -> float:
         """k_p of the joint from the gain register [N·m/rad].

@@ -50,6 +50,7 @@ STS = Family(
     sync_read=True,
     full_duty=1000,
     full_load=1000,
+    speed_max=3400,
     ceiling="max_torque",
     goal_enables=True,
 )

@@ -43,6 +43,7 @@ def _family(name: str, **own: Register) -> Family:
         sync_read=False,
         full_duty=1023,
         full_load=1023,
+        speed_max=1023,
         ceiling="max_torque",
         goal_enables=True,
     )

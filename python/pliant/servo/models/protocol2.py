@@ -60,6 +60,7 @@ CURRENT = Family(
     sync_read=True,
     full_duty=885,
     full_load=1000,
+    speed_max=32767,
     ceiling="current_limit",
     goal_enables=False,
     multi_turn=True,
@@ -78,6 +79,7 @@ DUTY = Family(
     sync_read=True,
     full_duty=885,
     full_load=1000,
+    speed_max=32767,
     ceiling="pwm_limit",
     goal_enables=False,
 )

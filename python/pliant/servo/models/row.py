@@ -79,6 +79,7 @@ class Family:
         sync_read: Whether one request reads many servos.
         full_duty: Value of the duty limit at 100 %.
         full_load: Value of the load register at 100 %.
+        speed_max: Largest value of the speed cap.
         ceiling: EEPROM field that bounds the limit from above.
         goal_enables: Whether a goal may switch the torque on by itself.
         multi_turn: Whether goals may leave one turn, so that software keeps the position limits.
@@ -93,6 +94,7 @@ class Family:
     sync_read: bool
     full_duty: int
     full_load: int
+    speed_max: int
     ceiling: str
     goal_enables: bool
     multi_turn: bool = False
