@@ -17,7 +17,7 @@ from pliant.servo.port import Port
 from pliant.servo.rota import Rota
 from pliant.servo.spec import Health, Sample, ServoSpec, check_specs
 from pliant.servo.table import servos
-from pliant.servo.transport import RustypotTransport
+from pliant.servo.transport import BusError, RustypotTransport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: A cycle may take this many periods before nothing is tried again.
+#: A reading may take this many periods, or patiences, before nothing is tried again.
 BUDGET = 3.0
 #: Twins that disagree by more than this work against each other [rad].
 TWINS_APART = 0.1
@@ -47,6 +47,7 @@ class ServoChain:
         specs: One per joint, grippers included; vectors have their order.
         baudrate: Bits per second, for all ports or by port.
         rate: Control rate [Hz], from which timeouts and the time for retries follow.
+        patience: Least time to wait for an answer [s]; more on a computer that is busy elsewhere.
         speed: Fastest motion of every joint [rad/s] as the servo's own cap; None for the no-load
             speed.
         transport: ``(port, baudrate, protocol) -> Transport`` instead of rustypot.
@@ -73,6 +74,7 @@ class ServoChain:
         *,
         baudrate: int | Mapping[str, int] = 1_000_000,
         rate: float = 100.0,
+        patience: float = 0.010,
         speed: float | None = None,
         transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
         clock: Callable[[], float] = time.perf_counter,
@@ -84,6 +86,8 @@ class ServoChain:
         if not rate > 0.0:
             raise ConfigError(f"rate must be above 0 Hz, got {rate!r}")
         self._baudrate, self._cycle, self._speed = baudrate, 1.0 / rate, speed
+        self._patience = float(patience)
+        self._budget = max(BUDGET * self._cycle, BUDGET * self._patience)
         self._transport, self._clock = transport, clock
         #: The servos of each joint, the first one first.
         self._joints = [
@@ -212,7 +216,7 @@ class ServoChain:
             ServoError: A port is gone.
         """
         self._check_open()
-        budget = BUDGET * self._cycle
+        budget = self._budget
         if self._pool is None:
             taken = [port.read(budget) for port in self._ports]
         else:
@@ -235,7 +239,8 @@ class ServoChain:
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative. Nothing is sent.
-            ServoError: A port is gone.
+            ServoError: A port is gone. A packet that is lost otherwise is counted, and the goal
+                and limit before it stay in force.
         """
         self._check_open()
         goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit")
@@ -257,7 +262,12 @@ class ServoChain:
                     )
         for port in self._ports:
             if id(port) in packets:
-                port.write(packets[id(port)])
+                try:
+                    port.write(packets[id(port)])
+                except BusError as error:
+                    if error.reason == "gone":
+                        raise
+                    # Counted; what was written last stays in force.
 
     def slow(self) -> Health | None:
         """One step of the rota: voltage, temperature, faults and limit of one joint.
@@ -333,6 +343,7 @@ class ServoChain:
             devices,
             baudrate=rate,
             cycle=self._cycle,
+            patience=self._patience,
             open_transport=self._transport,
             clock=self._clock,
         )

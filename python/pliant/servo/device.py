@@ -140,13 +140,12 @@ class Device:
         return max(low, min(counts, high))
 
     def limit_register(self, torque: float) -> int:
-        """Limit register of a torque of the joint [N·m]."""
-        return self.units.register(torque, self.ceiling)
+        """Limit register of a torque of the joint [N·m], at most what the servo can give."""
+        return self.units.register(min(torque, self.units.usable(self.ceiling)), self.ceiling)
 
-    def packet(self, goal: int, limit: int, speed: int) -> bytes:
-        """Bytes of the write block with goal, limit and speed cap; the rest is 0."""
+    def packet(self, names: tuple[str, ...], goal: int, limit: int, speed: int) -> bytes:
+        """Bytes of a packet of these fields; what is not goal, limit or speed cap is 0."""
         values = {"goal": goal, "limit": limit, "speed_cap": speed}
-        names = self.family.write
         return b"".join(self.family.registers[n].encode(values.get(n, 0)) for n in names)
 
     def accept(self, reply: Reply) -> bool:

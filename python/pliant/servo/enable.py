@@ -7,7 +7,7 @@ from math import ceil
 from typing import TYPE_CHECKING
 
 from pliant import ServoError, ServoFault
-from pliant.servo.identify import Image
+from pliant.servo.identify import Image, read_image
 from pliant.servo.status import refusal
 from pliant.servo.transport import BusError
 
@@ -29,6 +29,8 @@ MOVED = 0.05
 ELSEWHERE = 0.15
 #: How long a servo may take to come back from a reboot [s].
 REBOOT = 2.0
+#: What is looked at before torque goes on.
+_BEFORE = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
 #: One unit of the bus watchdog [s].
 WATCHDOG_UNIT = 0.02
 
@@ -44,7 +46,7 @@ def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, c
         register = device.limit_register(float(limit[device.joint]))
         _set(device, ports, "limit", register)
         device.limit = register
-        found = _image(device, ports)["limit"]
+        found = _image(device, ports, "limit")["limit"]
         if found != register:
             raise ServoError(
                 f"{device.name} did not take the torque limit: it reads {found}, written was "
@@ -70,7 +72,8 @@ def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, c
 
 def _look(device: Device, ports: Ports, goal: Array) -> Image:
     """The servo before anything is sent; refuses what must not be switched on."""
-    image = _image(device, ports)
+    names = [name for name in _BEFORE if name in device.family.registers]
+    image = _image(device, ports, *names)
     if device.hardware:
         raise ServoFault("\n".join(device.faults) + f"\nreboot({device.spec.name!r}) clears it")
     if device.position is None:
@@ -109,7 +112,7 @@ def _seed(device: Device, ports: Ports, goal: Array, cap: Array, *, was_on: bool
 def _stayed(device: Device, ports: Ports, before: Image) -> None:
     """Look again: torque is on, and the joint is where it was."""
     start = before["position"]
-    image = _image(device, ports)
+    image = _image(device, ports, "torque_enable", "position")
     if not image["torque_enable"]:
         raise ServoError(f"{device.name} did not switch its torque on; all are off again")
     moved = abs(image["position"] - start) * device.units.count
@@ -148,7 +151,7 @@ def reboot(devices: Sequence[Device], ports: Ports) -> None:
             if time.monotonic() > end:
                 raise ServoError(f"{device.name} did not come back within {REBOOT:g} s of a reboot")
         device.hardware = device.conditions = ()
-        _image(device, ports)
+        _image(device, ports, "hardware_error", "torque_enable")
 
 
 def watchdog(devices: Sequence[Device], ports: Ports, seconds: float) -> None:
@@ -169,13 +172,14 @@ def _try_off(device: Device, ports: Ports) -> str | None:
     return None
 
 
-def _image(device: Device, ports: Ports) -> Image:
-    """All RAM of a servo, fresh."""
+def _image(device: Device, ports: Ports, *names: str) -> Image:
+    """Registers of a servo, fresh."""
     guard = ports[id(device)].guard
     guard.begin()
-    reply = guard.read(device.id, device.family.ram)
-    device.note(reply)
-    return Image(device, reply)
+    image = read_image(guard, device, *names)
+    for reply in image.replies:
+        device.note(reply)
+    return image
 
 
 def _set(device: Device, ports: Ports, name: str, value: int) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from math import isinf
 from typing import TYPE_CHECKING, TypeVar
 
 from pliant.servo.transport import BusError
@@ -26,8 +27,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: Least window of silence [s]: a host that was busy elsewhere for a moment.
-LEAST_SILENCE = 0.002
+#: Least window of silence, as a share of the patience: a host that was busy for a moment.
+SILENCE_SHARE = 0.2
+#: Outside of a cycle there is no hurry: so many times the patience, and so many tries.
+UNHURRIED, TRIES = 5.0, 3
 #: Which counter a failure counts in.
 _COUNTED = {"timeout": "timeouts", "corrupt": "corrupt", "stale": "stale", "refused": "refused"}
 
@@ -81,8 +84,10 @@ class Guard:
         baudrate: Bits per second.
         latency: The adapter's latency timer [s].
         cycle: Control period [s].
+        patience: Least time to wait for an answer [s].
         absent: An id that no servo on the port has; drains listen behind it.
-        clock: The time.
+        clock: The time by which it waits.
+        stamp: The time that replies carry; default the same.
 
     Attributes:
         counters: What has happened so far.
@@ -97,30 +102,36 @@ class Guard:
         baudrate: int,
         latency: float = 0.001,
         cycle: float = 0.01,
+        patience: float = 0.010,
         absent: int = 252,
         clock: Callable[[], float] = time.perf_counter,
+        stamp: Callable[[], float] | None = None,
     ) -> None:
         """Take over the port; nothing is sent yet."""
         self.counters = Counters()
         self.gone = False
         self._io, self._protocol, self._absent = transport, protocol, absent
         self._baudrate, self._latency, self._cycle = baudrate, latency, cycle
-        self._clock = clock
+        self._clock, self._stamp = clock, stamp or clock
         self._deadline = float("inf")
         self._dirty = False
-        self._timeout = self._patience = 0.0
+        self._timeout = self._waited = 0.0
+        self._patience = patience
         self._turn = 0
-        self._silence = LEAST_SILENCE + latency
+        self._silence = SILENCE_SHARE * patience + latency
 
     def begin(self, budget: float = float("inf")) -> None:
-        """Start a cycle: no retry and no drain goes on after `budget` [s] from now."""
+        """Start a cycle: no retry and no drain goes on after `budget` [s] from now.
+
+        Without a budget there is no hurry: longer waits, and a third try.
+        """
         self._deadline = self._clock() + budget
 
     def read(self, id: int, block: Block) -> Reply:
         """Read one block of one servo; after a failure drain and try once more.
 
         Raises:
-            BusError: Both tries failed, or there was no time for a second.
+            BusError: All tries failed, or there was no time for another.
         """
         return self._tried(lambda: self._read(id, block))
 
@@ -169,7 +180,9 @@ class Guard:
             self._start("sync_write", len(ids), len(data[0]))
             self._io.sync_write(ids, address, data)
 
-        self._tried(once)
+        # Nobody answers, so nothing stale can come of a line that is not silent.
+        self._check_port()
+        self._counted(once)
 
     def ping(self, id: int) -> bool:
         """Whether a servo answers; not tried twice."""
@@ -233,11 +246,13 @@ class Guard:
     def _start(self, kind: Kind, servos: int, size: int) -> float:
         """Set the timeout for what comes, count it, and note the time."""
         wire = wire_time(self._protocol, kind, servos, size, baudrate=self._baudrate)
-        self._patience = reply_timeout(wire, self._latency, self._cycle)
-        self._wait(self._patience)
-        self._silence = LEAST_SILENCE + wire + self._latency
+        self._waited = reply_timeout(wire, self._latency, self._cycle, self._patience)
+        if isinf(self._deadline):
+            self._waited *= UNHURRIED
+        self._wait(self._waited)
+        self._silence = SILENCE_SHARE * self._patience + wire + self._latency
         self.counters.transactions += 1
-        return self._clock()
+        return self._stamp()
 
     def _wait(self, timeout: float) -> None:
         if timeout != self._timeout:
@@ -245,25 +260,34 @@ class Guard:
             self._timeout = timeout
 
     def _tried(self, call: Callable[[], T]) -> T:
-        """Call; after a failure that can pass, drain and call once more if the budget allows."""
-        try:
-            return self._once(call)
-        except BusError as error:
-            if error.reason == "gone" or not self._drain() or self._late():
-                raise
-        self.counters.retries += 1
-        return self._once(call)
+        """Call; after a failure that can pass, drain and call again if the budget allows."""
+        left = TRIES if isinf(self._deadline) else 2
+        while True:
+            try:
+                return self._once(call)
+            except BusError as error:
+                left -= 1
+                if left == 0 or error.reason == "gone" or not self._drain() or self._late():
+                    raise
+                self.counters.retries += 1
 
     def _late(self) -> bool:
         """Whether an answer to one more request could come after the deadline."""
-        return self._clock() + self._patience > self._deadline
+        return self._clock() + self._waited > self._deadline
 
     def _once(self, call: Callable[[], T]) -> T:
         """One call on a silent line."""
-        if self.gone:
-            raise BusError("the port is gone: close it, plug it in and open it again", "gone")
+        self._check_port()
         if self._dirty and not self._drain():
             raise BusError("no time left in this cycle", "late")
+        return self._counted(call)
+
+    def _check_port(self) -> None:
+        if self.gone:
+            raise BusError("the port is gone: close it, plug it in and open it again", "gone")
+
+    def _counted(self, call: Callable[[], T]) -> T:
+        """Call, and count what fails."""
         try:
             return call()
         except BusError as error:

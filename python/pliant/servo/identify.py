@@ -16,7 +16,7 @@ from pliant.servo.transport import BusError
 
 if TYPE_CHECKING:
     from pliant.servo.device import Device
-    from pliant.servo.guard import Reply
+    from pliant.servo.guard import Guard, Reply
     from pliant.servo.port import Port
 
 #: Ids that are tried when one is missing, to say what is there instead.
@@ -52,11 +52,15 @@ class Found:
 
 
 class Image:
-    """Registers of one servo as read at one time."""
+    """Registers of one servo as read at one time.
+
+    Attributes:
+        replies: The answers they came in.
+    """
 
     def __init__(self, device: Device, *replies: Reply) -> None:
         """Keep the blocks."""
-        self._family, self._replies = device.family, replies
+        self._family, self.replies = device.family, replies
 
     def __contains__(self, name: str) -> bool:
         return name in self._family.registers
@@ -64,10 +68,20 @@ class Image:
     def __getitem__(self, name: str) -> int:
         """Value of a field by name."""
         address = self._family.registers[name].address
-        for reply in self._replies:
+        for reply in self.replies:
             if reply.block.address <= address < reply.block.address + reply.block.size:
                 return self._family.decode(reply.block, reply.data, name)
         raise KeyError(name)
+
+
+def read_image(guard: Guard, device: Device, *names: str) -> Image:
+    """Read registers of a servo by name, all by default.
+
+    Raises:
+        BusError: It did not answer.
+    """
+    blocks = device.family.blocks(*names)
+    return Image(device, *(guard.read(device.id, block) for block in blocks))
 
 
 def identify(port: Port) -> tuple[Found, ...]:
@@ -83,8 +97,7 @@ def identify(port: Port) -> tuple[Found, ...]:
     wrong: list[str] = []
     for device in port.devices:
         try:
-            eeprom = port.guard.read(device.id, device.family.eeprom)
-            ram = port.guard.read(device.id, device.family.ram)
+            image = read_image(port.guard, device)
         except BusError as error:
             if error.reason == "gone":
                 raise
@@ -96,7 +109,7 @@ def identify(port: Port) -> tuple[Found, ...]:
                     "one by one and give each its own id with `pliant setup`"
                 )
             continue
-        images.append((device, Image(device, eeprom, ram)))
+        images.append((device, image))
     if missing:
         wrong.insert(0, _missing(port, missing))
     found = []

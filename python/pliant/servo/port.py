@@ -30,8 +30,9 @@ class Port:
         devices: The servos on it.
         baudrate: Bits per second.
         cycle: Control period [s].
+        patience: Least time to wait for an answer [s].
         open_transport: ``(path, baudrate, protocol) -> Transport``.
-        clock: The time.
+        clock: The time that readings carry.
 
     Attributes:
         guard: All transactions go through it.
@@ -45,6 +46,7 @@ class Port:
         *,
         baudrate: int,
         cycle: float,
+        patience: float,
         open_transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
@@ -66,8 +68,9 @@ class Port:
             baudrate=baudrate,
             latency=self.latency or 0.001,
             cycle=cycle,
+            patience=patience,
             absent=max(set(range(self.highest + 1)) - ids),
-            clock=clock,
+            stamp=clock,
         )
         self._silent: dict[int, int] = {}
 
@@ -105,7 +108,7 @@ class Port:
         return taken
 
     def write(self, packets: Sequence[tuple[Device, int, int, int]]) -> None:
-        """Send goal, limit and speed cap registers, one packet for each kind of servo.
+        """Send goal, limit and speed cap registers, by sync writes for each kind of servo.
 
         Args:
             packets: Servo, goal, limit and speed cap.
@@ -114,13 +117,13 @@ class Port:
             BusError: The port is gone, or did not take the packet.
         """
         for group in _groups(packets, lambda p: p[0].family.write):
-            data = []
-            for device, goal, limit, speed in group:
-                data.append(device.packet(goal, limit, speed))
-                device.limit = limit
             family = group[0][0].family
-            address = family.registers[family.write[0]].address
-            self.guard.sync_write([device.id for device, *_ in group], address, data)
+            ids = [device.id for device, *_ in group]
+            for names in family.write:
+                data = [device.packet(names, *values) for device, *values in group]
+                self.guard.sync_write(ids, family.registers[names[0]].address, data)
+            for device, _, limit, _ in group:
+                device.limit = limit
 
     def _together(self, group: Sequence[Device]) -> dict[int, Reply]:
         """One request for all; where it fails, one by one, with the culprit last."""

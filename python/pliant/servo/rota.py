@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 
 def parts(family: Family) -> tuple[Block, ...]:
-    """What the rota reads of a servo, one block per step."""
+    """What the rota reads of a servo, one block per step, latched faults first."""
     if family.status == "p2":
+        alone = ("hardware_error", "torque_enable", "limit", "watchdog")
         return (
-            family.block("torque_enable", "hardware_error"),
-            family.block("watchdog", "limit"),
+            *(family.block(name) for name in alone),
             family.block("voltage", "temperature"),
         )
     # Voltage and temperature come with every reading.

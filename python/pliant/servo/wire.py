@@ -68,10 +68,10 @@ def wire_time(
     return (sent + received) * BITS / baudrate + answers * turn
 
 
-def reply_timeout(wire: float, latency: float, cycle: float) -> float:
+def reply_timeout(wire: float, latency: float, cycle: float, patience: float = 0.010) -> float:
     """How long to wait for a reply [s].
 
-    Twice the wire time, twice the adapter's latency timer and 5 ms for the host; at least 10 ms,
-    at most three control cycles.
+    Twice the wire time, twice the adapter's latency timer and 5 ms for the host, at most three
+    control cycles; but at least `patience`, whatever the cycle.
     """
-    return max(0.010, min(2.0 * wire + 2.0 * latency + 0.005, 3.0 * cycle))
+    return max(patience, min(2.0 * wire + 2.0 * latency + 0.005, 3.0 * cycle))

@@ -46,7 +46,7 @@ STS = Family(
     },
     # From 55 the EEPROM lock comes along, which only serves to make the length another one.
     read=(Block(56, 15), Block(55, 16)),
-    write=("goal", "goal_time", "speed_cap", "limit"),
+    write=(("goal", "goal_time", "speed_cap", "limit"),),
     sync_read=True,
     full_duty=1000,
     full_load=1000,

@@ -39,7 +39,7 @@ def _family(name: str, **own: Register) -> Family:
         registers={**_COMMON, **own},
         # The longer one brings the torque limit back as well.
         read=(Block(36, 8), Block(34, 10)),
-        write=("goal", "speed_cap", "limit"),
+        write=(("goal", "speed_cap", "limit"),),
         sync_read=False,
         full_duty=1023,
         full_load=1023,
@@ -49,16 +49,15 @@ def _family(name: str, **own: Register) -> Family:
     )
 
 
-EX = _family("EX, RX", gain=Register(28, 1), drive_mode=Register(10, 1))
-RX = _family("EX, RX", gain=Register(28, 1))
-MX28 = _family("MX", gain=Register(28, 1))
-MX = _family("MX", gain=Register(28, 1), drive_mode=Register(10, 1))
+# Register 28 is the clockwise compliance slope of EX and RX and the P gain of the MX.
+PLAIN = _family("EX, RX, MX", gain=Register(28, 1))
+DUAL = _family("EX-106+, MX-106", gain=Register(28, 1), drive_mode=Register(10, 1))
 
 MODELS = (
     ServoModel(
         name="EX-106+",
         number=107,
-        family=EX,
+        family=DUAL,
         kind="duty",
         resolution=4096 * 360 / 250.92,
         counts=4095,
@@ -76,7 +75,7 @@ MODELS = (
     ServoModel(
         name="RX-64",
         number=64,
-        family=RX,
+        family=PLAIN,
         kind="duty",
         resolution=1023 * 360 / 300,
         counts=1023,
@@ -94,7 +93,7 @@ MODELS = (
     ServoModel(
         name="MX-28",
         number=29,
-        family=MX28,
+        family=PLAIN,
         kind="duty",
         resolution=4096,
         counts=4095,
@@ -112,7 +111,7 @@ MODELS = (
     ServoModel(
         name="MX-64",
         number=310,
-        family=MX,
+        family=PLAIN,
         kind="duty",
         resolution=4096,
         counts=4095,
@@ -130,7 +129,7 @@ MODELS = (
     ServoModel(
         name="MX-106",
         number=320,
-        family=MX,
+        family=DUAL,
         kind="duty",
         resolution=4096,
         counts=4095,

@@ -31,8 +31,6 @@ _COMMON = {
     "hardware_error": Register(70, 1),
     "gain": Register(84, 2),
     "watchdog": Register(98, 1),
-    "goal_pwm": Register(100, 2, "twos"),
-    "goal_current": Register(102, 2, "twos"),
     "goal_velocity": Register(104, 4, "twos"),
     "acceleration_cap": Register(108, 4),
     "speed_cap": Register(112, 4),
@@ -43,7 +41,6 @@ _COMMON = {
     "voltage": Register(144, 2),
     "temperature": Register(146, 1),
 }
-_BETWEEN = ("goal_velocity", "acceleration_cap", "speed_cap", "goal")
 
 CURRENT = Family(
     name="X, current-limited",
@@ -52,11 +49,11 @@ CURRENT = Family(
     registers={
         **_COMMON,
         "current_limit": Register(38, 2),
-        "limit": _COMMON["goal_current"],
+        "limit": Register(102, 2, "twos"),
         "current": Register(126, 2, "twos"),
     },
     read=(Block(126, 10), Block(124, 12)),
-    write=("limit", *_BETWEEN),
+    write=(("limit", "goal_velocity", "acceleration_cap", "speed_cap", "goal"),),
     sync_read=True,
     full_duty=885,
     full_load=1000,
@@ -71,11 +68,12 @@ DUTY = Family(
     status="p2",
     registers={
         **_COMMON,
-        "limit": _COMMON["goal_pwm"],
+        "limit": Register(100, 2, "twos"),
         "load": Register(126, 2, "twos"),
     },
     read=(Block(126, 10), Block(124, 12)),
-    write=("limit", "goal_current", *_BETWEEN),
+    # 102 is not in their tables, and a packet across it would be refused: two packets.
+    write=(("limit",), ("speed_cap", "goal")),
     sync_read=True,
     full_duty=885,
     full_load=1000,

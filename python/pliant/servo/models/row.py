@@ -7,7 +7,6 @@ stand in the row.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from math import nan
 from typing import TYPE_CHECKING, Literal
 
@@ -75,7 +74,8 @@ class Family:
         registers: Control table by field name.
         read: Two blocks of different length with position, speed and load, used in turn: a reply
             that is one request late has the wrong length.
-        write: Contiguous fields of the one packet that carries goal and limit.
+        write: Packets that carry limit, speed cap and goal, each of contiguous fields; one where
+            the control table has no gap between them, else the limit goes first.
         sync_read: Whether one request reads many servos.
         full_duty: Value of the duty limit at 100 %.
         full_load: Value of the load register at 100 %.
@@ -90,7 +90,7 @@ class Family:
     status: Literal["p1", "p2", "feetech"]
     registers: Mapping[str, Register]
     read: tuple[Block, Block]
-    write: tuple[str, ...]
+    write: tuple[tuple[str, ...], ...]
     sync_read: bool
     full_duty: int
     full_load: int
@@ -105,17 +105,20 @@ class Family:
         first = min(r.address for r in found)
         return Block(first, max(r.address + r.size for r in found) - first)
 
-    @cached_property
-    def eeprom(self) -> Block:
-        """All of the EEPROM that is of interest; torque enable is the first register behind it."""
-        border = self.registers["torque_enable"].address
-        return self.block(*(n for n, r in self.registers.items() if r.address < border))
+    def blocks(self, *names: str) -> tuple[Block, ...]:
+        """Blocks that hold some fields, all by default, and no address beside them.
 
-    @cached_property
-    def ram(self) -> Block:
-        """All of the RAM that is of interest."""
-        border = self.registers["torque_enable"].address
-        return self.block(*(n for n, r in self.registers.items() if r.address >= border))
+        Protocol 2.0 may refuse to read what the control table does not define.
+        """
+        chosen = [self.registers[name] for name in names or self.registers]
+        found: list[Block] = []
+        for register in sorted(set(chosen), key=lambda r: r.address):
+            last = found[-1] if found else Block(-1, 0)
+            if register.address == last.address + last.size:
+                found[-1] = Block(last.address, last.size + register.size)
+            else:
+                found.append(Block(register.address, register.size))
+        return tuple(found)
 
     def decode(self, block: Block, data: bytes, name: str) -> int:
         """A field out of the bytes of a block."""
