@@ -39,6 +39,8 @@ class ServoSpec:
         lower, upper: Software position limits [rad]; None for what the servo's own limits allow.
         stall: Stall torque at the rated voltage instead of the table's [N·m].
         torque_offset: Torque that the gears eat: ``torque = k · register - offset`` [N·m].
+        kp: Stiffness of the joint as identified instead of what the gain register says [N·m/rad].
+        friction, damping: Of the joint's gears as identified [N·m, N·m·s/rad].
 
     Raises:
         ConfigError: A value is out of range or the model is not known.
@@ -56,6 +58,9 @@ class ServoSpec:
     upper: float | None = None
     stall: float | None = None
     torque_offset: float = 0.0
+    kp: float | None = None
+    friction: float | None = None
+    damping: float | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -78,6 +83,12 @@ class ServoSpec:
             raise ConfigError(f"{self.name}: stall must be above 0 N·m, got {self.stall!r}")
         if not (np.isfinite(self.torque_offset) and self.torque_offset >= 0.0):
             raise ConfigError(f"{self.name}: torque_offset is at least 0, got {self.torque_offset}")
+        for what in ("kp", "friction", "damping"):
+            value = getattr(self, what)
+            if value is not None and not (np.isfinite(value) and value >= 0.0):
+                raise ConfigError(f"{self.name}: {what} is at least 0, got {value!r}")
+        if self.kp == 0.0:
+            raise ConfigError(f"{self.name}: kp must be above 0 N·m/rad, got 0")
         bounds = [b for b in (self.lower, self.upper) if b is not None]
         if not np.isfinite(bounds).all() or (len(bounds) == 2 and bounds[0] >= bounds[1]):
             raise ConfigError(f"{self.name}: lower must be below upper [rad], got {bounds}")
