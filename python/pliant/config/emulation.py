@@ -37,9 +37,12 @@ class EmulatedChain(ServoChain):
 
 
 def emulated(config: Config) -> ArmEmulator:
-    """The emulator of a configuration's arm, in real time, not yet started."""
+    """The emulator of a configuration's arm, in real time, not yet started.
+
+    Somebody holds the arm until torque comes on.
+    """
     model = config.model()
-    return emulate(model, mounts(config), assemble.start(config, model))
+    return emulate(model, mounts(config), assemble.start(config, model), held=True)
 
 
 def mounts(config: Config) -> list[Mount]:

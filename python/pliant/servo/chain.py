@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import ConfigError, ServoError, ShapeError
+from pliant.arm.drive import Health, Sample
 from pliant.servo import enable as enabling
 from pliant.servo.device import Device
 from pliant.servo.identify import Found, identify
 from pliant.servo.port import Port
 from pliant.servo.rota import Rota
-from pliant.servo.spec import Health, Sample, ServoSpec, check_specs
+from pliant.servo.spec import ServoSpec, check_specs
 from pliant.servo.table import servos
 from pliant.servo.transport import BusError, RustypotTransport
 

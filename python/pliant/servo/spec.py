@@ -1,4 +1,4 @@
-"""How a joint of the arm hangs on its servo, and what one reading of all joints holds."""
+"""How a joint of the arm hangs on its servo."""
 
 from __future__ import annotations
 
@@ -13,11 +13,7 @@ from pliant.servo.models import find
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from pliant.servo.models import ServoModel
-
-    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,47 +99,6 @@ class ServoSpec:
         """Id and sign of each servo of the joint."""
         own = ((self.id, self.sign),)
         return own if self.twin is None else (*own, self.twin)
-
-
-@dataclass(frozen=True)
-class Sample:
-    """One reading of all joints; entries of joints that did not answer keep their last value.
-
-    Attributes:
-        position: Joint positions (n,) [rad], NaN where a joint has never answered.
-        ok: Which joints answered in this reading (n,).
-        time: When each joint was last asked with success, on the chain's clock (n,) [s].
-        velocity: Joint velocities as the servos report them (n,) [rad/s].
-        load: Torque the servo exerts, by its own reckoning (n,) [N·m]: PWM duty or current, no
-            sensor.
-        current: Motor current (n,) [A], NaN for servos that do not report it in the cycle.
-    """
-
-    position: Array
-    ok: NDArray[np.bool_]
-    time: Array
-    velocity: Array
-    load: Array
-    current: Array
-
-
-@dataclass(frozen=True)
-class Health:
-    """What the slow rota knows of one joint.
-
-    Attributes:
-        name: The joint.
-        voltage: Supply voltage at the servo [V], None before it was read.
-        temperature: [°C], None before it was read.
-        faults: What is wrong, in sentences; empty when healthy.
-        limit: Torque limit as it stands in the servo [N·m], None before it was read.
-    """
-
-    name: str
-    voltage: float | None = None
-    temperature: float | None = None
-    faults: tuple[str, ...] = ()
-    limit: float | None = None
 
 
 def check_specs(given: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:
