@@ -69,12 +69,22 @@ class Mount:
 
 @dataclass(slots=True)
 class Coupling:
-    """One live servo on its joint: shaft angle = ``offset + ratio · q``."""
+    """One live servo on its joint: shaft angle = ``offset + ratio · q``.
+
+    Attributes:
+        servo: The servo.
+        ratio, offset: Of the shaft to the joint.
+        reference: Where the servo's own profile wants the shaft now [rad].
+        share: Of the joint's torque.
+        slope: Torque it loses per speed now [N·m·s/rad].
+    """
 
     servo: Servo
     ratio: float
     offset: float
     reference: float | None = None
+    share: float = 0.0
+    slope: float = 0.0
 
 
 class ArmPhysics:
@@ -125,7 +135,6 @@ class ArmPhysics:
                 ratio = sign * servo.direction * mount.gear
                 couplings.append(Coupling(servo, ratio, servo.angle_of(zero)))
             self._joints[mount.joint] = couplings
-        self._shares = {name: [0.0] * len(pair) for name, pair in self._joints.items()}
         self._set_inertia()
         self._scatter()
 
@@ -197,7 +206,9 @@ class ArmPhysics:
         actuator = model.actuator(name)
         actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = stiffness, -stiffness, -kv
         total = sum(drive.ceiling for drive in drives)
-        self._shares[name] = [d.ceiling / total if total > 0.0 else 0.0 for d in drives]
+        for coupling, drive in zip(couplings, drives, strict=True):
+            coupling.share = drive.ceiling / total if total > 0.0 else 0.0
+            coupling.slope = drive.slope
         here = float(self.plant.mj_data.joint(name).qpos[0])
         return (pull / stiffness if stiffness > 0.0 else here), limit
 
@@ -213,12 +224,12 @@ class ArmPhysics:
                 joint = plant.mj_data.joint(name)
                 angle, speed = float(joint.qpos[0]), float(joint.qvel[0])
                 effort = float(plant.mj_data.actuator(name).force[0])
-            for index, coupling in enumerate(couplings):
-                shaft, drive = coupling.servo.shaft, coupling.servo.drive()
-                share = self._shares[name][index]
+            for coupling in couplings:
+                shaft = coupling.servo.shaft
                 shaft.angle = coupling.offset + coupling.ratio * angle
                 shaft.speed = coupling.ratio * speed
-                shaft.torque = share * effort / coupling.ratio - drive.slope * shaft.speed
+                shaft.torque = coupling.share * effort / coupling.ratio
+                shaft.torque -= coupling.slope * shaft.speed
 
 
 class ArmEmulator(Emulator):
