@@ -89,16 +89,10 @@ class ServoChain:
         self._patience = float(patience)
         self._budget = max(BUDGET * self._cycle, BUDGET * self._patience)
         self._transport, self._clock = transport, clock
-        #: The servos of each joint, the first one first.
-        self._joints = [
-            [Device(spec, i, number, sign) for number, sign in spec.servos]
-            for i, spec in enumerate(self.specs)
-        ]
-        self._devices = [device for joint in self._joints for device in joint]
+        self._start()
         self._port_of: dict[int, Port] = {}
         self._ports: list[Port] = []
         self._pool: ThreadPoolExecutor | None = None
-        self._rota = Rota(self._joints)
         self._watchdog = 0.0
         self.found: tuple[Found, ...] = ()
 
@@ -112,6 +106,7 @@ class ServoChain:
         """
         if self._ports:
             return
+        self._start()
         try:
             for path in dict.fromkeys(spec.port for spec in self.specs):
                 self._open_port(path)
@@ -334,6 +329,16 @@ class ServoChain:
         enabling.watchdog(self._devices, self._port_of, seconds)
 
     # Inside.
+
+    def _start(self) -> None:
+        """Know nothing of the servos yet."""
+        #: The servos of each joint, the first one first.
+        self._joints = [
+            [Device(spec, i, number, sign) for number, sign in spec.servos]
+            for i, spec in enumerate(self.specs)
+        ]
+        self._devices = [device for joint in self._joints for device in joint]
+        self._rota = Rota(self._joints)
 
     def _open_port(self, path: str) -> None:
         devices = [device for device in self._devices if device.spec.port == path]
