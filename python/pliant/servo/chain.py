@@ -198,8 +198,8 @@ class ServoChain:
 
     @property
     def enabled(self) -> NDArray[np.bool_]:
-        """Which joints have been enabled (n,)."""
-        return np.array([joint[0].enabled for joint in self._joints])
+        """Which joints have torque on: enabled here, or found so at open (n,)."""
+        return np.array([all(d.enabled or d.torque_on for d in joint) for joint in self._joints])
 
     # The cycle.
 
