@@ -216,20 +216,3 @@ def test_p2_clear_is_not_known():
 def test_stuffing_keeps_the_header_out_and_is_undone(body):
     assert b"\xff\xff\xfd" not in stuff(body).replace(b"\xff\xff\xfd\xfd", b"")
     assert unstuff(stuff(body)) == body
-
-
-def test_sts_ping_and_read_position():
-    # The maker's protocol sheet: ping of id 1; read two bytes at 0x38 of a servo at 0x0518.
-    made = line(Device("STS3215", 1))
-    assert exchange(made, "FF FF 01 02 01 FB") == "FF FF 01 02 00 FC"
-    made.servos[0].shaft.angle = 0x0518 * made.servos[0].model.count
-    assert exchange(made, "FF FF 01 04 02 38 02 BE") == "FF FF 01 04 00 18 05 DD"
-
-
-def test_sts_sync_write_of_position_time_speed():
-    # The maker's sheet: ids 1 to 4, address 0x2A, six bytes: 0x0800, 0, 0x03E8.
-    made = line(*(Device("STS3215", id) for id in (1, 2, 3, 4)))
-    part = "00 08 00 00 E8 03"
-    request = f"FF FF FE 20 83 2A 06 01 {part} 02 {part} 03 {part} 04 {part} 58"
-    assert exchange(made, request) == ""
-    assert {(s.get("goal_position"), s.get("goal_velocity")) for s in made.servos} == {(2048, 1000)}

@@ -57,7 +57,7 @@ def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -
                 all((d.spec.port, d.id) in answered for d in joint),
                 min(d.time for d in joint),
                 first.units.velocity(first.speed),
-                np.mean([d.torque for d in joint]),
+                sum(d.torque for d in joint) / len(joint),
                 amps,
             )
         )

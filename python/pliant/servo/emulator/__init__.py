@@ -8,6 +8,7 @@ Register tables, checksums and conversions are this package's own, shared with n
 them.
 """
 
+from pliant.servo.emulator.arm import ArmEmulator, ArmPhysics, Mount, emulate
 from pliant.servo.emulator.device import Device
 from pliant.servo.emulator.emulator import Emulator
 from pliant.servo.emulator.faults import Faults
@@ -15,11 +16,14 @@ from pliant.servo.emulator.line import Delivery, Line
 from pliant.servo.emulator.log import Log, Transaction, Write
 from pliant.servo.emulator.models import MODELS
 from pliant.servo.emulator.motion import Joints, Physics
+from pliant.servo.emulator.process import Remote
 from pliant.servo.emulator.servo import Drive, Load, Servo, Shaft
 from pliant.servo.emulator.timing import Timing
 
 __all__ = [
     "MODELS",
+    "ArmEmulator",
+    "ArmPhysics",
     "Delivery",
     "Device",
     "Drive",
@@ -29,10 +33,13 @@ __all__ = [
     "Line",
     "Load",
     "Log",
+    "Mount",
     "Physics",
+    "Remote",
     "Servo",
     "Shaft",
     "Timing",
     "Transaction",
     "Write",
+    "emulate",
 ]

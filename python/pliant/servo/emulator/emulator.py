@@ -43,6 +43,7 @@ class Emulator:
     Attributes:
         faults, log: Of all ports.
         world: Servos, physics and clock.
+        lines: The wires by the name of their ports; `lines["main"].feed(...)` needs no port.
 
     Raises:
         ConfigError: No devices, an unknown clock, a speed that a servo has not.
@@ -61,7 +62,7 @@ class Emulator:
         faults: Faults | None = None,
         clock: Clock = "real",
         baud: int = 1_000_000,
-        log: int = 100_000,
+        log: int = 20_000,
     ) -> None:
         if not devices:
             raise ConfigError("an emulator needs at least one Device")
@@ -71,7 +72,7 @@ class Emulator:
         self.log, self._clock = Log(log), clock
         built = [(device.port, device.build(baud)) for device in devices]
         self.world = World([servo for _, servo in built], physics)
-        self._lines = {
+        self.lines = {
             name: Line(
                 [servo for port, servo in built if port == name],
                 name=name,
@@ -81,7 +82,7 @@ class Emulator:
             )
             for name in dict.fromkeys(port for port, _ in built)
         }
-        self._server = Server(self.world, self._lines, clock)
+        self._server = Server(self.world, self.lines, clock)
 
     # Life and time.
 
@@ -218,7 +219,7 @@ class Emulator:
     def short(self, shorted: bool = True, port: str | None = None) -> None:
         """Hold the line so that nothing gets through, or let it go."""
         with self._server.lock:
-            for name, line in self._lines.items():
+            for name, line in self.lines.items():
                 if port in {None, name}:
                     line.dead = shorted
 

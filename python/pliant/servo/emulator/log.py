@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from pliant.servo.emulator.registers import Table
 
@@ -89,13 +89,16 @@ class Log:
     Attributes:
         count: Transactions since the start.
         faulty: Those with a fault on purpose.
+        watch: Called with every transaction as it ends, for runs longer than the log; in the
+            emulator's thread.
     """
 
-    def __init__(self, longest: int = 100_000) -> None:
-        """Keep at most `longest` transactions."""
+    def __init__(self, longest: int = 20_000) -> None:
+        """Keep at most `longest` transactions, about 1.5 kB each with seven servos."""
         self._kept: deque[Transaction] = deque(maxlen=longest)
         self.count = 0
         self.faulty = 0
+        self.watch: Callable[[Transaction], None] | None = None
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -111,6 +114,8 @@ class Log:
         self._kept.append(transaction)
         self.count += 1
         self.faulty += bool(transaction.faults)
+        if self.watch is not None:
+            self.watch(transaction)
 
     def clear(self) -> None:
         """Forget all; counters start at 0."""

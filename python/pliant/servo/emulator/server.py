@@ -15,7 +15,7 @@ from pliant import ServoError
 from pliant.servo.emulator.pty import Pty
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from pliant.servo.emulator.line import Line
     from pliant.servo.emulator.world import World
@@ -60,6 +60,8 @@ class Server:
         self._ports: dict[str, Port] = {}
         self._thread: threading.Thread | None = None
         self._failed: BaseException | None = None
+        self._errand: Callable[[], None] | None = None
+        self._done = threading.Event()
         self.lock, self.lag = threading.RLock(), 0.0
 
     def start(self) -> None:
@@ -123,24 +125,40 @@ class Server:
                 raise ServoError(f"the emulator does not answer: {self._failed or 'too slow'}")
 
     def hang_up(self, name: str | None) -> None:
-        """Pull the adapter of one port, or of all."""
+        """Pull the adapter of one port, or of all; when it returns, hosts see it."""
         self.sync()
-        with self.lock:
+
+        def pull() -> None:
             for key, port in self._ports.items():
                 if name in {None, key}:
                     port.pty.hang_up()
                     port.due.clear()
                     port.stale.clear()
-        self.wake()
+
+        self._do(pull)
 
     def put_back(self, name: str | None) -> None:
         """Open what was pulled, under the same path."""
-        with self.lock:
+
+        def put() -> None:
             for key, port in self._ports.items():
                 if name in {None, key} and port.pty.master is None:
                     port.line.reset()
                     port.pty.open()
+
+        self._do(put)
+
+    def _do(self, errand: Callable[[], None]) -> None:
+        """Let the thread do something: a port cannot be closed while it waits on it.
+
+        Raises:
+            ServoError: The thread does not answer.
+        """
+        self._done.clear()
+        self._errand = errand
         self.wake()
+        if self._thread is not None and not self._done.wait(SYNC_TIME):
+            raise ServoError(f"the emulator does not answer: {self._failed or 'too slow'}")
 
     def wake(self) -> None:
         """Let the thread look around."""
@@ -169,6 +187,10 @@ class Server:
                 os.read(self._wake_r, 4096)
             with self.lock:
                 self._follow()
+                if self._errand is not None:
+                    self._errand()
+                    self._errand = None
+                    self._done.set()
                 for end in ready:
                     if end in masters and masters[end].pty.master == end:
                         self._serve(masters[end])
@@ -194,7 +216,7 @@ class Server:
                 self.lag += behind - LARGEST_LAG
                 self._began += behind - LARGEST_LAG
                 behind = LARGEST_LAG
-            self._world.advance(max(behind, 0.0))
+            self._world.advance(max(behind, 0.0), settle=False)
 
     def _serve(self, port: Port) -> None:
         """Act on what a host has written."""

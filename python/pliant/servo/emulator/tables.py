@@ -237,8 +237,8 @@ STS = Table(
 40 1 R rw 0    0..128   u torque_enable
 41 1 R rw 0    0..254   u acceleration
 42 2 R rw 0    -32766..32766 s15 goal_position
-44 2 R rw 0    0..1000  u goal_time
-46 2 R rw 0    -3400..3400 s15 goal_velocity
+44 2 R rw 0    0..9999  u goal_time
+46 2 R rw 0    -32766..32766 s15 goal_velocity
 48 2 R rw 1000 0..1000  u torque_limit
 55 1 R rw 1    0..1     u lock
 56 2 R r  0    -        s15 present_position

@@ -37,6 +37,8 @@ class XServo(Servo):
         self._heard = self.now
         self._turns = -math.floor(self.shaft.angle / self.model.count / 4096 + 1e-9)
         self._reset_mode()
+        if self.get("startup_configuration") & 1:
+            self.put("torque_enable", 1)
 
     def _reset_mode(self) -> None:
         for name in (*_GAINS, "profile_acceleration", "profile_velocity"):
