@@ -143,7 +143,7 @@ class ConfigError(PliantError):
     key: str | None
 
 class ServoError(PliantError):
-    """A servo or its bus did not do what was asked. For those who drive servos; none ships yet."""
+    """A servo or its bus did not do what was asked; the message says what to do."""
 
 class ServoTimeout(ServoError):
     """A servo did not answer in time."""

@@ -60,4 +60,4 @@ def test_a_ready_arm_moves_over_real_bytes(name):
         arm.limp()
     # The supply's voltage and the gain registers, not the ideal servos of the built-in table.
     assert np.linalg.norm(reached - target[:3, 3]) < 0.015
-    assert order[:3] == ["limit", "goal", "torque"]
+    assert order[:3] == ["limit", "goal", "torque on"]
