@@ -66,6 +66,54 @@ class Health:
     limit: float | None = None
 
 
+class Sampled(Protocol):
+    """Anything with the fields of a `Sample`."""
+
+    @property
+    def position(self) -> Array:
+        """Positions (N,) [rad]."""
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Which were read (N,)."""
+
+    @property
+    def time(self) -> Array | float:
+        """When [s]."""
+
+    @property
+    def velocity(self) -> Array | None:
+        """Velocities (N,) [rad/s]."""
+
+    @property
+    def load(self) -> Array | None:
+        """Torques (N,) [N·m]."""
+
+    @property
+    def current(self) -> Array | None:
+        """Currents (N,) [A]."""
+
+
+class Reported(Protocol):
+    """Anything with the fields of a `Health`."""
+
+    @property
+    def name(self) -> str:
+        """The joint."""
+
+    @property
+    def voltage(self) -> float | None:
+        """At the servo [V]."""
+
+    @property
+    def temperature(self) -> float | None:
+        """Of the servo [°C]."""
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """In sentences."""
+
+
 class Clock(Protocol):
     """The time a drive lives in."""
 
@@ -81,7 +129,8 @@ class Drive(Protocol):
 
     Further attributes are used where a drive has them: `clock` (default: the machine's), `latency`,
     the time from the end of a write to its effect [s]; `overload` (N,), the share of the usable
-    torque above which a servo protects itself; `stall_current` (N,) [A], for the supply's budget.
+    torque above which a servo protects itself; `stall_current` (N,) [A], for the supply's budget;
+    `enabled` (N,), which joints have torque already.
     """
 
     @property
@@ -90,7 +139,7 @@ class Drive(Protocol):
 
     @property
     def servos(self) -> Servos:
-        """What drives them, one entry per name."""
+        """What drives them, one entry per name; once open, as the servos themselves say."""
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -106,7 +155,7 @@ class Drive(Protocol):
     def close(self) -> None:
         """Let go of the port; the servos keep their last goal and limit."""
 
-    def read(self) -> Sample:
+    def read(self) -> Sampled:
         """Positions of this cycle, joint by joint; what did not arrive is not `ok`.
 
         Raises:
@@ -116,7 +165,7 @@ class Drive(Protocol):
     def write(self, goal: Array, limit: Array) -> None:
         """Send goals (N,) [rad] and torque limits (N,) [N·m] to enabled joints."""
 
-    def slow(self) -> Health | None:
+    def slow(self) -> Reported | None:
         """One step of the rota of voltages, temperatures and faults; None without news."""
 
     def enable(self, goal: Array, limit: Array) -> None:
