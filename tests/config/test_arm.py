@@ -46,7 +46,8 @@ def test_a_file_on_the_simulator_becomes_an_arm():
 @pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
 def test_a_ready_arm_moves_over_real_bytes(name):
     rate = 50.0
-    with pliant.connect(name, backend="emulator", rate=rate, signals=False) as arm:
+    options = {"rate": rate, "hold_for": 5.0, "signals": False}
+    with pliant.connect(name, backend="emulator", **options) as arm:
         controller = pliant.Controller(arm.model, config.load(name).settings(), arm.servos)
         state = arm.read()
         target = arm.model.forward_kinematics(state.q + 0.1)

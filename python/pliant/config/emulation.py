@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pliant.config import assemble, build
-from pliant.servo import ServoChain
+from pliant.servo import ServoChain, find
 from pliant.servo.emulator import Mount, emulate
 from pliant.servo.emulator.process import Remote
 
@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from pliant import Model
     from pliant.config.schema import Config
     from pliant.servo.emulator.arm import ArmEmulator
+
+#: Least time to wait for an answer [s]: the emulator shares the machine with its host.
+PATIENCE = 0.05
 
 
 class EmulatedChain(ServoChain):
@@ -27,7 +30,10 @@ class EmulatedChain(ServoChain):
         self.emulator = Remote(emulated, config)
         bauds = {self.emulator.ports[port.name]: port.baud for port in config.port}
         super().__init__(
-            assemble.specs(config, self.emulator.ports), baudrate=bauds, rate=config.loop.rate
+            assemble.specs(config, self.emulator.ports),
+            baudrate=bauds,
+            rate=config.loop.rate,
+            patience=PATIENCE,
         )
 
     def close(self) -> None:
@@ -61,7 +67,14 @@ def mounts(config: Config) -> list[Mount]:
                 gear=servo.gear,
                 twin=None if servo.twin is None else (servo.twin.id, servo.twin.sign),
                 port=servo.port,
-                registers={"return_delay_time": 0},
+                registers=_as_set_up(servo.model),
             )
         )
     return out
+
+
+def _as_set_up(model: str) -> dict[str, int]:
+    """EEPROM as `pliant setup` leaves it: answers at once, current-based position mode."""
+    row = find(model)
+    mode = {"operating_mode": 5} if row.kind == "current" else {}
+    return {"return_delay_time": 0, **mode}
