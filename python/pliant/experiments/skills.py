@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 #: How far the target pulls a drawer of 0.25 m [m].
 DRAWN = 0.28
-#: Half-lengths of the figure that the pad wipes, x and y [m]; its period in y, half of that in x [s].
+#: Half-lengths of the figure of eight that the pad wipes, x and y [m]; its period in y [s].
 STROKE, STROKE_TIME = (0.04, 0.10), 8.0
 #: Lowering the pad takes until then, and wiping begins [s].
 DOWN = 3.0
@@ -41,7 +41,8 @@ class Drawn:
 
     Attributes:
         way: How far it came [m].
-        force: Largest force in the grip [N].
+        force: Largest force in the grip, with the jolt at the end stop [N].
+        held: Force in the grip at the end [N].
         across: Largest part of it across the slide [N].
         torque: Largest torque in the grip [N·m].
         trace: The run.
@@ -49,6 +50,7 @@ class Drawn:
 
     way: float
     force: float
+    held: float
     across: float
     torque: float
     trace: Trace
@@ -75,6 +77,7 @@ def pull_drawer(
     return Drawn(
         way=box.widest,
         force=box.peak_force,
+        held=box.force,
         across=box.across,
         torque=box.peak_torque,
         trace=trace,
