@@ -1,5 +1,6 @@
 """Drawer, surface, hand-over, socket: what is promised of them, against numbers by hand."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -121,6 +122,14 @@ def test_a_plug_goes_into_its_hole_and_ends_on_the_floor(arm, grasp):
     down(arm, socket, grasp, 0.055)
     assert socket.deepest == pytest.approx(socket.depth, abs=1.5e-3)
     assert socket.peak_along > 1.0
+
+
+def test_a_tilted_socket_is_turned_by_its_tilt(arm, grasp):
+    plant = Plant(arm, scene=[Socket(tilt=(0.0, 0.2, 0.0))])
+    plant.reset(grasp)
+    mujoco.mj_kinematics(plant.mj_model, plant.mj_data)
+    turned = plant.mj_data.body("socket:frame").xmat.reshape(3, 3) @ plant.tool[:3, :3].T
+    assert np.arctan2(turned[0, 2], turned[2, 2]) == pytest.approx(0.2, abs=1e-9)
 
 
 def test_a_plug_beside_its_hole_stays_out(arm, grasp):

@@ -149,7 +149,8 @@ class Socket:
         frame = int(model.body(f"{self.name}:frame").mocapid[0])
         tilt, quat = np.zeros(4), np.zeros(4)
         turn = np.asarray(self.tilt, dtype=np.float64)
-        mujoco.mju_axisAngle2Quat(tilt, turn, float(np.linalg.norm(turn)))
+        angle = float(np.linalg.norm(turn))
+        mujoco.mju_axisAngle2Quat(tilt, turn / max(angle, 1e-12), angle)
         mujoco.mju_mat2Quat(quat, np.ascontiguousarray(tool[:3, :3]).reshape(9))
         mujoco.mju_mulQuat(quat, tilt, quat.copy())
         data.mocap_pos[frame] = self._mouth = tool[:3, 3] + tool[:3, :3] @ self.offset
