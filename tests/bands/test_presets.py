@@ -3,7 +3,7 @@
 import pytest
 
 from pliant import Settings
-from pliant.experiments import hands, skills
+from pliant.experiments import doors, hands, skills
 from pliant.experiments.conditions import NOMINAL, Conditions
 
 #: A tick of delay each way, friction and damping believed 30 % too low and too high.
@@ -33,6 +33,33 @@ def test_drawer(degrees, conditions):
 def test_a_drawer_is_pulled_with_the_force_that_is_asked_for(pull):
     seen = skills.pull_drawer(Settings.drawer(pull=pull), degrees=0.0)
     assert seen.held == pytest.approx(pull, abs=1.0)  # [N], at the end stop
+
+
+def test_a_drawer_is_pushed_shut_again():
+    seen = skills.pull_drawer(Settings.drawer(), degrees=10.0, shut=True)
+    assert seen.way > 0.249  # [m]
+    assert seen.left < 0.002  # [m]
+    assert seen.force < 17.5  # [N]
+
+
+@pytest.mark.parametrize("grip", ["rigid", "turning"])
+def test_door(grip):
+    seen = doors.open_door(lambda **_: Settings.door(), "door", grip)
+    stiff = doors.open_door(lambda **_: STIFF, "door", grip)
+    assert seen.angle > 64.0  # [deg] (67)
+    assert seen.force < 32.0  # [N]
+    assert stiff.force > 2.0 * seen.force
+    assert stiff.angle < seen.angle - 10.0
+
+
+def test_soft():
+    seen = hands.drag(Settings.soft("y"))
+    stiff = hands.drag(STIFF)
+    assert seen.moved > 0.14  # [m], of 0.15
+    assert seen.force < 12.0  # [N]
+    assert seen.drift < 0.008  # [m]
+    assert stiff.force > 2.5 * seen.force
+    assert stiff.drift > 4.0 * seen.drift
 
 
 @conditions

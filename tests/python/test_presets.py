@@ -28,8 +28,6 @@ def arm():
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize("robot", ["arm7", "so101", "koch"])
 def test_every_preset_fits_every_arm(name, robot):
-    if robot != "arm7" and name == "door":
-        pytest.skip("eta 0.999 is accepted by name; y alone is a door only with yaw")
     model = getattr(pliant.robots, robot)()
     task = "all" if robot == "arm7" else "xyz"
     settings = PRESETS[name](task=task)
