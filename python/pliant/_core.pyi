@@ -688,6 +688,25 @@ class Servos:
     def kp_known(self) -> bool:
         """Whether `kp` is known within 10 %."""
 
+    @staticmethod
+    def of(
+        models: Sequence[str],
+        *,
+        voltage: float | None = None,
+        gains: Sequence[int | None] | None = None,
+    ) -> Servos:
+        """Servos from the tables of `pliant.servo`, one model per joint.
+
+        Args:
+            models: Servo models base to tip, as `pliant.servo.names()` lists them.
+            voltage: Supply voltage [V]; default each model's rated one.
+            gains: Gain registers; None where the maker's setting stands.
+
+        Raises:
+            ConfigError: A model is not known (the nearest names are given), the voltage is outside
+                its range, or the gains are not one per model.
+        """
+
     def replace(self, **changes: Unpack[_ServoFields]) -> Servos:
         """The same with some fields changed."""
 

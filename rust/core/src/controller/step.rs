@@ -113,12 +113,14 @@ impl Controller {
                 let (lead, most) = (solution.motion.lead[i] + solution.motion.null[i], self.lead_limit(i, limit[i]));
                 goal[i] += clip(lead, most) - lead;
             }
-            goal[i] = slew(memory.goal[i], goal[i], settings.goal_slew * dt, plan.lower[i], plan.upper[i]);
+            let (lower, upper) = (plan.lower[i] - plan.beyond[i], plan.upper[i] + plan.beyond[i]);
+            goal[i] = slew(memory.goal[i], goal[i], settings.goal_slew * dt, lower, upper);
             record.saturated[i] = limit[i] >= plan.servos.torque[i];
         }
         if settings.integrate > 0.0 {
-            let mut lead = solution.motion.stiff_lead;
-            (0..plan.n).for_each(|i| lead[i] += solution.motion.null[i]);
+            let mut lead = solution.motion.lead;
+            (0..plan.n)
+                .for_each(|i| lead[i] = if solution.locked[i] { 0.0 } else { lead[i] + solution.motion.null[i] });
             let addition = Addition {
                 lead: &lead,
                 share: settings.integrate * dt,
@@ -189,11 +191,9 @@ impl Controller {
         let (plan, k, n) = (&self.plan, self.plan.k, self.plan.n);
         let (pull, mut offset) = (transpose_times(&seen.rows, &record.wrench, k), [0.0; MAX_JOINTS]);
         for i in 0..n {
-            let mut lead = solution.motion.null[i];
-            if solution.locked[i] {
-                // What its limit leaves of its part of the wrench.
-                lead = solution.motion.lead[i] - plan.servos.compliance[i] * pull[i];
-            }
+            // The null space, and what a position limit has taken of the joint's part of the wrench.
+            let lead = solution.motion.lead[i] + solution.motion.force_lead[i] + solution.motion.null[i]
+                - plan.servos.compliance[i] * pull[i];
             offset[i] = plan.servos.kp[i] * (lead + memory.integral[i] + seen.q[i] - q[i]);
         }
         let load = Load {
