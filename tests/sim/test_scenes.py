@@ -155,7 +155,7 @@ def test_a_plug_in_the_air_touches_nothing(arm, grasp):
         (lambda: Surface(wave=0.0), "wave > 0"),
         (lambda: Handed(way=(1.0,)), "three entries"),
         (lambda: Handed(mass=0.0), "mass > 0"),
-        (lambda: Socket(depth=0.0), "width and depth > 0"),
+        (lambda: Socket(depth=0.0), "depth > chamfer"),
         (lambda: Socket(tilt=(0.0, 0.0)), "three entries"),
     ],
 )
