@@ -9,6 +9,7 @@ use crate::{JointVec, MAX_JOINTS};
 
 mod forward;
 mod gravity;
+mod inertia;
 mod inverse;
 mod jacobian;
 pub(crate) mod spatial;
