@@ -17,8 +17,8 @@ from pliant._core import (
     Axis,
     Check,
     Command,
-    Contact,
     ConfigError,
+    Contact,
     Controller,
     Finding,
     FrameNotFound,
@@ -58,15 +58,17 @@ from pliant._core import (
 
 if TYPE_CHECKING:
     from pliant import experiments as experiments
+    from pliant import reactions as reactions
     from pliant import robots as robots
     from pliant import sim as sim
+    from pliant.reactions import Reaction, Watch
 
 __all__ = [
     "Axis",
     "Check",
     "Command",
-    "Contact",
     "ConfigError",
+    "Contact",
     "Controller",
     "Finding",
     "FrameNotFound",
@@ -80,6 +82,7 @@ __all__ = [
     "Payload",
     "PliantError",
     "Pose",
+    "Reaction",
     "Report",
     "ServoError",
     "ServoFault",
@@ -89,6 +92,7 @@ __all__ = [
     "ShapeError",
     "Task",
     "UrdfError",
+    "Watch",
     "WrenchEstimate",
     "__version__",
     "activation",
@@ -105,12 +109,16 @@ __all__ = [
 ]
 
 #: Parts that are loaded when they are first named: they need extras, or time.
-_PARTS = ("experiments", "robots", "sim")
+_PARTS = ("experiments", "reactions", "robots", "sim")
+#: Names of such a part that are everybody's.
+_FROM_PARTS = {"Reaction": "reactions", "Watch": "reactions"}
 
 
 def __getattr__(name: str) -> Any:
     if name in _PARTS:
         return importlib.import_module(f"pliant.{name}")
+    if name in _FROM_PARTS:
+        return getattr(importlib.import_module(f"pliant.{_FROM_PARTS[name]}"), name)
     raise AttributeError(f"module 'pliant' has no attribute {name!r}")
 
 

@@ -76,6 +76,10 @@ pub(crate) struct Contact {
     n: usize,
 }
 
+fn part(values: Option<&JointVec>, n: usize) -> Option<&[f64]> {
+    values.map(|values| &values[..n])
+}
+
 /// Numbers by axis key, e.g. `{"xyz": 8.0, "yaw": 1.0}`.
 fn thresholds(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<[Option<f64>; 6]> {
     let mut out = [None; 6];
@@ -106,6 +110,7 @@ impl Contact {
         gravity_error=0.05, payload_error=0.0, inertia_error=0.3, load_error=0.2, torque_constant=None, \
         most=(100.0, 20.0), touch=None, stop=None, hysteresis=0.3, min_time=0.02, accept=())")]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn new(
         py: Python<'_>,
         controller: Py<Controller>,
@@ -157,6 +162,7 @@ impl Contact {
 
     #[pyo3(signature = (q, *, dt = None, dq = None, load = None, current = None, sent = None))]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn update(
         &mut self,
         py: Python<'_>,
@@ -175,9 +181,6 @@ impl Contact {
             Some((goal, limit)) => Some([joints("goal", goal, n)?, joints("torque_limit", limit, n)?]),
             None => None,
         };
-        fn part(values: Option<&JointVec>, n: usize) -> Option<&[f64]> {
-            values.map(|values| &values[..n])
-        }
         let input = ContactInput {
             dt,
             dq: part(dq.as_ref(), n),
