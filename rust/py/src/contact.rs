@@ -102,11 +102,11 @@ fn thresholds(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<[Option<
 impl Contact {
     #[new]
     #[pyo3(signature = (
-        controller, *, axes = None, filter = 0.02, friction_error = 0.3, kp_error = None, gravity_error = 0.05,
+        controller, *, axes = None, filter = 0.04, friction_error = 0.3, kp_error = None, gravity_error = 0.05,
         payload_error = 0.0, inertia_error = 0.3, load_error = 0.2, torque_constant = None, most = (100.0, 20.0),
         touch = None, stop = None, hysteresis = 0.3, min_time = 0.02, accept = Vec::new()
     ))]
-    #[pyo3(text_signature = "(controller, *, axes=None, filter=0.02, friction_error=0.3, kp_error=None, \
+    #[pyo3(text_signature = "(controller, *, axes=None, filter=0.04, friction_error=0.3, kp_error=None, \
         gravity_error=0.05, payload_error=0.0, inertia_error=0.3, load_error=0.2, torque_constant=None, \
         most=(100.0, 20.0), touch=None, stop=None, hysteresis=0.3, min_time=0.02, accept=())")]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]

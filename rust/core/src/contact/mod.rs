@@ -124,8 +124,12 @@ impl Tare {
 #[derive(Debug, Clone, Copy)]
 struct Memory {
     filter: VelocityFilter,
-    /// Velocity behind the longer filter [rad/s].
+    /// Reading before this one [rad], and velocity behind the low-pass of the residual [rad/s].
+    before: JointVec,
     slow: JointVec,
+    /// `g − τ`, as late as the velocities; residual without acceleration behind the low-pass; with it [N·m].
+    held: JointVec,
+    low_passed: JointVec,
     residual: JointVec,
     uncertainty: JointVec,
     /// Whether the filter has seen a reading.
@@ -203,7 +207,10 @@ impl Contact {
             tared: false,
             memory: Memory {
                 filter: VelocityFilter::new(&resting),
+                before: resting,
                 slow: resting,
+                held: resting,
+                low_passed: resting,
                 residual: resting,
                 uncertainty: resting,
                 started: false,

@@ -51,7 +51,7 @@ impl Default for ContactOptions {
     fn default() -> Self {
         Self {
             axes: None,
-            filter: 0.02,
+            filter: 0.04,
             friction_error: 0.3,
             kp_error: None,
             gravity_error: 0.05,

@@ -1,6 +1,7 @@
 //! What the joints feel beside what is known, and how wrong that can be.
 
 use crate::error::Result;
+use crate::kinematics::JointMatrix;
 use crate::servos::Servos;
 use crate::{JointVec, MAX_JOINTS};
 
@@ -94,49 +95,112 @@ pub(super) struct Balance<'a> {
     pub(super) measured: bool,
     pub(super) saturated: &'a [bool; MAX_JOINTS],
     pub(super) gravity: &'a JointVec,
-    /// Torques that accelerate the arm [N·m].
-    pub(super) inertia: &'a JointVec,
-    /// Filtered velocity and how far it can be off [rad/s].
+    /// Mass matrix of the links [kg·m²]; rotors come on top.
+    pub(super) mass: &'a JointMatrix,
+    /// Filtered velocity, and how far it can be off [rad/s].
     pub(super) velocity: &'a JointVec,
     pub(super) velocity_error: &'a JointVec,
+    /// Acceleration behind the low-pass [rad/s²].
+    pub(super) acceleration: &'a JointVec,
+    pub(super) noise: &'a Noise,
+}
+
+/// Standard deviations of what encoder counts do; independent from joint to joint.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Noise {
+    /// Of the mean reading behind the low-pass [rad].
+    pub(super) reading: JointVec,
+    /// Of the velocity [rad/s].
+    pub(super) velocity: JointVec,
+    /// Of the acceleration [rad/s²].
+    pub(super) acceleration: JointVec,
 }
 
 impl Balance<'_> {
-    /// Residual `g + M q̈ + τ_f tanh(v/v₀) + d v − τ` [N·m]: what the surroundings add to each joint.
+    /// `g − τ` but for the servos' own damping [N·m]: what positions say.
     #[inline]
-    pub(super) fn residual(&self) -> JointVec {
-        let (joints, v) = (self.joints, self.velocity);
+    pub(super) fn held(&self) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
-        for i in 0..joints.n {
-            let dry = joints.friction[i] * (v[i] / FRICTION_SPEED).tanh();
-            out[i] = self.gravity[i] + self.inertia[i] + dry + self.damping(i) * v[i] - self.given[i];
+        for i in 0..self.joints.n {
+            out[i] = self.gravity[i] - self.given[i] - self.own_damping(i) * self.velocity[i];
         }
         out
     }
 
-    /// What friction, damping, velocity and encoder leave open of it [N·m].
+    /// `τ_f tanh(v/v₀) + d v` with the servos' own damping [N·m]: what velocities say.
+    #[inline]
+    pub(super) fn resisted(&self) -> JointVec {
+        let (joints, v) = (self.joints, self.velocity);
+        let mut out = [0.0; MAX_JOINTS];
+        for i in 0..joints.n {
+            let dry = joints.friction[i] * (v[i] / FRICTION_SPEED).tanh();
+            out[i] = dry + (self.damping(i) + self.own_damping(i)) * v[i];
+        }
+        out
+    }
+
+    /// `M q̈` [N·m].
+    #[inline]
+    pub(super) fn accelerating(&self) -> JointVec {
+        let mut out = [0.0; MAX_JOINTS];
+        for i in 0..self.joints.n {
+            out[i] = self.joints.armature[i] * self.acceleration[i];
+            for j in 0..self.joints.n {
+                out[i] += self.mass[i][j] * self.acceleration[j];
+            }
+        }
+        out
+    }
+
+    /// What friction, damping, velocity and acceleration leave open [N·m].
     ///
     /// Dry friction of a joint that may be at rest is anywhere within ±τ_f (1 + share); of one that surely moves only
     /// its share is open.
     #[inline]
     pub(super) fn resistance_error(&self, errors: &Errors) -> JointVec {
-        let joints = self.joints;
+        let (joints, accelerating) = (self.joints, self.accelerating());
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..joints.n {
             let (speed, off) = (self.velocity[i].abs(), self.velocity_error[i]);
             let believed = (speed / FRICTION_SPEED).tanh();
             let sure = ((speed - off).max(0.0) / FRICTION_SPEED).tanh();
             let dry = joints.friction[i] * (1.0 + believed - 2.0 * sure + errors.friction);
-            let viscous = self.damping(i) * (errors.friction * speed + off);
-            // The velocity's error acts on the servo's own damping, the count on its lead, unless its limit decides.
-            let lead = if self.measured || self.saturated[i] {
-                0.0
-            } else {
-                joints.kp[i] * joints.count[i] + joints.kv[i] * off
-            };
-            out[i] = dry + viscous + lead + errors.inertia * self.inertia[i].abs() + joints.least[i];
+            let viscous = errors.friction * self.damping(i) * speed;
+            out[i] = dry + viscous + errors.inertia * accelerating[i].abs() + joints.least[i];
         }
         out
+    }
+
+    /// Noise that is each joint's own: through the lead, and through damping [N·m].
+    #[inline]
+    pub(super) fn own_noise(&self) -> JointVec {
+        let (joints, noise) = (self.joints, self.noise);
+        let mut out = [0.0; MAX_JOINTS];
+        for i in 0..joints.n {
+            let lead = if self.measured || self.saturated[i] { 0.0 } else { joints.kp[i] * noise.reading[i] };
+            let moving = (self.damping(i) + self.own_damping(i)) * noise.velocity[i];
+            out[i] = (lead * lead + moving * moving).sqrt();
+        }
+        out
+    }
+
+    /// Noise that one joint's acceleration brings into all: column j is `M_j σ_j` [N·m].
+    #[inline]
+    pub(super) fn shared_noise(&self) -> JointMatrix {
+        let mut out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+        for i in 0..self.joints.n {
+            for j in 0..self.joints.n {
+                let rotor = if i == j { self.joints.armature[i] } else { 0.0 };
+                out[i][j] = (self.mass[i][j] + rotor) * self.noise.acceleration[j];
+            }
+        }
+        out
+    }
+
+    /// The servo's own damping where it is known to act inside the torque [N·m·s/rad].
+    #[inline]
+    fn own_damping(&self, i: usize) -> f64 {
+        if self.measured || self.saturated[i] { 0.0 } else { self.joints.kv[i] }
     }
 
     #[inline]

@@ -1,6 +1,6 @@
 //! One reading: residual, low-pass, wrench, events; and what an arm at rest can tell.
 
-use super::residual::{Balance, Errors};
+use super::residual::{Balance, Errors, Noise};
 use super::wrench::Estimator;
 use super::{Contact, ContactInput, HISTORY, Memory, Sent, Tare, WrenchEstimate};
 use crate::controller::Controller;
@@ -11,14 +11,17 @@ use crate::pose::COORDINATE_BOUND;
 use crate::task::axes::AXIS_NAMES;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows, survey};
 
-/// Time constant [s] over which velocities are compared to tell an acceleration: a shorter one sees encoder counts.
-const ACCELERATION_TIME: f64 = 0.1;
-
 /// Largest torque or current that is taken for a real one.
 const LOAD_BOUND: f64 = 1e6;
 
 /// Shortest and longest time between two readings [s].
 const PERIODS: [f64; 2] = [1e-6, 10.0];
+
+/// Standard deviation of a reading that is rounded to counts and flickers by one of them half the time [counts].
+const READING_NOISE: f64 = 0.76;
+
+/// Standard deviations that count as the worst of noise.
+const SIGMAS: f64 = 3.0;
 
 /// Every how many of the survey's poses the uncertainty is looked at.
 const EVERY: usize = 8;
@@ -32,6 +35,18 @@ struct Seen {
     /// Torques that hold a mass at the tool [N·m/kg].
     payload: JointVec,
     frames: Frames,
+}
+
+/// How the joints move.
+#[derive(Default)]
+struct Motion {
+    /// Position in the middle between the last two readings: what the servos' mean torque goes by.
+    middle: JointVec,
+    velocity: JointVec,
+    velocity_error: JointVec,
+    /// Behind the low-pass of the residual.
+    acceleration: JointVec,
+    noise: Noise,
 }
 
 impl Contact {
@@ -61,44 +76,49 @@ impl Contact {
             memory.sent[memory.newest % HISTORY] = sent;
             memory.count = (memory.count + 1).min(HISTORY);
         }
-        let (velocity, off, acceleration) = self.motion(controller, &q, dq.as_ref(), dt, &mut memory);
+        let motion = self.motion(controller, &q, dq.as_ref(), dt, &mut memory);
         let (torque, saturated) = match (measured, memory.in_force(controller.delay(), dt)) {
             (Some(load), _) => (load, [false; MAX_JOINTS]),
-            (None, Some(sent)) => self.joints.given(&sent.goal, &sent.limit, &q, &velocity),
+            (None, Some(sent)) => self.joints.given(&sent.goal, &sent.limit, &motion.middle, &motion.velocity),
             (None, None) => {
-                memory.estimate = WrenchEstimate { velocity, ..WrenchEstimate::empty(self.joints.n) };
+                memory.estimate = WrenchEstimate { velocity: motion.velocity, ..WrenchEstimate::empty(self.joints.n) };
                 self.memory = memory;
                 return Ok(&self.memory.estimate);
             }
         };
         let seen = self.look(controller, &q);
-        let mut inertia = [0.0; MAX_JOINTS];
-        let chain = controller.model().chain();
-        chain.acceleration_torque(&seen.frames, &controller.masses, &acceleration, &mut inertia);
-        for i in 0..self.joints.n {
-            inertia[i] += self.joints.armature[i] * acceleration[i];
-        }
+        let mut mass = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+        controller.model().chain().mass_matrix(&seen.frames, &controller.masses, &mut mass);
         let balance = Balance {
             joints: &self.joints,
             given: &torque,
             measured: measured.is_some(),
             saturated: &saturated,
             gravity: &seen.gravity,
-            inertia: &inertia,
-            velocity: &velocity,
-            velocity_error: &off,
+            mass: &mass,
+            velocity: &motion.velocity,
+            velocity_error: &motion.velocity_error,
+            acceleration: &motion.acceleration,
+            noise: &motion.noise,
         };
         let errors = Errors {
             given: if measured.is_some() { self.options.load_error } else { self.errors.given },
             ..self.errors
         };
         let resistance = balance.resistance_error(&errors);
-        let (residual, open) = (balance.residual(), self.open(&errors, &resistance, &torque, &seen.gravity));
+        let (own, moving) = (balance.held(), balance.resisted());
+        let open = self.open(&errors, &resistance, &torque, &seen.gravity);
+        // Velocities lag behind positions: what does not depend on them waits, so that all parts speak of one instant.
+        let wait = if memory.warm && dq.is_none() { dt / (controller.settings().velocity_filter + dt) } else { 1.0 };
         let share = if memory.warm { dt / (self.options.filter + dt) } else { 1.0 };
         for i in 0..self.joints.n {
-            memory.residual[i] += share * (residual[i] - memory.residual[i]);
+            memory.held[i] += wait * (own[i] - memory.held[i]);
+            memory.low_passed[i] += share * (memory.held[i] + moving[i] - memory.low_passed[i]);
             memory.uncertainty[i] += share * (open[i] - memory.uncertainty[i]);
         }
+        // The low-pass of an acceleration is the velocity less its own low-pass: nothing is differentiated twice.
+        let accelerating = balance.accelerating();
+        (0..self.joints.n).for_each(|i| memory.residual[i] = memory.low_passed[i] + accelerating[i]);
         memory.warm = true;
         memory.here = Tare {
             residual: memory.residual,
@@ -107,8 +127,8 @@ impl Contact {
             hidden: resistance,
             payload: seen.payload,
         };
-        let mut estimate = self.wrench(&seen, &memory.residual, &memory.uncertainty);
-        (estimate.torque, estimate.velocity, estimate.saturated) = (torque, velocity, saturated);
+        let mut estimate = self.wrench(&seen, &memory.residual, &memory.uncertainty, &balance);
+        (estimate.torque, estimate.velocity, estimate.saturated) = (torque, motion.velocity, saturated);
         estimate.touch = memory.touch.update(&estimate.force, &estimate.uncertainty, dt);
         estimate.stop = memory.stop.update(&estimate.force, &estimate.uncertainty, dt);
         if !estimate.force_base.iter().all(|x| x.is_finite()) {
@@ -174,19 +194,22 @@ impl Contact {
 
     fn at_rest(&self, controller: &Controller, q: &JointVec) -> AxisVec {
         let (seen, zero) = (self.look(controller, q), [0.0; MAX_JOINTS]);
+        let mass = [[0.0; MAX_JOINTS]; MAX_JOINTS];
         let balance = Balance {
             joints: &self.joints,
             given: &seen.gravity,
             measured: false,
             saturated: &[false; MAX_JOINTS],
             gravity: &seen.gravity,
-            inertia: &zero,
+            mass: &mass,
             velocity: &zero,
             velocity_error: &zero,
+            acceleration: &zero,
+            noise: &Noise { reading: self.reading_noise(controller.settings().rate.recip()), ..Noise::default() },
         };
         let resistance = balance.resistance_error(&self.errors);
         let open = self.open(&self.errors, &resistance, &seen.gravity, &seen.gravity);
-        self.wrench(&seen, &zero, &open).uncertainty
+        self.wrench(&seen, &zero, &open, &balance).uncertainty
     }
 
     /// Torques from a measured load or current.
@@ -206,7 +229,7 @@ impl Contact {
         Ok(Some(load))
     }
 
-    /// Velocity, how far it can be off, and acceleration.
+    /// How the joints move, by readings alone unless `dq` is given.
     fn motion(
         &self,
         controller: &Controller,
@@ -214,26 +237,42 @@ impl Contact {
         dq: Option<&JointVec>,
         dt: f64,
         memory: &mut Memory,
-    ) -> (JointVec, JointVec, JointVec) {
+    ) -> Motion {
         let filter = controller.settings().velocity_filter;
         if !memory.started {
-            (memory.filter, memory.slow, memory.started) =
-                (VelocityFilter::new(q), dq.copied().unwrap_or_default(), true);
+            (memory.filter, memory.before) = (VelocityFilter::new(q), *q);
+            (memory.slow, memory.started) = (dq.copied().unwrap_or_default(), true);
         }
         match dq {
             Some(dq) => memory.filter.set(q, dq),
             None => memory.filter.update(q, &self.joints.count, filter, dt),
         }
         let velocity = memory.filter.velocity;
-        let (mut off, mut acceleration) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        let mut motion = Motion { velocity, ..Motion::default() };
+        motion.noise.reading = self.reading_noise(dt);
+        let (span, share) = (self.options.filter + dt, dt / (filter + dt));
         for i in 0..self.joints.n {
-            acceleration[i] = (velocity[i] - memory.slow[i]) / (ACCELERATION_TIME + dt);
-            memory.slow[i] += dt * acceleration[i];
+            motion.middle[i] = 0.5 * (memory.before[i] + q[i]);
+            motion.acceleration[i] = (velocity[i] - memory.slow[i]) / span;
+            memory.slow[i] += dt * motion.acceleration[i];
             if dq.is_none() {
-                off[i] = self.joints.count[i] / (filter + dt) + filter * acceleration[i].abs();
+                let count = self.joints.count[i];
+                motion.velocity_error[i] = count / (filter + dt) + filter * motion.acceleration[i].abs();
+                // Differences of noisy readings behind one pole; within the play of a count nothing moves.
+                let toggling = READING_NOISE * count * share / dt * (2.0 / (2.0 - share)).sqrt();
+                motion.noise.velocity[i] = toggling.min(velocity[i].abs());
+                motion.noise.acceleration[i] = motion.noise.velocity[i] / span;
             }
         }
-        (velocity, off, acceleration)
+        memory.before = *q;
+        motion
+    }
+
+    /// Noise of the mean of two readings behind the low-pass [rad].
+    fn reading_noise(&self, dt: f64) -> JointVec {
+        let share = dt / (self.options.filter + dt);
+        let passed = READING_NOISE * (0.5 * (share / (2.0 - share)).max(0.0)).sqrt();
+        self.joints.count.map(|count| passed * count)
     }
 
     fn look(&self, controller: &Controller, q: &JointVec) -> Seen {
@@ -266,19 +305,31 @@ impl Contact {
     }
 
     /// The wrench of a residual, less the tare, in task and base axes.
-    fn wrench(&self, seen: &Seen, residual: &JointVec, uncertainty: &JointVec) -> WrenchEstimate {
+    fn wrench(
+        &self,
+        seen: &Seen,
+        residual: &JointVec,
+        uncertainty: &JointVec,
+        balance: &Balance<'_>,
+    ) -> WrenchEstimate {
         let (k, n) = (self.axes.len(), self.joints.n);
         let (mut felt, mut payload) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         for i in 0..n {
             felt[i] = residual[i] - self.tare.residual[i];
             payload[i] = self.options.payload_error * (seen.payload[i] - self.tare.payload[i]);
         }
-        let estimator = Estimator::new(&seen.rows, uncertainty, &self.most, k, n);
+        // Errors that stay add up at their worst, noise by its squares, three standard deviations of it.
+        let (own, shared) = (balance.own_noise(), balance.shared_noise());
+        let mut total = *uncertainty;
+        for i in 0..n {
+            total[i] += SIGMAS * (own[i] * own[i] + shared[i].iter().map(|x| x * x).sum::<f64>()).sqrt();
+        }
+        let estimator = Estimator::new(&seen.rows, &total, &self.most, k, n);
         let (force, mut bound) = (estimator.apply(&felt), estimator.bound(uncertainty));
+        bound.iter_mut().zip(estimator.noise(&own, &shared)).for_each(|(bound, noise)| *bound += SIGMAS * noise);
         // The load's error is one number for all joints: it does not add up joint by joint.
         bound.iter_mut().zip(estimator.apply(&payload)).for_each(|(bound, load)| *bound += load.abs());
-        let mut out =
-            WrenchEstimate { torque_residual: felt, torque_uncertainty: *uncertainty, ..WrenchEstimate::empty(n) };
+        let mut out = WrenchEstimate { torque_residual: felt, torque_uncertainty: total, ..WrenchEstimate::empty(n) };
         for (r, &axis) in self.axes.iter().enumerate() {
             (out.force[axis], out.uncertainty[axis]) = (force[r], bound[r]);
         }

@@ -1,5 +1,6 @@
 //! From residual joint torques to a wrench and its bound.
 
+use crate::kinematics::JointMatrix;
 use crate::law::inverse::{Cholesky, weighted_gram};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -56,6 +57,23 @@ impl Estimator {
             for i in 0..self.n {
                 out[r] += self.gain[r][i] * v[i];
             }
+        }
+        out
+    }
+
+    /// Standard deviations of `G ε`: `own` noise of each joint, and `shared` of column j in all joints.
+    #[inline]
+    pub(super) fn noise(&self, own: &JointVec, shared: &JointMatrix) -> AxisVec {
+        let mut out = [0.0; MAX_AXES];
+        for r in 0..self.k {
+            let (mut squares, mut columns) = (0.0, [0.0; MAX_JOINTS]);
+            for i in 0..self.n {
+                squares += (self.gain[r][i] * own[i]).powi(2);
+                for j in 0..MAX_JOINTS {
+                    columns[j] += self.gain[r][i] * shared[i][j];
+                }
+            }
+            out[r] = (squares + columns.iter().map(|x| x * x).sum::<f64>()).sqrt();
         }
         out
     }
