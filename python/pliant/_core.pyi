@@ -1606,6 +1606,10 @@ class WrenchEstimate:
         """How far that can be off (n,) [N m]; a payload nobody knows of is counted above only."""
 
     @property
+    def evidence(self) -> float:
+        """Largest of |residual| / uncertainty over the joints: above 1 something pushes."""
+
+    @property
     def torque(self) -> _Array:
         """Torque of each servo (n,) [N m], from lead and limit or as measured."""
 

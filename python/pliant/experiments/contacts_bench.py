@@ -77,11 +77,13 @@ class Record:
         felt: Force (N, 3) [N] and torque (N, 3) [N·m] felt, base axes: (N, 6).
         bound: How far off that can be (N, 6).
         truth: What truly pushed in the period before the reading (N, 6).
+        evidence: Largest share of a joint's bound that its residual reaches (N,).
     """
 
     felt: Array
     bound: Array
     truth: Array
+    evidence: Array
 
 
 class Bump:
@@ -196,6 +198,7 @@ class Bench:
         controller.reset(q)
         count = round(seconds * RATE)
         felt, bound, truth = (np.zeros((count, 6)) for _ in range(3))
+        evidence = np.zeros(count)
         usable = np.asarray(self.arm.servos.torque)
         gain = rng.uniform(0.9, 1.1, usable.size)
         for tick in range(count):
@@ -205,12 +208,13 @@ class Bench:
                 load = gain * plant.torque + 0.01 * usable * rng.standard_normal(usable.size)
             found = contact.update(reading, load=load)
             felt[tick], bound[tick] = found.force_base, found.uncertainty_base
+            evidence[tick] = found.evidence
             if plant.hands:
                 truth[tick, :3] = plant.hands[0].force
             command = controller.step(reading, target(tick / RATE))
             plant.write(command.goal, command.torque_limit)
             plant.advance()
-        return Record(felt, bound, truth)
+        return Record(felt, bound, truth, evidence)
 
 
 class _Path:

@@ -40,6 +40,11 @@ macro_rules! attributes {
             })*
 
             #[getter]
+            fn evidence(&self) -> f64 {
+                self.0.evidence
+            }
+
+            #[getter]
             fn saturated<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
                 PyArray1::from_slice(py, &self.0.saturated[..self.0.n]).into_any()
             }

@@ -58,6 +58,8 @@ pub struct WrenchEstimate {
     pub torque_residual: JointVec,
     /// How far that can be off [N·m]; an unknown payload is counted in `uncertainty` alone.
     pub torque_uncertainty: JointVec,
+    /// Largest of |residual| / uncertainty over the joints: above 1 something pushes, wherever it does.
+    pub evidence: f64,
     /// Torque of each servo [N·m], from lead and limit or as measured.
     pub torque: JointVec,
     /// Joint velocity [rad/s] that the estimate used.
@@ -80,6 +82,7 @@ impl WrenchEstimate {
             uncertainty_base: [f64::INFINITY; MAX_AXES],
             torque_residual: [0.0; MAX_JOINTS],
             torque_uncertainty: [0.0; MAX_JOINTS],
+            evidence: 0.0,
             torque: [0.0; MAX_JOINTS],
             velocity: [0.0; MAX_JOINTS],
             saturated: [false; MAX_JOINTS],

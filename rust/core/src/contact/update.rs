@@ -329,7 +329,9 @@ impl Contact {
         bound.iter_mut().zip(estimator.noise(&own, &shared)).for_each(|(bound, noise)| *bound += SIGMAS * noise);
         // The load's error is one number for all joints: it does not add up joint by joint.
         bound.iter_mut().zip(estimator.apply(&payload)).for_each(|(bound, load)| *bound += load.abs());
-        let mut out = WrenchEstimate { torque_residual: felt, torque_uncertainty: total, ..WrenchEstimate::empty(n) };
+        let evidence = (0..n).fold(0.0_f64, |most, i| most.max((felt[i].abs() - payload[i].abs()) / total[i]));
+        let mut out =
+            WrenchEstimate { torque_residual: felt, torque_uncertainty: total, evidence, ..WrenchEstimate::empty(n) };
         for (r, &axis) in self.axes.iter().enumerate() {
             (out.force[axis], out.uncertainty[axis]) = (force[r], bound[r]);
         }
