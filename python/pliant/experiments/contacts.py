@@ -28,6 +28,7 @@ OTHERS = (
     Case("gears as they are", gears=True),
     Case("load reported", sensed=True),
     Case("load reported, gears as they are", sensed=True, gears=True),
+    Case("gears as they are, told so", gears=True, told={"friction_error": 2.0}),
     Case("so101", arm="so101"),
 )
 #: Length of a free run [s].
@@ -94,19 +95,21 @@ def measure(
         piece: Length of one free run [s].
 
     Returns:
-        A row per threshold, as it is and raised to the uncertainty; errors, bounds and the
-        thresholds that raised no alarm.
+        A row per rule; errors, bounds and the thresholds that raised no alarm.
     """
     pieces = round(60.0 * minutes / piece)
     free = run([Job(case, number, piece) for number in range(pieces)], processes)
     met = run([Job(case, number) for number in range(contacts)], processes)
     capacity = Bench(case).arm.median_capacity[0]
     silent = table.least_silent(free, slice(0, 3))
-    sizes = [float(f"{share * capacity:.2g}") for share in table.SHARES]
-    rows = [table.look(case.name, size, False, free, met) for size in [*sizes, silent]]
-    rows += [table.look(case.name, size, True, free, met) for size in (0.0, *sizes[:4])]
+    sizes = sorted([*(float(f"{share * capacity:.2g}") for share in table.SHARES), silent])
+    rules = [table.Rule("force", size) for size in sizes]
+    rules += [table.Rule("guarded", share) for share in table.GUARDS]
+    rules += [table.Rule("evidence", share) for share in table.EVIDENCE]
+    strength = table.STRONG_FORCE * capacity
+    rows = [table.look(case.name, rule, strength, free, met) for rule in rules]
     facts = table.honesty(free, met)
-    facts["silent [N]"] = silent
+    facts["strong [N]"], facts["silent [N]"] = strength, silent
     facts["silent [N·m]"] = table.least_silent(free, slice(3, 6))
     return rows, facts
 

@@ -122,11 +122,12 @@ class Bench:
     def poses(self) -> Array:
         """Poses to try (N, n) [rad], none near a singular one or a stop."""
         low, high = np.asarray(self.arm.model.lower), np.asarray(self.arm.model.upper)
-        room = 0.5 if self.arm.model.n > 5 else 0.2
+        room = 0.5 if self.arm.model.n > 5 else 0.3
         found = self.arm.poses(len(self.arm.drawn))
         clear: Array = found[((found > low + room) & (found < high - room)).all(axis=1)]
         held = [self.arm.capacity(q, 2, -1.0) > 0.3 * self.arm.median_capacity[0] for q in clear]
-        return clear[np.array(held)]
+        poses: Array = clear[np.array(held)]
+        return poses
 
     def contact(self, number: int) -> Record:
         """One random contact."""
@@ -144,7 +145,7 @@ class Bench:
             return moved
 
         plant, controller, contact = self._make(rng, (hand,))
-        return self._run(plant, controller, contact, q, target, COMES + STAYS, rng)
+        return self._run(plant, controller, contact, q, target, seconds=COMES + STAYS, rng=rng)
 
     def free(self, number: int, seconds: float) -> Record:
         """Free motion from point to point, smooth, with rests."""
@@ -153,9 +154,7 @@ class Bench:
         path = _Path(rng, q, np.asarray(self.arm.model.lower), np.asarray(self.arm.model.upper))
         plant, controller, contact = self._make(rng, ())
         kinematics = self.arm.model.forward_kinematics
-        return self._run(
-            plant, controller, contact, q, lambda t: kinematics(path(t)), seconds, rng
-        )
+        return self._run(plant, controller, contact, q, lambda t: kinematics(path(t)), seconds, rng)
 
     def _make(
         self, rng: np.random.Generator, hands: tuple[Bump, ...]
@@ -190,6 +189,7 @@ class Bench:
         contact: pliant.Contact,
         q: Array,
         target: Any,
+        *,
         seconds: float,
         rng: np.random.Generator,
     ) -> Record:
@@ -222,7 +222,7 @@ class _Path:
 
     def __init__(self, rng: np.random.Generator, middle: Array, low: Array, high: Array) -> None:
         self._rng, self._middle = rng, middle
-        self._low, self._high = low + 0.15, high - 0.15
+        self._low, self._high = low + 0.3, high - 0.3
         self._begin, self._end, self._from, self._to = 0.0, 0.5, middle, middle
 
     def __call__(self, t: float) -> Array:

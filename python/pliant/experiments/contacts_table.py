@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 #: Readings beyond a threshold that make an event: 20 ms, the first not counted.
 READINGS = 3
-#: Readings for which a true force must exceed a threshold to count as a contact that strong.
-STRONG = 10
+#: A contact is strong whose true force exceeds this share of the median static capacity for so many
+#: readings.
+STRONG_FORCE, STRONG = 0.15, 10
 #: Readings of a run that are not looked at: the estimate starts.
 START = 30
 #: First reading that can see the hand.
@@ -32,27 +33,59 @@ FIRST = round(COMES * RATE) + 1
 SHARES = (0.03, 0.05, 0.075, 0.10, 0.125, 0.15, 0.20, 0.25, 0.30, 0.40)
 
 
+#: Shares of the uncertainty that guard a threshold, and of the joints' bounds.
+GUARDS, EVIDENCE = (0.4, 0.5, 0.6, 0.8, 1.0), (0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What counts as a contact.
+
+    Attributes:
+        kind: `force`: |F| on x, y or z beyond `size` [N]; `guarded`: beyond `size` times its
+            uncertainty; `evidence`: some joint beyond `size` times its bound.
+        size: See `kind`.
+    """
+
+    kind: Literal["force", "guarded", "evidence"]
+    size: float
+
+    def beyond(self, record: Record) -> NDArray[np.bool_]:
+        """Where it holds: (N, 3), or (N, 1) for `evidence`."""
+        out: NDArray[np.bool_]
+        if self.kind == "evidence":
+            out = (record.evidence > self.size)[:, None]
+        else:
+            scale = record.bound[:, :3] if self.kind == "guarded" else 1.0
+            out = np.abs(record.felt[:, :3]) > self.size * scale
+        out[:START] = False
+        return out
+
+    def __str__(self) -> str:
+        text = {"force": "force > {:.3g} N", "guarded": "force > {:.2g} × bound"}
+        return text.get(self.kind, "evidence > {:.3g}").format(self.size)
+
+
 @dataclass(frozen=True)
 class Seen:
-    """One threshold, one case.
+    """One rule, one case.
 
     Attributes:
         case: Name of the case.
-        threshold: On each of x, y, z [N]; 0: the uncertainty alone.
-        guarded: Whether the uncertainty raises it where that is larger.
+        rule: The rule.
         alarms: False alarms in free motion, and in how many hours.
         hours: See `alarms`.
-        strong: Contacts whose true force was beyond the threshold along some axis for 0.1 s.
+        strong: Contacts whose true force was beyond `STRONG_FORCE` of the capacity for 0.1 s.
         missed: Share of these that were not seen.
         seen: Share of all contacts that were seen.
-        late: Median and 95th percentile of the time [s] from the true force passing the threshold.
+        late: Median and 95th percentile of the time [s] from the true force being that strong to
+            the event; before it counts as 0.
         after: The same from the first touch.
         force: Median of the true force at that moment [N].
     """
 
     case: str
-    threshold: float
-    guarded: bool
+    rule: Rule
     alarms: int
     hours: float
     strong: int
@@ -70,23 +103,9 @@ def events(beyond: NDArray[np.bool_]) -> list[int]:
     return [int(a) + READINGS - 1 for a, b in stretches if b - a >= READINGS]
 
 
-def beyond(record: Record, threshold: float, guarded: bool) -> NDArray[np.bool_]:
-    """Whether a force is felt beyond the threshold, by axis (N, 3)."""
-    least = record.bound[:, :3] if guarded else 0.0
-    out: NDArray[np.bool_] = np.abs(record.felt[:, :3]) > np.maximum(threshold, least)
-    out[:START] = False
-    return out
-
-
-def alarms(record: Record, threshold: float, guarded: bool) -> int:
-    """False alarms of a free run, all axes."""
-    felt = beyond(record, threshold, guarded)
-    return sum(len(events(felt[:, axis])) for axis in range(3))
-
-
 def first(felt: NDArray[np.bool_]) -> int | None:
     """Reading (N, 3) at which the hand is noticed first, None if never."""
-    found = [e for axis in range(3) for e in events(felt[FIRST:, axis])]
+    found = [e for column in felt[FIRST:].T for e in events(column)]
     return FIRST + min(found) if found else None
 
 
@@ -101,35 +120,30 @@ def least_silent(free: Sequence[Record], columns: slice) -> float:
 
 
 def look(
-    case: str,
-    threshold: float,
-    guarded: bool,
-    free: Sequence[Record],
-    contacts: Sequence[Record],
+    case: str, rule: Rule, strength: float, free: Sequence[Record], contacts: Sequence[Record]
 ) -> Seen:
-    """What one threshold sees."""
+    """What one rule sees; `strength` [N] is what counts as a strong contact."""
     late: list[float] = []
     after: list[float] = []
     force: list[float] = []
     strong = missed = seen = 0
     for record in contacts:
         true = np.abs(record.truth[:, :3])
-        passed = np.flatnonzero((true > threshold).any(axis=1))
-        is_strong = bool(((true > threshold).sum(axis=0) >= STRONG).any())
+        is_strong = bool(((true > strength).sum(axis=0) >= STRONG).any())
+        found = first(rule.beyond(record))
         strong += is_strong
-        found = first(beyond(record, threshold, guarded))
-        seen += found is not None
         missed += is_strong and found is None
         if found is not None:
+            seen += 1
             after.append((found - FIRST + 1) / RATE)
             force.append(float(true[found].max()))
             if is_strong:
-                late.append((found - int(passed[0])) / RATE)
+                passed = int(np.flatnonzero((true > strength).any(axis=1))[0])
+                late.append(max(found - passed, 0) / RATE)
     return Seen(
         case=case,
-        threshold=threshold,
-        guarded=guarded,
-        alarms=sum(alarms(record, threshold, guarded) for record in free),
+        rule=rule,
+        alarms=sum(len(events(c)) for record in free for c in rule.beyond(record).T),
         hours=sum(len(record.felt) for record in free) / RATE / 3600.0,
         strong=strong,
         missed=missed / max(strong, 1),
@@ -160,17 +174,15 @@ def _quantiles(values: Sequence[float]) -> tuple[float, float]:
 
 
 def text(rows: Sequence[Seen]) -> str:
-    """The table of thresholds, as Markdown."""
+    """The table of rules, as Markdown."""
     lines = [
-        "| case | threshold [N] | in force | false alarms | in [h] | strong contacts | missed % "
-        "| all seen % | after the true force [ms]: median | 95th | after the touch: median | 95th "
-        "| force then [N] |",
-        "|---" * 13 + "|",
+        "| case | event | false alarms | in [h] | seen % | strong contacts | missed % "
+        "| after strong [ms]: median | 95th | after the touch: median | 95th | force then [N] |",
+        "|---" * 12 + "|",
     ]
     for r in rows:
-        in_force = "max(threshold, bound)" if r.guarded else "as it is"
-        cells = [r.case, f"{r.threshold:.2g}", in_force, str(r.alarms), f"{r.hours:.2g}"]
-        cells += [str(r.strong), f"{100 * r.missed:.1f}", f"{100 * r.seen:.1f}"]
+        cells = [r.case, str(r.rule), str(r.alarms), f"{r.hours:.2g}", f"{100 * r.seen:.1f}"]
+        cells += [str(r.strong), f"{100 * r.missed:.1f}"]
         cells += [f"{1e3 * value:.0f}" for value in (*r.late, *r.after)] + [f"{r.force:.1f}"]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
@@ -195,28 +207,35 @@ def _plain(value: Any) -> Any:
 
 
 def draw(folder: Path, rows: Sequence[Seen]) -> None:
-    """Write `contacts.png`: alarms against contacts seen, and how late."""
+    """Write `contacts.png`: false alarms against contacts seen, by case and rule."""
     from pliant.experiments.figures import style
 
     cases = list(dict.fromkeys(row.case for row in rows))
-    colours = (style.BLUE, style.ORANGE, style.GREEN, style.PURPLE, style.SKY, style.RED)
-    with style.canvas(1, 2, size=(style.WIDE, 3.4)) as (figure, axes):
-        left, right = axes[0]
-        for case, colour in zip(cases, colours * 3, strict=False):
-            mine = [row for row in rows if row.case == case and not row.guarded and row.threshold]
-            rate = [max(row.alarms / row.hours, 0.5) for row in mine]
-            left.plot(rate, [100 * row.seen for row in mine], "o-", color=colour, markersize=3)
-            left.set_xscale("log")
-            size = [row.threshold for row in mine]
-            right.plot(
-                size, [1e3 * row.late[0] for row in mine], "-", color=colour, label=case
-            )
-            right.plot(size, [1e3 * row.late[1] for row in mine], ":", color=colour)
-        left.set_xlabel("false alarms per hour of free motion (0 drawn at 0.5)")
-        left.set_ylabel("contacts seen [%]")
-        left.set_title("One dot per threshold")
-        right.set_xlabel("threshold [N]")
-        right.set_ylabel("later than the true force [ms]")
-        right.set_title("Median, dotted: 95th percentile")
-        right.legend(fontsize=6.5)
+    across = min(len(cases), 4)
+    down = -(-len(cases) // across)
+    looks = {
+        "force": ("threshold [N]", style.ORANGE),
+        "guarded": ("share of the bound", style.BLUE),
+        "evidence": ("share of a joint's bound", style.GREEN),
+    }
+    with style.canvas(down, across, size=(style.WIDE, 3.1 * down)) as (figure, axes):
+        panels = [ax for line in axes for ax in line]
+        for ax in panels[len(cases) :]:
+            ax.set_visible(False)
+        for ax, case in zip(panels, cases, strict=False):
+            for kind, (label, colour) in looks.items():
+                mine = sorted(
+                    (row for row in rows if row.case == case and row.rule.kind == kind),
+                    key=lambda row: row.rule.size,
+                )
+                # Nothing in so many hours is drawn at half an alarm in these.
+                rate = [max(row.alarms, 0.5) / row.hours for row in mine]
+                seen = [100.0 * row.seen for row in mine]
+                ax.plot(rate, seen, "o-", color=colour, markersize=3, linewidth=1.2, label=label)
+            ax.set_xscale("log")
+            ax.set_ylim(0.0, 102.0)
+            ax.set_title(case)
+            ax.set_xlabel("false alarms per hour")
+        panels[0].set_ylabel("contacts seen [%]")
+        panels[0].legend(fontsize=7, loc="lower right")
         style.save(figure, folder, "contacts")

@@ -72,8 +72,8 @@ def _one_side(above: float | None, below: float | None, what: str) -> None:
 class Force(Condition):
     """Some axis is pushed harder than `above`, or all are pushed less than `below`.
 
-    A force counts only beyond its present uncertainty: near a singular pose, where an axis cannot
-    be felt, it does not hold.
+    A force counts only beyond its present uncertainty (times the contact's `guard`): near a
+    singular pose, where an axis cannot be felt, it does not hold.
 
     Args:
         axes: Axis key of the task frame.
@@ -106,7 +106,7 @@ class Force(Condition):
         indices(self.axes, contact.axes)
         if self.accept or self.above is None:
             return
-        least = contact.typical_uncertainty()
+        least = contact.guard * contact.typical_uncertainty()
         for axis in indices(self.axes):
             if self.above < least[axis]:
                 unit = "N" if axis < 3 else "N·m"
@@ -128,7 +128,7 @@ class Force(Condition):
             size = sign * force if sign else np.abs(force)
             if self.above is None:
                 return bool(np.all(size < (self.below or 0.0)))
-            least = 0.0 if self.accept else felt.uncertainty[chosen]
+            least = 0.0 if self.accept else now.guard * felt.uncertainty[chosen]
             return bool(np.any(size > np.maximum(self.above, least)))
 
         return holds
@@ -170,6 +170,29 @@ class Touched(Condition):
 
     def __repr__(self) -> str:
         return f"Touched({self.axes!r}, {self.kind!r})"
+
+
+@dataclass(frozen=True, repr=False)
+class Evidence(Condition):
+    """Some joint feels more than `above` times what could be wrong: something pushes somewhere.
+
+    Sees a contact earlier than any axis does and wherever on the arm it is, but says neither where
+    nor how hard.
+    """
+
+    above: float = 1.0
+    feels = True
+
+    def __post_init__(self) -> None:
+        """Check the number."""
+        _one_side(self.above, None, "Evidence")
+
+    def judge(self) -> Judge:
+        """Look at the joints."""
+        return lambda now: now.force().evidence > self.above
+
+    def __repr__(self) -> str:
+        return f"Evidence(above={self.above:g})"
 
 
 @dataclass(frozen=True, repr=False)

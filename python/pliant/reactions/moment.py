@@ -31,6 +31,7 @@ class Moment:
         tool: Measured pose of the tool (4, 4).
         wanted: Pose (4, 4) that the caller wants.
         felt: What pushes at the tool; None where no condition asks for it.
+        guard: Share of the uncertainty that a force must exceed to count.
     """
 
     controller: pliant.Controller
@@ -40,6 +41,7 @@ class Moment:
     tool: Array
     wanted: Array
     felt: pliant.WrenchEstimate | None
+    guard: float = 1.0
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -249,14 +249,15 @@ class Watch:
         controller = self.controller
         wanted = pliant.as_pose(target).matrix
         tool = controller.model.forward_kinematics(q)
-        felt = None
+        felt, guard = None, 1.0
         if self.contact is not None:
             load, current, sent = measured
             felt = self.contact.update(q, dt=dt, load=load, current=current, sent=sent)
+            guard = self.contact.guard
         step = 1.0 / controller.settings.rate if dt is None else dt
         self._time = 0.0 if self._time < 0.0 else self._time + step
         reading = np.asarray(q, dtype=np.float64)
-        return Moment(controller, self._time, step, reading, tool, wanted, felt)
+        return Moment(controller, self._time, step, reading, tool, wanted, felt, guard)
 
     def _finish(self, now: Moment, holds: list[bool]) -> None:
         """End the reaction in force where it is over."""

@@ -109,11 +109,11 @@ impl Contact {
     #[pyo3(signature = (
         controller, *, axes = None, filter = 0.04, friction_error = 0.3, kp_error = None, gravity_error = 0.05,
         payload_error = 0.0, inertia_error = 0.3, load_error = 0.2, torque_constant = None, most = (100.0, 20.0),
-        touch = None, stop = None, hysteresis = 0.3, min_time = 0.02, accept = Vec::new()
+        touch = None, stop = None, hysteresis = 0.3, min_time = 0.02, guard = 1.0, accept = Vec::new()
     ))]
     #[pyo3(text_signature = "(controller, *, axes=None, filter=0.04, friction_error=0.3, kp_error=None, \
         gravity_error=0.05, payload_error=0.0, inertia_error=0.3, load_error=0.2, torque_constant=None, \
-        most=(100.0, 20.0), touch=None, stop=None, hysteresis=0.3, min_time=0.02, accept=())")]
+        most=(100.0, 20.0), touch=None, stop=None, hysteresis=0.3, min_time=0.02, guard=1.0, accept=())")]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
     #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn new(
@@ -133,6 +133,7 @@ impl Contact {
         stop: Option<&Bound<'_, PyAny>>,
         hysteresis: f64,
         min_time: f64,
+        guard: f64,
         accept: Vec<String>,
     ) -> PyResult<Self> {
         if let Some(unknown) = accept.iter().find(|risk| *risk != THRESHOLDS) {
@@ -156,6 +157,7 @@ impl Contact {
             stop: thresholds("stop", stop)?,
             hysteresis,
             min_time,
+            guard,
             accept_thresholds: !accept.is_empty(),
         };
         let (core, n) = {
@@ -229,6 +231,12 @@ impl Contact {
     #[getter]
     fn estimate(&self) -> WrenchEstimate {
         WrenchEstimate(*self.core.estimate())
+    }
+
+    #[getter]
+    fn guard(&self) -> f64 {
+        let options = self.core.options();
+        if options.accept_thresholds { 0.0 } else { options.guard }
     }
 
     #[getter]

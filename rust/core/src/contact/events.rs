@@ -11,24 +11,17 @@ pub(super) struct Events {
     hysteresis: f64,
     /// How long a change must last [s].
     min_time: f64,
-    /// Whether a threshold below the uncertainty is raised to it.
-    guarded: bool,
+    /// Share of the uncertainty to which a threshold below it is raised.
+    guard: f64,
     /// For how long each axis has contradicted its state [s].
     against: AxisVec,
     on: [bool; MAX_AXES],
 }
 
 impl Events {
-    pub(super) fn new(thresholds: &[Option<f64>; MAX_AXES], hysteresis: f64, min_time: f64, guarded: bool) -> Self {
+    pub(super) fn new(thresholds: &[Option<f64>; MAX_AXES], hysteresis: f64, min_time: f64, guard: f64) -> Self {
         let thresholds = thresholds.map(|threshold| threshold.unwrap_or(f64::INFINITY));
-        Self {
-            thresholds,
-            hysteresis,
-            min_time,
-            guarded,
-            against: [f64::NEG_INFINITY; MAX_AXES],
-            on: [false; MAX_AXES],
-        }
+        Self { thresholds, hysteresis, min_time, guard, against: [f64::NEG_INFINITY; MAX_AXES], on: [false; MAX_AXES] }
     }
 
     pub(super) fn reset(&mut self) {
@@ -37,12 +30,11 @@ impl Events {
 
     /// Which events are on after `dt` [s] with this force and uncertainty.
     ///
-    /// An event begins once the force has been above `max(threshold, uncertainty)` for the shortest time, the first
+    /// An event begins once the force has been above `max(threshold, guard · uncertainty)` for the shortest time, the first
     /// reading not counted, and ends once it has been below `(1 − hysteresis)` times that for as long.
     pub(super) fn update(&mut self, force: &AxisVec, uncertainty: &AxisVec, dt: f64) -> [bool; MAX_AXES] {
         for axis in 0..MAX_AXES {
-            let least = if self.guarded { uncertainty[axis] } else { 0.0 };
-            let threshold = self.thresholds[axis].max(least);
+            let threshold = self.thresholds[axis].max(self.guard * uncertainty[axis]);
             let size = force[axis].abs();
             let contradicts = if self.on[axis] { size < (1.0 - self.hysteresis) * threshold } else { size > threshold };
             // The first reading beyond a threshold has lasted for no time yet.
@@ -60,8 +52,8 @@ impl Events {
 mod tests {
     use super::*;
 
-    fn events(guarded: bool) -> Events {
-        Events::new(&[Some(10.0); MAX_AXES], 0.3, 0.02, guarded)
+    fn events(guard: f64) -> Events {
+        Events::new(&[Some(10.0); MAX_AXES], 0.3, 0.02, guard)
     }
 
     fn feel(events: &mut Events, force: f64, uncertainty: f64) -> bool {
@@ -70,7 +62,7 @@ mod tests {
 
     #[test]
     fn an_event_needs_its_time_and_its_hysteresis() {
-        let mut z = events(true);
+        let mut z = events(1.0);
         assert!(!feel(&mut z, -11.0, 1.0) && !feel(&mut z, -11.0, 1.0));
         assert!(feel(&mut z, -11.0, 1.0), "after 20 ms");
         assert!(feel(&mut z, -8.0, 1.0), "above seven tenths it stays");
@@ -80,7 +72,7 @@ mod tests {
 
     #[test]
     fn one_reading_below_starts_the_time_anew() {
-        let mut z = events(true);
+        let mut z = events(1.0);
         for _ in 0..10 {
             assert!(!feel(&mut z, 11.0, 1.0) && !feel(&mut z, 11.0, 1.0) && !feel(&mut z, 9.0, 1.0));
         }
@@ -88,7 +80,7 @@ mod tests {
 
     #[test]
     fn a_threshold_is_never_below_the_uncertainty_unless_taken_by_name() {
-        let (mut guarded, mut bare) = (events(true), events(false));
+        let (mut guarded, mut bare) = (events(1.0), events(0.0));
         for _ in 0..10 {
             assert!(!feel(&mut guarded, 11.0, 12.0));
         }
@@ -98,7 +90,7 @@ mod tests {
 
     #[test]
     fn no_time_means_at_once() {
-        let mut z = Events::new(&[Some(10.0); MAX_AXES], 0.3, 0.0, true);
+        let mut z = Events::new(&[Some(10.0); MAX_AXES], 0.3, 0.0, 1.0);
         assert!(feel(&mut z, 10.5, 1.0) && !feel(&mut z, 1.0, 1.0));
         assert!(!feel(&mut z, f64::NAN, 1.0));
     }

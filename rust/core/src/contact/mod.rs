@@ -198,7 +198,7 @@ impl Contact {
             inertia: options.inertia_error,
         };
         let joints = Joints::new(servos, &controller.plan.servos.damping, n)?;
-        let (hysteresis, min_time, guarded) = (options.hysteresis, options.min_time, !options.accept_thresholds);
+        let (hysteresis, min_time, guard) = (options.hysteresis, options.min_time, options.guard());
         let constants = options.torque_constant.as_ref().map(|values| {
             let mut out = [0.0; MAX_JOINTS];
             out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
@@ -221,8 +221,8 @@ impl Contact {
                 sent: [Sent { goal: resting, limit: resting }; HISTORY],
                 newest: 0,
                 count: 0,
-                touch: Events::new(&options.touch, hysteresis, min_time, guarded),
-                stop: Events::new(&options.stop, hysteresis, min_time, guarded),
+                touch: Events::new(&options.touch, hysteresis, min_time, guard),
+                stop: Events::new(&options.stop, hysteresis, min_time, guard),
                 estimate: WrenchEstimate::empty(n),
                 here: Tare::NONE,
             },

@@ -43,7 +43,9 @@ pub struct ContactOptions {
     pub hysteresis: f64,
     /// Time [s] for which a threshold must be passed before an event begins or ends.
     pub min_time: f64,
-    /// Whether thresholds below the uncertainty are taken as they are.
+    /// Share of the uncertainty that a force must exceed to count, whatever the threshold: at 1 an event is proven.
+    pub guard: f64,
+    /// Whether thresholds below the uncertainty are taken as they are, without a guard.
     pub accept_thresholds: bool,
 }
 
@@ -64,6 +66,7 @@ impl Default for ContactOptions {
             stop: [None; MAX_AXES],
             hysteresis: 0.3,
             min_time: 0.02,
+            guard: 1.0,
             accept_thresholds: false,
         }
     }
@@ -87,6 +90,7 @@ impl ContactOptions {
         within("inertia_error", self.inertia_error, 10.0)?;
         within("load_error", self.load_error, 10.0)?;
         within("hysteresis", self.hysteresis, 0.95)?;
+        within("guard", self.guard, 1.0)?;
         for (what, most) in ["most (force) [N]", "most (torque) [N·m]"].into_iter().zip(self.most) {
             if !(most > 0.0 && most <= FORCE_BOUND) {
                 return Err(Error::limit(what, most, format!("(0, {FORCE_BOUND:e}]")));
@@ -109,6 +113,11 @@ impl ContactOptions {
             }
         }
         self.check_constants(n)
+    }
+
+    /// Share of the uncertainty that guards the thresholds.
+    pub(super) const fn guard(&self) -> f64 {
+        if self.accept_thresholds { 0.0 } else { self.guard }
     }
 
     fn check_constants(&self, n: usize) -> Result<()> {

@@ -174,7 +174,7 @@ impl Contact {
                     let message = "has a threshold but is not among the axes looked at: give axes, or leave it out";
                     return Err(Error::config(format!("{name}.{}", AXIS_NAMES[axis]), message));
                 }
-                let least = typical[axis];
+                let least = options.guard() * typical[axis];
                 if value < least {
                     let unit = if axis < 3 { "N" } else { "N·m" };
                     return Err(Error::limit(
@@ -183,7 +183,7 @@ impl Contact {
                         format!(
                             "[{least:.3}, ∞): below it this arm, at rest in the median pose, cannot tell a contact from \
                              friction, k_p and gravity; raise it, say how well the arm is known (kp_error, \
-                             friction_error, gravity_error), or take it by name: accept=(\"thresholds\",)"
+                             friction_error, gravity_error), lower guard, or take it by name: accept=(\"thresholds\",)"
                         ),
                     ));
                 }
