@@ -154,7 +154,12 @@ class Bench:
         path = _Path(rng, q, np.asarray(self.arm.model.lower), np.asarray(self.arm.model.upper))
         plant, controller, contact = self._make(rng, ())
         kinematics = self.arm.model.forward_kinematics
-        return self._run(plant, controller, contact, q, lambda t: kinematics(path(t)), seconds, rng)
+
+        def target(t: float) -> Array:
+            pose: Array = kinematics(path(t))
+            return pose
+
+        return self._run(plant, controller, contact, q, target, seconds=seconds, rng=rng)
 
     def _make(
         self, rng: np.random.Generator, hands: tuple[Bump, ...]
