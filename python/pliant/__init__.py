@@ -57,11 +57,15 @@ from pliant._core import (
 )
 
 if TYPE_CHECKING:
+    from pliant import arm as arm
     from pliant import experiments as experiments
     from pliant import reactions as reactions
     from pliant import robots as robots
     from pliant import sim as sim
-    from pliant.reactions import Reaction, Watch
+    from pliant.arm.connect import connect as connect
+    from pliant.loop import Loop as Loop
+    from pliant.reactions import Reaction as Reaction
+    from pliant.reactions import Watch as Watch
 
 __all__ = [
     "Axis",
@@ -77,6 +81,7 @@ __all__ = [
     "Joint",
     "LimitError",
     "Link",
+    "Loop",
     "Mimic",
     "Model",
     "Payload",
@@ -100,6 +105,7 @@ __all__ = [
     "as_pose",
     "check",
     "compliance",
+    "connect",
     "damped_pseudo_inverse",
     "holding_torque",
     "joint_torque_limits",
@@ -109,16 +115,21 @@ __all__ = [
 ]
 
 #: Parts that are loaded when they are first named: they need extras, or time.
-_PARTS = ("experiments", "reactions", "robots", "sim")
-#: Names of such a part that are everybody's.
-_FROM_PARTS = {"Reaction": "reactions", "Watch": "reactions"}
+_PARTS = ("arm", "experiments", "reactions", "robots", "sim")
+#: Names that live in one of them.
+_NAMES = {
+    "Loop": "pliant.loop",
+    "Reaction": "pliant.reactions",
+    "Watch": "pliant.reactions",
+    "connect": "pliant.arm.connect",
+}
 
 
 def __getattr__(name: str) -> Any:
+    if name in _NAMES:
+        return getattr(importlib.import_module(_NAMES[name]), name)
     if name in _PARTS:
         return importlib.import_module(f"pliant.{name}")
-    if name in _FROM_PARTS:
-        return getattr(importlib.import_module(f"pliant.{_FROM_PARTS[name]}"), name)
     raise AttributeError(f"module 'pliant' has no attribute {name!r}")
 
 

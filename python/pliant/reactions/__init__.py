@@ -21,7 +21,7 @@ from pliant.reactions.conditions import (
     Touched,
 )
 from pliant.reactions.moment import Moment
-from pliant.reactions.watch import Noted, Reaction, Watch, deviation_limit
+from pliant.reactions.watch import Noted, Reaction, Watch
 
 __all__ = [
     "Action",
@@ -44,5 +44,4 @@ __all__ = [
     "Touched",
     "Watch",
     "Yield",
-    "deviation_limit",
 ]

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 import pliant
-from pliant.reactions.actions import Action, Follow, Hold, Running, Stop
-from pliant.reactions.conditions import Condition, Deviation, Judge
-from pliant.reactions.moment import Moment, indices
+from pliant.reactions.actions import Action, Running, Stop
+from pliant.reactions.conditions import Condition, Judge
+from pliant.reactions.moment import Moment
 from pliant.reactions.poses import toward
 
 if TYPE_CHECKING:
@@ -293,22 +293,3 @@ class Watch:
     def __repr__(self) -> str:
         active = "nothing in force" if self.active is None else f"in force: {self.active!r}"
         return f"<Watch: {len(self.reactions)} reactions, {active}>"
-
-
-def deviation_limit(axes: str, above: float, then: Literal["hold", "follow"] = "hold") -> Reaction:
-    """What happens when axes that should be stiff are pushed too far from their target.
-
-    Args:
-        axes: Axis key of the task.
-        above: Largest deviation [m], for rotations [rad].
-        then: `hold` stays where the tool is until nothing has changed for half a second, `follow`
-            lets the target come along, `above` behind.
-
-    Raises:
-        ConfigError: Another word, axes that are not understood.
-    """
-    indices(axes)
-    actions: dict[str, Action] = {"hold": Hold(), "follow": Follow(axes, above)}
-    if then not in actions:
-        raise pliant.ConfigError(f"then is 'hold' or 'follow', not {then!r}")
-    return Reaction(Deviation(axes, above=above), actions[then])
