@@ -34,7 +34,7 @@ class Row:
         refused: Share of the cases that the limits cannot hold.
         kept: Share in band, every pose and axis.
         kept_free, kept_guided: The same with the other axes free and held.
-        stopped: Share not in band, provably by a joint at its mechanical stop.
+        stopped: Share not in band, provably by a joint at its position limit.
         kept_clear: Share in band with every joint clear of its stops at the end.
         clear: Share of such cases.
         kept_truly: Share within the band of the friction there truly was.
@@ -118,7 +118,7 @@ def _quantile(values: Sequence[float], q: float) -> float:
 def text(rows: Sequence[Row]) -> str:
     """The table, as Markdown."""
     lines = [
-        "| arm | disturbance | poses | cases | refused % | in band % | free | guided | by a stop "
+        "| arm | disturbance | poses | cases | refused % | in band % | free | guided | by a limit "
         "| clear of stops | true friction | error: median % | 95th % | free: median | 95th "
         "| drift 95th [mm] | < 5 mm % | met |",
         "|---" * 18 + "|",
