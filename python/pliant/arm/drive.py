@@ -8,8 +8,9 @@ gravity or policy.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
+
+from pliant.servo.spec import Health, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,44 +22,10 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+__all__ = ["Clock", "Drive", "Health", "MonotonicClock", "Sample"]
+
 #: Last stretch of a wait that is spun instead of slept [s]: sleeping wakes up this much late.
 SPIN = 1e-4
-
-
-@dataclass(frozen=True)
-class Sample:
-    """One reading of all N joints of a drive, in its order.
-
-    Attributes:
-        position: (N,) [rad]; anything where `ok` is False.
-        ok: Which positions were read in this cycle (N,).
-        time: When each was sampled, on the drive's clock: (N,), or one number for all [s].
-        velocity, load, current: (N,) [rad/s, N·m, A], None where the servos do not say.
-    """
-
-    position: Array
-    ok: NDArray[np.bool_]
-    time: Array | float
-    velocity: Array | None = None
-    load: Array | None = None
-    current: Array | None = None
-
-
-@dataclass(frozen=True)
-class Health:
-    """What the slow rota learned about one servo.
-
-    Attributes:
-        name: The joint.
-        voltage: At the servo [V].
-        temperature: Of the servo [°C].
-        faults: What the servo reports, in sentences; empty when healthy.
-    """
-
-    name: str
-    voltage: float | None = None
-    temperature: float | None = None
-    faults: tuple[str, ...] = ()
 
 
 class Clock(Protocol):

@@ -62,6 +62,11 @@ class Image:
         """Keep the blocks."""
         self._family, self.replies = device.family, replies
 
+    @property
+    def time(self) -> float:
+        """When the first block was asked for [s]."""
+        return self.replies[0].time
+
     def __contains__(self, name: str) -> bool:
         return name in self._family.registers
 

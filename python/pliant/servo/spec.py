@@ -96,24 +96,23 @@ class ServoSpec:
 
 @dataclass(frozen=True)
 class Sample:
-    """One reading of all joints; entries of joints that did not answer keep their last value.
+    """One reading of all N joints of a drive, in its order.
 
     Attributes:
-        position: Joint positions (n,) [rad], NaN where a joint has never answered.
-        ok: Which joints answered in this reading (n,).
-        time: When each joint was last asked with success, on the chain's clock (n,) [s].
-        velocity: Joint velocities as the servos report them (n,) [rad/s].
-        load: Torque the servo exerts, by its own reckoning (n,) [N·m]: PWM duty or current, no
-            sensor.
-        current: Motor current (n,) [A], NaN for servos that do not report it in the cycle.
+        position: (N,) [rad]; where `ok` is False the last one, or NaN.
+        ok: Which positions were read in this cycle (N,).
+        time: When each was sampled, on the drive's clock: (N,), or one number for all [s].
+        velocity: As the servos report it (N,) [rad/s], None where they do not.
+        load: Torque the servos exert by their own reckoning, PWM or current, no sensor: (N,) [N·m].
+        current: Motor currents (N,) [A], NaN for servos that do not report theirs.
     """
 
     position: Array
     ok: NDArray[np.bool_]
-    time: Array
-    velocity: Array
-    load: Array
-    current: Array
+    time: Array | float
+    velocity: Array | None = None
+    load: Array | None = None
+    current: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -122,17 +121,15 @@ class Health:
 
     Attributes:
         name: The joint.
-        voltage: Supply voltage at the servo [V], None before it was read.
-        temperature: [°C], None before it was read.
+        voltage: Lowest at its servos [V].
+        temperature: Highest of its servos [°C].
         faults: What is wrong, in sentences; empty when healthy.
-        limit: Torque limit as it stands in the servo [N·m], None before it was read.
     """
 
     name: str
     voltage: float | None = None
     temperature: float | None = None
     faults: tuple[str, ...] = ()
-    limit: float | None = None
 
 
 def check_specs(given: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:
