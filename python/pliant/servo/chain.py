@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant import Servos
+    from pliant.arm.drive import Clock
+    from pliant.servo.guard import Counters
     from pliant.servo.models.row import Protocol as Wire
     from pliant.servo.transport import Transport
 
@@ -50,7 +52,8 @@ class ServoChain:
         speed: Fastest motion of every joint [rad/s] as the servo's own cap; None for the no-load
             speed.
         transport: ``(port, baudrate, protocol) -> Transport`` instead of rustypot.
-        clock: The time that samples carry.
+        clock: The time that samples carry, and an arm over this chain lives in; default the
+            machine's.
 
     Attributes:
         names: Joint names.
@@ -76,7 +79,7 @@ class ServoChain:
         patience: float = 0.010,
         speed: float | None = None,
         transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
-        clock: Callable[[], float] = time.perf_counter,
+        clock: Clock | None = None,
     ) -> None:
         """Check the specs; nothing is opened yet."""
         self.specs = check_specs(specs)
@@ -87,7 +90,7 @@ class ServoChain:
         self._baudrate, self._cycle, self._speed = baudrate, 1.0 / rate, speed
         self._patience = float(patience)
         self._budget = max(BUDGET * self._cycle, BUDGET * self._patience)
-        self._transport, self._clock = transport, clock
+        self._transport, self.clock = transport, clock
         self._start()
         self._port_of: dict[int, Port] = {}
         self._ports: list[Port] = []
@@ -191,8 +194,8 @@ class ServoChain:
         written.
         """
         total = {"mismatches": sum(device.mismatches for device in self._devices)}
-        for port in self._ports:
-            for name, value in asdict(port.guard.counters).items():
+        for counters in self._counters:
+            for name, value in asdict(counters).items():
                 total[name] = total.get(name, 0) + value
         return total
 
@@ -338,6 +341,7 @@ class ServoChain:
         ]
         self._devices = [device for joint in self._joints for device in joint]
         self._rota = Rota(self._joints)
+        self._counters: list[Counters] = []
 
     def _open_port(self, path: str) -> None:
         devices = [device for device in self._devices if device.spec.port == path]
@@ -349,9 +353,10 @@ class ServoChain:
             cycle=self._cycle,
             patience=self._patience,
             open_transport=self._transport,
-            clock=self._clock,
+            clock=time.perf_counter if self.clock is None else self.clock.now,
         )
         self._ports.append(port)
+        self._counters.append(port.guard.counters)
         self._port_of.update({id(device): port for device in devices})
 
     def _first_look(self) -> None:

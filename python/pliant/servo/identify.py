@@ -6,7 +6,7 @@ EEPROM.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pliant import ServoError
@@ -128,6 +128,12 @@ def identify(port: Port) -> tuple[Found, ...]:
                 wrong.append(str(error))
     if wrong:
         raise ServoError("\n".join(wrong))
+    if port.latency is not None and port.latency > 0.001:
+        note = (
+            f"the latency timer of {port.path} is {port.latency * 1e3:.0f} ms, which every answer "
+            "waits for: set it to 1 ms (docs/troubleshooting.md)"
+        )
+        found = [replace(one, notes=(*one.notes, note)) for one in found]
     return tuple(found)
 
 
