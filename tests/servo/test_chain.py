@@ -204,6 +204,10 @@ def test_names_and_ids_are_unique():
     other = ServoSpec(name="lift", model="MX-64", id=2, port="p", twin=(1, 1))
     with pytest.raises(ConfigError, match="pan and lift both have id 1"):
         ServoChain([spec, other])
+    with pytest.raises(ConfigError, match="no baud rate for p"):
+        ServoChain([spec], baudrate={"q": 57_600})
+    with pytest.raises(ConfigError, match="rate must be above 0"):
+        ServoChain([spec], rate=0.0)
     with pytest.raises(ConfigError, match="at least one"):
         ServoChain([])
 

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import ConfigError, ServoError, ShapeError
+from pliant.arm.drive import Clock, Health, Sample
 from pliant.servo import enable as enabling
 from pliant.servo.device import Device
 from pliant.servo.identify import Found, identify
 from pliant.servo.port import Port
 from pliant.servo.rota import Rota
 from pliant.servo.sample import align_twins, gather
-from pliant.servo.spec import Health, Sample, ServoSpec, check_specs
+from pliant.servo.spec import ServoSpec, check_specs
 from pliant.servo.table import servos
 from pliant.servo.transport import BusError, RustypotTransport
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant import Servos
-    from pliant.arm.drive import Clock
     from pliant.servo.guard import Counters
     from pliant.servo.models.row import Protocol as Wire
     from pliant.servo.transport import Transport
@@ -87,7 +87,11 @@ class ServoChain:
         self.n = len(self.specs)
         if not rate > 0.0:
             raise ConfigError(f"rate must be above 0 Hz, got {rate!r}")
-        self._baudrate, self._cycle, self._speed = baudrate, 1.0 / rate, speed
+        ports = dict.fromkeys(spec.port for spec in self.specs)
+        rates = dict.fromkeys(ports, baudrate) if isinstance(baudrate, int) else dict(baudrate)
+        if missing := ports.keys() - rates.keys():
+            raise ConfigError(f"no baud rate for {', '.join(sorted(missing))}")
+        self._baudrate, self._cycle, self._speed = rates, 1.0 / rate, speed
         self._patience = float(patience)
         self._budget = max(BUDGET * self._cycle, BUDGET * self._patience)
         self._transport, self.clock = transport, clock
@@ -173,18 +177,15 @@ class ServoChain:
         On Feetech the Overload Torque as read, of the full torque.
         """
         shares = []
-        for joint in self._joints:
-            device = joint[0]
-            share = float("inf") if device.overload is None else device.overload
-            shares.append(share * device.units.full / max(device.ceiling, 1))
+        for first, *_ in self._joints:
+            share = float("inf") if first.overload is None else first.overload
+            shares.append(share * first.units.full / max(first.ceiling, 1))
         return np.array(shares)
 
     @property
     def stall_current(self) -> Array:
         """Current at the stall torque (n,) [A], NaN where the maker gives none."""
-        rows = [spec.row for spec in self.specs]
-        twins = [len(spec.servos) for spec in self.specs]
-        return np.array([row.stall_current for row in rows]) * twins
+        return np.array([s.row.stall_current * len(s.servos) for s in self.specs])
 
     @property
     def counters(self) -> dict[str, int]:
@@ -345,11 +346,10 @@ class ServoChain:
 
     def _open_port(self, path: str) -> None:
         devices = [device for device in self._devices if device.spec.port == path]
-        rate = self._baudrate if isinstance(self._baudrate, int) else self._baudrate[path]
         port = Port(
             path,
             devices,
-            baudrate=rate,
+            baudrate=self._baudrate[path],
             cycle=self._cycle,
             patience=self._patience,
             open_transport=self._transport,

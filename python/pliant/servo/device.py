@@ -45,6 +45,7 @@ class Device:
         time: When that was asked for [s].
         speed, load, current: Registers of the last reading.
         voltage, temperature: As last read [V, °C].
+        limit_read: Limit register as last read.
         conditions: What the last answer's status said.
         hardware: What the hardware error register said (Protocol 2.0).
         rota: Faults that the rota found, by what they concern.
@@ -73,6 +74,7 @@ class Device:
         self.current: int | None = None
         self.voltage: float | None = None
         self.temperature: float | None = None
+        self.limit_read: int | None = None
         self.conditions: tuple[str, ...] = ()
         self.hardware: tuple[str, ...] = ()
         self.rota: dict[str, str] = {}
@@ -219,6 +221,7 @@ class Device:
 
     def _check_limit(self, found: int) -> None:
         """Compare the limit with what was written; silence is how a servo refuses a packet."""
+        self.limit_read = found
         is_wrong = self.enabled and found != self.limit
         self._wrong = self._wrong + 1 if is_wrong else 0
         self.mismatches += is_wrong

@@ -13,6 +13,7 @@ from pliant import ServoError
 from pliant.servo import status as words
 from pliant.servo.models import by_number
 from pliant.servo.transport import BusError
+from pliant.servo.wire import TURN
 
 if TYPE_CHECKING:
     from pliant.servo.device import Device
@@ -128,6 +129,7 @@ def identify(port: Port) -> tuple[Found, ...]:
                 wrong.append(str(error))
     if wrong:
         raise ServoError("\n".join(wrong))
+    port.guard.turn = TURN + max(one.return_delay for one in found)
     if port.latency is not None and port.latency > 0.001:
         note = (
             f"the latency timer of {port.path} is {port.latency * 1e3:.0f} ms, which every answer "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant.servo.spec import Health
+from pliant.arm.drive import Health
 from pliant.servo.transport import BusError
 
 if TYPE_CHECKING:
@@ -77,9 +77,12 @@ class Rota:
         devices = self._joints[joint]
         volts = [d.voltage for d in devices if d.voltage is not None]
         heat = [d.temperature for d in devices if d.temperature is not None]
+        first = devices[0]
+        limit = None if first.limit_read is None else first.units.torque(first.limit_read)
         return Health(
-            devices[0].spec.name,
+            first.spec.name,
             min(volts) if volts else None,
             max(heat) if heat else None,
             tuple(text for d in devices for text in d.faults),
+            limit,
         )

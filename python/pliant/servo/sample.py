@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant.servo.spec import Sample
+from pliant.arm.drive import Sample
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""How a joint of the arm hangs on its servo, and what one reading of all joints holds."""
+"""How a joint of the arm hangs on its servo."""
 
 from __future__ import annotations
 
@@ -13,11 +13,7 @@ from pliant.servo.models import find
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from pliant.servo.models import ServoModel
-
-    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +35,8 @@ class ServoSpec:
         lower, upper: Software position limits [rad]; None for what the servo's own limits allow.
         stall: Stall torque at the rated voltage instead of the table's [N·m].
         torque_offset: Torque that the gears eat: ``torque = k · register - offset`` [N·m].
+        kp: Stiffness of the joint as identified instead of what the gain register says [N·m/rad].
+        friction, damping: Of the joint's gears as identified [N·m, N·m·s/rad].
 
     Raises:
         ConfigError: A value is out of range or the model is not known.
@@ -56,6 +54,9 @@ class ServoSpec:
     upper: float | None = None
     stall: float | None = None
     torque_offset: float = 0.0
+    kp: float | None = None
+    friction: float | None = None
+    damping: float | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -78,6 +79,12 @@ class ServoSpec:
             raise ConfigError(f"{self.name}: stall must be above 0 N·m, got {self.stall!r}")
         if not (np.isfinite(self.torque_offset) and self.torque_offset >= 0.0):
             raise ConfigError(f"{self.name}: torque_offset is at least 0, got {self.torque_offset}")
+        for what in ("kp", "friction", "damping"):
+            value = getattr(self, what)
+            if value is not None and not (np.isfinite(value) and value >= 0.0):
+                raise ConfigError(f"{self.name}: {what} is at least 0, got {value!r}")
+        if self.kp == 0.0:
+            raise ConfigError(f"{self.name}: kp must be above 0 N·m/rad, got 0")
         bounds = [b for b in (self.lower, self.upper) if b is not None]
         if not np.isfinite(bounds).all() or (len(bounds) == 2 and bounds[0] >= bounds[1]):
             raise ConfigError(f"{self.name}: lower must be below upper [rad], got {bounds}")
@@ -92,44 +99,6 @@ class ServoSpec:
         """Id and sign of each servo of the joint."""
         own = ((self.id, self.sign),)
         return own if self.twin is None else (*own, self.twin)
-
-
-@dataclass(frozen=True)
-class Sample:
-    """One reading of all N joints of a drive, in its order.
-
-    Attributes:
-        position: (N,) [rad]; where `ok` is False the last one, or NaN.
-        ok: Which positions were read in this cycle (N,).
-        time: When each was sampled, on the drive's clock: (N,), or one number for all [s].
-        velocity: As the servos report it (N,) [rad/s], None where they do not.
-        load: Torque the servos exert by their own reckoning, PWM or current, no sensor: (N,) [N·m].
-        current: Motor currents (N,) [A], NaN for servos that do not report theirs.
-    """
-
-    position: Array
-    ok: NDArray[np.bool_]
-    time: Array | float
-    velocity: Array | None = None
-    load: Array | None = None
-    current: Array | None = None
-
-
-@dataclass(frozen=True)
-class Health:
-    """What the slow rota knows of one joint.
-
-    Attributes:
-        name: The joint.
-        voltage: Lowest at its servos [V].
-        temperature: Highest of its servos [°C].
-        faults: What is wrong, in sentences; empty when healthy.
-    """
-
-    name: str
-    voltage: float | None = None
-    temperature: float | None = None
-    faults: tuple[str, ...] = ()
 
 
 def check_specs(given: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:

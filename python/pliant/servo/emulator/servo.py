@@ -198,13 +198,13 @@ class Servo(ABC):
     # Bus.
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Return error and bytes of a block."""
+        """Return error and bytes of a block, no bytes with an error."""
         self.refresh()
         for name, value in self.stuck.items():
             self.put(name, value)
         error = self.check_read(address, length)
-        data = bytes(self.memory[byte] for byte in self.resolve(address, length))
-        return error, data
+        places = () if error else self.resolve(address, length)
+        return error, bytes(self.memory[byte] for byte in places)
 
     def write(self, address: int, data: bytes, instruction: str = "write") -> int:
         """Write a block if the rules allow it, note it, and return the error.
