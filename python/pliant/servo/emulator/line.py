@@ -44,6 +44,7 @@ class Line:
         name: Of the port.
         servos: All that are wired to it.
         dead: Nothing gets through: a shorted or stuck line.
+        echo: The adapter hears itself: every request comes back before its answer.
         faults, timing, log: As given.
     """
 
@@ -57,7 +58,8 @@ class Line:
         log: Log | None = None,
     ) -> None:
         """Wire the servos up."""
-        self.servos, self.name, self.dead = list(servos), name, False
+        self.servos, self.name = list(servos), name
+        self.dead = self.echo = False
         self.timing, self.faults = timing or Timing(), faults or Faults()
         self.log = Log() if log is None else log
         self._framer = Framer()
@@ -137,7 +139,8 @@ class Line:
             prompt = [Delivery(0.0, b"".join(sent))] if sent else []
         else:
             prompt = [Delivery(when, part) for when, part in self.timing.deliveries(packets)]
-        return prompt + held
+        heard = [Delivery(0.0, frame.raw)] if self.echo else []
+        return heard + prompt + held
 
     def _listening(self, frame: Frame, baud: int | None) -> list[Servo]:
         return [
