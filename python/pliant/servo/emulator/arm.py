@@ -99,13 +99,18 @@ class ArmPhysics:
         dt: Its physics step [s].
     """
 
-    def __init__(self, plant: Plant, mounts: Sequence[Mount]) -> None:
+    def __init__(self, plant: Plant, mounts: Sequence[Mount], *, held: bool = False) -> None:
         """Wire the mounts up.
+
+        Args:
+            plant: The simulated arm, standing where it is to begin.
+            mounts: A servo for every joint of the chain.
+            held: Somebody holds the arm until all joints of the chain have torque.
 
         Raises:
             ConfigError: A joint is unknown, has two mounts, or a chain joint has none.
         """
-        self.plant, self.mounts, self.dt = plant, list(mounts), plant.dt
+        self.plant, self.mounts, self.dt, self._held = plant, list(mounts), plant.dt, held
         self._chain = list(plant.model.joint_names)
         self._extra = [name for name in plant.read().extra if name not in self._chain]
         names = [mount.joint for mount in self.mounts]
@@ -152,6 +157,10 @@ class ArmPhysics:
         """Hand the servos' wishes to the plant, run it, and read the shafts back."""
         goals, limits = self.plant.q, np.zeros(self.plant.n)
         extra: dict[str, tuple[float, float]] = {}
+        if self._held and not self._carried():
+            self._scatter()
+            return
+        self._held = False
         for name, couplings in self._joints.items():
             drives = [coupling.servo.drive() for coupling in couplings]
             goal, limit = self._combine(name, couplings, drives, count * self.dt)
@@ -163,6 +172,14 @@ class ArmPhysics:
         self.plant.write(goals, limits, extra)
         self.plant.advance(count)
         self._scatter()
+
+    def _carried(self) -> bool:
+        """Whether every joint of the chain has torque."""
+        return all(
+            drive.goal is not None and drive.ceiling > 0.0
+            for name in self._chain
+            for drive in (coupling.servo.drive() for coupling in self._joints[name])
+        )
 
     def _combine(
         self, name: str, couplings: list[Coupling], drives: list[Drive], seconds: float
@@ -222,11 +239,13 @@ class ArmEmulator(Emulator):
         plant: The arm, with its truth, scene and hands.
     """
 
-    def __init__(self, plant: Plant, mounts: Sequence[Mount], **options: Any) -> None:
-        """Mount the servos on the plant; options as for `Emulator`."""
+    def __init__(
+        self, plant: Plant, mounts: Sequence[Mount], *, held: bool = False, **options: Any
+    ) -> None:
+        """Mount the servos on the plant; options as for `ArmPhysics` and `Emulator`."""
         self.plant = plant
         devices = [device for mount in mounts for device in mount.devices()]
-        super().__init__(devices, physics=ArmPhysics(plant, mounts), **options)
+        super().__init__(devices, physics=ArmPhysics(plant, mounts, held=held), **options)
 
 
 def emulate(
@@ -235,6 +254,7 @@ def emulate(
     q: ArrayLike,
     *,
     plant: Mapping[str, Any] | None = None,
+    held: bool = False,
     **options: Any,
 ) -> ArmEmulator:
     """Make an emulator with a simulated arm behind it (extra `sim`).
@@ -245,6 +265,8 @@ def emulate(
         q: Where the arm stands at first (n,) [rad].
         plant: Keywords of `pliant.sim.Plant`: `scene`, `payload`, `friction`, `backlash`, `dt`, ...
             Delay, losses and counts belong to the emulated bus and are refused here.
+        held: Somebody holds the arm until all joints of the chain have torque; without that it
+            falls from the start.
         **options: Keywords of `Emulator`: `timing`, `faults`, `clock`, `baud`, `log`.
 
     Returns:
@@ -261,7 +283,7 @@ def emulate(
             raise ConfigError(f"{name!r} of an emulated arm comes from its servos and its bus")
     arm = Plant(model, _servos(model, mounts), **keywords)
     arm.reset(q)
-    return ArmEmulator(arm, mounts, **options)
+    return ArmEmulator(arm, mounts, held=held, **options)
 
 
 def _servos(model: Robot, mounts: Sequence[Mount]) -> Servos:
