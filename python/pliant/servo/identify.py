@@ -98,6 +98,7 @@ def identify(port: Port) -> tuple[Found, ...]:
             its supply does not fit. All that is wrong is said at once.
     """
     port.guard.begin()
+    port.guard.find_absent({device.id for device in port.devices}, port.highest)
     images: list[tuple[Device, Image]] = []
     missing: list[Device] = []
     wrong: list[str] = []
