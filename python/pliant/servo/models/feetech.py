@@ -55,7 +55,6 @@ STS = Family(
     full_load=1000,
     speed_max=3400,
     ceiling="max_torque",
-    goal_enables=True,
 )
 
 KG_CM = 0.0980665  # [N·m]

@@ -47,7 +47,6 @@ def _family(name: str, **own: Register) -> Family:
         full_load=1023,
         speed_max=1023,
         ceiling="max_torque",
-        goal_enables=True,
     )
 
 

@@ -61,7 +61,6 @@ CURRENT = Family(
     full_load=1000,
     speed_max=32767,
     ceiling="current_limit",
-    goal_enables=False,
     multi_turn=True,
 )
 DUTY = Family(
@@ -81,7 +80,6 @@ DUTY = Family(
     full_load=1000,
     speed_max=32767,
     ceiling="pwm_limit",
-    goal_enables=False,
 )
 
 DUTY_PER_RADIAN = 4096 / (2 * pi) / 128 / 885
