@@ -18,6 +18,7 @@ from pliant._core import (
     Check,
     Command,
     ConfigError,
+    Contact,
     Controller,
     Finding,
     FrameNotFound,
@@ -40,6 +41,7 @@ from pliant._core import (
     ShapeError,
     Task,
     UrdfError,
+    WrenchEstimate,
     __version__,
     activation,
     adapt_target,
@@ -57,16 +59,20 @@ from pliant._core import (
 if TYPE_CHECKING:
     from pliant import arm as arm
     from pliant import experiments as experiments
+    from pliant import reactions as reactions
     from pliant import robots as robots
     from pliant import sim as sim
     from pliant.arm.connect import connect as connect
     from pliant.loop import Loop as Loop
+    from pliant.reactions import Reaction as Reaction
+    from pliant.reactions import Watch as Watch
 
 __all__ = [
     "Axis",
     "Check",
     "Command",
     "ConfigError",
+    "Contact",
     "Controller",
     "Finding",
     "FrameNotFound",
@@ -81,6 +87,7 @@ __all__ = [
     "Payload",
     "PliantError",
     "Pose",
+    "Reaction",
     "Report",
     "ServoError",
     "ServoFault",
@@ -90,6 +97,8 @@ __all__ = [
     "ShapeError",
     "Task",
     "UrdfError",
+    "Watch",
+    "WrenchEstimate",
     "__version__",
     "activation",
     "adapt_target",
@@ -106,9 +115,14 @@ __all__ = [
 ]
 
 #: Parts that are loaded when they are first named: they need extras, or time.
-_PARTS = ("arm", "experiments", "robots", "sim")
+_PARTS = ("arm", "experiments", "reactions", "robots", "sim")
 #: Names that live in one of them.
-_NAMES = {"Loop": "pliant.loop", "connect": "pliant.arm.connect"}
+_NAMES = {
+    "Loop": "pliant.loop",
+    "Reaction": "pliant.reactions",
+    "Watch": "pliant.reactions",
+    "connect": "pliant.arm.connect",
+}
 
 
 def __getattr__(name: str) -> Any:

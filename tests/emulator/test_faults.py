@@ -87,6 +87,13 @@ def test_chance_is_seeded_and_has_its_share():
     assert 70 < struck < 130
 
 
+def test_chance_can_be_set_while_it_runs():
+    line, faults = bus(lose=1.0)
+    assert ask(line, p1(1, 1)) == b""
+    faults.by_chance()
+    assert ask(line, p1(1, 1)) == p1(1, 0)
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [

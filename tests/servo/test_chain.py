@@ -101,6 +101,7 @@ def test_a_torque_that_is_on_already_is_taken_over(emulated, enabled):
         bus.log.clear()
         chain.open()
         assert chain.found[0].torque_on
+        assert chain.enabled.all()
         chain.enable([0.4], limit)
         chain.read()
         assert "torque off" not in bus.log.order(1)

@@ -33,7 +33,10 @@ class Sample:
         position: (N,) [rad]; anything where `ok` is False.
         ok: Which positions were read in this cycle (N,).
         time: When each was sampled, on the drive's clock: (N,), or one number for all [s].
-        velocity, load, current: (N,) [rad/s, N·m, A], None where the servos do not say.
+        velocity: As the servos report them (N,) [rad/s].
+        load: Torque that they exert by their own reckoning, PWM duty or current, no sensor
+            (N,) [N·m].
+        current: Of the motors (N,) [A]. What no servo says is None, what one does not say NaN.
     """
 
     position: Array
@@ -53,12 +56,14 @@ class Health:
         voltage: At the servo [V].
         temperature: Of the servo [°C].
         faults: What the servo reports, in sentences; empty when healthy.
+        limit: Torque limit as it stands in the servo [N·m], None before it was read.
     """
 
     name: str
     voltage: float | None = None
     temperature: float | None = None
     faults: tuple[str, ...] = ()
+    limit: float | None = None
 
 
 class Sampled(Protocol):

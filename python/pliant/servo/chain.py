@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import ConfigError, ServoError, ShapeError
+from pliant.arm.drive import Health, Sample
 from pliant.servo import enable as enabling
 from pliant.servo.device import Device
 from pliant.servo.identify import Found, identify
 from pliant.servo.port import Port
 from pliant.servo.rota import Rota
-from pliant.servo.spec import Health, Sample, ServoSpec, check_specs
+from pliant.servo.sample import align_twins, gather
+from pliant.servo.spec import ServoSpec, check_specs
 from pliant.servo.table import servos
 from pliant.servo.transport import BusError, RustypotTransport
 
@@ -32,8 +34,6 @@ if TYPE_CHECKING:
 
 #: A reading may take this many periods, or patiences, before nothing is tried again.
 BUDGET = 3.0
-#: Twins that disagree by more than this work against each other [rad].
-TWINS_APART = 0.1
 
 
 class ServoChain:
@@ -89,16 +89,10 @@ class ServoChain:
         self._patience = float(patience)
         self._budget = max(BUDGET * self._cycle, BUDGET * self._patience)
         self._transport, self._clock = transport, clock
-        #: The servos of each joint, the first one first.
-        self._joints = [
-            [Device(spec, i, number, sign) for number, sign in spec.servos]
-            for i, spec in enumerate(self.specs)
-        ]
-        self._devices = [device for joint in self._joints for device in joint]
+        self._start()
         self._port_of: dict[int, Port] = {}
         self._ports: list[Port] = []
         self._pool: ThreadPoolExecutor | None = None
-        self._rota = Rota(self._joints)
         self._watchdog = 0.0
         self.found: tuple[Found, ...] = ()
 
@@ -112,6 +106,7 @@ class ServoChain:
         """
         if self._ports:
             return
+        self._start()
         try:
             for path in dict.fromkeys(spec.port for spec in self.specs):
                 self._open_port(path)
@@ -204,8 +199,8 @@ class ServoChain:
 
     @property
     def enabled(self) -> NDArray[np.bool_]:
-        """Which joints have been enabled (n,)."""
-        return np.array([joint[0].enabled for joint in self._joints])
+        """Which joints have torque on: enabled here, or found so at open (n,)."""
+        return np.array([all(d.enabled or d.torque_on for d in joint) for joint in self._joints])
 
     # The cycle.
 
@@ -226,7 +221,7 @@ class ServoChain:
             for port, ids in zip(self._ports, taken, strict=True)
             for number in ids
         }
-        return self._sample(answered)
+        return gather(self._joints, answered)
 
     def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
         """Send goal and limit of all enabled joints, in one packet per port and kind of servo.
@@ -335,6 +330,16 @@ class ServoChain:
 
     # Inside.
 
+    def _start(self) -> None:
+        """Know nothing of the servos yet."""
+        #: The servos of each joint, the first one first.
+        self._joints = [
+            [Device(spec, i, number, sign) for number, sign in spec.servos]
+            for i, spec in enumerate(self.specs)
+        ]
+        self._devices = [device for joint in self._joints for device in joint]
+        self._rota = Rota(self._joints)
+
     def _open_port(self, path: str) -> None:
         devices = [device for device in self._devices if device.spec.port == path]
         rate = self._baudrate if isinstance(self._baudrate, int) else self._baudrate[path]
@@ -356,44 +361,7 @@ class ServoChain:
             port = self._port_of[id(device)]
             port.guard.begin()
             device.accept(port.guard.read_in_turn(device.id, device.family.read))
-        for first, *twins in self._joints:
-            for twin in twins:
-                position, other = first.position, twin.position
-                if position is not None and other is not None:
-                    q = first.angle(position)
-                    twin.zero = other - twin.sign * q / twin.units.count
-                    twin.set_range()
-
-    def _sample(self, answered: set[tuple[str, int]]) -> Sample:
-        rows = []
-        for joint in self._joints:
-            first = joint[0]
-            whole = all((d.spec.port, d.id) in answered for d in joint)
-            angles = [d.angle(d.position) for d in joint if d.position is not None]
-            apart = max(angles) - min(angles) if angles else 0.0
-            first.fault(
-                "twins",
-                apart > TWINS_APART,
-                f"its two servos disagree by {apart:.2f} rad and work against each other",
-            )
-            units = first.units
-            amps = np.nan
-            if first.current is not None and units.row.current_unit:
-                amps = units.row.current_unit * sum(abs(d.current or 0) for d in joint)
-            rows.append(
-                (
-                    angles[0] if angles else np.nan,
-                    whole,
-                    min(d.time for d in joint),
-                    units.velocity(first.speed),
-                    np.mean([d.torque for d in joint]),
-                    amps,
-                )
-            )
-        position, ok, times, velocity, load, current = (
-            np.array(c) for c in zip(*rows, strict=True)
-        )
-        return Sample(position, ok, times, velocity, load, current)
+        align_twins(self._joints)
 
     def _cap(self, velocity: ArrayLike | None) -> Array:
         if velocity is None:

@@ -37,7 +37,8 @@ class Device:
         multi_turn: Whether goals may leave one turn.
         overload: Share of the full torque above which it protects itself, None where it does not.
         seam: Counts after which positions start again, None where they do not.
-        enabled: Whether we have switched its torque on.
+        enabled: Whether we have switched its torque on, or taken it over.
+        torque_on: Whether torque was on when that was last read.
         limit: Limit register as last written.
         position: Unwrapped count of the last reading, None before the first.
         time: When that was asked for [s].
@@ -65,7 +66,7 @@ class Device:
         self.multi_turn = self.family.multi_turn
         self.overload: float | None = self.row.overload
         self.turns = 0
-        self.enabled = False
+        self.enabled = self.torque_on = False
         self.limit = 0
         self.position: float | None = None
         self.time = 0.0
@@ -182,8 +183,9 @@ class Device:
         if self._spans(block, "limit"):
             self._check_limit(family.decode(block, reply.data, "limit"))
         if self._spans(block, "torque_enable"):
-            on = family.decode(block, reply.data, "torque_enable")
-            self.fault("torque", self.enabled and on == 0, "its torque went off by itself")
+            self.torque_on = bool(family.decode(block, reply.data, "torque_enable"))
+            went_off = self.enabled and not self.torque_on
+            self.fault("torque", went_off, "its torque went off by itself")
         if self._spans(block, "hardware_error"):
             self.hardware = words.hardware(family.decode(block, reply.data, "hardware_error"))
         if self._spans(block, "watchdog"):

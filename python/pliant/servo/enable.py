@@ -67,7 +67,7 @@ def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, c
             _try_off(device, ports)
         raise
     for device in devices:
-        device.enabled = True
+        device.enabled = device.torque_on = True
 
 
 def _look(device: Device, ports: Ports, goal: Array) -> Image:
@@ -143,7 +143,7 @@ def reboot(devices: Sequence[Device], ports: Ports) -> None:
                 "off, let it cool down, or switch its supply off and on"
             )
         guard = ports[id(device)].guard
-        device.enabled = False
+        device.enabled = device.torque_on = False
         guard.begin()
         guard.reboot(device.id)
         end = time.monotonic() + REBOOT
@@ -169,6 +169,7 @@ def _try_off(device: Device, ports: Ports) -> str | None:
         _set(device, ports, "torque_enable", 0)
     except ServoError as error:
         return str(error)
+    device.torque_on = False
     return None
 
 

@@ -188,7 +188,7 @@ class Guard:
         """Whether a servo answers; not tried twice."""
 
         def once() -> bool:
-            self._start("ping", 1, 0)
+            self._start("ping", 1, 0, hurry=True)
             answered = self._io.ping(id)
             if not answered:
                 # Whoever was late, or two at once, may still be talking.
@@ -243,11 +243,11 @@ class Guard:
         self._turn ^= 1
         return self._turn
 
-    def _start(self, kind: Kind, servos: int, size: int) -> float:
+    def _start(self, kind: Kind, servos: int, size: int, *, hurry: bool = False) -> float:
         """Set the timeout for what comes, count it, and note the time."""
         wire = wire_time(self._protocol, kind, servos, size, baudrate=self._baudrate)
         self._waited = reply_timeout(wire, self._latency, self._cycle, self._patience)
-        if isinf(self._deadline):
+        if isinf(self._deadline) and not hurry:
             self._waited *= UNHURRIED
         self._wait(self._waited)
         self._silence = SILENCE_SHARE * self._patience + wire + self._latency

@@ -210,6 +210,7 @@ def _take(device: Device, image: Image) -> Found:
     row, family = device.row, device.family
     device.ceiling = min(image[family.ceiling], device.units.full)
     device.gain = image["gain"]
+    device.torque_on = bool(image["torque_enable"])
     device.set_voltage(image["voltage"] / 10.0)
     device.temperature = float(image["temperature"])
     device.multi_turn = family.multi_turn or (family.status == "p2" and image["mode"] == 4)
@@ -241,6 +242,6 @@ def _take(device: Device, image: Image) -> Found:
         device.voltage or 0.0,
         device.temperature,
         delay,
-        bool(image["torque_enable"]),
+        device.torque_on,
         tuple(notes),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant.servo.spec import Health
+from pliant.arm.drive import Health
 from pliant.servo.transport import BusError
 
 if TYPE_CHECKING:

@@ -216,7 +216,7 @@ class Server:
                 self.lag += behind - LARGEST_LAG
                 self._began += behind - LARGEST_LAG
                 behind = LARGEST_LAG
-            self._world.advance(max(behind, 0.0))
+            self._world.advance(max(behind, 0.0), settle=False)
 
     def _serve(self, port: Port) -> None:
         """Act on what a host has written."""

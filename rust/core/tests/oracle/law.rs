@@ -55,7 +55,7 @@ fn fit(others: &Vector, part: &Vector, bound: &Vector) -> f64 {
     let mut factor: f64 = 1.0;
     for i in 0..part.len() {
         let all = others[i] + part[i];
-        if all.abs() > bound[i] * (1.0 + 1e-12) && part[i].abs() > bound[i] * 1e-12 {
+        if all.abs() > bound[i] * (1.0 + 1e-9) && part[i].abs() > bound[i] * 1e-9 {
             factor = factor.min(((bound[i] * all.signum() - others[i]) / part[i]).clamp(0.0, 1.0));
         }
     }
@@ -63,7 +63,7 @@ fn fit(others: &Vector, part: &Vector, bound: &Vector) -> f64 {
 }
 
 fn beyond(sum: &Vector, bound: &Vector) -> bool {
-    (0..sum.len()).any(|i| sum[i].abs() > bound[i] * (1.0 + 1e-12))
+    (0..sum.len()).any(|i| sum[i].abs() > bound[i] * (1.0 + 1e-9))
 }
 
 impl Want<'_> {
