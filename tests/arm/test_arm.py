@@ -214,9 +214,11 @@ def test_connect_by_name_and_by_parts():
     arm = pliant.connect("sim:so101", rate=200.0, rest=np.zeros(5))
     assert (arm.model.n, arm.rate, arm.clock.period) == (5, 200.0, 0.005)
     assert pliant.connect({"kind": "sim", "robot": "koch"}).model.n == 5
+    assert pliant.connect("so101", backend="sim", rate=50.0).rate == 50.0
     assert pliant.connect(arm.model, arm.drive).drive is arm.drive
     for wrong, message in (
-        (lambda: pliant.connect("bus"), "no arm of kind 'bus'"),
+        (lambda: pliant.connect({"kind": "bus"}), "no arm of kind 'bus'"),
+        (lambda: pliant.connect("arm.toml"), "no file arm.toml"),
         (lambda: pliant.connect("sim:arm9"), "no built-in arm 'arm9'"),
         (lambda: pliant.connect(arm.model), "needs the drive"),
         (lambda: pliant.connect("sim", arm.drive), "goes with a model"),
