@@ -1,0 +1,181 @@
+"""Identification of an arm by itself: one guided call."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+from pliant.identify.delay import delay as fit_delay
+from pliant.identify.found import Identification
+from pliant.identify.poses import pose_list
+from pliant.identify.regress import Beliefs, Solution, solve
+from pliant.identify.rig import Rig
+from pliant.identify.seam import Procedure, drive
+from pliant.identify.slides import bare_gravity, payload_rows, slides
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Model, Servos
+    from pliant.identify.delay import Delay
+    from pliant.identify.rig import Record
+    from pliant.identify.seam import Arm, Steps, Tick
+
+    Array = NDArray[np.float64]
+
+#: Swing at slow pace, in multiples of friction over stiffness on top of the amplitude [1].
+BEYOND_FRICTION = 3.0
+#: Periods [s] and numbers of swings: at every pose, and in two more paces at the first.
+SLOW, PACES = (2.0, 1.75), ((1.2, 2.25), (4.0, 1.25))
+#: The same for one joint driven by its limit.
+PUSHES = ((1.2, 2.25), (3.0, 1.25))
+#: Jumps of each joint's goal.
+JUMPS = 7
+
+
+def run(
+    arm: Arm,
+    model: Model,
+    servos: Servos | None = None,
+    *,
+    poses: int | ArrayLike = 5,
+    span: float = 0.1,
+    amplitude: float = 0.05,
+    rate: float | None = None,
+    loop: Iterable[Tick] | None = None,
+    **options: float,
+) -> Identification:
+    """Identify stiffness, friction, damping, payload and delay on the arm; about 1.5 minutes.
+
+    Swings all joints slowly at a few poses, then each joint by the torque of its limit, then lets
+    each goal jump. Nobody may touch the arm. Arguments as `identification`.
+
+    Args:
+        arm: The arm, at rest, `read` and `write`; with `advance`, or give `loop`.
+        model: Its description.
+        servos: What is believed of its servos; None for the model's.
+        poses: How many poses to choose within `span`, or postures (K, n) [rad].
+        span: How far chosen poses may be from the present one, per joint [rad].
+        amplitude: Swing about each pose [rad], before what friction takes.
+        rate: Control rate [Hz]; None for the arm's, or 100.
+        loop: Ticks that wait by themselves (a `pliant.Loop`).
+        **options: As `identification`.
+
+    Raises:
+        LimitError: The motion would leave the position limits. Nothing is sent.
+        ServoError: A joint does not follow. The arm is left holding.
+    """
+    period = 1.0 / float(rate or getattr(arm, "rate", None) or 100.0)
+    procedure = identification(
+        model, servos, period=period, poses=poses, span=span, amplitude=amplitude, **options
+    )
+    return drive(arm, procedure, loop)
+
+
+def identification(
+    model: Model,
+    servos: Servos | None = None,
+    *,
+    period: float = 0.01,
+    poses: int | ArrayLike = 5,
+    span: float = 0.1,
+    amplitude: float = 0.05,
+    torque_share: float = 0.6,
+    limit_error: float = 0.05,
+) -> Procedure[Identification]:
+    """The procedure of `run`, for a loop of one's own.
+
+    Args:
+        model, servos, poses, span, amplitude: As `run`.
+        period: Control period [s].
+        torque_share: Torque allowed on top of gravity, as a share of the usable torque.
+        limit_error: Standard deviation of what a torque limit truly is, as a share.
+
+    Raises:
+        ConfigError: Nothing is believed of the servos. LimitError: A number out of range.
+    """
+    believed = servos if servos is not None else model.servos
+    if believed is None:
+        raise pliant.ConfigError(
+            "identification starts from a servo table: pass servos=pliant.Servos(kp=…, torque=…)"
+        )
+    rig = Rig(model, believed, period, torque_share=torque_share)
+    if not 0.01 <= amplitude <= 0.5:
+        raise pliant.LimitError(f"amplitude must be in [0.01, 0.5] rad, got {amplitude:g}")
+    return Procedure(lambda q: _identify(rig, q, poses, span, amplitude, limit_error))
+
+
+def swing(rig: Rig, amplitude: float) -> Array:
+    """Swing of each joint that outlasts its friction (n,) [rad]."""
+    return amplitude + BEYOND_FRICTION * rig.friction / rig.kp
+
+
+def statics(rig: Rig, q: Array, route: list[Array], size: Array) -> Steps[Array]:
+    """Swing slowly at each pose of the route, starting at q; ends at the last."""
+    at = q.copy()
+    for pose in route:
+        rig.begin()
+        q = yield from rig.travel(q, at, pose)
+        rig.begin()
+        q = yield from rig.sweep(q, pose, size, *SLOW)
+        at = pose
+    return q
+
+
+def _identify(
+    rig: Rig, q: Array, poses: int | ArrayLike, span: float, amplitude: float, limit_error: float
+) -> Steps[Identification]:
+    size = swing(rig, amplitude)
+    route = pose_list(rig, q, poses, span, size)
+    q = yield from statics(rig, q, route[::-1], size)
+    home = route[0]
+    for seconds, turns in PACES:
+        rig.begin()
+        q = yield from rig.sweep(q, home, size, seconds, turns)
+    rig.begin()
+    q = yield from rig.travel(q, home, home)
+
+    first = _fit(rig, Beliefs(limit=limit_error))
+    table = rig.kp, rig.friction
+    rig.kp = np.clip(first.value["kp"], 0.3 * rig.kp, 3.0 * rig.kp)
+    rig.friction = np.maximum(first.value["friction"], 0.0)
+    rig.carried = held(rig, home, first) - np.asarray(rig.model.gravity(home))
+    for joint in range(rig.n):
+        for seconds, turns in PUSHES:
+            rig.begin(joint)
+            q = yield from rig.push(q, home, joint, float(size[joint]), seconds, turns)
+            rig.begin()
+            q = yield from rig.travel(q, home, home)
+    jumps = []
+    for joint in range(rig.n):
+        jumps.append(rig.begin())
+        q = yield from rig.steps(q, home, joint, float(size[joint]), JUMPS)
+    rig.kp, rig.friction = table
+    return conclude(rig, home, jumps, limit_error)
+
+
+def conclude(rig: Rig, home: Array, jumps: list[Record], limit_error: float) -> Identification:
+    """All fits over all records."""
+    free = _fit(rig, Beliefs(limit=limit_error, load=0.3))
+    shown = np.abs(free.value["load"]) > 3.0 * free.sigma["load"]
+    solution = _fit(rig, Beliefs(limit=limit_error, load=np.where(shown, 0.3, 0.0)))
+    late: Delay = fit_delay(rig, jumps, solution, held(rig, home, solution))
+    return Identification.of(rig, home, solution, late)
+
+
+def held(rig: Rig, q: Array, solution: Solution) -> Array:
+    """Torques that hold the arm with the payload found (n,) [N·m]."""
+    return bare_gravity(rig.model, q) + payload_rows(rig.model, q) @ solution.payload
+
+
+def _fit(rig: Rig, beliefs: Beliefs) -> Solution:
+    rows = [slide for record in rig.records for slide in slides(rig, record)]
+    if not rows:
+        raise pliant.ServoError(
+            "no joint ever moved steadily: raise amplitude, or look whether the servos are enabled"
+        )
+    return solve(rig, rows, beliefs)
