@@ -1,2 +1,2 @@
-from pliant.identify.run import run, identification
+from pliant.identify.guided import run, identification
 from pliant.identify.found import Identification, PayloadEstimate

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 #: Delays tried [s], physics step [s], and how much of each answer is compared [s].
-LONGEST, STEP, COMPARED = 0.08, 0.001, 0.2
+LONGEST, STEP, COMPARED = 0.08, 0.001, 0.06
 #: Inertias tried, as shares of k_p times a square of a time [s].
 INERTIAS = np.geomspace(0.008, 0.12, 28) ** 2
 
@@ -90,7 +90,7 @@ def _misfit(
     inner = np.maximum(value["total"] - outer - value["kp"] * late, 0.0)
     dry = max(value["friction"], 0.0)
     jumps = np.flatnonzero(np.abs(np.diff(goal)) > 0.0) + 1
-    cost, ticks = np.zeros(late.size), round(COMPARED / rig.period)
+    cost, ticks = np.zeros(late.size), max(round(COMPARED / rig.period), 5)
     per_tick = max(round(rig.period / STEP), 1)
     dt = rig.period / per_tick
     for k in jumps:

@@ -131,11 +131,10 @@ class Identification:
         value, sigma = solution.value, solution.sigma
         outer = np.maximum(value["outer"], 0.0)
         kv = np.maximum(value["total"] - outer - value["kp"] * late.seconds, 0.0)
-        load = np.abs(
-            np.asarray(rig.model.gravity(home))
-            + rig.carried
-        )
-        friction = np.maximum(value["friction"] + value["load"] * load, 0.0)
+        load = np.abs(np.asarray(rig.model.gravity(home)) + rig.carried)
+        share = value["load"] + value["motor"]
+        share_sigma = np.hypot(sigma["load"], sigma["motor"])
+        friction = np.maximum(value["friction"] + share * load, 0.0)
         servos = rig.servos.replace(
             kp=np.maximum(value["kp"], 0.05 * rig.kp),
             friction=friction,
@@ -145,8 +144,8 @@ class Identification:
         )
         errors = {
             "kp": sigma["kp"],
-            "friction": np.hypot(sigma["friction"], sigma["load"] * load),
-            "load": sigma["load"],
+            "friction": np.hypot(sigma["friction"], share_sigma * load),
+            "load": share_sigma,
             "damping": sigma["outer"],
             "kv": np.sqrt(
                 sigma["total"] ** 2 + sigma["outer"] ** 2 + (value["kp"] * late.sigma) ** 2
@@ -155,7 +154,7 @@ class Identification:
         return cls(
             servos=servos,
             errors=errors,
-            load=np.where(np.abs(value["load"]) > 1e-6, value["load"], 0.0),
+            load=np.where(share > 1e-6, share, 0.0),
             delay=late.seconds,
             delay_sigma=late.sigma,
             payload=PayloadEstimate.of(solution),

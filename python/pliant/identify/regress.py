@@ -22,9 +22,12 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Unknowns of each joint, in the order of their columns: k_p [N·m/rad], f [N·m], l [1],
-#: D and d [N·m·s/rad], M [kg·m²], and the true over the commanded torque of a limit [1].
-NAMES = ("kp", "friction", "load", "total", "outer", "inertia", "scale")
+#: Unknowns of each joint, in the order of their columns: k_p [N·m/rad], f [N·m], l and m [1],
+#: D and d [N·m·s/rad], M [kg·m²], dead band b [rad], and the true over the commanded torque of a
+#: limit, less one [1].
+NAMES = ("kp", "friction", "load", "motor", "total", "outer", "inertia", "deadband", "scale")
+#: Dead band of a servo, as believed: 0 with this standard deviation [rad].
+DEAD = 1e-3
 #: Rounds of the linearised fit.
 ROUNDS = 8
 #: How far a payload's centre is from the tool's origin, as believed: standard deviation [m].
@@ -97,7 +100,8 @@ def predicted(slide: Slide, solution: Solution) -> float:
     """Torque [N·m] of a servo in a slide by the unknowns found so far."""
     i, value = slide.joint, solution.value
     load = slide.gravity + float(slide.payload @ solution.payload)
-    dry = value["friction"][i] + value["load"][i] * abs(load)
+    motor = abs(slide.drive) * (1.0 if slide.by_limit else value["kp"][i])
+    dry = value["friction"][i] + value["load"][i] * abs(load) + value["motor"][i] * motor
     viscous = value["outer" if slide.by_limit else "total"][i] * slide.speed
     return float(
         load + slide.direction * dry + viscous + value["inertia"][i] * slide.acceleration
@@ -130,10 +134,12 @@ def _fit(
             # would draw the stiffness of joints without gravity to zero.
             torque = kp[i] * slide.drive if last is None else predicted(slide, last)
             row[at["kp"] + i] = torque / kp[i]
+            row[at["deadband"] + i] = -kp[i] * np.sign(torque)
             row[at["total"] + i] = -slide.speed
             right[k] = slide.gravity + torque - kp[i] * slide.drive
         row[at["friction"] + i] = -slide.direction
         row[at["load"] + i] = -slide.direction * abs(load)
+        row[at["motor"] + i] = -slide.direction * abs(slide.drive * (1.0 if slide.by_limit else kp[i]))
         row[at["inertia"] + i] = -slide.acceleration
         row[-4:] = -slide.payload
         sigma = noise(rig, slide, kp, friction)
@@ -179,6 +185,8 @@ def _prior(
         ("kp", rig.kp, beliefs.kp * rig.kp),
         ("friction", rig.friction, beliefs.friction * np.maximum(rig.friction, 0.01 * rig.torque)),
         ("load", 0.0, np.maximum(beliefs.load, 1e-9)),
+        ("motor", 0.0, np.maximum(beliefs.load, 1e-9)),
+        ("deadband", 0.0, DEAD),
         ("total", outer + rig.kv, beliefs.damping * (outer + rig.kv + 0.02 * rig.torque)),
         ("outer", outer, beliefs.damping * (outer + 0.02 * rig.torque)),
         ("inertia", 0.0, 0.01 * rig.kp),

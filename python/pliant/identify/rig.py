@@ -143,12 +143,17 @@ class Rig:
             late = np.abs(planned - q)
             worst = int(np.argmax(late - self.slack))
             if late[worst] > self.slack[worst] + HELD:
+                yield from self.hold(q)
                 raise ServoError(
                     f"joint {self.model.joint_names[worst]} stays {late[worst]:.2f} rad behind: "
                     "something holds it, or its servo is much weaker than its table"
                 )
             q = yield from self.send(q, planned + self.lead(planned), self.limits(planned), rate)
         return q
+
+    def hold(self, q: Array) -> Moving:
+        """Stay where the arm is."""
+        return (yield from self.send(q, q + self.lead(q), self.limits(q), np.zeros(self.n)))
 
     @property
     def slack(self) -> Array:
@@ -188,10 +193,12 @@ class Rig:
         most = self.limits(pose)[joint]
         for w, rate in zip(wave, slope * size / seconds, strict=True):
             planned = pose[joint] + w * size
-            if abs(planned - q[joint]) > self.slack[joint] + HELD:
+            if abs(pose[joint] - q[joint]) > size + HELD:
+                yield from self.hold(q)
                 raise ServoError(
-                    f"joint {self.model.joint_names[joint]} leaves its plan by "
-                    f"{abs(planned - q[joint]):.2f} rad: something holds or pushes it"
+                    f"joint {self.model.joint_names[joint]} has left its range of ±{size:.2f} rad "
+                    f"by {abs(pose[joint] - q[joint]) - size:.2f} rad: something pushes it, or its "
+                    "load is far from what the swings have told"
                 )
             torque = float(self.model.gravity(q)[joint] + self.carried[joint])
             torque += np.tanh(rate / 0.02) * self.friction[joint] + viscous * rate

@@ -2,10 +2,10 @@
 
 While joint i slides with speed v, direction s = ±1 and acceleration a, its servo exerts
 
-    k_p,i lead_i = g_i(q) + Y_i(q) φ + s (f_i + l_i |τ_i|) + D_i v + M_i a,
+    k_p,i (lead_i − b_i sign τ_i) = τ_i = τ_e,i + s (f_i + l_i |τ_e,i| + m_i |τ_i|) + D_i v + M_i a,
 
-lead = goal − q averaged over the stretch, φ = (m, m c) the payload and D_i everything that grows
-with speed: gears, back-EMF, the servo's own damping, and k_p T_d for the delay of the bus. A joint
+where τ_e = g(q) + Y(q) φ is the load, φ = (m, m c) the payload, lead = goal − q averaged over the
+stretch, b the servo's dead band, and D everything that grows with speed: gears, back-EMF, the servo's own damping, and k_p T_d for the delay of the bus. A joint
 whose torque is set through its limit has that torque in the place of k_p lead, and neither the
 servo's own damping nor the delay in D.
 """

@@ -28,11 +28,13 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 #: Swing at slow pace, in multiples of friction over stiffness on top of the amplitude [1].
-BEYOND_FRICTION = 3.0
+BEYOND_FRICTION = 4.0
+#: Largest swing [rad], and how often it may grow to outlast more friction than believed.
+WIDEST, GROWTHS = 0.4, 2
 #: Periods [s] and numbers of swings: at every pose, and in two more paces at the first.
-SLOW, PACES = (2.0, 1.75), ((1.2, 2.25), (4.0, 1.25))
+SLOW, PACES = (2.6, 1.75), ((1.8, 2.25), (5.0, 1.25))
 #: The same for one joint driven by its limit.
-PUSHES = ((1.2, 2.25), (3.0, 1.25))
+PUSHES = ((1.8, 2.25), (5.0, 1.25))
 #: Jumps of each joint's goal.
 JUMPS = 7
 
@@ -114,9 +116,33 @@ def swing(rig: Rig, amplitude: float) -> Array:
     return amplitude + BEYOND_FRICTION * rig.friction / rig.kp
 
 
+def wide_enough(rig: Rig, q: Array, amplitude: float) -> Steps[tuple[Array, Array]]:
+    """Swing about q, wider until every joint moves by the amplitude; the swing, and where it is.
+
+    A goal that turns around must first cross the friction of the joint, 2 f/k_p, before it moves.
+
+    Raises:
+        LimitError: The swing would leave the position limits.
+    """
+    pose, size = q.copy(), swing(rig, amplitude)
+    for _ in range(GROWTHS + 1):
+        rig.check(pose - size, pose + size)
+        record = rig.begin()
+        q = yield from rig.sweep(q, pose, size, *SLOW)
+        moved = np.array(record.q)[-round(SLOW[0] / rig.period) :]
+        lack = amplitude - 0.5 * (moved.max(axis=0) - moved.min(axis=0))
+        rig.begin()
+        q = yield from rig.travel(q, pose, pose)
+        if (lack < 0.3 * amplitude).all():
+            break
+        rig.records.remove(record)
+        size = np.minimum(size + 1.5 * np.maximum(lack, 0.0), WIDEST)
+    return size, q
+
+
 def statics(rig: Rig, q: Array, route: list[Array], size: Array) -> Steps[Array]:
-    """Swing slowly at each pose of the route, starting at q; ends at the last."""
-    at = q.copy()
+    """Swing slowly at each pose of the route, from its first to its last."""
+    at = route[0]
     for pose in route:
         rig.begin()
         q = yield from rig.travel(q, at, pose)
@@ -129,8 +155,10 @@ def statics(rig: Rig, q: Array, route: list[Array], size: Array) -> Steps[Array]
 def _identify(
     rig: Rig, q: Array, poses: int | ArrayLike, span: float, amplitude: float, limit_error: float
 ) -> Steps[Identification]:
-    size = swing(rig, amplitude)
-    route = pose_list(rig, q, poses, span, size)
+    start = q
+    size, q = yield from wide_enough(rig, q, amplitude)
+    route = pose_list(rig, start, poses, span, size)
+    q = yield from rig.travel(q, start, route[-1])
     q = yield from statics(rig, q, route[::-1], size)
     home = route[0]
     for seconds, turns in PACES:
@@ -161,7 +189,8 @@ def _identify(
 def conclude(rig: Rig, home: Array, jumps: list[Record], limit_error: float) -> Identification:
     """All fits over all records."""
     free = _fit(rig, Beliefs(limit=limit_error, load=0.3))
-    shown = np.abs(free.value["load"]) > 3.0 * free.sigma["load"]
+    by_load = free.value["load"] + free.value["motor"]
+    shown = by_load > 3.0 * np.hypot(free.sigma["load"], free.sigma["motor"])
     solution = _fit(rig, Beliefs(limit=limit_error, load=np.where(shown, 0.3, 0.0)))
     late: Delay = fit_delay(rig, jumps, solution, held(rig, home, solution))
     return Identification.of(rig, home, solution, late)
