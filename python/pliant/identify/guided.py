@@ -117,22 +117,24 @@ def swing(rig: Rig, amplitude: float) -> Array:
 
 
 def wide_enough(rig: Rig, q: Array, amplitude: float) -> Steps[tuple[Array, Array]]:
-    """Swing about q, wider until every joint moves by the amplitude; the swing, and where it is.
+    """Swing near q, wider until every joint moves by the amplitude; the swing, and where it is.
 
     A goal that turns around must first cross the friction of the joint, 2 f/k_p, before it moves.
 
     Raises:
         LimitError: The swing would leave the position limits.
     """
-    pose, size = q.copy(), swing(rig, amplitude)
+    start, size = q.copy(), swing(rig, amplitude)
     for _ in range(GROWTHS + 1):
-        rig.check(pose - size, pose + size)
+        pose = rig.inside(start, size)
+        rig.begin()
+        q = yield from rig.travel(q, start, pose)
         record = rig.begin()
         q = yield from rig.sweep(q, pose, size, *SLOW)
         moved = np.array(record.q)[-round(SLOW[0] / rig.period) :]
         lack = amplitude - 0.5 * (moved.max(axis=0) - moved.min(axis=0))
         rig.begin()
-        q = yield from rig.travel(q, pose, pose)
+        q = yield from rig.travel(q, pose, start)
         if (lack < 0.3 * amplitude).all():
             break
         rig.records.remove(record)
@@ -157,7 +159,7 @@ def _identify(
 ) -> Steps[Identification]:
     start = q
     size, q = yield from wide_enough(rig, q, amplitude)
-    route = pose_list(rig, start, poses, span, size)
+    route = pose_list(rig, rig.inside(start, size), poses, span, size)
     q = yield from rig.travel(q, start, route[-1])
     q = yield from statics(rig, q, route[::-1], size)
     home = route[0]

@@ -86,7 +86,7 @@ def _weigh(
 ) -> Steps[PayloadEstimate]:
     start = q
     size, q = yield from wide_enough(rig, q, amplitude)
-    route = pose_list(rig, start, poses, span, size)
+    route = pose_list(rig, rig.inside(start, size), poses, span, size)
     rig.begin()
     q = yield from rig.travel(q, start, route[-1])
     q = yield from statics(rig, q, route[::-1], size)

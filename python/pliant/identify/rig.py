@@ -112,6 +112,20 @@ class Rig:
         out: Array = np.minimum(self.torque, wanted)
         return out
 
+    def inside(self, q: Array, size: Array) -> Array:
+        """The pose nearest to q about which a swing of ±size fits into the position limits.
+
+        Raises:
+            LimitError: It fits nowhere.
+        """
+        room = ROOM + size
+        low, high = self.model.lower + room, self.model.upper - room
+        if (low > high).any():
+            middle = 0.5 * (np.asarray(self.model.lower) + self.model.upper)
+            self.check(middle - size, middle + size)
+        out: Array = np.clip(q, low, high)
+        return out
+
     def check(self, low: ArrayLike, high: ArrayLike) -> None:
         """Refuse a range [rad] that comes too near to a position limit.
 
