@@ -109,7 +109,7 @@ class Float:
         n = self._n = model.n
         self._model, self._dt, self._delay, self._share = model, 1.0 / rate, delay, torque_share
         self._table, self._swing = table, swing
-        self._rig = Rig(model, table, self._dt)
+        self._rig = Rig(model, table, self._dt, doubt=KNOWN if table.kp_known else UNKNOWN)
         self._torque, self._count = self._rig.torque, self._rig.count
         self._damping = self._rig.damping + self._rig.kv + self._rig.back_emf
         self._wrong = KNOWN if table.kp_known else UNKNOWN
@@ -136,7 +136,7 @@ class Float:
     def reset(self, q: ArrayLike) -> None:
         """Start anew at q (n,) [rad], with a swing; what has been learnt is forgotten."""
         q = self._positions(q)
-        self._rig = Rig(self._model, self._table, self._dt)
+        self._rig = Rig(self._model, self._table, self._dt, doubt=self._wrong)
         self._rig.carried = payload_rows(self._model, q) @ self._moments
         self._begin, self.ready = self._swinging(q), False
         self._order = next(self._begin)
@@ -178,7 +178,9 @@ class Float:
         middle = 0.5 * (self._low + self._high)
         base = self._holding(q)
         rows = [slide for record in rig.records for slide in slides(rig, record)]
-        self._lead, self._rub = base * middle, rig.friction * middle
+        # A joint that did not swing is carried as believed, with all its doubt: g_0 = lead_0 = 0.
+        self._lead, self._rub = np.zeros(n), rig.friction * middle
+        swung = np.zeros(n, dtype=bool)
         for i in range(n):
             sides = [
                 [s for s in rows if s.joint == i and s.direction == side] for side in (1.0, -1.0)
@@ -191,15 +193,16 @@ class Float:
             )
             speed = np.mean([abs(s.speed) for side in sides for s in side])
             self._lead[i], half = 0.5 * (up + down), 0.5 * (up - down)
+            swung[i] = True
             self._rub[i] = max(half - middle[i] * self._damping[i] * speed, 0.3 * half, 0.0)
         error = AVERAGED * self._rub + 0.5 * self._count + MOTION
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ends = np.array([(self._lead - error) / base, (self._lead + error) / base])
-        self._narrow(np.nanmin(ends, axis=0), np.nanmax(ends, axis=0))
-        self._gravity = base
+        load = np.where(swung & (np.abs(base) > 0.0), base, np.nan)
+        self._narrow((self._lead - error) / load, (self._lead + error) / load)
+        self._gravity = np.where(swung, base, 0.0)
         self._least = np.maximum(np.maximum(LEAST, COUNTS * self._count), RUBBING * self._rub)
         self._goal, self._seen, self._speed = self._order.goal.copy(), q.copy(), np.zeros(n)
-        self._anchor = self._goal - self._lead
+        carried = self._lead + 0.5 * (self._low + self._high) * (base - self._gravity)
+        self._anchor = self._goal - carried
         self._excess = np.maximum(np.abs(self._anchor - q) - self._least, 0.0)
         self._rest_at, self._still, self._moved = q, 0.0, False
         self.ready = True
@@ -239,16 +242,19 @@ class Float:
         change = self._holding(q) - self._gravity
         before, doubt = self._low + self._high, 0.5 * (self._high - self._low) * np.abs(change)
         lead, band = self._goal - q, self._rub + self._least
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ends = np.array([(lead - self._lead - band) / change, (lead - self._lead + band) / change])
-        self._narrow(np.nanmin(ends, axis=0), np.nanmax(ends, axis=0))
+        moved = np.where(np.abs(change) > 0.0, change, np.nan)
+        self._narrow((lead - self._lead - band) / moved, (lead - self._lead + band) / moved)
         # What the lead gains the anchor gives, and the play shrinks slowly to the new doubt.
         self._anchor += 0.5 * (before - self._low - self._high) * change
         self._excess = np.maximum(self._excess, doubt)
 
-    def _narrow(self, low: Array, high: Array) -> None:
-        """Cut the interval of 1/k_p; where nothing would be left (a hand, a payload), keep it."""
-        low, high = np.maximum(self._low, low), np.minimum(self._high, high)
+    def _narrow(self, one: Array, other: Array) -> None:
+        """Cut the interval of 1/k_p to these ends (n,), NaN for none.
+
+        Where nothing would be left (a hand that leans on the arm, a payload), it is kept.
+        """
+        low = np.maximum(self._low, np.fmin(one, other))
+        high = np.minimum(self._high, np.fmax(one, other))
         fits = low < high
         self._low, self._high = np.where(fits, low, self._low), np.where(fits, high, self._high)
 

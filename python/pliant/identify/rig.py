@@ -69,6 +69,7 @@ class Rig:
         servos: What is believed of its servos.
         period: Control period [s].
         torque_share: Torque allowed on top of gravity, as a share of the usable torque.
+        doubt: Factor by which a stiffness may be smaller than believed.
 
     Attributes:
         carried: Torque beside the model's that has been found to act at the pose (n,) [N·m].
@@ -76,7 +77,13 @@ class Rig:
     """
 
     def __init__(
-        self, model: Model, servos: Servos, period: float, *, torque_share: float = 0.6
+        self,
+        model: Model,
+        servos: Servos,
+        period: float,
+        *,
+        torque_share: float = 0.6,
+        doubt: float = 1.3,
     ) -> None:
         if not 0.0 < torque_share <= 1.0:
             raise LimitError(f"torque_share must be in (0, 1], got {torque_share:g}")
@@ -92,7 +99,7 @@ class Rig:
             self.back_emf: Array = self.torque / np.asarray(servos.no_load_speed)
         else:
             self.back_emf = np.zeros(n)
-        self._share = torque_share
+        self._share, self.doubt = torque_share, doubt
         self._grid = np.where(self.count > 0.0, self.count, 1.0)
         self.carried: Array = np.zeros(n)
         self.records: list[Record] = []

@@ -132,7 +132,8 @@ def _slide(
         drive = float(np.mean(np.sign(lead) * limit[before, joint]))
     else:
         drive = float(lead.mean())
-        if (rig.kp[joint] * np.abs(lead) > CUT * limit[before, joint]).any():
+        least = rig.kp[joint] / rig.doubt
+        if (least * np.abs(lead) > CUT * limit[before, joint]).any():
             return None
     middle = q[start:end].mean(axis=0)
     third = max((end - start) // 3, 2)
