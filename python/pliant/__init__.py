@@ -55,9 +55,12 @@ from pliant._core import (
 )
 
 if TYPE_CHECKING:
+    from pliant import arm as arm
     from pliant import experiments as experiments
     from pliant import robots as robots
     from pliant import sim as sim
+    from pliant.arm.connect import connect as connect
+    from pliant.loop import Loop as Loop
 
 __all__ = [
     "Axis",
@@ -72,6 +75,7 @@ __all__ = [
     "Joint",
     "LimitError",
     "Link",
+    "Loop",
     "Mimic",
     "Model",
     "Payload",
@@ -92,6 +96,7 @@ __all__ = [
     "as_pose",
     "check",
     "compliance",
+    "connect",
     "damped_pseudo_inverse",
     "holding_torque",
     "joint_torque_limits",
@@ -101,10 +106,14 @@ __all__ = [
 ]
 
 #: Parts that are loaded when they are first named: they need extras, or time.
-_PARTS = ("experiments", "robots", "sim")
+_PARTS = ("arm", "experiments", "robots", "sim")
+#: Names that live in one of them.
+_NAMES = {"Loop": "pliant.loop", "connect": "pliant.arm.connect"}
 
 
 def __getattr__(name: str) -> Any:
+    if name in _NAMES:
+        return getattr(importlib.import_module(_NAMES[name]), name)
     if name in _PARTS:
         return importlib.import_module(f"pliant.{name}")
     raise AttributeError(f"module 'pliant' has no attribute {name!r}")

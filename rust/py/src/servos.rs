@@ -66,6 +66,20 @@ fields! {
             Self::with(CoreServos::new(Vec::new(), Vec::new()), fields)
         }
 
+        /// From servo models by name; the tables are Python's, and so is what reads them.
+        #[staticmethod]
+        #[pyo3(signature = (models, *, voltage=None, gains=None))]
+        fn of<'py>(
+            models: &Bound<'py, PyAny>,
+            voltage: Option<&Bound<'py, PyAny>>,
+            gains: Option<&Bound<'py, PyAny>>,
+        ) -> PyResult<Bound<'py, PyAny>> {
+            let options = PyDict::new(models.py());
+            options.set_item("voltage", voltage)?;
+            options.set_item("gains", gains)?;
+            models.py().import("pliant.servo.table")?.call_method("servos_of", (models,), Some(&options))
+        }
+
         fn __len__(&self) -> usize {
             self.0.kp.len()
         }
