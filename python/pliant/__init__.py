@@ -57,9 +57,11 @@ from pliant._core import (
 if TYPE_CHECKING:
     from pliant import arm as arm
     from pliant import experiments as experiments
+    from pliant import identify as identify
     from pliant import robots as robots
     from pliant import sim as sim
     from pliant.arm.connect import connect as connect
+    from pliant.identify.floating import Float as Float
     from pliant.loop import Loop as Loop
 
 __all__ = [
@@ -69,6 +71,7 @@ __all__ = [
     "ConfigError",
     "Controller",
     "Finding",
+    "Float",
     "FrameNotFound",
     "IkSolution",
     "Inertial",
@@ -106,9 +109,9 @@ __all__ = [
 ]
 
 #: Parts that are loaded when they are first named: they need extras, or time.
-_PARTS = ("arm", "experiments", "robots", "sim")
+_PARTS = ("arm", "experiments", "identify", "robots", "sim")
 #: Names that live in one of them.
-_NAMES = {"Loop": "pliant.loop", "connect": "pliant.arm.connect"}
+_NAMES = {"Float": "pliant.identify.floating", "Loop": "pliant.loop", "connect": "pliant.arm.connect"}
 
 
 def __getattr__(name: str) -> Any:

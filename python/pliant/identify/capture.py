@@ -113,18 +113,18 @@ def capture(
     settings back, also after an error, and then lets the controller hold the arm under them.
 
     Args:
-        arm: The arm, at rest; with `advance`, or give `loop`.
+        arm: The arm, at rest; simulated or connected and enabled.
         controller: Gets the offset; is reset to where the arm stands.
         seconds: How long to hold [s], at least 1.
         check: How long to watch afterwards [s]; 0 for not.
         bound: How far the tool may move meanwhile [m].
-        loop: Ticks that wait by themselves (a `pliant.Loop`).
+        loop: Ticks of a loop of one's own; None for one at the right rate.
 
     Raises:
         ConfigError: The controller knows no stiffness.
         LimitError: A number out of range.
     """
-    return drive(arm, capturing(controller, seconds=seconds, check=check, bound=bound), loop)
+    return drive(arm, capturing(controller, seconds=seconds, check=check, bound=bound), loop, rate=controller.settings.rate)
 
 
 def capturing(

@@ -48,8 +48,8 @@ REST, MOTION = 0.4, 5e-4
 SWING, TURNS = 2.6, 1.75
 #: Error of the lead that the swing finds, as a share of the friction it averages out.
 AVERAGED = 0.15
-#: Time in which a play shrinks to what has been learnt at rest [s].
-SHRINK = 1.0
+#: Time of motion in which a play shrinks to what has been learnt at rest [s].
+SHRINK = 0.5
 #: Least play at rest [rad]; with counts, at least this many; and this share of the friction ρ.
 LEAST, COUNTS, RUBBING = 2e-3, 1.5, 0.15
 #: Most speed of the goals [rad/s].
@@ -202,9 +202,10 @@ class Float:
         self._least = np.maximum(np.maximum(LEAST, COUNTS * self._count), RUBBING * self._rub)
         self._goal, self._seen, self._speed = self._order.goal.copy(), q.copy(), np.zeros(n)
         carried = self._lead + 0.5 * (self._low + self._high) * (base - self._gravity)
-        self._anchor = self._goal - carried
+        # In the middle of its friction a joint that swung rests without strain; another keeps its goal.
+        self._anchor = np.where(swung, q, self._goal - carried)
         self._excess = np.maximum(np.abs(self._anchor - q) - self._least, 0.0)
-        self._rest_at, self._still, self._moved = q, 0.0, False
+        self._rest_at, self._learnt, self._still, self._moved = q, q, 0.0, False
         self.ready = True
 
     def _follow(self, q: Array) -> Order:
@@ -217,6 +218,8 @@ class Float:
         lead = self._lead + 0.5 * (self._low + self._high) * change
         doubt = 0.5 * (self._high - self._low) * np.abs(change)
         pace = np.tanh(self._speed / SLOW)
+        # At rest no goal moves; what a rest has taught comes as the arm is led on.
+        self._excess = self._excess * (1.0 - np.abs(pace) * min(self._dt / SHRINK, 1.0))
         self.play = self._least * (1.0 - MOVING * np.abs(pace)) + doubt + self._excess
         self._anchor = np.clip(self._anchor, ahead - self.play, ahead + self.play)
         helping = FRICTION * self._rub * pace + DAMPING * self._low * self._damping * self._speed
@@ -231,20 +234,19 @@ class Float:
     def _learn(self, q: Array) -> None:
         """Where the arm has come to rest, narrow what 1/k_p can be; the goal does not move."""
         if (np.abs(q - self._rest_at) > np.maximum(1.1 * self._count, MOTION)).any():
-            self._moved |= bool((np.abs(q - self._rest_at) > 3.0 * self._least).any())
-            self._rest_at, self._still = (q, 0.0) if self._still else (self._rest_at, 0.0)
+            self._moved |= bool((np.abs(q - self._learnt) > 3.0 * self._least).any())
+            self._rest_at, self._still = q, 0.0
             return
         self._still += self._dt
-        self._excess = self._excess * max(1.0 - self._dt / SHRINK, 0.0)
         if self._still < REST or not self._moved:
             return
-        self._moved = False
+        self._moved, self._learnt = False, q
         change = self._holding(q) - self._gravity
         before, doubt = self._low + self._high, 0.5 * (self._high - self._low) * np.abs(change)
         lead, band = self._goal - q, self._rub + self._least
         moved = np.where(np.abs(change) > 0.0, change, np.nan)
         self._narrow((lead - self._lead - band) / moved, (lead - self._lead + band) / moved)
-        # What the lead gains the anchor gives, and the play shrinks slowly to the new doubt.
+        # What the lead gains the anchor gives: the goal stays.
         self._anchor += 0.5 * (before - self._low - self._high) * change
         self._excess = np.maximum(self._excess, doubt)
 

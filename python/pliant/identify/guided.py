@@ -57,14 +57,14 @@ def run(
     each goal jump. Nobody may touch the arm. Arguments as `identification`.
 
     Args:
-        arm: The arm, at rest, `read` and `write`; with `advance`, or give `loop`.
+        arm: The arm, at rest, simulated or connected and enabled.
         model: Its description.
         servos: What is believed of its servos; None for the model's.
         poses: How many poses to choose within `span`, or postures (K, n) [rad].
         span: How far chosen poses may be from the present one, per joint [rad].
         amplitude: Swing about each pose [rad], before what friction takes.
         rate: Control rate [Hz]; None for the arm's, or 100.
-        loop: Ticks that wait by themselves (a `pliant.Loop`).
+        loop: Ticks of a loop of one's own; None for one at the right rate.
         **options: As `identification`.
 
     Raises:
@@ -75,7 +75,7 @@ def run(
     procedure = identification(
         model, servos, period=period, poses=poses, span=span, amplitude=amplitude, **options
     )
-    return drive(arm, procedure, loop)
+    return drive(arm, procedure, loop, rate=1.0 / period)
 
 
 def identification(

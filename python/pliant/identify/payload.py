@@ -44,19 +44,19 @@ def payload(
     few seconds per pose. Nobody may touch the arm.
 
     Args:
-        arm: The arm, at rest; with `advance`, or give `loop`.
+        arm: The arm, at rest; simulated or connected and enabled.
         controller: Gets `set_payload` with what was found; its payload replaces that of the model.
         poses: How many poses to choose within `span`, or postures (K, n) [rad].
         span: How far chosen poses may be from the present one, per joint [rad].
         amplitude: Swing about each pose [rad], before what friction takes.
-        loop: Ticks that wait by themselves (a `pliant.Loop`).
+        loop: Ticks of a loop of one's own; None for one at the right rate.
 
     Raises:
         ConfigError: The controller has no servos.
         LimitError: The motion would leave the position limits, or the servos cannot hold what was
             found. ServoError: A joint does not follow; the arm is left holding.
     """
-    return drive(arm, weighing(controller, poses=poses, span=span, amplitude=amplitude), loop)
+    return drive(arm, weighing(controller, poses=poses, span=span, amplitude=amplitude), loop, rate=controller.settings.rate)
 
 
 def weighing(

@@ -1,8 +1,8 @@
 """Where a procedure meets an arm: positions in, goals and torque limits out, one tick at a time.
 
 A procedure is a generator, made for the first positions, that yields what to send and receives the
-next positions. `Procedure` turns it into `step(q) -> Order`, which any loop can call: `drive` for one that has `read`, `write`
-and `advance` (the simulated arm) or for the ticks of a `pliant.Loop`.
+next positions. `Procedure` turns it into `step(q) -> Order`, which any loop can call; `drive` runs it to its end on a connected
+arm or on a simulated one.
 """
 
 from __future__ import annotations
@@ -128,27 +128,34 @@ class Procedure(Generic[T]):
         return self._result[0]
 
 
-def drive(arm: Arm, procedure: Procedure[T], loop: Iterable[Tick] | None = None) -> T:
+def drive(
+    arm: Arm,
+    procedure: Procedure[T],
+    loop: Iterable[Tick] | None = None,
+    *,
+    rate: float | None = None,
+) -> T:
     """Run a procedure to its end and return what it found.
 
     Args:
         arm: Anything with `read` and `write`.
         procedure: What to do.
-        loop: Ticks that wait by themselves, such as a `pliant.Loop` over the arm; None for an arm
-            with `advance()`, as the simulated one.
+        loop: Ticks that wait by themselves; None: an arm with `advance()`, as the simulated one, is
+            advanced, any other runs in a `pliant.Loop`.
+        rate: Of that loop [Hz]; None for the arm's.
 
     Raises:
-        ConfigError: Neither a loop nor `advance`, or the loop ended first.
+        ServoError: The loop ended first. Also whatever the procedure or the loop raises.
     """
     try:
-        for tick in _advancing(arm) if loop is None else loop:
+        for tick in _ticks(arm, rate) if loop is None else loop:
             order = procedure.step(tick.q)
             tick.write(order)
             if procedure.done:
                 return procedure.result
     finally:
         procedure.close()
-    raise ConfigError("the loop ended before the procedure did")
+    raise ServoError("the loop ended before the procedure did")
 
 
 @dataclass(frozen=True)
@@ -160,14 +167,13 @@ class _Turn:
         self.arm.write(order.goal, order.torque_limit)
 
 
-def _advancing(arm: Arm) -> Iterator[_Turn]:
-    """Ticks of an arm whose time passes in `advance()`."""
-    advance = getattr(arm, "advance", None)
-    if advance is None:
-        raise ConfigError(
-            f"{type(arm).__name__} has no advance() to wait for the next tick: "
-            "pass loop=pliant.Loop(arm, controller)"
-        )
-    while True:
-        yield _Turn(np.asarray(arm.read().q), arm)
-        advance()
+def _ticks(arm: Any, rate: float | None) -> Iterator[Tick]:
+    """Ticks of an arm whose time passes in `advance()`, or by itself."""
+    if hasattr(arm, "advance"):
+        while True:
+            yield _Turn(np.asarray(arm.read().q), arm)
+            arm.advance()
+    else:
+        from pliant.loop import Loop
+
+        yield from Loop(arm, rate=rate)
