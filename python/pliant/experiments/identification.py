@@ -6,7 +6,7 @@ drag and door of `arm7` with a wrong servo table, with the identified one, and w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -21,8 +21,6 @@ from pliant.experiments.setups import VERTICAL
 from pliant.sim import MX64, MX106, STS3215, Friction, Plant
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
@@ -130,7 +128,7 @@ def identified(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> O
     friction = gains.friction
     if CASES[case].get("gears"):
         friction = np.asarray(GEARS[arm].at_rest(gravity))
-    emf = gains.torque / np.asarray(table.no_load_speed) if table.kind == "duty" else 0.0
+    emf = gains.torque / np.asarray(servos.no_load_speed) if table.kind == "duty" else 0.0
     damping = (servos.damping + servos.kv + emf) / (gains.damping + gains.kv)
     load = found.payload
     centre = np.linalg.norm(load.com - CENTRE) if lift and load.found else np.nan
@@ -170,7 +168,6 @@ class Believing(Conditions):
 
     table: pliant.Servos
     known_delay: float = 0.0
-    belief: Mapping[str, Any] = field(default_factory=dict)
 
     def servos(self) -> pliant.Servos:
         """The table."""
@@ -178,7 +175,7 @@ class Believing(Conditions):
 
     def controller(self, law: Any) -> Any:
         """A controller with these beliefs."""
-        settings = law.replace(rate=self.rate, delay=self.known_delay)
+        settings = law.replace(rate=self.rate, delay=self.known_delay, accept=("eta",))
         return pliant.Controller(robots.arm7(), settings, self.table)
 
 

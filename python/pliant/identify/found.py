@@ -126,7 +126,7 @@ class Identification:
         """Turn a fit into a servo table.
 
         `damping` is what acts outside the limit, without the back-EMF of duty-limited servos, which
-        stands in their no-load speed; `kv` is what is left of D = d + k_v + k_p T_d.
+        stands in their `no_load_speed`; `kv` is what is left of D = d + k_v + k_p T_d.
         """
         value, sigma = solution.value, solution.sigma
         outer = np.maximum(value["outer"], 0.0)
@@ -135,7 +135,13 @@ class Identification:
         share = value["load"] + value["motor"]
         share_sigma = np.hypot(sigma["load"], sigma["motor"])
         friction = np.maximum(value["friction"] + share * load, 0.0)
+        speed = rig.servos.no_load_speed
+        if speed is not None:
+            # Less resistance than its back-EMF: the servo is faster than its table says.
+            least = rig.torque / np.maximum(outer, 1e-6 * rig.torque)
+            speed = np.where(outer < rig.back_emf, least, np.asarray(speed))
         servos = rig.servos.replace(
+            no_load_speed=speed,
             kp=np.maximum(value["kp"], 0.05 * rig.kp),
             friction=friction,
             damping=np.maximum(outer - rig.back_emf, 0.0),

@@ -80,11 +80,19 @@ class Solution:
     rows: int
 
 
-def noise(rig: Rig, slide: Slide, kp: Array, friction: Array) -> float:
-    """Standard deviation of one row [N·m]: friction that is no constant, counts, the model."""
+def noise(rig: Rig, slide: Slide, kp: Array, friction: Array, dead: Array) -> float:
+    """Standard deviation of one row [N·m]: friction that is no constant, counts, the model.
+
+    A torque not far beyond the dead band may have crossed it within the slide.
+    """
     i = slide.joint
     counts = kp[i] * max(rig.count[i], 1e-4) * 0.5 / np.sqrt(slide.samples)
-    return float(np.sqrt((0.04 * friction[i]) ** 2 + counts**2 + (1e-3 * rig.torque[i]) ** 2))
+    band = 0.0
+    if not slide.by_limit:
+        edge = kp[i] * abs(dead[i])
+        band = (0.5 if kp[i] * abs(slide.drive) < 4.0 * edge else 0.1) * edge
+    known = (0.04 * friction[i]) ** 2 + (1e-3 * rig.torque[i]) ** 2
+    return float(np.sqrt(known + counts**2 + band**2))
 
 
 def solve(rig: Rig, slides: Sequence[Slide], beliefs: Beliefs) -> Solution:
@@ -117,6 +125,7 @@ def _fit(
     n = rig.n
     kp = rig.kp if last is None else np.clip(last.value["kp"], 0.1 * rig.kp, 10.0 * rig.kp)
     friction = rig.friction if last is None else np.maximum(last.value["friction"], 0.0)
+    dead = np.zeros(n) if last is None else last.value["deadband"]
     width = len(NAMES) * n + 4
     at = {name: k * n for k, name in enumerate(NAMES)}
     design, right = np.zeros((len(slides), width)), np.zeros(len(slides))
@@ -142,7 +151,7 @@ def _fit(
         row[at["motor"] + i] = -slide.direction * abs(slide.drive * (1.0 if slide.by_limit else kp[i]))
         row[at["inertia"] + i] = -slide.acceleration
         row[-4:] = -slide.payload
-        sigma = noise(rig, slide, kp, friction)
+        sigma = noise(rig, slide, kp, friction, dead)
         row /= sigma
         right[k] /= sigma
     mean, sd = _prior(rig, beliefs, width, at)
