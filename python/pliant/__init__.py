@@ -111,7 +111,11 @@ __all__ = [
 #: Parts that are loaded when they are first named: they need extras, or time.
 _PARTS = ("arm", "experiments", "identify", "robots", "sim")
 #: Names that live in one of them.
-_NAMES = {"Float": "pliant.identify.floating", "Loop": "pliant.loop", "connect": "pliant.arm.connect"}
+_NAMES = {
+    "Float": "pliant.identify.floating",
+    "Loop": "pliant.loop",
+    "connect": "pliant.arm.connect",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -114,7 +114,8 @@ def identified(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> O
     """Let an arm identify itself and compare with the truth.
 
     Args:
-        arm, case: Names in `STARTS` and `CASES`.
+        arm: Name in `STARTS`.
+        case: Name in `CASES`.
         span: How far poses may be from the start [rad].
         rate: Control rate [Hz].
     """
@@ -184,7 +185,7 @@ WRONG: dict[str, Any] = {"kp_scale": 1.25, "friction_scale": 1.4, "damping_scale
 
 
 def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
-    """Drag and door at η 0.999 with a tick each way: by the table, identified, and known exactly."""
+    """Drag and door, η 0.999, a tick each way: by a wrong table, identified, and known exactly."""
     delay, options = (1, 1), {**WRONG, "count": COUNT}
     body = Plant(robots.arm7(), delay=delay, **options)
     body.reset(STARTS["arm7"])

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pliant import Command, Controller
+    from pliant import Command, Controller, Servos
     from pliant.identify.seam import Arm, Steps, Tick
 
     Array = NDArray[np.float64]
@@ -68,9 +68,10 @@ class Captured:
             ratio = self.stiffness[i] / self.believed[i]
             if self.clipped[i]:
                 out.append(
-                    f"{name}: a lead of {self.lead[i]:+.4f} rad does not fit {self.gravity[i]:+.2f} "
-                    f"N·m of gravity; k_g clipped at {ratio:.1f} × the believed k_p: wrong payload, "
-                    "a hand on the arm, or a servo that is not what its table says."
+                    f"{name}: a lead of {self.lead[i]:+.4f} rad does not fit "
+                    f"{self.gravity[i]:+.2f} N·m of gravity; k_g clipped at {ratio:.1f} × the "
+                    "believed k_p: wrong payload, a hand on the arm, or a servo that is not what "
+                    "its table says."
                 )
             elif self.captured[i]:
                 out.append(
@@ -124,26 +125,37 @@ def capture(
         ConfigError: The controller knows no stiffness.
         LimitError: A number out of range.
     """
-    return drive(arm, capturing(controller, seconds=seconds, check=check, bound=bound), loop, rate=controller.settings.rate)
+    return drive(
+        arm,
+        capturing(controller, seconds=seconds, check=check, bound=bound),
+        loop,
+        rate=controller.settings.rate,
+    )
 
 
 def capturing(
     controller: Controller, *, seconds: float = 2.0, check: float = 2.0, bound: float = 2e-3
 ) -> Procedure[Captured]:
     """The procedure of `capture`, for a loop of one's own."""
-    if controller.servos is None:
+    servos = controller.servos
+    if servos is None:
         raise pliant.ConfigError(
             "capturing gravity needs the believed k_p: Controller(model, settings, servos=…)"
         )
-    for name, value, low in (("seconds", seconds, 1.0), ("check", check, 0.0), ("bound", bound, 0.0)):
+    for name, value, low in (
+        ("seconds", seconds, 1.0),
+        ("check", check, 0.0),
+        ("bound", bound, 0.0),
+    ):
         if not low <= value < np.inf:
             raise pliant.LimitError(f"{name} must be at least {low:g}, got {value:g}")
-    return Procedure(lambda q: _capture(controller, q, seconds, check, bound))
+    return Procedure(lambda q: _capture(controller, servos, q, (seconds, check, bound)))
 
 
 def _capture(
-    controller: Controller, q: Array, seconds: float, check: float, bound: float
+    controller: Controller, servos: Servos, q: Array, numbers: tuple[float, float, float]
 ) -> Steps[Captured]:
+    seconds, check, bound = numbers
     model, before = controller.model, controller.settings
     stiff = pliant.Settings(
         task=before.task,
@@ -169,14 +181,14 @@ def _capture(
     finally:
         controller.update(before)
     first, last = (model.forward_kinematics(tail[k][0])[:3, 3] for k in (0, -1))
-    counts = float(np.abs(model.jacobian(where)[:3] * np.asarray(controller.servos.count)).sum())
+    counts = float(np.abs(model.jacobian(where)[:3] * np.asarray(servos.count)).sum())
     still = float(np.linalg.norm(last - first)) < STANDING * seconds * AVERAGED + counts
     drift = np.nan
     if check > 0.0:
         drift, q = yield from _watch(controller, q, round(check * before.rate))
-    believed = np.array(controller.servos.kp)
+    believed = np.array(servos.kp)
     lead, gravity = goal - where, np.asarray(controller.gravity if check else model.gravity(where))
-    measured = np.abs(gravity) > 3.0 * np.asarray(controller.servos.friction)
+    measured = np.abs(gravity) > 3.0 * np.asarray(servos.friction)
     ratio = stiffness / believed
     return Captured(
         stiffness=np.asarray(stiffness),

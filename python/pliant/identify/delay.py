@@ -57,7 +57,10 @@ def delay(rig: Rig, records: Sequence[Record], solution: Solution, held: Array) 
     """
     grid = np.arange(0.0, LONGEST + STEP / 2, STEP)
     misfit = np.array(
-        [_misfit(rig, record, j, solution, float(held[j]), grid) for j, record in enumerate(records)]
+        [
+            _misfit(rig, record, j, solution, held=float(held[j]), grid=grid)
+            for j, record in enumerate(records)
+        ]
     )
     floor = misfit.min(axis=1, keepdims=True)
     # Each joint counts by how well it can be described at all.
@@ -76,11 +79,13 @@ def _vertex(grid: Array, cost: Array) -> float:
         return float(grid[k])
     a, b, c = cost[k - 1 : k + 2]
     bend = a - 2.0 * b + c
-    return float(grid[k] + 0.5 * (a - c) / bend * (grid[1] - grid[0])) if bend > 0 else float(grid[k])
+    return (
+        float(grid[k] + 0.5 * (a - c) / bend * (grid[1] - grid[0])) if bend > 0 else float(grid[k])
+    )
 
 
 def _misfit(
-    rig: Rig, record: Record, joint: int, solution: Solution, held: float, grid: Array
+    rig: Rig, record: Record, joint: int, solution: Solution, *, held: float, grid: Array
 ) -> Array:
     """Mean squared misfit of the jumps of one joint for each delay, at its best inertia."""
     q, goal, limit, _ = (rows[:, joint] for rows in record.arrays())

@@ -166,7 +166,7 @@ class Float:
     def _swinging(self, q: Array) -> Steps[Array]:
         """Swing slowly, return to where it began, and be still."""
         rig, home = self._rig, q
-        size, q = yield from wide_enough(rig, q, self._swing)
+        _, q = yield from wide_enough(rig, q, self._swing)
         for _ in range(round(REST / self._dt)):
             q = yield from rig.send(q, home + rig.lead(home), rig.limits(home), np.zeros(self._n))
         return q
@@ -202,7 +202,7 @@ class Float:
         self._least = np.maximum(np.maximum(LEAST, COUNTS * self._count), RUBBING * self._rub)
         self._goal, self._seen, self._speed = self._order.goal.copy(), q.copy(), np.zeros(n)
         carried = self._lead + 0.5 * (self._low + self._high) * (base - self._gravity)
-        # In the middle of its friction a joint that swung rests without strain; another keeps its goal.
+        # A joint that swung rests in the middle of its friction; another keeps its goal.
         self._anchor = np.where(swung, q, self._goal - carried)
         self._excess = np.maximum(np.abs(self._anchor - q) - self._least, 0.0)
         self._rest_at, self._learnt, self._still, self._moved = q, q, 0.0, False

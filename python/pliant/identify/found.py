@@ -57,7 +57,9 @@ class PayloadEstimate:
             com = moments[1:] / mass
             slope = np.column_stack([-com, np.eye(3)]) / mass
             com_sigma = np.sqrt(np.diag(slope @ covariance @ slope.T))
-        return cls(mass, sigma, com, com_sigma, moments, covariance, np.sort(solution.separated)[::-1])
+        return cls(
+            mass, sigma, com, com_sigma, moments, covariance, np.sort(solution.separated)[::-1]
+        )
 
     @property
     def found(self) -> bool:
@@ -201,9 +203,9 @@ class Identification:
         )
         out += self.payload.sentences()
         unsure = self.errors["kp"] > 0.1 * np.asarray(servos.kp)
-        for i in np.flatnonzero(unsure):
+        for name in np.asarray(self.joint_names)[unsure]:
             out.append(
-                f"{self.joint_names[i]}: k_p is not known within 10 %; its load hardly changes "
+                f"{name}: k_p is not known within 10 %; its load hardly changes "
                 "between these poses."
             )
         if self.spread > 2.0:

@@ -92,8 +92,12 @@ def identification(
     """The procedure of `run`, for a loop of one's own.
 
     Args:
-        model, servos, poses, span, amplitude: As `run`.
+        model: Description of the arm.
+        servos: What is believed of its servos; None for the model's.
         period: Control period [s].
+        poses: How many poses to choose within `span`, or postures (K, n) [rad].
+        span: How far chosen poses may be from the present one, per joint [rad].
+        amplitude: Swing about each pose [rad], before what friction takes.
         torque_share: Torque allowed on top of gravity, as a share of the usable torque.
         limit_error: Standard deviation of what a torque limit truly is, as a share.
 
@@ -108,7 +112,7 @@ def identification(
     rig = Rig(model, believed, period, torque_share=torque_share)
     if not 0.01 <= amplitude <= 0.5:
         raise pliant.LimitError(f"amplitude must be in [0.01, 0.5] rad, got {amplitude:g}")
-    return Procedure(lambda q: _identify(rig, q, poses, span, amplitude, limit_error))
+    return Procedure(lambda q: _identify(rig, q, poses, (span, amplitude, limit_error)))
 
 
 def swing(rig: Rig, amplitude: float) -> Array:
@@ -155,8 +159,9 @@ def statics(rig: Rig, q: Array, route: list[Array], size: Array) -> Steps[Array]
 
 
 def _identify(
-    rig: Rig, q: Array, poses: int | ArrayLike, span: float, amplitude: float, limit_error: float
+    rig: Rig, q: Array, poses: int | ArrayLike, numbers: tuple[float, float, float]
 ) -> Steps[Identification]:
+    span, amplitude, limit_error = numbers
     start = q
     size, q = yield from wide_enough(rig, q, amplitude)
     route = pose_list(rig, rig.inside(start, size), poses, span, size)
@@ -175,9 +180,9 @@ def _identify(
     rig.friction = np.maximum(first.value["friction"], 0.0)
     rig.carried = held(rig, home, first) - np.asarray(rig.model.gravity(home))
     for joint in range(rig.n):
-        for seconds, turns in PUSHES:
+        for pace in PUSHES:
             rig.begin(joint)
-            q = yield from rig.push(q, home, joint, float(size[joint]), seconds, turns)
+            q = yield from rig.push(q, home, joint, float(size[joint]), pace)
             rig.begin()
             q = yield from rig.travel(q, home, home)
     jumps = []

@@ -56,7 +56,12 @@ def payload(
         LimitError: The motion would leave the position limits, or the servos cannot hold what was
             found. ServoError: A joint does not follow; the arm is left holding.
     """
-    return drive(arm, weighing(controller, poses=poses, span=span, amplitude=amplitude), loop, rate=controller.settings.rate)
+    return drive(
+        arm,
+        weighing(controller, poses=poses, span=span, amplitude=amplitude),
+        loop,
+        rate=controller.settings.rate,
+    )
 
 
 def weighing(
@@ -70,10 +75,10 @@ def weighing(
     servos = controller.servos
     if servos is None:
         raise pliant.ConfigError(
-            "weighing needs to know the servos: Controller(model, settings, servos=pliant.Servos(…))"
+            "weighing needs to know the servos: Controller(model, settings, servos=…)"
         )
     rig = Rig(controller.model, servos, 1.0 / controller.settings.rate)
-    return Procedure(lambda q: _weigh(rig, controller, q, poses, span, amplitude))
+    return Procedure(lambda q: _weigh(rig, controller, q, poses, (span, amplitude)))
 
 
 def _weigh(
@@ -81,9 +86,9 @@ def _weigh(
     controller: Controller,
     q: Array,
     poses: int | ArrayLike,
-    span: float,
-    amplitude: float,
+    numbers: tuple[float, float],
 ) -> Steps[PayloadEstimate]:
+    span, amplitude = numbers
     start = q
     size, q = yield from wide_enough(rig, q, amplitude)
     route = pose_list(rig, rig.inside(start, size), poses, span, size)

@@ -111,9 +111,7 @@ def predicted(slide: Slide, solution: Solution) -> float:
     motor = abs(slide.drive) * (1.0 if slide.by_limit else value["kp"][i])
     dry = value["friction"][i] + value["load"][i] * abs(load) + value["motor"][i] * motor
     viscous = value["outer" if slide.by_limit else "total"][i] * slide.speed
-    return float(
-        load + slide.direction * dry + viscous + value["inertia"][i] * slide.acceleration
-    )
+    return float(load + slide.direction * dry + viscous + value["inertia"][i] * slide.acceleration)
 
 
 def _fit(
@@ -148,7 +146,9 @@ def _fit(
             right[k] = slide.gravity + torque - kp[i] * slide.drive
         row[at["friction"] + i] = -slide.direction
         row[at["load"] + i] = -slide.direction * abs(load)
-        row[at["motor"] + i] = -slide.direction * abs(slide.drive * (1.0 if slide.by_limit else kp[i]))
+        row[at["motor"] + i] = -slide.direction * abs(
+            slide.drive * (1.0 if slide.by_limit else kp[i])
+        )
         row[at["inertia"] + i] = -slide.acceleration
         row[-4:] = -slide.payload
         sigma = noise(rig, slide, kp, friction, dead)
@@ -157,7 +157,9 @@ def _fit(
     mean, sd = _prior(rig, beliefs, width, at)
     if last is not None:
         # A payload of this mass has its centre about so far out.
-        sd[-3:] = np.maximum(LEVER * max(last.payload[0], 0.05), 1e-6) if beliefs.payload else sd[-3:]
+        sd[-3:] = (
+            np.maximum(LEVER * max(last.payload[0], 0.05), 1e-6) if beliefs.payload else sd[-3:]
+        )
     # Scaled by the priors, so that one number tells what the data add.
     scaled = design * sd
     information = scaled.T @ scaled
@@ -183,9 +185,7 @@ def _fit(
     )
 
 
-def _prior(
-    rig: Rig, beliefs: Beliefs, width: int, at: dict[str, int]
-) -> tuple[Array, Array]:
+def _prior(rig: Rig, beliefs: Beliefs, width: int, at: dict[str, int]) -> tuple[Array, Array]:
     """Means and standard deviations of all unknowns before anything is measured."""
     n = rig.n
     mean, sd = np.zeros(width), np.full(width, 1e-9)

@@ -91,9 +91,17 @@ class Rig:
             raise LimitError(f"period must be in [0.001, 0.1] s, got {period:g}")
         n = self.n = model.n
         self.model, self.servos, self.period = model, servos, period
-        spread = [np.broadcast_to(np.asarray(value), n).astype(np.float64) for value in (
-            servos.kp, servos.friction, servos.torque, servos.count, servos.damping, servos.kv
-        )]
+        spread = [
+            np.broadcast_to(np.asarray(value), n).astype(np.float64)
+            for value in (
+                servos.kp,
+                servos.friction,
+                servos.torque,
+                servos.count,
+                servos.damping,
+                servos.kv,
+            )
+        ]
         self.kp, self.friction, self.torque, self.count, self.damping, self.kv = spread
         if servos.kind == "duty" and servos.no_load_speed is not None:
             self.back_emf: Array = self.torque / np.asarray(servos.no_load_speed)
@@ -153,7 +161,10 @@ class Rig:
         goal = np.where(self.count > 0.0, np.round(goal / self._grid) * self._grid, goal)
         record = self.records[-1]
         for rows, value in (
-            (record.q, q), (record.goal, goal), (record.limit, limit), (record.speed, speed)
+            (record.q, q),
+            (record.goal, goal),
+            (record.limit, limit),
+            (record.speed, speed),
         ):
             rows.append(value)
         return (yield Order(goal, limit))
@@ -200,13 +211,15 @@ class Rig:
         return (yield from self.follow(q, path, slope[:, None] * size / seconds))
 
     def push(
-        self, q: Array, pose: Array, joint: int, size: float, seconds: float, turns: float
+        self, q: Array, pose: Array, joint: int, size: float, pace: tuple[float, float]
     ) -> Moving:
         """Swing one joint by the torque of its limit alone; the others hold the pose.
 
         The goal stays far ahead, so that the servo gives exactly its limit: gravity, friction and
-        damping as believed, and a soft spring toward the plan that makes up for wrong beliefs.
+        damping as believed, and a soft spring toward the plan that makes up for wrong beliefs. The
+        pace is a period [s] and a number of swings.
         """
+        seconds, turns = pace
         time = np.arange(1, round(turns * seconds / self.period) + 1) * self.period
         wave, slope = triangle(time / seconds)
         spring = SPRING * self.kp[joint]

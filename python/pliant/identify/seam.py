@@ -1,8 +1,8 @@
 """Where a procedure meets an arm: positions in, goals and torque limits out, one tick at a time.
 
 A procedure is a generator, made for the first positions, that yields what to send and receives the
-next positions. `Procedure` turns it into `step(q) -> Order`, which any loop can call; `drive` runs it to its end on a connected
-arm or on a simulated one.
+next positions. `Procedure` turns it into `step(q) -> Order`, which any loop can call; `drive` runs
+it to its end on a connected arm or on a simulated one.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Tick(Protocol):
     def q(self) -> Array:
         """Positions (n,) [rad]."""
 
-    def write(self, command: Any) -> None:
+    def write(self, command: Order) -> Any:
         """Send an order."""
 
 
@@ -163,8 +163,8 @@ class _Turn:
     q: NDArray[np.float64]
     arm: Arm
 
-    def write(self, order: Order) -> None:
-        self.arm.write(order.goal, order.torque_limit)
+    def write(self, command: Order) -> None:
+        self.arm.write(command.goal, command.torque_limit)
 
 
 def _ticks(arm: Any, rate: float | None) -> Iterator[Tick]:

@@ -5,9 +5,10 @@ While joint i slides with speed v, direction s = ±1 and acceleration a, its ser
     k_p,i (lead_i − b_i sign τ_i) = τ_i = τ_e,i + s (f_i + l_i |τ_e,i| + m_i |τ_i|) + D_i v + M_i a,
 
 where τ_e = g(q) + Y(q) φ is the load, φ = (m, m c) the payload, lead = goal − q averaged over the
-stretch, b the servo's dead band, and D everything that grows with speed: gears, back-EMF, the servo's own damping, and k_p T_d for the delay of the bus. A joint
-whose torque is set through its limit has that torque in the place of k_p lead, and neither the
-servo's own damping nor the delay in D.
+stretch, b the servo's dead band, and D everything that grows with speed: gears, back-EMF, the
+servo's own damping, and k_p T_d for the delay of the bus. A joint whose torque is set through its
+limit has that torque in the place of k_p lead, and neither the servo's own damping nor the delay
+in its D.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ def slides(rig: Rig, record: Record) -> list[Slide]:
         ratio = speed[:, joint] / np.where(full, planned[:, joint], 1.0)
         good = full & (ratio > STEADY[0]) & (ratio < STEADY[1])
         for start, end in runs(good):
-            row = _slide(rig, record, joint, start, end, (q, goal, limit))
+            row = _slide(rig, record, joint, (start, end), (q, goal, limit))
             if row is not None:
                 out.append(row)
     return out
@@ -118,10 +119,14 @@ def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _slide(
-    rig: Rig, record: Record, joint: int, start: int, end: int, data: tuple[Array, Array, Array]
+    rig: Rig,
+    record: Record,
+    joint: int,
+    ticks: tuple[int, int],
+    data: tuple[Array, Array, Array],
 ) -> Slide | None:
     """Average ticks start … end of one joint; None if too short or cut by the limit."""
-    q, goal, limit = data
+    (start, end), (q, goal, limit) = ticks, data
     if (end - start) * rig.period < LEAST:
         return None
     before, after = slice(start, end - 1), slice(start + 1, end)
