@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from pliant import experiments as experiments
     from pliant import reactions as reactions
     from pliant import robots as robots
+    from pliant import servo as servo
     from pliant import sim as sim
     from pliant.arm.connect import connect as connect
     from pliant.loop import Loop as Loop
@@ -115,7 +116,7 @@ __all__ = [
 ]
 
 #: Parts that are loaded when they are first named: they need extras, or time.
-_PARTS = ("arm", "experiments", "reactions", "robots", "sim")
+_PARTS = ("arm", "experiments", "reactions", "robots", "servo", "sim")
 #: Names that live in one of them.
 _NAMES = {
     "Loop": "pliant.loop",
