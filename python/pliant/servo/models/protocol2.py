@@ -14,6 +14,8 @@ from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoMod
 _COMMON = {
     "model": Register(0, 2),
     "firmware": Register(6, 1),
+    "id": Register(7, 1),
+    "baud": Register(8, 1),
     "return_delay": Register(9, 1),
     "drive_mode": Register(10, 1),
     "mode": Register(11, 1),
