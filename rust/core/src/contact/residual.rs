@@ -24,8 +24,8 @@ pub(super) struct Joints {
     pub(super) back_emf: JointVec,
     pub(super) armature: JointVec,
     pub(super) count: JointVec,
-    /// Least uncertainty [N·m].
-    pub(super) least: JointVec,
+    /// Usable torque [N·m].
+    pub(super) usable: JointVec,
 }
 
 impl Joints {
@@ -45,7 +45,7 @@ impl Joints {
             back_emf: [0.0; MAX_JOINTS],
             armature: spread(&servos.armature),
             count: spread(&servos.count),
-            least: spread(&servos.torque).map(|torque| LEAST * torque),
+            usable: spread(&servos.torque),
         };
         let own = spread(&servos.damping);
         for i in 0..out.n {
@@ -166,7 +166,7 @@ impl Balance<'_> {
             let sure = ((speed - off).max(0.0) / FRICTION_SPEED).tanh();
             let dry = joints.friction[i] * (1.0 + believed - 2.0 * sure + errors.friction);
             let viscous = errors.friction * self.damping(i) * speed;
-            out[i] = dry + viscous + errors.inertia * accelerating[i].abs() + joints.least[i];
+            out[i] = dry + viscous + errors.inertia * accelerating[i].abs() + LEAST * joints.usable[i];
         }
         out
     }
