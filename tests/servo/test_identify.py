@@ -9,7 +9,7 @@ from pliant.servo.emulator import Device, Emulator
 
 def opened(bus, *specs, **options):
     specs = [ServoSpec(port=bus.port, **spec) for spec in specs]
-    with ServoChain(specs, patience=0.05, **options) as chain:
+    with ServoChain(specs, patience=0.03, **options) as chain:
         return chain
 
 
@@ -95,9 +95,9 @@ def test_a_port_that_is_not_there():
 def test_a_port_that_is_taken():
     with Emulator([Device("STS3215", id=1)], clock="steps") as bus:
         spec = ServoSpec(port=bus.port, **PAN)
-        with ServoChain([spec], patience=0.05):
-            with pytest.raises(ServoError, match="in use by another program"):
-                ServoChain([spec], patience=0.05).open()
+        refused = pytest.raises(ServoError, match="in use by another program")
+        with ServoChain([spec], patience=0.03), refused:
+            ServoChain([spec], patience=0.03).open()
 
 
 def test_ceilings_and_gains_are_the_servos_own():
@@ -117,6 +117,11 @@ def test_notes_say_what_setup_would_change():
     notes = " ".join(chain.found[0].notes)
     assert "clear bit 5 of Shutdown" in notes
     assert "500 µs" in notes
+
+
+def test_a_speed_unit_that_is_not_ours_is_noted():
+    with Emulator([Device("STS3215", id=1, phase=0b1000)], clock="steps") as bus:
+        assert "speed caps are void" in opened(bus, PAN).found[0].notes[0]
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch):

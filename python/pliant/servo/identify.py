@@ -6,13 +6,14 @@ EEPROM.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pliant import ServoError
 from pliant.servo import status as words
 from pliant.servo.models import by_number
 from pliant.servo.transport import BusError
+from pliant.servo.wire import TURN
 
 if TYPE_CHECKING:
     from pliant.servo.device import Device
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 #: Ids that are tried when one is missing, to say what is there instead.
 NEARBY = 20
 OVERLOAD_BIT = 5
+SPEED_UNIT_BIT = 2  # of Feetech's Phase: set for 1 step/s
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,11 @@ class Image:
         """Keep the blocks."""
         self._family, self.replies = device.family, replies
 
+    @property
+    def time(self) -> float:
+        """When the first block was asked for [s]."""
+        return self.replies[0].time
+
     def __contains__(self, name: str) -> bool:
         return name in self._family.registers
 
@@ -92,6 +99,7 @@ def identify(port: Port) -> tuple[Found, ...]:
             its supply does not fit. All that is wrong is said at once.
     """
     port.guard.begin()
+    port.guard.find_absent({device.id for device in port.devices}, port.highest)
     images: list[tuple[Device, Image]] = []
     missing: list[Device] = []
     wrong: list[str] = []
@@ -123,6 +131,13 @@ def identify(port: Port) -> tuple[Found, ...]:
                 wrong.append(str(error))
     if wrong:
         raise ServoError("\n".join(wrong))
+    port.guard.turn = TURN + max(one.return_delay for one in found)
+    if port.latency is not None and port.latency > 0.001:
+        note = (
+            f"the latency timer of {port.path} is {port.latency * 1e3:.0f} ms, which every answer "
+            "waits for: set it to 1 ms (docs/troubleshooting.md)"
+        )
+        found = [replace(one, notes=(*one.notes, note)) for one in found]
     return tuple(found)
 
 
@@ -210,6 +225,7 @@ def _take(device: Device, image: Image) -> Found:
     row, family = device.row, device.family
     device.ceiling = min(image[family.ceiling], device.units.full)
     device.gain = image["gain"]
+    device.torque_on = bool(image["torque_enable"])
     device.set_voltage(image["voltage"] / 10.0)
     device.temperature = float(image["temperature"])
     device.multi_turn = family.multi_turn or (family.status == "p2" and image["mode"] == 4)
@@ -227,6 +243,8 @@ def _take(device: Device, image: Image) -> Found:
             "it shuts off on overload, and a compliant arm sits at its limit by design: "
             "`pliant setup` offers to clear bit 5 of Shutdown"
         )
+    if "phase" in image and not image["phase"] & 1 << SPEED_UNIT_BIT:
+        notes.append("its speed registers count in 50 steps/s (Phase, bit 2): speed caps are void")
     delay = image["return_delay"] * 2e-6
     if delay > 20e-6 and family.status != "feetech":
         notes.append(f"it waits {delay * 1e6:.0f} µs before each answer; `pliant setup` sets 0")
@@ -241,6 +259,6 @@ def _take(device: Device, image: Image) -> Found:
         device.voltage or 0.0,
         device.temperature,
         delay,
-        bool(image["torque_enable"]),
+        device.torque_on,
         tuple(notes),
     )
