@@ -54,7 +54,9 @@ for tick in range(round(seconds * plant.rate)):
     if tick % 50 == 49:
         pushed, height = plant.hands[0].force[2], 1e3 * (plant.tool[2, 3] - target[2, 3])
         state = "in force" if watch.active else "resuming" if watch.resuming else "free"
-        print(f"{plant.time:.1f} s: {contact.estimate.force[2]:+5.1f} N felt, {pushed:4.1f} N true,")
+        print(
+            f"{plant.time:.1f} s: {contact.estimate.force[2]:+5.1f} N felt, {pushed:4.1f} N true,"
+        )
         print(f"       tool {height:+5.1f} mm, {state}")
 
 for line in watch.log:
