@@ -109,6 +109,7 @@ class Identification:
         payload: What the tool carries.
         spread: Residuals over what friction and encoder explain; well above 1: the model misses
             something.
+        undriven: Joints that could not be driven by their limits: their k_p rests on gravity alone.
         joint_names: For the sentences.
         believed: The table it started from.
     """
@@ -120,6 +121,7 @@ class Identification:
     delay_sigma: float
     payload: PayloadEstimate
     spread: float
+    undriven: tuple[str, ...]
     joint_names: tuple[str, ...]
     believed: Servos
 
@@ -167,6 +169,7 @@ class Identification:
             delay_sigma=late.sigma,
             payload=PayloadEstimate.of(solution),
             spread=solution.spread,
+            undriven=tuple(rig.model.joint_names[i] for i in sorted(set(rig.undriven))),
             joint_names=tuple(rig.model.joint_names),
             believed=rig.servos,
         )
@@ -208,6 +211,10 @@ class Identification:
                 f"{name}: k_p is not known within 10 %; its load hardly changes "
                 "between these poses."
             )
+        out += [
+            f"{name} could not be driven by its torque limit; its k_p rests on gravity alone."
+            for name in self.undriven
+        ]
         if self.spread > 2.0:
             out.append(
                 f"residuals are {self.spread:.1f} × what friction and encoder explain: play, a "
