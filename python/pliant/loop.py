@@ -209,9 +209,10 @@ class Loop:
                 for name, age in zip(self._arm.model.joint_names, state.age, strict=True)
                 if age > most
             ]
+            joints = "any joint" if len(names) == state.q.size else ", ".join(names)
             raise ServoTimeout(
-                f"no position of {', '.join(names)} for {state.age.max():.2f} s; a servo, or the "
-                "cable to it and those behind it, does not answer"
+                f"no position of {joints} for {state.age.max():.2f} s: look at the cable to it, at "
+                "those before it, and at its power"
             )
 
     def _restart(self, q: Array, *, first: bool) -> None:

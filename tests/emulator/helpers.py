@@ -47,7 +47,8 @@ def read1(line, address, length, id=1):
 def pass_time(servo, seconds, dt=0.01):
     """Let a servo look at itself without any physics."""
     for _ in range(round(seconds / dt)):
-        servo.update(dt, servo.now + dt)
+        servo.now += dt
+        servo.update(dt)
 
 
 def two(value):

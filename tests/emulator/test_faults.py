@@ -87,6 +87,13 @@ def test_chance_is_seeded_and_has_its_share():
     assert 70 < struck < 130
 
 
+def test_chance_can_be_set_while_it_runs():
+    line, faults = bus(lose=1.0)
+    assert ask(line, p1(1, 1)) == b""
+    faults.by_chance()
+    assert ask(line, p1(1, 1)) == p1(1, 0)
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -117,6 +124,12 @@ def test_a_dead_line_passes_nothing():
     assert ask(line, READ_ALL) == b""
     line.dead = False
     assert len(ask(line, READ_ALL)) == 24
+
+
+def test_an_echoing_adapter_sends_the_request_back_first():
+    line, _ = bus()
+    line.echo = True
+    assert ask(line, p1(1, 1)) == p1(1, 1) + p1(1, 0)
 
 
 def test_the_wrong_speed_is_not_understood():

@@ -217,6 +217,19 @@ def test_position_counts_on_beyond_a_turn_and_starts_within_one():
     assert servo.position == 904
 
 
+def test_position_mode_counts_from_within_a_turn_at_torque_on():
+    line, servo = one("XC430-W150", homing_offset=100)
+    servo.shaft.angle = 4300 * servo.model.count
+    assert servo.position == 4400
+    write(line, 64, 1)
+    assert servo.position == 304
+    line, servo = current_mode()
+    servo.shaft.angle = 4300 * servo.model.count
+    write(line, 64, 0)
+    write(line, 64, 1)
+    assert servo.position == 4300, "mode 5 counts on"
+
+
 def test_a_silent_servo_ends_the_chain_of_a_sync_read():
     line = wire(*(Device("XL430-W250", id) for id in (1, 2, 3)))
     request = packet_2(0xFE, 0x82, bytes([*two(132), *two(4), 1, 2, 3]))

@@ -33,6 +33,10 @@ if TYPE_CHECKING:
 ATTEMPTS = 10
 
 
+#: Largest distance of a first goal from where its joint is [rad].
+LEAD = 0.1
+
+
 class Arm:
     """An arm over any drive, with its life cycle.
 
@@ -52,8 +56,8 @@ class Arm:
 
     Attributes:
         model, drive, rate, rest, hold_for: As given.
-        servos: The chain's servos, n entries, as the drive has them.
-        grippers: The joints off the chain by name.
+        servos: The chain's servos, n entries, as the drive has them; better known once open.
+        grippers: The joints off the chain by name; made anew when the drive opens.
         enabled: Whether torque is on.
 
     Raises:
@@ -86,15 +90,20 @@ class Arm:
         self.model, self.drive = model, drive
         self.rate, self.hold_for, self._watchdog = float(rate), float(hold_for), float(watchdog)
         self._exit, self._signals = exit, Signals() if signals else None
-        self._cycle = Cycle(model, drive, budget or Budget())
-        self.servos = self._cycle.servos
+        self._budget, self._jaws = budget or Budget(), dict(grippers or {})
+        self._meet()
         self.rest = None if rest is None else self._posture(rest, "rest")
         self._points = Points(model)
-        self.grippers = self._make_grippers(dict(grippers or {}))
         self.enabled = self._opened = False
 
+    def _meet(self) -> None:
+        """Make all that depends on what the servos are: a drive that is open knows it better."""
+        self._cycle = Cycle(self.model, self.drive, self._budget)
+        self.servos = self._cycle.servos
+        self.grippers = self._make_grippers(self._jaws)
+
     def _make_grippers(self, jaws: dict[str, Jaw]) -> dict[str, Gripper]:
-        """One gripper per joint beside the chain that knows its ends."""
+        """One gripper per joint beside the chain."""
         roster, drive = self._cycle.roster, self.drive
         unknown = sorted(set(jaws) - set(roster.extra))
         if unknown:
@@ -125,6 +134,7 @@ class Arm:
         if not self._opened:
             self.drive.open()
             self._opened = True
+            self._meet()
 
     def enable(self) -> None:
         """Torque on: limits first, goals where the joints are, then a ramp of half a second.
@@ -145,7 +155,7 @@ class Arm:
         names = cycle.roster.names
         on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[cycle.roster.chain]
         # A joint that carries weight already would dip if its goal went to where it is.
-        start = cycle.q + np.where(on, gravity / kp, 0.0)
+        start = cycle.q + np.where(on, np.clip(gravity / kp, -LEAD, LEAD), 0.0)
         weight = SUPPORT * np.abs(gravity) + 2.0 * np.asarray(self.servos.friction)
         for name, gripper in self.grippers.items():
             cycle.orders[name] = (gripper.position, gripper.limit)

@@ -70,13 +70,14 @@ class Meter:
         Raises:
             ConfigError: A supply is given and the currents are not known.
         """
-        if budget.supply is not None and stall_current is None:
+        known = stall_current is not None and bool(np.isfinite(stall_current).all())
+        if budget.supply is not None and not known:
             raise ConfigError(
                 "Budget.supply needs the servos' stall currents, which this drive does not know: "
                 "leave supply out"
             )
         self._budget, self._usable = budget, usable
-        self._current = None if stall_current is None else stall_current / usable
+        self._current = stall_current / usable if stall_current is not None and known else None
         self.heat = np.zeros_like(usable)
         self.temperature = np.full_like(usable, np.nan)
 

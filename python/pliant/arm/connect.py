@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pliant._core import ConfigError, Model
@@ -10,23 +11,32 @@ from pliant._core import ConfigError, Model
 if TYPE_CHECKING:
     from pliant.arm import Arm
     from pliant.arm.drive import Drive
+    from pliant.config import Config
 
 #: Arguments that belong to the arm, whatever drives it.
 _OF_THE_ARM = frozenset(
     ("rest", "exit", "rate", "hold_for", "budget", "grippers", "watchdog", "signals")
 )
 
+#: Arguments that replace words of a configuration file.
+_OF_THE_FILE = frozenset(("port", "backend", "urdf", "calibration"))
+
 
 def connect(
-    what: str | Mapping[str, Any] | Model, drive: Drive | None = None, **options: Any
+    what: str | Path | Config | Mapping[str, Any] | Model,
+    drive: Drive | None = None,
+    **options: Any,
 ) -> Arm:
     """Make an arm; `with` then enables it, and lowers it at the end.
 
     Args:
-        what: ``"sim"`` with ``robot=``, or ``"sim:arm7"``: a built-in arm on the simulator; the
-            same as a mapping, ``{"kind": "sim", "robot": "arm7"}``; or a model, with its drive.
+        what: Path of a configuration file, or the name of a ready one
+            (`pliant.config.names()`); ``"sim"`` with ``robot=``, or ``"sim:arm7"``: a built-in arm
+            on the simulator; the same as a mapping, ``{"kind": "sim", "robot": "arm7"}``; a
+            `Config`; or a model, with its drive.
         drive: What moves the joints of a model.
-        **options: Those of `pliant.arm.Arm`; for a simulated arm also `q` (n,) [rad], where it
+        **options: Those of `pliant.arm.Arm`; for a file also `port`, `backend`, `urdf` and
+            `calibration`, as for `pliant.config.load`; for a simulated arm `q` (n,) [rad], where it
             stands (default: the middle of its ranges), `real_time`, and those of
             `pliant.sim.Plant`.
 
@@ -34,7 +44,8 @@ def connect(
         The arm, with torque as it was.
 
     Raises:
-        ConfigError: A name or an option is not known; says which there are.
+        ConfigError: A name or an option is not known, or a file is wrong; says what is right.
+        ServoError: The file leaves the port open and there is none, or a choice.
 
     Example:
         >>> with pliant.connect("sim:arm7") as arm:
@@ -48,9 +59,15 @@ def connect(
         return Arm(what, drive, **options)
     if drive is not None:
         raise ConfigError("a drive goes with a model: connect(model, drive)")
-    if isinstance(what, str):
-        kind, _, robot = what.partition(":")
+    if isinstance(what, str | Path) and str(what).partition(":")[0] != "sim":
+        from pliant.config import load
+
+        return load(what, **{k: options.pop(k) for k in _OF_THE_FILE & set(options)}).arm(**options)
+    if isinstance(what, str | Path):
+        kind, _, robot = str(what).partition(":")
         what = {"kind": kind, **({"robot": robot} if robot else {})}
+    if not isinstance(what, Mapping):
+        return what.arm(**options)
     merged = {**what, **options}
     kind = merged.pop("kind", None)
     if kind != "sim":

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from pliant import Model
     from pliant.arm.budget import Budget
-    from pliant.arm.drive import Clock, Drive, Health
+    from pliant.arm.drive import Clock, Drive, Reported
 
     Array = NDArray[np.float64]
 
@@ -196,7 +196,7 @@ class Cycle:
             self.meter.use(torque, now - self._used)
         self._used = now
 
-    def _learn(self, health: Health | None) -> None:
+    def _learn(self, health: Reported | None) -> None:
         """Keep what the slow rota brought."""
         if health is None:
             return

@@ -33,7 +33,10 @@ class Sample:
         position: (N,) [rad]; anything where `ok` is False.
         ok: Which positions were read in this cycle (N,).
         time: When each was sampled, on the drive's clock: (N,), or one number for all [s].
-        velocity, load, current: (N,) [rad/s, N·m, A], None where the servos do not say.
+        velocity: As the servos report them (N,) [rad/s].
+        load: Torque that they exert by their own reckoning, PWM duty or current, no sensor
+            (N,) [N·m].
+        current: Of the motors (N,) [A]. What no servo says is None, what one does not say NaN.
     """
 
     position: Array
@@ -53,12 +56,62 @@ class Health:
         voltage: At the servo [V].
         temperature: Of the servo [°C].
         faults: What the servo reports, in sentences; empty when healthy.
+        limit: Torque limit as it stands in the servo [N·m], None before it was read.
     """
 
     name: str
     voltage: float | None = None
     temperature: float | None = None
     faults: tuple[str, ...] = ()
+    limit: float | None = None
+
+
+class Sampled(Protocol):
+    """Anything with the fields of a `Sample`."""
+
+    @property
+    def position(self) -> Array:
+        """Positions (N,) [rad]."""
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Which were read (N,)."""
+
+    @property
+    def time(self) -> Array | float:
+        """When [s]."""
+
+    @property
+    def velocity(self) -> Array | None:
+        """Velocities (N,) [rad/s]."""
+
+    @property
+    def load(self) -> Array | None:
+        """Torques (N,) [N·m]."""
+
+    @property
+    def current(self) -> Array | None:
+        """Currents (N,) [A]."""
+
+
+class Reported(Protocol):
+    """Anything with the fields of a `Health`."""
+
+    @property
+    def name(self) -> str:
+        """The joint."""
+
+    @property
+    def voltage(self) -> float | None:
+        """At the servo [V]."""
+
+    @property
+    def temperature(self) -> float | None:
+        """Of the servo [°C]."""
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """In sentences."""
 
 
 class Clock(Protocol):
@@ -76,7 +129,8 @@ class Drive(Protocol):
 
     Further attributes are used where a drive has them: `clock` (default: the machine's), `latency`,
     the time from the end of a write to its effect [s]; `overload` (N,), the share of the usable
-    torque above which a servo protects itself; `stall_current` (N,) [A], for the supply's budget.
+    torque above which a servo protects itself; `stall_current` (N,) [A], for the supply's budget;
+    `enabled` (N,), which joints have torque already.
     """
 
     @property
@@ -85,7 +139,7 @@ class Drive(Protocol):
 
     @property
     def servos(self) -> Servos:
-        """What drives them, one entry per name."""
+        """What drives them, one entry per name; once open, as the servos themselves say."""
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -101,7 +155,7 @@ class Drive(Protocol):
     def close(self) -> None:
         """Let go of the port; the servos keep their last goal and limit."""
 
-    def read(self) -> Sample:
+    def read(self) -> Sampled:
         """Positions of this cycle, joint by joint; what did not arrive is not `ok`.
 
         Raises:
@@ -111,7 +165,7 @@ class Drive(Protocol):
     def write(self, goal: Array, limit: Array) -> None:
         """Send goals (N,) [rad] and torque limits (N,) [N·m] to enabled joints."""
 
-    def slow(self) -> Health | None:
+    def slow(self) -> Reported | None:
         """One step of the rota of voltages, temperatures and faults; None without news."""
 
     def enable(self, goal: Array, limit: Array) -> None:

@@ -42,7 +42,9 @@ class Lateness:
         if total == 0:
             return 0.0
         place = int(np.searchsorted(np.cumsum(self.counts), max(share / 100.0 * total, 1e-9)))
-        return min(FIRST * float(10.0 ** (place / PER_DECADE)) if place else FIRST, self.largest)
+        if place > BINS:
+            return self.largest
+        return min(FIRST * float(10.0 ** (place / PER_DECADE)), self.largest)
 
     def __str__(self) -> str:
         parts = [f"{1e6 * self.percentile(p):.0f}" for p in (50.0, 99.0, 99.9)]

@@ -38,6 +38,12 @@ TO_REST, DOWN, FADE = 4.0, 40.0, 0.3
 ARRIVED = 0.02
 #: Standing still: no point moved this share of its commanded way within this time [s].
 STILL, WINDOW = 0.1, 0.5
+#: Share of the speed allowed at which an arm whose limits fall does not rest after all.
+SLIP = 0.6
+#: Least share of the weight that goals carry after that.
+LEAST_SUPPORT = 0.3
+#: Share of its margin with which a joint presses downward.
+PRESS = 0.5
 #: Time in which the limits fall [s].
 RAMP = 3.0
 #: Holding torque over gravity.
@@ -95,12 +101,12 @@ class Lowering:
         self._rest = None if rest is None else np.asarray(rest, dtype=np.float64)
         self._q = np.array(q, dtype=np.float64)
         self._silence = np.zeros_like(self._q)
+        self.share = self._support = 1.0
         gravity = self._gravity()
         start = self._q if goal is None else np.asarray(goal) - gravity / self._kp
         self._ref = self._leash(start, gravity)
         self._last = (self._ref + gravity / self._kp, self._limit(gravity))
         self.phase: Phase = "down" if rest is None else "rest"
-        self.share = 1.0
         self._age = self._total = 0.0
         self._history: deque[tuple[float, Array, float]] = deque()
         self._way = 0.0
@@ -164,19 +170,24 @@ class Lowering:
             self._enter("down" if self.phase == "rest" else "ramp")
         if self._total > LONGEST:
             self._enter("ramp")
-        return self._ref + gravity / self._kp, self._limit(gravity)
+        return self._ref + self._support * gravity / self._kp, self._limit(gravity)
 
     def _ramp(self, dt: float, gravity: Array, good: Flags) -> tuple[Array, Array]:
-        """Limits fall while nothing moves; they come back where something falls."""
+        """Limits fall while nothing moves; an arm that starts to fall is caught."""
         place = self._points(self._q)
         if self._before is not None and good.all() and dt > 0.0:
             velocity = (place - self._before) / dt
             fastest = velocity[np.argmax((velocity**2).sum(axis=1))]
             size = float(np.sqrt(fastest @ fastest))
             down = float(np.asarray(self._model.gravity_vector) @ fastest) >= 0.0
-            if size > 0.7 * self._speed and down:
-                self.share = min(1.0, self.share + 4.0 * dt / RAMP)
-            elif size < 0.5 * self._speed or not down:
+            if size > SLIP * self._speed and down:
+                # It did not rest, it leaned, or its servos carry more than believed: go on down
+                # with the support under which it began to move.
+                self.share = self._support = max(self.share, LEAST_SUPPORT)
+                self._ref = self._q.copy()
+                self._enter("down")
+                return self._ref + self._support * gravity / self._kp, self._limit(gravity)
+            if size < 0.5 * self._speed or not down:
                 self.share -= dt / RAMP
         else:
             self.share -= dt / RAMP
@@ -208,14 +219,14 @@ class Lowering:
     def _leash(self, ref: Array, gravity: Array) -> Array:
         """Keep the reference where the servos can answer for it."""
         lift = np.maximum(self._usable - np.abs(gravity), 0.0) / self._kp
-        press = margin(self._servos, gravity) / self._kp
+        press = np.maximum(PRESS * margin(self._servos, gravity), 2.0 * self._friction) / self._kp
         above = np.where(gravity > 0.0, lift, press)
         below = np.where(gravity > 0.0, press, lift)
         return self._q + np.clip(ref - self._q, -below, above)
 
     def _limit(self, gravity: Array) -> Array:
         """Torque limits (n,) [N·m] for the present reference."""
-        wanted = np.abs(gravity + self._kp * (self._ref - self._q))
+        wanted = np.abs(self._support * gravity + self._kp * (self._ref - self._q))
         limit = np.maximum(SUPPORT * np.abs(gravity), wanted) + margin(self._servos, gravity)
         return np.minimum(limit, self._usable)
 

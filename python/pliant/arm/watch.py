@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant.arm.drive import Sample
+    from pliant.arm.drive import Sampled
 
     Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class Watch:
         self.time = np.full(fastest.size, -np.inf)
         self.jumps = 0
 
-    def take(self, sample: Sample) -> NDArray[np.bool_]:
+    def take(self, sample: Sampled) -> NDArray[np.bool_]:
         """Take what can be believed of a sample; return which joints that were (N,)."""
         ok = np.asarray(sample.ok, dtype=bool) & np.isfinite(sample.position)
         first = np.isnan(self.position)

@@ -5,9 +5,10 @@ Needs the extra ``servo`` only where a serial port is opened.
 
 from __future__ import annotations
 
+from pliant.arm.drive import Health, Sample
 from pliant.servo.chain import ServoChain
 from pliant.servo.models import ServoModel, find, names
-from pliant.servo.spec import Health, Sample, ServoSpec
+from pliant.servo.spec import ServoSpec
 from pliant.servo.table import servos_of
 from pliant.servo.transport import BusError, RustypotTransport, Transport, serial_ports
 from pliant.servo.units import Units

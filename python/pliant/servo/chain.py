@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import ConfigError, ServoError, ShapeError
+from pliant.arm.drive import Clock, Health, Sample
 from pliant.servo import enable as enabling
 from pliant.servo.device import Device
 from pliant.servo.identify import Found, identify
 from pliant.servo.port import Port
 from pliant.servo.rota import Rota
-from pliant.servo.spec import Health, Sample, ServoSpec, check_specs
+from pliant.servo.sample import align_twins, gather
+from pliant.servo.spec import ServoSpec, check_specs
 from pliant.servo.table import servos
 from pliant.servo.transport import BusError, RustypotTransport
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant import Servos
+    from pliant.servo.guard import Counters
     from pliant.servo.models.row import Protocol as Wire
     from pliant.servo.transport import Transport
 
@@ -32,8 +35,6 @@ if TYPE_CHECKING:
 
 #: A reading may take this many periods, or patiences, before nothing is tried again.
 BUDGET = 3.0
-#: Twins that disagree by more than this work against each other [rad].
-TWINS_APART = 0.1
 
 
 class ServoChain:
@@ -51,7 +52,8 @@ class ServoChain:
         speed: Fastest motion of every joint [rad/s] as the servo's own cap; None for the no-load
             speed.
         transport: ``(port, baudrate, protocol) -> Transport`` instead of rustypot.
-        clock: The time that samples carry.
+        clock: The time that samples carry, and an arm over this chain lives in; default the
+            machine's.
 
     Attributes:
         names: Joint names.
@@ -77,7 +79,7 @@ class ServoChain:
         patience: float = 0.010,
         speed: float | None = None,
         transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
-        clock: Callable[[], float] = time.perf_counter,
+        clock: Clock | None = None,
     ) -> None:
         """Check the specs; nothing is opened yet."""
         self.specs = check_specs(specs)
@@ -85,20 +87,18 @@ class ServoChain:
         self.n = len(self.specs)
         if not rate > 0.0:
             raise ConfigError(f"rate must be above 0 Hz, got {rate!r}")
-        self._baudrate, self._cycle, self._speed = baudrate, 1.0 / rate, speed
+        ports = dict.fromkeys(spec.port for spec in self.specs)
+        rates = dict.fromkeys(ports, baudrate) if isinstance(baudrate, int) else dict(baudrate)
+        if missing := ports.keys() - rates.keys():
+            raise ConfigError(f"no baud rate for {', '.join(sorted(missing))}")
+        self._baudrate, self._cycle, self._speed = rates, 1.0 / rate, speed
         self._patience = float(patience)
         self._budget = max(BUDGET * self._cycle, BUDGET * self._patience)
-        self._transport, self._clock = transport, clock
-        #: The servos of each joint, the first one first.
-        self._joints = [
-            [Device(spec, i, number, sign) for number, sign in spec.servos]
-            for i, spec in enumerate(self.specs)
-        ]
-        self._devices = [device for joint in self._joints for device in joint]
+        self._transport, self.clock = transport, clock
+        self._start()
         self._port_of: dict[int, Port] = {}
         self._ports: list[Port] = []
         self._pool: ThreadPoolExecutor | None = None
-        self._rota = Rota(self._joints)
         self._watchdog = 0.0
         self.found: tuple[Found, ...] = ()
 
@@ -112,6 +112,7 @@ class ServoChain:
         """
         if self._ports:
             return
+        self._start()
         try:
             for path in dict.fromkeys(spec.port for spec in self.specs):
                 self._open_port(path)
@@ -176,18 +177,15 @@ class ServoChain:
         On Feetech the Overload Torque as read, of the full torque.
         """
         shares = []
-        for joint in self._joints:
-            device = joint[0]
-            share = float("inf") if device.overload is None else device.overload
-            shares.append(share * device.units.full / max(device.ceiling, 1))
+        for first, *_ in self._joints:
+            share = float("inf") if first.overload is None else first.overload
+            shares.append(share * first.units.full / max(first.ceiling, 1))
         return np.array(shares)
 
     @property
     def stall_current(self) -> Array:
         """Current at the stall torque (n,) [A], NaN where the maker gives none."""
-        rows = [spec.row for spec in self.specs]
-        twins = [len(spec.servos) for spec in self.specs]
-        return np.array([row.stall_current for row in rows]) * twins
+        return np.array([s.row.stall_current * len(s.servos) for s in self.specs])
 
     @property
     def counters(self) -> dict[str, int]:
@@ -197,15 +195,15 @@ class ServoChain:
         written.
         """
         total = {"mismatches": sum(device.mismatches for device in self._devices)}
-        for port in self._ports:
-            for name, value in asdict(port.guard.counters).items():
+        for counters in self._counters:
+            for name, value in asdict(counters).items():
                 total[name] = total.get(name, 0) + value
         return total
 
     @property
     def enabled(self) -> NDArray[np.bool_]:
-        """Which joints have been enabled (n,)."""
-        return np.array([joint[0].enabled for joint in self._joints])
+        """Which joints have torque on: enabled here, or found so at open (n,)."""
+        return np.array([all(d.enabled or d.torque_on for d in joint) for joint in self._joints])
 
     # The cycle.
 
@@ -226,7 +224,7 @@ class ServoChain:
             for port, ids in zip(self._ports, taken, strict=True)
             for number in ids
         }
-        return self._sample(answered)
+        return gather(self._joints, answered)
 
     def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
         """Send goal and limit of all enabled joints, in one packet per port and kind of servo.
@@ -335,19 +333,30 @@ class ServoChain:
 
     # Inside.
 
+    def _start(self) -> None:
+        """Know nothing of the servos yet."""
+        #: The servos of each joint, the first one first.
+        self._joints = [
+            [Device(spec, i, number, sign) for number, sign in spec.servos]
+            for i, spec in enumerate(self.specs)
+        ]
+        self._devices = [device for joint in self._joints for device in joint]
+        self._rota = Rota(self._joints)
+        self._counters: list[Counters] = []
+
     def _open_port(self, path: str) -> None:
         devices = [device for device in self._devices if device.spec.port == path]
-        rate = self._baudrate if isinstance(self._baudrate, int) else self._baudrate[path]
         port = Port(
             path,
             devices,
-            baudrate=rate,
+            baudrate=self._baudrate[path],
             cycle=self._cycle,
             patience=self._patience,
             open_transport=self._transport,
-            clock=self._clock,
+            clock=time.perf_counter if self.clock is None else self.clock.now,
         )
         self._ports.append(port)
+        self._counters.append(port.guard.counters)
         self._port_of.update({id(device): port for device in devices})
 
     def _first_look(self) -> None:
@@ -356,44 +365,7 @@ class ServoChain:
             port = self._port_of[id(device)]
             port.guard.begin()
             device.accept(port.guard.read_in_turn(device.id, device.family.read))
-        for first, *twins in self._joints:
-            for twin in twins:
-                position, other = first.position, twin.position
-                if position is not None and other is not None:
-                    q = first.angle(position)
-                    twin.zero = other - twin.sign * q / twin.units.count
-                    twin.set_range()
-
-    def _sample(self, answered: set[tuple[str, int]]) -> Sample:
-        rows = []
-        for joint in self._joints:
-            first = joint[0]
-            whole = all((d.spec.port, d.id) in answered for d in joint)
-            angles = [d.angle(d.position) for d in joint if d.position is not None]
-            apart = max(angles) - min(angles) if angles else 0.0
-            first.fault(
-                "twins",
-                apart > TWINS_APART,
-                f"its two servos disagree by {apart:.2f} rad and work against each other",
-            )
-            units = first.units
-            amps = np.nan
-            if first.current is not None and units.row.current_unit:
-                amps = units.row.current_unit * sum(abs(d.current or 0) for d in joint)
-            rows.append(
-                (
-                    angles[0] if angles else np.nan,
-                    whole,
-                    min(d.time for d in joint),
-                    units.velocity(first.speed),
-                    np.mean([d.torque for d in joint]),
-                    amps,
-                )
-            )
-        position, ok, times, velocity, load, current = (
-            np.array(c) for c in zip(*rows, strict=True)
-        )
-        return Sample(position, ok, times, velocity, load, current)
+        align_twins(self._joints)
 
     def _cap(self, velocity: ArrayLike | None) -> Array:
         if velocity is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pliant import ServoError
@@ -37,7 +38,8 @@ class Device:
         multi_turn: Whether goals may leave one turn.
         overload: Share of the full torque above which it protects itself, None where it does not.
         seam: Counts after which positions start again, None where they do not.
-        enabled: Whether we have switched its torque on.
+        enabled: Whether we have switched its torque on, or taken it over.
+        torque_on: Whether torque was on when that was last read.
         limit: Limit register as last written.
         position: Unwrapped count of the last reading, None before the first.
         time: When that was asked for [s].
@@ -52,11 +54,10 @@ class Device:
 
     def __init__(self, spec: ServoSpec, joint: int, id: int, sign: int) -> None:
         """A servo nothing is known of yet."""
-        self.spec, self.joint, self.id, self.sign = spec, joint, id, sign
+        self.spec, self.joint, self.id = spec, joint, id
         self.row: ServoModel = spec.row
         self.family: Family = self.row.family
-        self.units = Units.of(spec)
-        self.zero = self.units.zero
+        self.units = replace(Units.of(spec), sign=sign)
         self.ceiling = self.units.full
         self.gain = self.row.gain_default
         self.low, self.high = 0, self.row.counts
@@ -65,7 +66,7 @@ class Device:
         self.multi_turn = self.family.multi_turn
         self.overload: float | None = self.row.overload
         self.turns = 0
-        self.enabled = False
+        self.enabled = self.torque_on = False
         self.limit = 0
         self.position: float | None = None
         self.time = 0.0
@@ -86,14 +87,10 @@ class Device:
             ServoError: The joint's range crosses the seam of a single-turn encoder.
         """
         spec = self.spec
-        bounds = [
-            self.zero + self.sign * bound / self.units.count
-            for bound in (spec.lower, spec.upper)
-            if bound is not None
-        ]
-        if len(bounds) < 2:
+        given = [bound for bound in (spec.lower, spec.upper) if bound is not None]
+        if len(given) < 2:
             return
-        low, high = round(min(bounds)), round(max(bounds))
+        low, high = sorted(self.units.counts(bound) for bound in given)
         if self.multi_turn:
             self.low, self.high = low, high
             return
@@ -119,7 +116,7 @@ class Device:
 
     def angle(self, position: float) -> float:
         """Joint angle of a count of this servo [rad]."""
-        return self.sign * (position - self.zero) * self.units.count
+        return self.units.angle(position)
 
     def goal_counts(self, angle: float) -> int:
         """Goal register of a joint angle, within the limits of the servo.
@@ -129,8 +126,7 @@ class Device:
         """
         if self.turns and not self.multi_turn:
             return 0 if self.turns > 0 else self.row.counts
-        counts = self.zero + self.sign * angle / self.units.count
-        return self.clamp(round(counts)) - self.turns * (self.seam or 0)
+        return self.clamp(self.units.counts(angle)) - self.turns * (self.seam or 0)
 
     def clamp(self, counts: int) -> int:
         """A count within the software limits; where the servo is outside them, it may stay."""
@@ -182,8 +178,9 @@ class Device:
         if self._spans(block, "limit"):
             self._check_limit(family.decode(block, reply.data, "limit"))
         if self._spans(block, "torque_enable"):
-            on = family.decode(block, reply.data, "torque_enable")
-            self.fault("torque", self.enabled and on == 0, "its torque went off by itself")
+            self.torque_on = bool(family.decode(block, reply.data, "torque_enable"))
+            went_off = self.enabled and not self.torque_on
+            self.fault("torque", went_off, "its torque went off by itself")
         if self._spans(block, "hardware_error"):
             self.hardware = words.hardware(family.decode(block, reply.data, "hardware_error"))
         if self._spans(block, "watchdog"):
@@ -199,14 +196,14 @@ class Device:
     def torque(self) -> float:
         """Torque on the joint by the servo's own reckoning, were all its servos like this [N·m]."""
         if self.row.kind == "current":
-            return self.sign * self.units.torque(self.current or 0)
-        return self.sign * self.units.load(self.load)
+            return self.units.sign * self.units.torque(self.current or 0)
+        return self.units.sign * self.units.load(self.load)
 
     def set_voltage(self, volts: float) -> None:
         """Follow the supply: a duty gives a torque in proportion to it."""
         self.voltage = volts
         if volts != self.units.voltage and volts > 0.0:
-            self.units = Units(self.spec, volts, self.units.zero)
+            self.units = replace(self.units, voltage=volts)
 
     def _spans(self, block: Block, name: str) -> bool:
         register = self.family.registers.get(name)

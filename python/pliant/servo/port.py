@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from pliant.servo.models.row import Protocol as Wire
     from pliant.servo.transport import Transport
 
-#: A servo that did not answer on its own is asked again after this many cycles, so that one dead
+#: A servo that said nothing in so many cycles running is left alone for that many, so that one dead
 #: servo does not cost a timeout in each of them.
-PROBE = 8
+MISSES, PROBE = 3, 8
 
 
 class Port:
@@ -72,6 +72,7 @@ class Port:
             absent=max(set(range(self.highest + 1)) - ids),
             stamp=clock,
         )
+        self._misses: dict[int, int] = {}
         self._silent: dict[int, int] = {}
 
     def close(self) -> None:
@@ -101,6 +102,7 @@ class Port:
             reply = replies.get(device.id)
             if reply is None:
                 continue
+            self._misses.pop(device.id, None)
             if device.accept(reply):
                 taken.add(device.id)
             else:
@@ -137,7 +139,7 @@ class Port:
     def _alone(self, group: Sequence[Device], *, again: bool = True) -> dict[int, Reply]:
         """Ask each servo by itself; who says nothing is left alone for a while."""
         replies = {}
-        silent = {}
+        missed = []
         for device in group:
             self.guard.counters.retries += not again
             try:
@@ -145,11 +147,14 @@ class Port:
             except BusError as error:
                 _pass_on(error)
                 if error.reason == "timeout":
-                    silent[device.id] = PROBE
+                    missed.append(device.id)
             else:
                 replies[device.id] = reply
-        if replies:  # else the whole line is silent, and nobody is singled out
-            self._silent |= silent
+        # Where the whole line is silent nobody is singled out.
+        for number in missed if replies else ():
+            self._misses[number] = self._misses.get(number, 0) + 1
+            if self._misses[number] >= MISSES:
+                self._silent[number] = PROBE
         return replies
 
     def _probe(self) -> dict[int, Reply]:

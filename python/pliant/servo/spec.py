@@ -1,4 +1,4 @@
-"""How a joint of the arm hangs on its servo, and what one reading of all joints holds."""
+"""How a joint of the arm hangs on its servo."""
 
 from __future__ import annotations
 
@@ -13,11 +13,7 @@ from pliant.servo.models import find
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from pliant.servo.models import ServoModel
-
-    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +35,8 @@ class ServoSpec:
         lower, upper: Software position limits [rad]; None for what the servo's own limits allow.
         stall: Stall torque at the rated voltage instead of the table's [N·m].
         torque_offset: Torque that the gears eat: ``torque = k · register - offset`` [N·m].
+        kp: Stiffness of the joint as identified instead of what the gain register says [N·m/rad].
+        friction, damping: Of the joint's gears as identified [N·m, N·m·s/rad].
 
     Raises:
         ConfigError: A value is out of range or the model is not known.
@@ -56,6 +54,9 @@ class ServoSpec:
     upper: float | None = None
     stall: float | None = None
     torque_offset: float = 0.0
+    kp: float | None = None
+    friction: float | None = None
+    damping: float | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -78,6 +79,12 @@ class ServoSpec:
             raise ConfigError(f"{self.name}: stall must be above 0 N·m, got {self.stall!r}")
         if not (np.isfinite(self.torque_offset) and self.torque_offset >= 0.0):
             raise ConfigError(f"{self.name}: torque_offset is at least 0, got {self.torque_offset}")
+        for what in ("kp", "friction", "damping"):
+            value = getattr(self, what)
+            if value is not None and not (np.isfinite(value) and value >= 0.0):
+                raise ConfigError(f"{self.name}: {what} is at least 0, got {value!r}")
+        if self.kp == 0.0:
+            raise ConfigError(f"{self.name}: kp must be above 0 N·m/rad, got 0")
         bounds = [b for b in (self.lower, self.upper) if b is not None]
         if not np.isfinite(bounds).all() or (len(bounds) == 2 and bounds[0] >= bounds[1]):
             raise ConfigError(f"{self.name}: lower must be below upper [rad], got {bounds}")
@@ -92,47 +99,6 @@ class ServoSpec:
         """Id and sign of each servo of the joint."""
         own = ((self.id, self.sign),)
         return own if self.twin is None else (*own, self.twin)
-
-
-@dataclass(frozen=True)
-class Sample:
-    """One reading of all joints; entries of joints that did not answer keep their last value.
-
-    Attributes:
-        position: Joint positions (n,) [rad], NaN where a joint has never answered.
-        ok: Which joints answered in this reading (n,).
-        time: When each joint was last asked with success, on the chain's clock (n,) [s].
-        velocity: Joint velocities as the servos report them (n,) [rad/s].
-        load: Torque the servo exerts, by its own reckoning (n,) [N·m]: PWM duty or current, no
-            sensor.
-        current: Motor current (n,) [A], NaN for servos that do not report it in the cycle.
-    """
-
-    position: Array
-    ok: NDArray[np.bool_]
-    time: Array
-    velocity: Array
-    load: Array
-    current: Array
-
-
-@dataclass(frozen=True)
-class Health:
-    """What the slow rota knows of one joint.
-
-    Attributes:
-        name: The joint.
-        voltage: Supply voltage at the servo [V], None before it was read.
-        temperature: [°C], None before it was read.
-        faults: What is wrong, in sentences; empty when healthy.
-        limit: Torque limit as it stands in the servo [N·m], None before it was read.
-    """
-
-    name: str
-    voltage: float | None = None
-    temperature: float | None = None
-    faults: tuple[str, ...] = ()
-    limit: float | None = None
 
 
 def check_specs(given: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:

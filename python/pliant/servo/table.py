@@ -14,6 +14,10 @@ from pliant.servo.units import Units
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
 
 def servos_of(
     models: Sequence[str],
@@ -61,6 +65,9 @@ def servos_of(
 def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]) -> pliant.Servos:
     """Servos of joints at their present voltage, gains and ceilings.
 
+    What was identified on the arm (`ServoSpec.kp`, `friction`, `damping`) stands in place of the
+    table's; k_p counts as known where that is so for every joint.
+
     A chain that mixes duty and current limits is of kind `current`, with the back-EMF of its duty
     joints, ``τ_stall / ω_0``, counted into their damping.
 
@@ -80,14 +87,21 @@ def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]
     if not pure:
         stall = np.array([unit.usable(unit.full) for unit in units])
         damping = damping + np.where(duty, stall / speed, 0.0)
+    friction = np.array([unit.row.mechanics.friction for unit in units]) * passes
+    stiffness = np.array([u.stiffness(g) for u, g in zip(units, gains, strict=True)])
     return pliant.Servos(
-        kp=[u.stiffness(g) for u, g in zip(units, gains, strict=True)],
+        kp=_identified(stiffness, [unit.spec.kp for unit in units]),
         torque=torque,
-        friction=np.array([unit.row.mechanics.friction for unit in units]) * passes,
-        damping=damping,
+        friction=_identified(friction, [unit.spec.friction for unit in units]),
+        damping=_identified(damping, [unit.spec.damping for unit in units]),
         armature=np.array([unit.row.mechanics.armature for unit in units]) * passes * gears,
         count=[unit.count for unit in units],
         kind="duty" if pure else "current",
         no_load_speed=speed if pure else None,
-        kp_known=False,
+        kp_known=all(unit.spec.kp is not None for unit in units),
     )
+
+
+def _identified(table: Array, own: Sequence[float | None]) -> Array:
+    """The table's values, with those that were found on the arm in their place."""
+    return np.array([t if o is None else o for t, o in zip(table, own, strict=True)])

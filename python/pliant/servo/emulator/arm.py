@@ -69,12 +69,22 @@ class Mount:
 
 @dataclass(slots=True)
 class Coupling:
-    """One live servo on its joint: shaft angle = ``offset + ratio · q``."""
+    """One live servo on its joint: shaft angle = ``offset + ratio · q``.
+
+    Attributes:
+        servo: The servo.
+        ratio, offset: Of the shaft to the joint.
+        reference: Where the servo's own profile wants the shaft now [rad].
+        share: Of the joint's torque.
+        slope: Torque it loses per speed now [N·m·s/rad].
+    """
 
     servo: Servo
     ratio: float
     offset: float
     reference: float | None = None
+    share: float = 0.0
+    slope: float = 0.0
 
 
 class ArmPhysics:
@@ -89,13 +99,18 @@ class ArmPhysics:
         dt: Its physics step [s].
     """
 
-    def __init__(self, plant: Plant, mounts: Sequence[Mount]) -> None:
+    def __init__(self, plant: Plant, mounts: Sequence[Mount], *, held: bool = False) -> None:
         """Wire the mounts up.
+
+        Args:
+            plant: The simulated arm, standing where it is to begin.
+            mounts: A servo for every joint of the chain.
+            held: Somebody holds the arm until all joints of the chain have torque.
 
         Raises:
             ConfigError: A joint is unknown, has two mounts, or a chain joint has none.
         """
-        self.plant, self.mounts, self.dt = plant, list(mounts), plant.dt
+        self.plant, self.mounts, self.dt, self._held = plant, list(mounts), plant.dt, held
         self._chain = list(plant.model.joint_names)
         self._extra = [name for name in plant.read().extra if name not in self._chain]
         names = [mount.joint for mount in self.mounts]
@@ -120,7 +135,6 @@ class ArmPhysics:
                 ratio = sign * servo.direction * mount.gear
                 couplings.append(Coupling(servo, ratio, servo.angle_of(zero)))
             self._joints[mount.joint] = couplings
-        self._shares = {name: [0.0] * len(pair) for name, pair in self._joints.items()}
         self._set_inertia()
         self._scatter()
 
@@ -143,6 +157,10 @@ class ArmPhysics:
         """Hand the servos' wishes to the plant, run it, and read the shafts back."""
         goals, limits = self.plant.q, np.zeros(self.plant.n)
         extra: dict[str, tuple[float, float]] = {}
+        if self._held and not self._carried():
+            self._scatter()
+            return
+        self._held = False
         for name, couplings in self._joints.items():
             drives = [coupling.servo.drive() for coupling in couplings]
             goal, limit = self._combine(name, couplings, drives, count * self.dt)
@@ -154,6 +172,14 @@ class ArmPhysics:
         self.plant.write(goals, limits, extra)
         self.plant.advance(count)
         self._scatter()
+
+    def _carried(self) -> bool:
+        """Whether every joint of the chain has torque."""
+        return all(
+            drive.goal is not None and drive.ceiling > 0.0
+            for name in self._chain
+            for drive in (coupling.servo.drive() for coupling in self._joints[name])
+        )
 
     def _combine(
         self, name: str, couplings: list[Coupling], drives: list[Drive], seconds: float
@@ -180,7 +206,9 @@ class ArmPhysics:
         actuator = model.actuator(name)
         actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = stiffness, -stiffness, -kv
         total = sum(drive.ceiling for drive in drives)
-        self._shares[name] = [d.ceiling / total if total > 0.0 else 0.0 for d in drives]
+        for coupling, drive in zip(couplings, drives, strict=True):
+            coupling.share = drive.ceiling / total if total > 0.0 else 0.0
+            coupling.slope = drive.slope
         here = float(self.plant.mj_data.joint(name).qpos[0])
         return (pull / stiffness if stiffness > 0.0 else here), limit
 
@@ -196,12 +224,12 @@ class ArmPhysics:
                 joint = plant.mj_data.joint(name)
                 angle, speed = float(joint.qpos[0]), float(joint.qvel[0])
                 effort = float(plant.mj_data.actuator(name).force[0])
-            for index, coupling in enumerate(couplings):
-                shaft, drive = coupling.servo.shaft, coupling.servo.drive()
-                share = self._shares[name][index]
+            for coupling in couplings:
+                shaft = coupling.servo.shaft
                 shaft.angle = coupling.offset + coupling.ratio * angle
                 shaft.speed = coupling.ratio * speed
-                shaft.torque = share * effort / coupling.ratio - drive.slope * shaft.speed
+                shaft.torque = coupling.share * effort / coupling.ratio
+                shaft.torque -= coupling.slope * shaft.speed
 
 
 class ArmEmulator(Emulator):
@@ -211,11 +239,13 @@ class ArmEmulator(Emulator):
         plant: The arm, with its truth, scene and hands.
     """
 
-    def __init__(self, plant: Plant, mounts: Sequence[Mount], **options: Any) -> None:
-        """Mount the servos on the plant; options as for `Emulator`."""
+    def __init__(
+        self, plant: Plant, mounts: Sequence[Mount], *, held: bool = False, **options: Any
+    ) -> None:
+        """Mount the servos on the plant; options as for `ArmPhysics` and `Emulator`."""
         self.plant = plant
         devices = [device for mount in mounts for device in mount.devices()]
-        super().__init__(devices, physics=ArmPhysics(plant, mounts), **options)
+        super().__init__(devices, physics=ArmPhysics(plant, mounts, held=held), **options)
 
 
 def emulate(
@@ -224,6 +254,7 @@ def emulate(
     q: ArrayLike,
     *,
     plant: Mapping[str, Any] | None = None,
+    held: bool = False,
     **options: Any,
 ) -> ArmEmulator:
     """Make an emulator with a simulated arm behind it (extra `sim`).
@@ -234,6 +265,8 @@ def emulate(
         q: Where the arm stands at first (n,) [rad].
         plant: Keywords of `pliant.sim.Plant`: `scene`, `payload`, `friction`, `backlash`, `dt`, ...
             Delay, losses and counts belong to the emulated bus and are refused here.
+        held: Somebody holds the arm until all joints of the chain have torque; without that it
+            falls from the start.
         **options: Keywords of `Emulator`: `timing`, `faults`, `clock`, `baud`, `log`.
 
     Returns:
@@ -250,7 +283,7 @@ def emulate(
             raise ConfigError(f"{name!r} of an emulated arm comes from its servos and its bus")
     arm = Plant(model, _servos(model, mounts), **keywords)
     arm.reset(q)
-    return ArmEmulator(arm, mounts, **options)
+    return ArmEmulator(arm, mounts, held=held, **options)
 
 
 def _servos(model: Robot, mounts: Sequence[Mount]) -> Servos:

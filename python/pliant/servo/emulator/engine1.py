@@ -66,7 +66,7 @@ def _single(servo: Servo, instruction: int, params: bytes) -> bytes:
         level = 0
     elif instruction == READ and len(params) == 2:
         error, data = servo.read(params[0], params[1])
-        data, level = (b"" if error else data), 1
+        level = 1
     elif instruction == WRITE and len(params) >= 2:
         error = servo.write(params[0], params[1:])
     elif instruction == REG_WRITE and len(params) >= 2:
@@ -142,7 +142,7 @@ def _reads(
         for servo in servos:
             if servo.id == id:
                 error, data = servo.read(address, length)
-                slot.append((servo, _status(servo, error, b"" if error > 0 else data)))
+                slot.append((servo, _status(servo, error, data)))
         if slot:
             slots.append(slot)
         elif chain:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pliant.servo.emulator.engine1 import Slot, act
-from pliant.servo.emulator.wire import BROADCAST, HEADER_2, STATUS, crc16, status_2
+from pliant.servo.emulator.wire import BROADCAST, HEADER_2, LONGEST, STATUS, crc16, status_2
 from pliant.servo.emulator.x import CRC, INSTRUCTION, LENGTH, XServo
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def _single(servo: XServo, instruction: int, params: bytes) -> bytes:
         error = INSTRUCTION
     if servo.level < level:
         return b""
-    return status_2(id, alert | servo.status() | error, b"" if error else data)
+    return status_2(id, alert | servo.status() | error, data)
 
 
 def _word(params: bytes, at: int) -> int:
@@ -133,7 +133,7 @@ def _reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list
         for servo in servos:
             if servo.id == id and servo.level:
                 error, data = servo.read(address, length)
-                packet = status_2(id, servo.status() | error, b"" if error else data)
+                packet = status_2(id, servo.status() | error, data)
                 slot.append((servo, packet))
         if not slot:
             break
@@ -147,6 +147,8 @@ def _fast_reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) ->
     It is not stuffed. MX(2.0) servos do not know the instruction.
     """
     length = 1 + sum(4 + size for _, _, size in wanted)
+    if length > LONGEST:
+        return []
     sent = HEADER_2 + bytes((BROADCAST,)) + length.to_bytes(2, "little") + bytes((STATUS,))
     slots: list[Slot] = []
     for id, address, size in wanted:
@@ -154,7 +156,7 @@ def _fast_reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) ->
         if not able:
             break
         error, data = able[0].read(address, size)
-        body = bytes((able[0].status() | error, id)) + data
+        body = bytes((able[0].status() | error, id)) + data.ljust(size, b"\0")
         start = b"" if slots else sent
         sent = sent + body
         closing = crc16(sent).to_bytes(2, "little")

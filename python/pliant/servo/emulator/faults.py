@@ -74,6 +74,16 @@ class Faults:
     """
 
     def __init__(self, *, seed: int = 0, **shares: float) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._orders: list[Order] = []
+        self.by_chance(**shares)
+
+    def by_chance(self, **shares: float) -> None:
+        """Set the share of transactions that each kind strikes; kinds not named do not.
+
+        Raises:
+            ConfigError: An unknown kind, or shares that are not in [0, 1] together.
+        """
         for kind, share in shares.items():
             _kind(kind)
             if not 0.0 <= share <= 1.0:
@@ -81,8 +91,6 @@ class Faults:
         if sum(shares.values()) > 1.0:
             raise ConfigError(f"shares add up to {sum(shares.values()):g}, more than 1")
         self._shares = {_kind(kind): share for kind, share in shares.items()}
-        self._rng = np.random.default_rng(seed)
-        self._orders: list[Order] = []
 
     def inject(
         self,

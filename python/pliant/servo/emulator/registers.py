@@ -38,7 +38,7 @@ class Register:
     high: int
     sign: int | None
 
-    def decode(self, data: bytes) -> int:
+    def decode(self, data: bytes | bytearray) -> int:
         """Return the number that these bytes mean."""
         raw = int.from_bytes(data[: self.size], "little")
         if self.sign is None:

@@ -112,6 +112,7 @@ class Servo(ABC):
             ConfigError: A register is unknown, in RAM, or the value does not fit.
         """
         self.model, self.table = model, model.table
+        self._fields = {r.name: (r.address, r.address + r.size, r.sign) for r in self.table}
         self.memory = bytearray(self.table.size)
         self.stored = bytearray(self.table.size)
         middle = (model.top + 1) / 2 * model.count
@@ -146,9 +147,10 @@ class Servo(ABC):
 
     def get(self, name: str) -> int:
         """Return a register's value, as it stands in memory."""
-        register = self.table[name]
-        data = self.memory[register.address : register.address + register.size]
-        return register.decode(bytes(data))
+        # Asked for thousands of times a second: no object on the way.
+        start, stop, sign = self._fields[name]
+        raw = int.from_bytes(self.memory[start:stop], "little")
+        return raw if sign is None else self.table[name].decode(self.memory[start:stop])
 
     def put(self, name: str, value: float) -> None:
         """Set a register past all rules, rounded and cut at what its coding can hold."""
@@ -196,13 +198,13 @@ class Servo(ABC):
     # Bus.
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Return error and bytes of a block."""
+        """Return error and bytes of a block, no bytes with an error."""
         self.refresh()
         for name, value in self.stuck.items():
             self.put(name, value)
         error = self.check_read(address, length)
-        data = bytes(self.memory[byte] for byte in self.resolve(address, length))
-        return error, data
+        places = () if error else self.resolve(address, length)
+        return error, bytes(self.memory[byte] for byte in places)
 
     def write(self, address: int, data: bytes, instruction: str = "write") -> int:
         """Write a block if the rules allow it, note it, and return the error.
@@ -247,9 +249,8 @@ class Servo(ABC):
         """Motor current, signed [A]."""
         return self.shaft.torque / self.model.motor.torque_per_amp if self.enabled else 0.0
 
-    def update(self, seconds: float, now: float) -> None:
+    def update(self, seconds: float) -> None:
         """Let time pass after physics: heat, strain, and what the family makes of them."""
-        self.now = now
         share = self.shaft.torque / self.model.motor.stall
         target = self.ambient + HEAT_AT_STALL * share * share
         self.temperature += (target - self.temperature) * min(seconds / HEAT_TIME, 1.0)

@@ -91,15 +91,11 @@ class StsServo(Servo):
 
     def check_write(self, address: int, data: bytes) -> int:
         """Say whether a block is ignored: -1, an error that no answer carries."""
-        end = address + len(data)
+        after = bytearray(self.memory)
+        after[address : address + len(data)] = data
         for register in self.table.span(address, len(data)):
-            if not register.writable:
-                return -1
-            if register.address < address or register.address + register.size > end:
-                continue
-            start = register.address - address
-            value = register.decode(data[start : start + register.size])
-            if not register.low <= value <= register.high:
+            value = register.decode(after[register.address : register.address + register.size])
+            if not register.writable or not register.low <= value <= register.high:
                 return -1
         return 0
 

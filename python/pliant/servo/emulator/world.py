@@ -31,14 +31,18 @@ class World:
         self.servos = list(servos)
         self.physics: Physics = Joints() if physics is None else physics
         self.time = 0.0
-        self._steps, self._owed = 0, 0.0
+        self._steps, self._owed, self._unseen = 0, 0.0, 0
         self.physics.bind(self.servos)
         for servo in self.servos:
             servo.power_up()
             servo.wake()
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds: float, *, settle: bool = True) -> None:
         """Let time pass; what is less than a physics step is kept for the next call.
+
+        Args:
+            seconds: How long.
+            settle: Whether the servos look at themselves in the end, not only every 10 ms.
 
         Raises:
             ConfigError: Not a number, or negative.
@@ -51,13 +55,24 @@ class World:
         self._owed = max(self._owed - steps * dt, 0.0)
         most = max(round(SLICE / dt), 1)
         while steps > 0:
-            now = min(steps, most)
+            now = min(steps, most - self._unseen)
             self.physics.step(now)
             self._steps += now
+            self._unseen += now
+            steps -= now
             self.time = self._steps * dt
             for servo in self.servos:
-                servo.update(now * dt, self.time)
-            steps -= now
+                servo.now = self.time
+            if self._unseen >= most:
+                self._look()
+        if settle and self._unseen:
+            self._look()
+
+    def _look(self) -> None:
+        """Let every servo look at itself."""
+        for servo in self.servos:
+            servo.update(self._unseen * self.physics.dt)
+        self._unseen = 0
 
     def servo(self, id: int) -> Servo:
         """Return the first servo with this id.

@@ -35,10 +35,14 @@ class XServo(Servo):
         """Goals start at their limits and at the present position."""
         self._shut = False
         self._heard = self.now
-        self._turns = -math.floor(self.shaft.angle / self.model.count / 4096 + 1e-9)
+        self._within_a_turn()
         self._reset_mode()
         if self.get("startup_configuration") & 1:
             self.put("torque_enable", 1)
+
+    def _within_a_turn(self) -> None:
+        """Count from within one turn again: at power-up, and in position mode at torque-on."""
+        self._turns = -math.floor(self.shaft.angle / self.model.count / 4096 + 1e-9)
 
     def _reset_mode(self) -> None:
         for name in (*_GAINS, "profile_acceleration", "profile_velocity"):
@@ -160,6 +164,9 @@ class XServo(Servo):
         for register in self.table.span(address, len(data)):
             if register.area == "eeprom":
                 self.keep(register.address, register.size)
+            switched = register.name in {"operating_mode", "torque_enable"}
+            if switched and self.get("operating_mode") == POSITION:
+                self._within_a_turn()
             if register.name == "operating_mode":
                 self._reset_mode()
             elif register.name == "torque_enable" and self._shut:

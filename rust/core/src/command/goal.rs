@@ -27,7 +27,7 @@ pub(crate) fn scale_to_fit<const P: usize>(
             let all = others + part;
             // A part that moves this joint by no more than rounding cannot mend it and must not vanish for it; nor may
             // it for a sum that the part before has brought to the bound up to rounding.
-            let rounding = 1e-12 * bound[i];
+            let rounding = 1e-9 * bound[i];
             if all.abs() > bound[i] + rounding {
                 fits = false;
                 if part.abs() > rounding {

@@ -117,7 +117,8 @@ impl Controller {
             goal[i] = slew(memory.goal[i], goal[i], settings.goal_slew * dt, lower, upper);
             record.saturated[i] = limit[i] >= plan.servos.torque[i];
         }
-        if settings.integrate > 0.0 {
+        // A deviation that a limit keeps up is not to be worked off.
+        if settings.integrate > 0.0 && !seen.limited.contains(&true) {
             let mut lead = solution.motion.lead;
             (0..plan.n)
                 .for_each(|i| lead[i] = if solution.locked[i] { 0.0 } else { lead[i] + solution.motion.null[i] });

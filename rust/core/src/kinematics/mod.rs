@@ -9,12 +9,14 @@ use crate::{JointVec, MAX_JOINTS};
 
 mod forward;
 mod gravity;
+mod inertia;
 mod inverse;
 mod jacobian;
 pub(crate) mod spatial;
 
 pub use forward::Frames;
 pub use gravity::Masses;
+pub(crate) use inertia::JointMatrix;
 pub use inverse::{IkOptions, IkReason, IkSolution};
 
 /// Axes of a Jacobian's rows; its reference point is the tool in both.
