@@ -58,8 +58,8 @@ from pliant._core import (
 
 if TYPE_CHECKING:
     from pliant import arm as arm
-    from pliant import experiments as experiments
     from pliant import config as config
+    from pliant import experiments as experiments
     from pliant import identify as identify
     from pliant import reactions as reactions
     from pliant import robots as robots
