@@ -100,8 +100,8 @@ class Identification:
 
     Attributes:
         servos: The table, ready for a `Controller`: `kp`, `friction`, `load_friction` where the
-            data show that the load adds to friction, `damping` and `kv` as found in slow motion; what of
-            the friction is gone in fast motion (`stribeck`) is not told apart.
+            data show that the load adds to friction, `damping` and `kv` as found in slow motion;
+            what of the friction is gone in fast motion (`stribeck`) is not told apart.
         errors: Standard deviation of `kp`, of the friction at the load of the pose (`friction`), of
             `load_friction`, `damping` and `kv`, (n,) each, in their units.
         load: Load of the pose (n,) [N·m].
