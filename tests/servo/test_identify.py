@@ -119,6 +119,11 @@ def test_notes_say_what_setup_would_change():
     assert "500 µs" in notes
 
 
+def test_a_speed_unit_that_is_not_ours_is_noted():
+    with Emulator([Device("STS3215", id=1, phase=0b1000)], clock="steps") as bus:
+        assert "speed caps are void" in opened(bus, PAN).found[0].notes[0]
+
+
 def test_the_extra_is_named_where_it_is_missing(monkeypatch):
     import sys
 

@@ -34,7 +34,8 @@ def arm(config: Config, **options: Any) -> Arm:
         "exit": config.life.exit,
         "rate": config.loop.rate,
         "hold_for": config.loop.hold_for,
-        "budget": Budget(supply=config.supply.current),
+        # The simulator alone knows no currents.
+        "budget": Budget(supply=None if config.backend == "sim" else config.supply.current),
         "grippers": jaws(config),
         **options,
     }

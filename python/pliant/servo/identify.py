@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 #: Ids that are tried when one is missing, to say what is there instead.
 NEARBY = 20
 OVERLOAD_BIT = 5
+SPEED_UNIT_BIT = 2  # of Feetech's Phase: set for 1 step/s
 
 
 @dataclass(frozen=True)
@@ -242,6 +243,8 @@ def _take(device: Device, image: Image) -> Found:
             "it shuts off on overload, and a compliant arm sits at its limit by design: "
             "`pliant setup` offers to clear bit 5 of Shutdown"
         )
+    if "phase" in image and not image["phase"] & 1 << SPEED_UNIT_BIT:
+        notes.append("its speed registers count in 50 steps/s (Phase, bit 2): speed caps are void")
     delay = image["return_delay"] * 2e-6
     if delay > 20e-6 and family.status != "feetech":
         notes.append(f"it waits {delay * 1e6:.0f} µs before each answer; `pliant setup` sets 0")
