@@ -59,10 +59,14 @@ from pliant._core import (
 if TYPE_CHECKING:
     from pliant import arm as arm
     from pliant import experiments as experiments
+    from pliant import config as config
+    from pliant import identify as identify
     from pliant import reactions as reactions
     from pliant import robots as robots
+    from pliant import servo as servo
     from pliant import sim as sim
     from pliant.arm.connect import connect as connect
+    from pliant.identify.floating import Float as Float
     from pliant.loop import Loop as Loop
     from pliant.reactions import Reaction as Reaction
     from pliant.reactions import Watch as Watch
@@ -75,6 +79,7 @@ __all__ = [
     "Contact",
     "Controller",
     "Finding",
+    "Float",
     "FrameNotFound",
     "IkSolution",
     "Inertial",
@@ -115,9 +120,10 @@ __all__ = [
 ]
 
 #: Parts that are loaded when they are first named: they need extras, or time.
-_PARTS = ("arm", "experiments", "reactions", "robots", "sim")
+_PARTS = ("arm", "config", "experiments", "identify", "reactions", "robots", "servo", "sim")
 #: Names that live in one of them.
 _NAMES = {
+    "Float": "pliant.identify.floating",
     "Loop": "pliant.loop",
     "Reaction": "pliant.reactions",
     "Watch": "pliant.reactions",

@@ -604,6 +604,10 @@ class _ServoFields(TypedDict, total=False):
     kp: ArrayLike
     torque: ArrayLike
     friction: ArrayLike
+    load_friction: ArrayLike
+    stribeck: ArrayLike
+    load_stribeck: ArrayLike
+    stribeck_speed: ArrayLike
     damping: ArrayLike
     kv: ArrayLike
     armature: ArrayLike
@@ -622,6 +626,10 @@ class Servos:
         kp: Stiffness of the position loop [N m/rad] > 0.
         torque: Usable torque at the present voltage [N m] > 0: the ceiling of every torque limit.
         friction: Dry friction of gears and motor [N m].
+        load_friction: Dry friction in addition, per N m that the joint carries [1].
+        stribeck: Dry friction in addition at rest [N m], gone in fast motion.
+        load_stribeck: The same per N m that the joint carries [1].
+        stribeck_speed: Speed at which a third of the friction at rest is left [rad/s] > 0.
         damping: Damping of gears and back-EMF outside the torque limit [N m s/rad].
         kv: Damping of the servo's own loop, inside the torque limit [N m s/rad].
         armature: Rotor inertia seen at the joint [kg m^2]; only simulators use it.
@@ -642,6 +650,10 @@ class Servos:
         kp: ArrayLike,
         torque: ArrayLike,
         friction: ArrayLike = 0.0,
+        load_friction: ArrayLike = 0.0,
+        stribeck: ArrayLike = 0.0,
+        load_stribeck: ArrayLike = 0.0,
+        stribeck_speed: ArrayLike = 1.0,
         damping: ArrayLike = 0.0,
         kv: ArrayLike = 0.0,
         armature: ArrayLike = 0.0,
@@ -661,6 +673,22 @@ class Servos:
     @property
     def friction(self) -> _Array:
         """Dry friction (n,) [N m]."""
+
+    @property
+    def load_friction(self) -> _Array:
+        """Dry friction per N m carried (n,) [1]."""
+
+    @property
+    def stribeck(self) -> _Array:
+        """Dry friction in addition at rest (n,) [N m]."""
+
+    @property
+    def load_stribeck(self) -> _Array:
+        """Dry friction in addition at rest, per N m carried (n,) [1]."""
+
+    @property
+    def stribeck_speed(self) -> _Array:
+        """Speed at which a third of the friction at rest is left (n,) [rad/s]."""
 
     @property
     def damping(self) -> _Array:

@@ -86,3 +86,23 @@ def test_a_target_that_waits_waits_on_all_axes_and_one_that_follows_does_not():
     )
     assert follow.aside == pytest.approx(compliance.ASIDE, abs=0.01)  # (0.106)
     assert hold.aside < 0.6 * compliance.ASIDE  # (0.046)
+
+
+@pytest.mark.parametrize("beyond", ["follow", "hold"])
+@pytest.mark.parametrize(
+    "speed", [(0.25, 1.0), (float("inf"), float("inf"))], ids=["speed", "none"]
+)
+def test_a_limit_does_not_keep_a_free_arm_from_its_target(beyond, speed):
+    for limit in (0.002, 0.005):
+        axes = {"x": Axis(deviation_limit=limit, beyond=beyond)}
+        seen = compliance.jump(Settings(axes=axes, max_tool_speed=speed))
+        assert seen.after < 2.5  # [s] (0.6-1.7)
+        assert seen.left < 1e-3  # [m]
+        assert seen.speed < 1e-3  # [rad/s]
+
+
+@pytest.mark.parametrize("beyond", ["follow", "hold"])
+def test_at_the_tool_s_speed_a_limit_of_5_mm_costs_nothing(beyond):
+    free = compliance.jump(Settings())
+    seen = compliance.jump(Settings(axes={"x": Axis(deviation_limit=0.005, beyond=beyond)}))
+    assert seen.after == pytest.approx(free.after, abs=0.05)  # [s] (0.82)

@@ -89,6 +89,20 @@ def test_without_torque_the_arm_falls_and_with_it_stays():
     assert np.abs(plant.q - POSE).max() > 0.3
 
 
+def test_a_held_arm_is_let_go_when_all_its_joints_have_torque():
+    emulator = so101(held=True)
+    ids = range(1, 6)
+    for id in ids:
+        emulator.world.advance(0.2)
+        assert np.array_equal(emulator.plant.q, POSE)
+        ask(emulator, p1(id, 3, 40, 1))
+    emulator.world.advance(0.5)
+    assert 0.0 < np.abs(emulator.plant.q - POSE).max() < 0.06
+    ask(emulator, p1(0xFE, 3, 40, 0))
+    emulator.world.advance(0.5)
+    assert np.abs(emulator.plant.q - POSE).max() > 0.3, "nobody catches it a second time"
+
+
 def test_the_limit_in_the_register_is_the_limit_in_the_plant():
     emulator = so101()
     stall = emulator.servo(1).stall

@@ -179,6 +179,7 @@ def test_a_stale_answer_reaches_a_driver_that_retries_at_once():
         with pytest.raises(RuntimeError, match="timed out"):
             host.read_raw_data(1, 56, 2)
         emulator.servo(1).shaft.angle += 1.0
+        host.set_timeout(2.0)
         stale = int.from_bytes(bytes(host.read_raw_data(1, 56, 2)), "little")
         assert stale == 2048
         assert emulator.servo(1).position == pytest.approx(2700, abs=1)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import pytest
-
 from emulator.helpers import ask, one, p1, pass_time, read1, two, wire, write1
+
 from pliant.servo.emulator import Device
 
 ANGLE, RANGE, OVERLOAD, INSTRUCTION = 0x02, 0x08, 0x20, 0x40

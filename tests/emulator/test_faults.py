@@ -126,6 +126,12 @@ def test_a_dead_line_passes_nothing():
     assert len(ask(line, READ_ALL)) == 24
 
 
+def test_an_echoing_adapter_sends_the_request_back_first():
+    line, _ = bus()
+    line.echo = True
+    assert ask(line, p1(1, 1)) == p1(1, 1) + p1(1, 0)
+
+
 def test_the_wrong_speed_is_not_understood():
     line, _ = bus()
     assert line.feed(p1(1, 1), 115_200) == []

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-
 from emulator.helpers import ask, one, p1, pass_time, read1, two, wire, write1
+
 from pliant.servo.emulator import Device
 
 OVERLOAD, HEAT, VOLTAGE = 0x20, 0x04, 0x01

@@ -83,6 +83,17 @@ def test_seven_single_reads_through_a_16_ms_timer_take_a_tenth_of_a_second():
     assert total == pytest.approx(0.114, abs=0.003)
 
 
+def test_a_request_waits_until_the_wire_is_free():
+    line = Line(
+        [Device("STS3215", id).build(1_000_000) for id in IDS],
+        timing=Timing(wire=True, turnaround=0.0),
+    )
+    write, read = STS[1], p1(1, 2, 56, 15)
+    (delivery,) = line.feed(write + read, 1_000_000)
+    assert delivery.after == pytest.approx((len(write) + len(read) + 21) * 10e-6)
+    assert line.occupied == pytest.approx(delivery.after)
+
+
 def test_off_means_at_once():
     line = Line([Device("STS3215", 1).build(None)])
     assert [d.after for d in line.feed(p1(1, 1))] == [0.0]

@@ -52,6 +52,11 @@ def test_forces_are_the_arm_s_own_or_those_given(arm):
     assert Settings.drawer(axis="y", pull=7.0).axes["y"].soft == (7.0, 7.0)
 
 
+def test_a_driven_axis_may_have_a_spring_of_its_own(arm):
+    press = {"z": Axis(stiffness=400.0, yields="both", soft=5.0)}
+    Controller(arm, Settings.wipe(law="impedance", axes=press))
+
+
 def test_the_sign_of_a_plug_is_the_way_in():
     assert Settings.plug(axis="-z").axes["z"].yields == "+"
     assert Settings.plug(axis="z").axes["z"].yields == "-"
@@ -67,6 +72,10 @@ def test_axes_that_a_preset_needs_must_belong_to_the_task():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (
+            lambda: Settings.plug(law="impedance"),
+            r"axes\.z\.stiffness: under law=\"impedance\" 'z' yields without a spring",
+        ),
         (lambda: Settings.wipe(press=0.0), r"press \[N\] = 0 is outside"),
         (lambda: Settings.plug(push=-1.0), r"push \[N\] = -1 is outside"),
         (lambda: Settings.drawer(pull=float("inf")), r"pull \[N\] = inf is outside"),

@@ -79,6 +79,25 @@ class FakeBus:
         self.calls.append(("close",))
 
 
+class StepClock:
+    """The emulator's time, which passes when somebody waits."""
+
+    def __init__(self, bus):
+        self._bus = bus
+
+    def now(self):
+        return self._bus.time
+
+    def wait_until(self, deadline):
+        if deadline > self._bus.time:
+            self._bus.advance(deadline - self._bus.time)
+
+
+@pytest.fixture
+def step_clock():
+    return StepClock
+
+
 @pytest.fixture
 def fake_bus():
     return FakeBus
@@ -119,8 +138,8 @@ def emulated():
                 )
                 for i in range(n)
             ]
-            clock = {"clock": lambda: bus.time} if options.get("clock") == "steps" else {}
-            chain = ServoChain(specs, rate=rate, patience=0.1, **clock)
+            clock = StepClock(bus) if options.get("clock") == "steps" else None
+            chain = ServoChain(specs, rate=rate, patience=0.1, clock=clock)
             try:
                 if is_open:
                     chain.open()

@@ -162,7 +162,7 @@ def test_a_speed_cap_slows_the_joint(emulated, enabled):
         assert chain.read().position[0] == pytest.approx(0.2, abs=0.06)
 
 
-def test_families_share_a_port_and_ports_an_arm(enabled):
+def test_families_share_a_port_and_ports_an_arm(enabled, step_clock):
     parts = [
         Device("MX-64", id=1, return_delay_time=0),
         Device("STS3215", id=2),
@@ -177,7 +177,7 @@ def test_families_share_a_port_and_ports_an_arm(enabled):
             ServoSpec(name="lift", model="XM540-W270", id=1, port=two, twin=(2, -1), **bounds),
             ServoSpec(name="wrist", model="STS3215-7.4V", id=2, port=one, **bounds),
         ]
-        with ServoChain(specs, patience=0.1, clock=lambda: bus.time) as chain:
+        with ServoChain(specs, patience=0.1, clock=step_clock(bus)) as chain:
             limit = enabled(chain)
             goal = np.array([0.2, 0.3, -0.1])
             sample = settle(bus, chain, goal, limit)
@@ -204,6 +204,10 @@ def test_names_and_ids_are_unique():
     other = ServoSpec(name="lift", model="MX-64", id=2, port="p", twin=(1, 1))
     with pytest.raises(ConfigError, match="pan and lift both have id 1"):
         ServoChain([spec, other])
+    with pytest.raises(ConfigError, match="no baud rate for p"):
+        ServoChain([spec], baudrate={"q": 57_600})
+    with pytest.raises(ConfigError, match="rate must be above 0"):
+        ServoChain([spec], rate=0.0)
     with pytest.raises(ConfigError, match="at least one"):
         ServoChain([])
 

@@ -9,7 +9,7 @@ from pliant.servo.emulator import Device, Emulator
 
 def opened(bus, *specs, **options):
     specs = [ServoSpec(port=bus.port, **spec) for spec in specs]
-    with ServoChain(specs, patience=0.05, **options) as chain:
+    with ServoChain(specs, patience=0.03, **options) as chain:
         return chain
 
 
@@ -96,8 +96,8 @@ def test_a_port_that_is_taken():
     with Emulator([Device("STS3215", id=1)], clock="steps") as bus:
         spec = ServoSpec(port=bus.port, **PAN)
         refused = pytest.raises(ServoError, match="in use by another program")
-        with ServoChain([spec], patience=0.05), refused:
-            ServoChain([spec], patience=0.05).open()
+        with ServoChain([spec], patience=0.03), refused:
+            ServoChain([spec], patience=0.03).open()
 
 
 def test_ceilings_and_gains_are_the_servos_own():

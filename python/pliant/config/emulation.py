@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pliant.config import assemble, build
 from pliant.servo import ServoChain, find
@@ -42,13 +42,17 @@ class EmulatedChain(ServoChain):
         self.emulator.stop()
 
 
-def emulated(config: Config) -> ArmEmulator:
+def emulated(config: Config, **options: Any) -> ArmEmulator:
     """The emulator of a configuration's arm, in real time, not yet started.
 
     Somebody holds the arm until torque comes on.
+
+    Args:
+        config: The configuration.
+        **options: Of `pliant.servo.emulator.Emulator`: `timing`, `faults`, ...
     """
     model = config.model()
-    return emulate(model, mounts(config), assemble.start(config, model), held=True)
+    return emulate(model, mounts(config), assemble.start(config, model), held=True, **options)
 
 
 def mounts(config: Config) -> list[Mount]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import ConfigError, ServoError, ShapeError
-from pliant.arm.drive import Health, Sample
+from pliant.arm.drive import Clock, Health, Sample
 from pliant.servo import enable as enabling
 from pliant.servo.device import Device
 from pliant.servo.identify import Found, identify
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant import Servos
+    from pliant.servo.guard import Counters
     from pliant.servo.models.row import Protocol as Wire
     from pliant.servo.transport import Transport
 
@@ -51,7 +52,8 @@ class ServoChain:
         speed: Fastest motion of every joint [rad/s] as the servo's own cap; None for the no-load
             speed.
         transport: ``(port, baudrate, protocol) -> Transport`` instead of rustypot.
-        clock: The time that samples carry.
+        clock: The time that samples carry, and an arm over this chain lives in; default the
+            machine's.
 
     Attributes:
         names: Joint names.
@@ -77,7 +79,7 @@ class ServoChain:
         patience: float = 0.010,
         speed: float | None = None,
         transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
-        clock: Callable[[], float] = time.perf_counter,
+        clock: Clock | None = None,
     ) -> None:
         """Check the specs; nothing is opened yet."""
         self.specs = check_specs(specs)
@@ -85,10 +87,14 @@ class ServoChain:
         self.n = len(self.specs)
         if not rate > 0.0:
             raise ConfigError(f"rate must be above 0 Hz, got {rate!r}")
-        self._baudrate, self._cycle, self._speed = baudrate, 1.0 / rate, speed
+        ports = dict.fromkeys(spec.port for spec in self.specs)
+        rates = dict.fromkeys(ports, baudrate) if isinstance(baudrate, int) else dict(baudrate)
+        if missing := ports.keys() - rates.keys():
+            raise ConfigError(f"no baud rate for {', '.join(sorted(missing))}")
+        self._baudrate, self._cycle, self._speed = rates, 1.0 / rate, speed
         self._patience = float(patience)
         self._budget = max(BUDGET * self._cycle, BUDGET * self._patience)
-        self._transport, self._clock = transport, clock
+        self._transport, self.clock = transport, clock
         self._start()
         self._port_of: dict[int, Port] = {}
         self._ports: list[Port] = []
@@ -171,18 +177,15 @@ class ServoChain:
         On Feetech the Overload Torque as read, of the full torque.
         """
         shares = []
-        for joint in self._joints:
-            device = joint[0]
-            share = float("inf") if device.overload is None else device.overload
-            shares.append(share * device.units.full / max(device.ceiling, 1))
+        for first, *_ in self._joints:
+            share = float("inf") if first.overload is None else first.overload
+            shares.append(share * first.units.full / max(first.ceiling, 1))
         return np.array(shares)
 
     @property
     def stall_current(self) -> Array:
         """Current at the stall torque (n,) [A], NaN where the maker gives none."""
-        rows = [spec.row for spec in self.specs]
-        twins = [len(spec.servos) for spec in self.specs]
-        return np.array([row.stall_current for row in rows]) * twins
+        return np.array([s.row.stall_current * len(s.servos) for s in self.specs])
 
     @property
     def counters(self) -> dict[str, int]:
@@ -192,8 +195,8 @@ class ServoChain:
         written.
         """
         total = {"mismatches": sum(device.mismatches for device in self._devices)}
-        for port in self._ports:
-            for name, value in asdict(port.guard.counters).items():
+        for counters in self._counters:
+            for name, value in asdict(counters).items():
                 total[name] = total.get(name, 0) + value
         return total
 
@@ -339,20 +342,21 @@ class ServoChain:
         ]
         self._devices = [device for joint in self._joints for device in joint]
         self._rota = Rota(self._joints)
+        self._counters: list[Counters] = []
 
     def _open_port(self, path: str) -> None:
         devices = [device for device in self._devices if device.spec.port == path]
-        rate = self._baudrate if isinstance(self._baudrate, int) else self._baudrate[path]
         port = Port(
             path,
             devices,
-            baudrate=rate,
+            baudrate=self._baudrate[path],
             cycle=self._cycle,
             patience=self._patience,
             open_transport=self._transport,
-            clock=self._clock,
+            clock=time.perf_counter if self.clock is None else self.clock.now,
         )
         self._ports.append(port)
+        self._counters.append(port.guard.counters)
         self._port_of.update({id(device): port for device in devices})
 
     def _first_look(self) -> None:

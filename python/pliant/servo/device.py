@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pliant import ServoError
@@ -53,11 +54,10 @@ class Device:
 
     def __init__(self, spec: ServoSpec, joint: int, id: int, sign: int) -> None:
         """A servo nothing is known of yet."""
-        self.spec, self.joint, self.id, self.sign = spec, joint, id, sign
+        self.spec, self.joint, self.id = spec, joint, id
         self.row: ServoModel = spec.row
         self.family: Family = self.row.family
-        self.units = Units.of(spec)
-        self.zero = self.units.zero
+        self.units = replace(Units.of(spec), sign=sign)
         self.ceiling = self.units.full
         self.gain = self.row.gain_default
         self.low, self.high = 0, self.row.counts
@@ -87,14 +87,10 @@ class Device:
             ServoError: The joint's range crosses the seam of a single-turn encoder.
         """
         spec = self.spec
-        bounds = [
-            self.zero + self.sign * bound / self.units.count
-            for bound in (spec.lower, spec.upper)
-            if bound is not None
-        ]
-        if len(bounds) < 2:
+        given = [bound for bound in (spec.lower, spec.upper) if bound is not None]
+        if len(given) < 2:
             return
-        low, high = round(min(bounds)), round(max(bounds))
+        low, high = sorted(self.units.counts(bound) for bound in given)
         if self.multi_turn:
             self.low, self.high = low, high
             return
@@ -120,7 +116,7 @@ class Device:
 
     def angle(self, position: float) -> float:
         """Joint angle of a count of this servo [rad]."""
-        return self.sign * (position - self.zero) * self.units.count
+        return self.units.angle(position)
 
     def goal_counts(self, angle: float) -> int:
         """Goal register of a joint angle, within the limits of the servo.
@@ -130,8 +126,7 @@ class Device:
         """
         if self.turns and not self.multi_turn:
             return 0 if self.turns > 0 else self.row.counts
-        counts = self.zero + self.sign * angle / self.units.count
-        return self.clamp(round(counts)) - self.turns * (self.seam or 0)
+        return self.clamp(self.units.counts(angle)) - self.turns * (self.seam or 0)
 
     def clamp(self, counts: int) -> int:
         """A count within the software limits; where the servo is outside them, it may stay."""
@@ -201,14 +196,14 @@ class Device:
     def torque(self) -> float:
         """Torque on the joint by the servo's own reckoning, were all its servos like this [N·m]."""
         if self.row.kind == "current":
-            return self.sign * self.units.torque(self.current or 0)
-        return self.sign * self.units.load(self.load)
+            return self.units.sign * self.units.torque(self.current or 0)
+        return self.units.sign * self.units.load(self.load)
 
     def set_voltage(self, volts: float) -> None:
         """Follow the supply: a duty gives a torque in proportion to it."""
         self.voltage = volts
         if volts != self.units.voltage and volts > 0.0:
-            self.units = Units(self.spec, volts, self.units.zero)
+            self.units = replace(self.units, voltage=volts)
 
     def _spans(self, block: Block, name: str) -> bool:
         register = self.family.registers.get(name)

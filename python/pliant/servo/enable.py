@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Ports = Mapping[int, Port]
 
-#: A joint that moves further than this while its torque comes on is switched off again [rad].
+#: A joint at rest that moves further than this while its torque comes on is switched off again
+#: [rad].
 MOVED = 0.05
 #: A joint must be this near to where it is believed to be [rad].
 ELSEWHERE = 0.15
@@ -52,16 +53,25 @@ def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, c
                 f"{device.name} did not take the torque limit: it reads {found}, written was "
                 f"{register}; nothing was switched on"
             )
-    switched: list[Device] = []
+    switched = [d for d in devices if not before[id(d)]["torque_enable"]]
     try:
+        # Fresh, and all in one go: an arm that nobody holds yet is on its way down.
+        here = {id(d): _image(d, ports, "position", "speed") for d in devices}
+        packets: dict[Port, list[tuple[Device, int, int, int]]] = {}
         for device in devices:
-            was_on = bool(before[id(device)]["torque_enable"])
-            if not was_on:
-                switched.append(device)
-            _seed(device, ports, goal, cap, was_on=was_on)
-            if not was_on:
-                _set(device, ports, "torque_enable", 1)
-            _stayed(device, ports, before[id(device)])
+            angle, speed = float(goal[device.joint]), float(cap[device.joint])
+            register = (
+                here[id(device)]["position"] if device in switched else device.goal_counts(angle)
+            )
+            packets.setdefault(ports[id(device)], []).append(
+                (device, register, device.limit, device.units.speed_register(speed))
+            )
+        for port, group in packets.items():
+            port.write(group)
+        for device in switched:
+            _set(device, ports, "torque_enable", 1)
+        for device in devices:
+            _stayed(device, ports, here[id(device)])
     except BaseException:
         for device in switched:
             _try_off(device, ports)
@@ -99,24 +109,15 @@ def _tripped(device: Device, before: Mapping[int, Image]) -> bool:
     return "watchdog" in image and image["watchdog"] == 255
 
 
-def _seed(device: Device, ports: Ports, goal: Array, cap: Array, *, was_on: bool) -> None:
-    """Goal = present position; where torque holds the arm already, the goal as given."""
-    angle = float(goal[device.joint])
-    if not was_on and device.position is not None:
-        angle = device.angle(device.position)
-    speed = device.units.speed_register(float(cap[device.joint]))
-    packet = (device, device.goal_counts(angle), device.limit, speed)
-    ports[id(device)].write([packet])
-
-
 def _stayed(device: Device, ports: Ports, before: Image) -> None:
-    """Look again: torque is on, and the joint is where it was."""
-    start = before["position"]
+    """Look again: torque is on, and the joint is where it was, or where its fall was caught."""
     image = _image(device, ports, "torque_enable", "position")
     if not image["torque_enable"]:
         raise ServoError(f"{device.name} did not switch its torque on; all are off again")
-    moved = abs(image["position"] - start) * device.units.count
-    if moved > MOVED:
+    moved = abs(image["position"] - before["position"]) * device.units.count
+    passed = image.time - before.time
+    fallen = 2.0 * abs(device.units.velocity(before["speed"])) * passed
+    if moved > MOVED + fallen:
         raise ServoError(
             f"{device.name} moved by {moved:.2f} rad as its torque came on; all are off again. "
             "A limit below what carries its weight lets it sink, a wrong Homing Offset lets it jump"

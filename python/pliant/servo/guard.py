@@ -15,7 +15,7 @@ from math import isinf
 from typing import TYPE_CHECKING, TypeVar
 
 from pliant.servo.transport import BusError
-from pliant.servo.wire import reply_timeout, wire_time
+from pliant.servo.wire import TURN, reply_timeout, wire_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -91,6 +91,7 @@ class Guard:
 
     Attributes:
         counters: What has happened so far.
+        turn: Time of the slowest servo to begin its answer [s].
         gone: Whether the port has vanished; every call then fails at once.
     """
 
@@ -109,6 +110,7 @@ class Guard:
     ) -> None:
         """Take over the port; nothing is sent yet."""
         self.counters = Counters()
+        self.turn = TURN
         self.gone = False
         self._io, self._protocol, self._absent = transport, protocol, absent
         self._baudrate, self._latency, self._cycle = baudrate, latency, cycle
@@ -245,7 +247,9 @@ class Guard:
 
     def _start(self, kind: Kind, servos: int, size: int, *, hurry: bool = False) -> float:
         """Set the timeout for what comes, count it, and note the time."""
-        wire = wire_time(self._protocol, kind, servos, size, baudrate=self._baudrate)
+        wire = wire_time(
+            self._protocol, kind, servos, size, baudrate=self._baudrate, turn=self.turn
+        )
         self._waited = reply_timeout(wire, self._latency, self._cycle, self._patience)
         if isinf(self._deadline) and not hurry:
             self._waited *= UNHURRIED

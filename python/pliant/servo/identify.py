@@ -6,13 +6,14 @@ EEPROM.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pliant import ServoError
 from pliant.servo import status as words
 from pliant.servo.models import by_number
 from pliant.servo.transport import BusError
+from pliant.servo.wire import TURN
 
 if TYPE_CHECKING:
     from pliant.servo.device import Device
@@ -62,6 +63,11 @@ class Image:
         """Keep the blocks."""
         self._family, self.replies = device.family, replies
 
+    @property
+    def time(self) -> float:
+        """When the first block was asked for [s]."""
+        return self.replies[0].time
+
     def __contains__(self, name: str) -> bool:
         return name in self._family.registers
 
@@ -92,6 +98,7 @@ def identify(port: Port) -> tuple[Found, ...]:
             its supply does not fit. All that is wrong is said at once.
     """
     port.guard.begin()
+    port.guard.find_absent({device.id for device in port.devices}, port.highest)
     images: list[tuple[Device, Image]] = []
     missing: list[Device] = []
     wrong: list[str] = []
@@ -123,6 +130,13 @@ def identify(port: Port) -> tuple[Found, ...]:
                 wrong.append(str(error))
     if wrong:
         raise ServoError("\n".join(wrong))
+    port.guard.turn = TURN + max(one.return_delay for one in found)
+    if port.latency is not None and port.latency > 0.001:
+        note = (
+            f"the latency timer of {port.path} is {port.latency * 1e3:.0f} ms, which every answer "
+            "waits for: set it to 1 ms (docs/troubleshooting.md)"
+        )
+        found = [replace(one, notes=(*one.notes, note)) for one in found]
     return tuple(found)
 
 

@@ -75,15 +75,14 @@ class Rota:
 
     def _health(self, joint: int) -> Health:
         devices = self._joints[joint]
-        first = devices[0]
-        limit = None if first.limit_read is None else first.units.torque(first.limit_read)
         volts = [d.voltage for d in devices if d.voltage is not None]
         heat = [d.temperature for d in devices if d.temperature is not None]
-        faults = tuple(text for d in devices for text in d.faults)
+        first = devices[0]
+        limit = None if first.limit_read is None else first.units.torque(first.limit_read)
         return Health(
             first.spec.name,
             min(volts) if volts else None,
             max(heat) if heat else None,
-            faults,
+            tuple(text for d in devices for text in d.faults),
             limit,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +28,8 @@ def align_twins(joints: Sequence[Sequence[Device]]) -> None:
         for twin in twins:
             if first.position is not None and twin.position is not None:
                 q = first.angle(first.position)
-                twin.zero = twin.position - twin.sign * q / twin.units.count
+                zero = twin.position - twin.units.sign * q / twin.units.count
+                twin.units = replace(twin.units, zero=zero)
                 twin.set_range()
 
 

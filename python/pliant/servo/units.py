@@ -39,21 +39,23 @@ def at_voltage(table: tuple[tuple[float, float], ...], voltage: float) -> float:
 
 @dataclass(frozen=True)
 class Units:
-    """Conversions of one joint at one supply voltage.
+    """Conversions of one joint and one of its servos, at one supply voltage.
 
     Attributes:
         spec: The joint.
         voltage: Supply voltage [V].
-        zero: Count of the first servo at q = 0.
+        zero: Count of the servo at q = 0.
+        sign: +1 where its rising counts are rising angles, else -1.
     """
 
     spec: ServoSpec
     voltage: float
     zero: float
+    sign: int
 
     @staticmethod
     def of(spec: ServoSpec, voltage: float | None = None) -> Units:
-        """Units at a voltage, the rated one by default.
+        """Units of the first servo at a voltage, the rated one by default.
 
         Raises:
             ConfigError: The voltage is not above 0.
@@ -62,7 +64,7 @@ class Units:
         if not volts > 0.0:
             raise ConfigError(f"{spec.name}: the supply voltage must be above 0 V, got {volts!r}")
         zero = (spec.row.counts + 1) / 2 if spec.zero is None else float(spec.zero)
-        return Units(spec, volts, zero)
+        return Units(spec, volts, zero, spec.sign)
 
     @cached_property
     def row(self) -> ServoModel:
@@ -135,16 +137,16 @@ class Units:
         return min(self.torque(min(ceiling, self.full)), self._stall * self._share)
 
     def angle(self, counts: float) -> float:
-        """Joint angle of a position of the first servo [rad]."""
-        return self.spec.sign * (counts - self.zero) * self.count
+        """Joint angle of a position of the servo [rad]."""
+        return self.sign * (counts - self.zero) * self.count
 
     def counts(self, angle: float) -> int:
-        """Position of the first servo at a joint angle, rounded; not clamped."""
-        return round(self.zero + self.spec.sign * angle / self.count)
+        """Position of the servo at a joint angle, rounded; not clamped."""
+        return round(self.zero + self.sign * angle / self.count)
 
     def velocity(self, register: int) -> float:
         """Joint velocity of a speed register [rad/s]."""
-        return self.spec.sign * register * self.row.speed_unit * RPM / self.spec.gear
+        return self.sign * register * self.row.speed_unit * RPM / self.spec.gear
 
     def speed_register(self, speed: float) -> int:
         """Speed cap of a joint speed: at least 1, since 0 means no cap."""

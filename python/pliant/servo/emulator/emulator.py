@@ -223,6 +223,13 @@ class Emulator:
                 if port in {None, name}:
                     line.dead = shorted
 
+    def echo(self, echoing: bool = True, port: str | None = None) -> None:
+        """Make the adapter hear itself, as half-duplex ones without suppression do."""
+        with self._server.lock:
+            for name, line in self.lines.items():
+                if port in {None, name}:
+                    line.echo = echoing
+
     def pull(self, port: str | None = None) -> None:
         """Pull the adapter: the host's open port fails and its path is gone; servos keep power."""
         self._server.hang_up(port)

@@ -44,6 +44,9 @@ class Line:
         name: Of the port.
         servos: All that are wired to it.
         dead: Nothing gets through: a shorted or stuck line.
+        echo: The adapter hears itself: every request comes back before its answer.
+        occupied: How long the last `feed` keeps the wire busy [s].
+        answered: When the host has the last prompt answer to it [s].
         faults, timing, log: As given.
     """
 
@@ -57,7 +60,9 @@ class Line:
         log: Log | None = None,
     ) -> None:
         """Wire the servos up."""
-        self.servos, self.name, self.dead = list(servos), name, False
+        self.servos, self.name = list(servos), name
+        self.dead = self.echo = False
+        self.occupied = self.answered = self._took = 0.0
         self.timing, self.faults = timing or Timing(), faults or Faults()
         self.log = Log() if log is None else log
         self._framer = Framer()
@@ -75,8 +80,16 @@ class Line:
             now: Time [s], for the log.
         """
         deliveries: list[Delivery] = []
+        self.occupied = self.answered = 0.0
         for frame in self._framer.feed(data):
-            deliveries += self._transact(frame, baud, now)
+            # A request that comes while the wire is busy goes out behind the one before.
+            start, made = self.occupied, self._transact(frame, baud, now)
+            for one in made:
+                after = None if one.after is None else start + one.after
+                deliveries.append(Delivery(after, one.data, one.late))
+                if after is not None and not one.late:
+                    self.answered = max(self.answered, after)
+            self.occupied = start + self._took
         return deliveries
 
     def _transact(self, frame: Frame, baud: int | None, now: float) -> list[Delivery]:
@@ -114,6 +127,7 @@ class Line:
                 packet = faults.spoil(blow.kind, packet)
             if packet:
                 packets.append((begin, time, packet))
+        self._took = time
         writes = [write for servo in listening for write in servo.journal]
         for servo in listening:
             servo.journal.clear()
@@ -137,7 +151,8 @@ class Line:
             prompt = [Delivery(0.0, b"".join(sent))] if sent else []
         else:
             prompt = [Delivery(when, part) for when, part in self.timing.deliveries(packets)]
-        return prompt + held
+        heard = [Delivery(0.0, frame.raw)] if self.echo else []
+        return heard + prompt + held
 
     def _listening(self, frame: Frame, baud: int | None) -> list[Servo]:
         return [

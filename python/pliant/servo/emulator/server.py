@@ -42,6 +42,7 @@ class Port:
     waiting: threading.Event = field(default_factory=threading.Event)
     held: bytes = b""
     last: float = -math.inf
+    busy: float = -math.inf
     due: list[tuple[float, bytes]] = field(default_factory=list)
     stale: list[bytes] = field(default_factory=list)
 
@@ -244,7 +245,7 @@ class Server:
         if wall - port.last > GAP:
             port.line.reset()
         port.last = wall
-        baud, now = port.pty.baud(), self._now()
+        baud, start = port.pty.baud(), max(self._now(), port.busy)
         stale, port.stale = port.stale, []
         for late in stale:
             port.pty.write(late)
@@ -252,12 +253,12 @@ class Server:
             if delivery.after is None:
                 port.stale.append(delivery.data)
             elif delivery.late or (self._clock == "real" and delivery.after > 0.0):
-                port.due.append((now + delivery.after, delivery.data))
+                port.due.append((start + delivery.after, delivery.data))
             else:
                 port.pty.write(delivery.data)
-        line = port.line
-        if self._clock == "steps" and not line.timing.off and len(line.log):
-            self._world.advance(line.log[-1].duration)
+        port.busy = start + port.line.occupied
+        if self._clock == "steps":
+            self._world.advance(max(port.line.occupied, port.line.answered))
         self._flush(port)
 
     def _flush(self, port: Port) -> None:

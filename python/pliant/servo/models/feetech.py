@@ -16,6 +16,8 @@ STS = Family(
     registers={
         "firmware": Register(0, 2),
         "model": Register(3, 2),
+        "id": Register(5, 1),
+        "baud": Register(6, 1),
         "return_delay": Register(7, 1),
         "return_level": Register(8, 1),
         "position_min": Register(9, 2),
@@ -32,6 +34,7 @@ STS = Family(
         "protection_time": Register(35, 1),
         "overload_torque": Register(36, 1),
         "torque_enable": Register(40, 1),
+        "lock": Register(55, 1),
         "goal": Register(42, 2, "bit15"),
         "goal_time": Register(44, 2),
         "speed_cap": Register(46, 2, "bit15"),
@@ -52,7 +55,6 @@ STS = Family(
     full_load=1000,
     speed_max=3400,
     ceiling="max_torque",
-    goal_enables=True,
 )
 
 KG_CM = 0.0980665  # [N·m]

@@ -10,6 +10,8 @@ from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoMod
 _COMMON = {
     "model": Register(0, 2),
     "firmware": Register(2, 1),
+    "id": Register(3, 1),
+    "baud": Register(4, 1),
     "return_delay": Register(5, 1),
     "position_min": Register(6, 2),
     "position_max": Register(8, 2),
@@ -45,7 +47,6 @@ def _family(name: str, **own: Register) -> Family:
         full_load=1023,
         speed_max=1023,
         ceiling="max_torque",
-        goal_enables=True,
     )
 
 

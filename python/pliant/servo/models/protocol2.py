@@ -14,6 +14,8 @@ from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoMod
 _COMMON = {
     "model": Register(0, 2),
     "firmware": Register(6, 1),
+    "id": Register(7, 1),
+    "baud": Register(8, 1),
     "return_delay": Register(9, 1),
     "drive_mode": Register(10, 1),
     "mode": Register(11, 1),
@@ -59,7 +61,6 @@ CURRENT = Family(
     full_load=1000,
     speed_max=32767,
     ceiling="current_limit",
-    goal_enables=False,
     multi_turn=True,
 )
 DUTY = Family(
@@ -79,7 +80,6 @@ DUTY = Family(
     full_load=1000,
     speed_max=32767,
     ceiling="pwm_limit",
-    goal_enables=False,
 )
 
 DUTY_PER_RADIAN = 4096 / (2 * pi) / 128 / 885

@@ -81,7 +81,6 @@ class Family:
         full_load: Value of the load register at 100 %.
         speed_max: Largest value of the speed cap.
         ceiling: EEPROM field that bounds the limit from above.
-        goal_enables: Whether a goal may switch the torque on by itself.
         multi_turn: Whether goals may leave one turn, so that software keeps the position limits.
     """
 
@@ -96,7 +95,6 @@ class Family:
     full_load: int
     speed_max: int
     ceiling: str
-    goal_enables: bool
     multi_turn: bool = False
 
     def block(self, *names: str) -> Block:

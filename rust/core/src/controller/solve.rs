@@ -6,7 +6,7 @@ use crate::controller::memory::Memory;
 use crate::controller::record::update_singular;
 use crate::controller::step::Seen;
 use crate::law::activation::Activation;
-use crate::law::feedforward::{damping_squared, fade, resistance};
+use crate::law::feedforward::{Resistance, damping_squared, fade};
 use crate::law::inverse::times;
 use crate::law::takeover::Takeover;
 use crate::law::{Motion, Tick, motion, weighted_manipulability};
@@ -50,7 +50,7 @@ pub(super) fn solve(
     let scaled = plan.scale_rows(&seen.rows);
     let damping = condition(plan, &scaled, memory);
     let row_damping = plan.damping_scale.map(|scale| scale * damping);
-    let mut feed_forward = resist(plan, settings, memory);
+    let resistance = resist(plan, settings, memory);
     let gradient = cost_gradient(plan, input, seen, &scaled, memory);
     let (mut all_joints, shares) = motion(&Tick {
         plan,
@@ -71,10 +71,11 @@ pub(super) fn solve(
         velocity: &memory.filter.velocity,
         gradient: &gradient,
         gravity: &seen.gravity_in_goal,
-        feed_forward: &feed_forward,
+        resistance: &resistance,
         integral: &memory.integral,
     });
     let (mut without_lead, mut beside, mut carried) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+    let mut feed_forward = all_joints.feed_forward;
     for i in 0..n {
         let (kp, compliance) = (plan.servos.kp[i], plan.servos.compliance[i]);
         let fade = |lead| fade_beyond(lead, seen.q[i], plan.lower[i], plan.upper[i], plan.stop_slope);
@@ -131,13 +132,12 @@ fn condition(plan: &Plan, scaled: &Rows, memory: &mut Memory) -> f64 {
 }
 
 /// Line 10; law `paper` has no feed-forward.
-fn resist(plan: &Plan, settings: &Settings, memory: &Memory) -> JointVec {
+fn resist(plan: &Plan, settings: &Settings, memory: &Memory) -> Resistance {
     if plan.law == Law::Paper {
-        return [0.0; MAX_JOINTS];
+        return Resistance::NONE;
     }
-    let (servos, shares) = (&plan.servos, (settings.friction_share, settings.damping_share));
-    let v = &memory.filter.velocity;
-    resistance(v, &servos.friction, &servos.damping, shares, settings.friction_speed, memory.gamma, plan.n)
+    let (v, shares) = (&memory.filter.velocity, (settings.friction_share, settings.damping_share));
+    Resistance::new(v, &plan.servos, shares, settings.friction_speed, memory.gamma, plan.n)
 }
 
 /// Gradient of the null-space cost, all its parts.

@@ -106,8 +106,9 @@ pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Activation) {
     };
     let shares = activation(&pinv, null_shares, k, n);
     let factors = [null_factor, task_factor, task_factor];
-    let force_lead = [0.0; MAX_JOINTS];
-    (Motion { lead, force_lead, null, wrench: Wrench::default(), factors, gain_factor: 1.0 }, shares)
+    let (force_lead, feed_forward) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+    let motion = Motion { lead, force_lead, null, wrench: Wrench::default(), factors, feed_forward, gain_factor: 1.0 };
+    (motion, shares)
 }
 
 /// `K_q v`.
