@@ -3,10 +3,12 @@
 use nalgebra::{DVector, Matrix6xX};
 
 use crate::error::{Error, Result};
-use crate::model::Model;
+use crate::model::{Chain, Model};
+use crate::number::{Instructions, Kernel, Machine};
 use crate::pose::{COORDINATE_BOUND, Pose};
-use crate::{JointVec, MAX_JOINTS};
+use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
+mod batch;
 mod forward;
 mod gravity;
 mod inverse;
@@ -50,20 +52,18 @@ impl Model {
     /// # Errors
     /// As [`Model::forward_kinematics`].
     pub fn kinematics(&self, q: &[f64], reference: Reference) -> Result<(Pose, Matrix6xX<f64>)> {
-        let frames = self.frames_at(q)?;
-        let mut rows = [[0.0; MAX_JOINTS]; 6];
-        self.chain().jacobian(&frames, &mut rows);
-        if reference == Reference::Local {
-            let r = &frames.tool.rotation;
-            for k in 0..self.n() {
-                let linear = spatial::rotate_back(r, &[rows[0][k], rows[1][k], rows[2][k]]);
-                let angular = spatial::rotate_back(r, &[rows[3][k], rows[4][k], rows[5][k]]);
-                for i in 0..3 {
-                    (rows[i][k], rows[i + 3][k]) = (linear[i], angular[i]);
-                }
-            }
-        }
-        Ok((frames.tool, Matrix6xX::from_fn(self.n(), |i, j| rows[i][j])))
+        let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+        let pose = self.kinematics_into(q, reference, &mut rows)?;
+        Ok((pose, Matrix6xX::from_fn(self.n(), |i, j| rows[i][j])))
+    }
+
+    /// Pose, and the Jacobian's rows into an array of the caller's: nothing is allocated. Columns beyond `n` are scratch.
+    ///
+    /// # Errors
+    /// As [`Model::forward_kinematics`].
+    pub fn kinematics_into(&self, q: &[f64], reference: Reference, rows: &mut Rows) -> Result<Pose> {
+        let q = self.joint_vector(q)?;
+        Ok(Instructions::chosen().run(Kinematics { chain: self.chain(), q: &q, reference, rows }))
     }
 
     /// Torques (`n`) [N·m or N] that hold the arm and its payload at rest at `q`.
@@ -106,5 +106,26 @@ impl Model {
         let mut frames = Frames::default();
         self.chain().forward(&q, &mut frames);
         Ok(frames)
+    }
+}
+
+/// Pose and Jacobian of one configuration.
+struct Kinematics<'a> {
+    chain: &'a Chain,
+    q: &'a JointVec,
+    reference: Reference,
+    rows: &'a mut Rows,
+}
+
+impl Kernel for Kinematics<'_> {
+    type Output = Pose;
+
+    #[inline(always)]
+    fn run<M: Machine>(self) -> Pose {
+        let pose = self.chain.kinematics_by::<M::One>(self.q, self.rows);
+        if self.reference == Reference::Local {
+            jacobian::turn_to_tool::<M::One>(&pose.rotation, self.rows, self.chain.n);
+        }
+        pose
     }
 }

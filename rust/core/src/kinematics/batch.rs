@@ -1,0 +1,213 @@
+//! Many configurations at once: eight in every number, pieces of them on every core.
+
+use rayon::prelude::*;
+
+use super::jacobian::turn_to_tool;
+use super::{Frames, Masses, Reference};
+use crate::error::{Error, Result};
+use crate::model::{Chain, Model};
+use crate::number::{Arithmetic, Instructions, Kernel, LANES, Machine, Wide};
+use crate::pose::COORDINATE_BOUND;
+use crate::{MAX_AXES, MAX_JOINTS};
+
+/// Configurations that a thread takes at once; fewer are done by the caller's thread.
+const PIECE: usize = 4096;
+
+impl Model {
+    /// Poses (`N` × 4 × 4, row-major) and Jacobians (`N` × 6 × n) of `N` configurations (`N` × n); either may be empty, and
+    /// is then not made.
+    ///
+    /// # Errors
+    /// As [`Model::forward_kinematics`], with the row of the first bad configuration; [`Error::Shape`] where lengths do
+    /// not fit together. The results are then meaningless.
+    pub fn kinematics_batch(
+        &self,
+        q: &[f64],
+        reference: Reference,
+        poses: &mut [f64],
+        jacobians: &mut [f64],
+    ) -> Result<()> {
+        let (n, count) = (self.n(), self.count(q)?);
+        let (pose, jacobian) = (if poses.is_empty() { 0 } else { 16 }, if jacobians.is_empty() { 0 } else { 6 * n });
+        check("poses", poses, count * pose)?;
+        check("jacobians", jacobians, count * jacobian)?;
+        let chain = self.chain();
+        self.pieces(q, [(poses, pose), (jacobians, jacobian)], |q, [poses, jacobians]| {
+            Instructions::chosen().run(Poses { chain, q, reference, poses, jacobians });
+        })
+    }
+
+    /// Torques (`N` × n) [N·m or N] that hold the arm and its payload at `N` configurations (`N` × n).
+    ///
+    /// # Errors
+    /// As [`Model::kinematics_batch`].
+    pub fn gravity_batch(&self, q: &[f64], torques: &mut [f64]) -> Result<()> {
+        let (n, count) = (self.n(), self.count(q)?);
+        check("torques", torques, count * n)?;
+        let (chain, masses, gravity) = (self.chain(), self.chain().masses(self.payload()), self.gravity_vector());
+        self.pieces(q, [(torques, n), (&mut [], 0)], |q, [torques, _]| {
+            Instructions::chosen().run(Torques { chain, masses: &masses, gravity: &gravity, q, torques });
+        })
+    }
+
+    fn count(&self, q: &[f64]) -> Result<usize> {
+        if q.len() % self.n() == 0 { Ok(q.len() / self.n()) } else { Err(Error::length("Q", q.len(), self.n())) }
+    }
+
+    /// Checks and works through all configurations, piece by piece, each with its part of the results.
+    fn pieces(
+        &self,
+        q: &[f64],
+        outs: [(&mut [f64], usize); 2],
+        work: impl Fn(&[f64], [&mut [f64]; 2]) + Sync,
+    ) -> Result<()> {
+        let n = self.n();
+        let piece = |(q, outs): (&[f64], [&mut [f64]; 2])| {
+            // Before the numbers leave the cache again.
+            let fine = q.iter().fold(true, |fine, value| fine & (value.abs() <= COORDINATE_BOUND));
+            if fine {
+                work(q, outs);
+            }
+            fine
+        };
+        let [(first, one), (second, two)] = outs;
+        let fine = if q.len() <= PIECE * n {
+            piece((q, [first, second]))
+        } else {
+            let mut parts = Vec::with_capacity(q.len() / (PIECE * n) + 1);
+            let (mut first, mut second) = (first, second);
+            for q in q.chunks(PIECE * n) {
+                let count = q.len() / n;
+                let (a, b);
+                (a, first) = first.split_at_mut(count * one);
+                (b, second) = second.split_at_mut(count * two);
+                parts.push((q, [a, b]));
+            }
+            parts.into_par_iter().map(piece).reduce(|| true, |a, b| a & b)
+        };
+        if fine {
+            return Ok(());
+        }
+        for (row, q) in q.chunks_exact(n).enumerate() {
+            self.joint_vector(q).map_err(|error| error.in_row("Q", row))?;
+        }
+        Ok(())
+    }
+}
+
+fn check(what: &str, values: &[f64], expected: usize) -> Result<()> {
+    if values.len() == expected { Ok(()) } else { Err(Error::length(what, values.len(), expected)) }
+}
+
+/// Eight configurations from the rows of `q`; the last one again where there are fewer.
+#[inline(always)]
+fn gather<A: Wide>(q: &[f64], n: usize) -> [A::Real; MAX_JOINTS] {
+    let mut columns = [[0.0; LANES]; MAX_JOINTS];
+    let last = (q.len() / n).saturating_sub(1);
+    for lane in 0..LANES {
+        let from = lane.min(last) * n;
+        if let Some(row) = q.get(from..from + n) {
+            for (column, value) in columns.iter_mut().zip(row) {
+                column[lane] = *value;
+            }
+        }
+    }
+    let mut out = [A::splat(0.0); MAX_JOINTS];
+    for k in 0..n.min(MAX_JOINTS) {
+        out[k] = A::load(&columns[k]);
+    }
+    out
+}
+
+/// `rows` × `columns` numbers of each configuration into the rows of `out`.
+#[inline(always)]
+fn scatter<A: Wide, const R: usize, const C: usize>(numbers: &[[A::Real; C]; R], columns: usize, out: &mut [f64]) {
+    let (mut row, mut column) = (0, 0);
+    let size = R * columns;
+    for from in (0..size).step_by(LANES) {
+        let mut eight = [A::splat(0.0); LANES];
+        for slot in &mut eight {
+            if row < R {
+                *slot = numbers[row][column.min(C - 1)];
+                column += 1;
+                if column >= columns {
+                    (row, column) = (row + 1, 0);
+                }
+            }
+        }
+        let turned = A::transpose(&eight);
+        let width = LANES.min(size - from);
+        for (to, values) in out.chunks_exact_mut(size).zip(&turned) {
+            if width == LANES
+                && let Some(to) = to[from..].first_chunk_mut::<LANES>()
+            {
+                *to = *values;
+            } else {
+                to[from..].copy_from_slice(&values[..width]);
+            }
+        }
+    }
+}
+
+/// Poses and Jacobians of a piece.
+struct Poses<'a> {
+    chain: &'a Chain,
+    q: &'a [f64],
+    reference: Reference,
+    poses: &'a mut [f64],
+    jacobians: &'a mut [f64],
+}
+
+impl Kernel for Poses<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<M: Machine>(self) {
+        let n = self.chain.n.clamp(1, MAX_JOINTS);
+        let (zero, one) = (M::Eight::splat(0.0), M::Eight::splat(1.0));
+        let mut rows = [[zero; MAX_JOINTS]; MAX_AXES];
+        let (with_poses, with_jacobians) = (!self.poses.is_empty(), !self.jacobians.is_empty());
+        let (mut poses, mut jacobians) = (self.poses.chunks_mut(16 * LANES), self.jacobians.chunks_mut(6 * n * LANES));
+        for q in self.q.chunks(n * LANES) {
+            let tool = self.chain.kinematics_by::<M::Eight>(&gather::<M::Eight>(q, n), &mut rows);
+            if let Some(out) = poses.next().filter(|_| with_poses) {
+                let (r, p) = (&tool.rotation, &tool.position);
+                let row = [[r[0][0], r[0][1], r[0][2], p[0]], [r[1][0], r[1][1], r[1][2], p[1]]];
+                let last = [[r[2][0], r[2][1], r[2][2], p[2]], [zero, zero, zero, one]];
+                scatter::<M::Eight, 4, 4>(&[row[0], row[1], last[0], last[1]], 4, out);
+            }
+            if self.reference == Reference::Local {
+                turn_to_tool::<M::Eight>(&tool.rotation, &mut rows, n);
+            }
+            if let Some(out) = jacobians.next().filter(|_| with_jacobians) {
+                scatter::<M::Eight, MAX_AXES, MAX_JOINTS>(&rows, n, out);
+            }
+        }
+    }
+}
+
+/// Holding torques of a piece.
+struct Torques<'a> {
+    chain: &'a Chain,
+    masses: &'a Masses,
+    gravity: &'a [f64; 3],
+    q: &'a [f64],
+    torques: &'a mut [f64],
+}
+
+impl Kernel for Torques<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<M: Machine>(self) {
+        let n = self.chain.n.clamp(1, MAX_JOINTS);
+        let zero = M::Eight::splat(0.0);
+        let mut frames = Frames::filled(zero);
+        let mut torques = [[zero; MAX_JOINTS]; 1];
+        for (q, out) in self.q.chunks(n * LANES).zip(self.torques.chunks_mut(n * LANES)) {
+            self.chain.forward_by::<M::Eight>(&gather::<M::Eight>(q, n), &mut frames);
+            self.chain.gravity_by::<M::Eight>(&frames, self.masses, self.gravity, &mut torques[0]);
+            scatter::<M::Eight, 1, MAX_JOINTS>(&torques, n, out);
+        }
+    }
+}
