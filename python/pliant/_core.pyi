@@ -761,6 +761,8 @@ class _AxisFields(TypedDict, total=False):
     profile: Literal["firming", "constant", "yielding"]
     step_limit: float | None
     soft_step_limit: float | None
+    deviation_limit: float | None
+    beyond: Literal["follow", "hold"]
 
 @final
 class Axis:
@@ -787,6 +789,10 @@ class Axis:
             for none. Law impedance has none.
         soft_step_limit: The same while it yields; default none, under law `"paper"` 0.1 m/s, 0.5
             rad/s.
+        deviation_limit: Largest deviation toward a side that does not yield [m or rad]; None: any.
+        beyond: What happens there. `"follow"`: the target lets this axis go, the arm gives way with
+            the force of the limit, and is led back at the tool's speed when it is let go. `"hold"`:
+            the target waits, all of it, until the axis is within its limit again.
 
     Raises:
         LimitError: A value outside its bounds. ConfigError: A field that is not known or makes no
@@ -808,6 +814,8 @@ class Axis:
         profile: Literal["firming", "constant", "yielding"] = "firming",
         step_limit: float | None = None,
         soft_step_limit: float | None = None,
+        deviation_limit: float | None = None,
+        beyond: Literal["follow", "hold"] = "follow",
     ) -> Axis: ...
     @property
     def soft(self) -> tuple[float, float] | None:
@@ -856,6 +864,14 @@ class Axis:
     @property
     def soft_step_limit(self) -> float | None:
         """Most commanded velocity while it yields [m/s, rad/s]."""
+
+    @property
+    def deviation_limit(self) -> float | None:
+        """Largest deviation toward a side that does not yield [m or rad]."""
+
+    @property
+    def beyond(self) -> Literal["follow", "hold"]:
+        """What the target does beyond it."""
 
     def replace(self, **changes: Unpack[_AxisFields]) -> Axis:
         """The same with some fields changed."""
@@ -1040,6 +1056,47 @@ class Settings:
     @classmethod
     def door(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
         """Opens and closes doors: y and yaw follow the handle, eta 0.999 (accepted), alpha 1."""
+
+    @classmethod
+    def drawer(
+        cls, *, axis: str = "x", pull: float | None = None, **overrides: Unpack[_SettingsFields]
+    ) -> Settings:
+        """Pulls and pushes a drawer along a base axis; the other translations follow the slide.
+
+        Args:
+            axis: `"x"`, `"y"` or `"z"`.
+            pull: Most force along it [N]; None for the arm's `firm`.
+            **overrides: Further settings.
+        """
+
+    @classmethod
+    def wipe(
+        cls, *, press: float | None = None, axis: str = "z", **overrides: Unpack[_SettingsFields]
+    ) -> Settings:
+        """Presses on a surface with one force while the tool moves along it; tilts with it.
+
+        Args:
+            press: Force on the surface [N], with a target that lies far enough behind it; None for
+                the arm's `soft`.
+            axis: Its normal, `"x"`, `"y"` or `"z"`.
+            **overrides: Further settings.
+        """
+
+    @classmethod
+    def hand_over(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
+        """Carries an object and gives way to the hand that takes it: firm near, soft when drawn."""
+
+    @classmethod
+    def plug(
+        cls, *, axis: str = "-z", push: float | None = None, **overrides: Unpack[_SettingsFields]
+    ) -> Settings:
+        """Puts a plug into a hole: soft across and in rotation, pushed in with at most one force.
+
+        Args:
+            axis: Direction of insertion, `"-z"`, `"x"`, ...; pulling out may use all of `hold`.
+            push: Most force of insertion [N]; None for the arm's `firm`.
+            **overrides: Further settings.
+        """
 
     @classmethod
     def hand_guiding(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
@@ -1481,7 +1538,7 @@ class Controller:
 
     @property
     def deviation(self) -> _Array:
-        """Deviation target - actual (k,) [m, rad]; like all below of the last step."""
+        """Deviation `reference` - actual (k,) [m, rad]; like all below of the last step."""
 
     @property
     def adapted_deviation(self) -> _Array:
@@ -1566,6 +1623,14 @@ class Controller:
     @property
     def saturated(self) -> NDArray[np.bool_]:
         """Joints whose limit is at its ceiling (n,)."""
+
+    @property
+    def deviation_limited(self) -> NDArray[np.bool_]:
+        """Task axes at which the target met its `deviation_limit` (k,)."""
+
+    @property
+    def reference(self) -> _Array:
+        """Target as far as tool speed and deviation limits let it, `base_from_tool` (4, 4)."""
 
     @property
     def locked(self) -> NDArray[np.bool_]:

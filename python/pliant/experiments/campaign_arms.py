@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,8 +14,6 @@ from pliant import robots
 from pliant.sim.gains import resolve
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
@@ -46,20 +44,10 @@ class Arm:
     Attributes:
         name: For tables.
         model: The robot, servos attached.
-        make: Makes it again with other options of `pliant.Model.from_urdf`.
     """
 
     name: str
     model: pliant.Model
-    make: Callable[..., pliant.Model]
-
-    def believed(self, beyond: float) -> pliant.Model:
-        """The robot as a controller sees it whose goals may pass the stops by `beyond` [rad]."""
-        if beyond == 0.0:
-            return self.model
-        bounds = zip(self.model.joint_names, self.model.lower, self.model.upper, strict=True)
-        finite = [(name, low, high) for name, low, high in bounds if np.isfinite([low, high]).all()]
-        return self.make(limits={name: (a - beyond, b + beyond) for name, a, b in finite})
 
     @property
     def servos(self) -> pliant.Servos:
@@ -138,16 +126,14 @@ def load(name: str) -> Arm:
         FileNotFoundError: Its description does not lie beside us.
     """
     if name in robots.names():
-        make = partial(robots.load, name)
-        return Arm(name, make(), make)
+        return Arm(name, robots.load(name))
     if name not in BESIDE:
         known = ", ".join((*robots.names(), *BESIDE))
         raise pliant.ConfigError(f"no arm {name!r} in the campaign; there are {known}")
     file, base, tip = BESIDE[name]
     bare = pliant.Model.from_urdf(ROBOTS / file, base=base, tip=tip)
     servos = _table(name, bare)
-    make = partial(pliant.Model.from_urdf, ROBOTS / file, base=base, tip=tip, servos=servos)
-    return Arm(name, make(), make)
+    return Arm(name, pliant.Model.from_urdf(ROBOTS / file, base=base, tip=tip, servos=servos))
 
 
 def available() -> tuple[list[str], list[str]]:

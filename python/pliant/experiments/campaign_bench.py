@@ -53,7 +53,6 @@ class Disturbance:
         identified: Whether the controller knows the true stiffness.
         captured: Whether gravity was captured in this pose.
         payload: Unknown mass at the tool [kg].
-        beyond: How far the controller's goals may pass the stops [rad].
         plant: More options of the plant.
     """
 
@@ -66,7 +65,6 @@ class Disturbance:
     identified: bool = False
     captured: bool = False
     payload: float = 0.0
-    beyond: float = 0.0
     plant: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -93,8 +91,6 @@ DISTURBANCES = (
     Disturbance(name="encoder 0.088°, flicker", count=np.deg2rad(0.088)),
     Disturbance(name="a tick each way", delay=(1, 1)),
 )
-#: What the goals' position limits cost: not a disturbance, but the remedy of one.
-BEYOND = Disturbance(name="goals may pass stops by 0.5 rad", beyond=0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,7 +235,6 @@ class Bench:
         known = disturbance.kp if disturbance.identified else 1.0
         count = disturbance.count
         self.servos = arm.servos.replace(kp=known * np.asarray(arm.servos.kp), count=count)
-        self.believed = arm.believed(disturbance.beyond)
         self.compliance = 1.0 / np.asarray(self.servos.kp)
         gains = self.plant.gains
         self.damping = gains.damping + gains.kv
@@ -341,7 +336,7 @@ class Bench:
         if key not in self._controllers:
             soft = pliant.Axis(soft=cap, firm=cap, eta=self.disturbance.eta)
             settings = self._settings(axes={axis: soft})
-            self._controllers[key] = pliant.Controller(self.believed, settings, self.servos)
+            self._controllers[key] = pliant.Controller(self.arm.model, settings, self.servos)
         return self._controllers[key]
 
     def _capture(self, q: Array) -> tuple[Array, Array]:
@@ -349,7 +344,7 @@ class Bench:
         if self._captured is None or self._captured[0] != q.tobytes():
             # Feed-forward and integration together ring: 9 of 20 poses with k_p 25 % too low.
             holding = self._settings(integrate=4.0, friction_share=0.0, damping_share=0.0)
-            controller = pliant.Controller(self.believed, holding, self.servos)
+            controller = pliant.Controller(self.arm.model, holding, self.servos)
             self.plant.reset(q)
             controller.reset(q)
             self.grip.hold([])

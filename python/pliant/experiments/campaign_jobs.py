@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from pliant.experiments.campaign_arms import load
 from pliant.experiments.campaign_bench import (
-    BEYOND,
     DISTURBANCES,
     NOMINAL,
     Bench,
@@ -56,7 +55,7 @@ def gears(arm: str) -> Disturbance:
 @lru_cache(maxsize=2)
 def _bench(arm: str, disturbance: str) -> Bench:
     """The bench of this process; jobs come arm by arm, disturbance by disturbance."""
-    known = {one.name: one for one in (NOMINAL, BEYOND, *DISTURBANCES)}
+    known = {one.name: one for one in (NOMINAL, *DISTURBANCES)}
     return Bench(load(arm), known.get(disturbance) or gears(arm))
 
 
@@ -78,9 +77,7 @@ def jobs(
         out += [Job(name, NOMINAL, pose) for pose in range(count)]
         tenth = max(1, count // TENTH)
         if main and disturbed:
-            out += [
-                Job(name, one, pose) for one in (*DISTURBANCES, BEYOND) for pose in range(tenth)
-            ]
+            out += [Job(name, one, pose) for one in DISTURBANCES for pose in range(tenth)]
         if friction and name in REAL_GEARS:
             out += [Job(name, gears(name), pose) for pose in range(tenth)]
     return out

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from pliant.experiments.conditions import Conditions
     from pliant.experiments.hands import Law
-    from pliant.sim.doors import Door, Grip
+    from pliant.sim.doors import Door
+    from pliant.sim.grip import Grip
 
     Array = NDArray[np.float64]
 

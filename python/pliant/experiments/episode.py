@@ -35,7 +35,11 @@ class Commanded(Protocol):
 
 
 class Controlling(Protocol):
-    """Anything that can close the loop: `pliant.Controller`, or a baseline."""
+    """Anything that can close the loop: `pliant.Controller`, or a baseline.
+
+    A baseline with a method `listen` is told before each step what the motors gave in the last
+    period (n,) [N·m].
+    """
 
     def reset(self, q: Array) -> object:
         """Start at rest in q."""
@@ -111,12 +115,15 @@ def run(
     controller.reset(q)
     start = plant.tool
     door = next((fixture for fixture in plant.fixtures if isinstance(fixture, Door)), None)
+    listen = getattr(controller, "listen", None)
     rows: list[tuple[Array, ...]] = []
     for tick in range(round(duration * plant.rate)):
         time = tick / plant.rate
         if on_tick is not None:
             on_tick(time, plant)
         wanted = target(time) if callable(target) else target
+        if listen is not None:
+            listen(plant.torque)
         command = controller.step(plant.read().q, wanted)
         plant.write(command.goal, command.torque_limit)
         plant.advance()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pliant.experiments.conditions import Conditions
     from pliant.experiments.episode import Commanded, Controlling
     from pliant.experiments.hands import Law
-    from pliant.sim.doors import Grip
+    from pliant.sim.grip import Grip
 
     Array = NDArray[np.float64]
 

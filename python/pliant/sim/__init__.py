@@ -11,7 +11,9 @@ axes; all units SI.
 """
 
 from pliant.sim.doors import Door, Drive, door, fridge, oven
+from pliant.sim.drawer import Drawer, drawer
 from pliant.sim.friction import MX64, MX106, STS3215, Friction
+from pliant.sim.grip import Gripped
 from pliant.sim.hand import (
     LIGHT,
     ROBUST,
@@ -25,11 +27,14 @@ from pliant.sim.hand import (
     Twist,
     tap,
 )
+from pliant.sim.handed import Handed
 from pliant.sim.imperfections import Overload
 from pliant.sim.plant import Plant
 from pliant.sim.record import Recorder
 from pliant.sim.scene import Fixture, Table, Wall, table
+from pliant.sim.socket import Socket
 from pliant.sim.state import Felt, State
+from pliant.sim.surface import Surface
 from pliant.sim.truth import Frame, Truth
 
 __all__ = [
@@ -43,23 +48,29 @@ __all__ = [
     "Course",
     "Door",
     "Drag",
+    "Drawer",
     "Drive",
     "Felt",
     "Fixture",
     "Frame",
     "Friction",
+    "Gripped",
     "Guide",
     "Hand",
+    "Handed",
     "Overload",
     "Plant",
     "Push",
     "Recorder",
+    "Socket",
     "State",
+    "Surface",
     "Table",
     "Truth",
     "Twist",
     "Wall",
     "door",
+    "drawer",
     "fridge",
     "oven",
     "table",

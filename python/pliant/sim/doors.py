@@ -7,12 +7,13 @@ turn in the grip.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pliant import ConfigError
 from pliant.sim._mujoco import mujoco
+from pliant.sim.grip import Gripped
 from pliant.sim.parts import set_damping
 
 if TYPE_CHECKING:
@@ -23,19 +24,9 @@ if TYPE_CHECKING:
     from pliant.sim.plant import Plant
     from pliant.sim.spec import Build
 
-Grip = Literal["rigid", "turning"]
-
-#: Time constant of the grip [s].
-GRIP_TIME = 0.01
-#: Share of the arm's and leaf's inertia with which the grip insists, near and far from its place:
-#: stiffer than MuJoCo's.
-GRIP_IMPEDANCE = (0.95, 0.99)
 #: Path of the handle over which a seal begins to pull [m]: on a closed leaf it does not press on
 #: the stop.
 SEAL_ONSET = 5e-5
-#: A start of the arm from rest shakes the handle while the servos take up its weight; records begin
-#: after this [s].
-SETTLE = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +51,7 @@ class Drive:
 
 
 @dataclass(kw_only=True)
-class Door:
+class Door(Gripped):
     """A leaf on a hinge, held by the arm at its handle.
 
     Attributes:
@@ -73,9 +64,8 @@ class Door:
         seal: Force of a magnetic seal at the handle [N], falling linearly to 0 over `seal_way`.
         seal_way: Path of the handle over which the seal lets go [m].
         balanced: Whether a spring carries the leaf's weight.
-        grip: `rigid` or `turning`.
         drive: Motion of the hinge, None for a wall that stands still.
-        name: Unique in a scene.
+        angle, widest: Opening now, and the widest so far [rad].
     """
 
     hinge: Sequence[float] = (0.0, -0.30, 0.0)
@@ -87,18 +77,14 @@ class Door:
     seal: float = 0.0
     seal_way: float = 0.004
     balanced: bool = False
-    grip: Grip = "rigid"
     drive: Drive | None = None
     name: str = "door"
     angle: float = field(default=0.0, init=False)
     widest: float = field(default=0.0, init=False)
-    force: float = field(default=0.0, init=False)
-    torque: float = field(default=0.0, init=False)
-    peak_force: float = field(default=0.0, init=False)
-    peak_torque: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
         """Check the numbers once."""
+        super().__post_init__()
         arm, axis = (
             np.asarray(self.hinge, dtype=np.float64),
             np.asarray(self.axis, dtype=np.float64),
@@ -109,8 +95,6 @@ class Door:
         self.radius = float(np.linalg.norm(arm - (arm @ axis) * axis))
         if self.radius < 1e-3:
             raise ConfigError(f"Door.hinge {self.hinge!r} puts the handle on the hinge axis")
-        if self.grip not in {"rigid", "turning"}:
-            raise ConfigError(f"Door.grip must be 'rigid' or 'turning', got {self.grip!r}")
         low = min(self.mass, self.friction, self.damping, self.seal, self.stop)
         if not low >= 0.0 or self.mass == 0.0 or not self.seal_way > 0.0:
             raise ConfigError(
@@ -135,16 +119,7 @@ class Door:
         hinge.frictionloss = self.friction
         set_damping(hinge, self.damping)
         self._weigh(leaf, arm)
-        leaf.add_site(name=f"{self.name}:handle", pos=-arm, size=(0.01, 0.0, 0.0))
-        grip = spec.add_equality(
-            name=f"{self.name}:grip", name1=build.model.tip, name2=f"{self.name}:handle"
-        )
-        grip.type = mujoco.mjtEq.mjEQ_WELD if self.grip == "rigid" else mujoco.mjtEq.mjEQ_CONNECT
-        grip.objtype = mujoco.mjtObj.mjOBJ_SITE
-        if self.grip == "rigid":
-            grip.data[10] = 1.0
-        grip.solref = (GRIP_TIME, 1.0)
-        grip.solimp[:2] = GRIP_IMPEDANCE
+        self.add_grip(build, leaf, -arm)
 
     def _weigh(self, leaf: mujoco.MjsBody, arm: NDArray[np.float64]) -> None:
         """Give the leaf the mass of a plate between hinge and handle, and a drawing."""
@@ -172,26 +147,10 @@ class Door:
         self._frame = int(model.body(f"{self.name}:frame").mocapid[0])
         self._home = tool[:3, 3] + np.asarray(self.hinge)
         data.mocap_pos[self._frame] = self._home
-        quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, np.ascontiguousarray(tool[:3, :3]).reshape(9))
-        handle = model.site(f"{self.name}:handle")
-        handle.quat[:] = quat
-        # Compiled with the leaf's own axes, the site would go on copying them.
-        model.site_sameframe[handle.id] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
         joint = model.joint(f"{self.name}:hinge")
         self._qpos, self._dof = int(joint.qposadr[0]), int(joint.dofadr[0])
-        self._grip = model.equality(f"{self.name}:grip").id
-        self._rows = 6 if self.grip == "rigid" else 3
-        self._row: int | None = None
-        self.angle = self.widest = self.force = self.torque = self.peak_force = self.peak_torque = (
-            0.0
-        )
-        data.eq_active[self._grip] = 1
-
-    def release(self, plant: Plant) -> None:
-        """Open the grip; the leaf stays where it is."""
-        plant.mj_data.eq_active[self._grip] = 0
-        self._row = None
+        self.place_grip(plant)
+        self.angle = self.widest = 0.0
 
     def before(self, plant: Plant) -> None:
         """Move the hinge as prescribed."""
@@ -211,29 +170,10 @@ class Door:
             plant.mj_data.qfrc_applied[self._dof] -= pull * self.radius
 
     def after(self, plant: Plant) -> None:
-        """Record angle [rad], force [N] and torque [N·m] at the handle."""
-        data = plant.mj_data
-        self.angle = float(data.qpos[self._qpos])
+        """Record the opening, and what the grip carries."""
+        self.angle = float(plant.mj_data.qpos[self._qpos])
         self.widest = max(self.widest, self.angle)
-        if not data.eq_active[self._grip]:
-            self.force = self.torque = 0.0
-            return
-        if self._row is None:
-            mine = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (
-                data.efc_id == self._grip
-            )
-            self._row = int(np.flatnonzero(mine)[0])
-        rows = data.efc_force[self._row : self._row + self._rows]
-        self.force = float(np.sqrt(rows[:3] @ rows[:3]))
-        counts = data.time > SETTLE
-        if counts:
-            self.peak_force = max(self.peak_force, self.force)
-        if self._rows > 3:
-            # The rotational rows of a weld are written for half the rotation vector: they carry
-            # twice the torque.
-            self.torque = 0.5 * float(np.sqrt(rows[3:] @ rows[3:]))
-            if counts:
-                self.peak_torque = max(self.peak_torque, self.torque)
+        self.feel_grip(plant)
 
 
 def door(**changes: object) -> Door:

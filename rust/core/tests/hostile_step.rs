@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector};
-use pliant_core::task::axes::{Axis, Frame, Profile, Task, Yields};
+use pliant_core::task::axes::{Axis, Beyond, Frame, Profile, Task, Yields};
 use pliant_core::{Controller, Error, Model, ModelOptions, Payload, Pose, ServoKind, Servos, Settings, StepInput};
 
 #[path = "oracle/cases.rs"]
@@ -238,6 +238,8 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         profile: random.pick(&[Profile::Firming, Profile::Constant, Profile::Yielding]),
         step_limit: maybe(random, number),
         soft_step_limit: maybe(random, number),
+        deviation_limit: if random.chance(0.8) { None } else { Some(0.1 * number(random)) },
+        beyond: random.pick(&[Beyond::Follow, Beyond::Hold]),
     };
     let usual = Settings::default();
     let or = |random: &mut Random, usual: f64| if random.chance(0.93) { usual } else { number(random) };

@@ -81,6 +81,11 @@ impl Judge<'_> {
             )
         };
         self.same("locked", locked(&record.locked).as_slice(), &locked(&tick.locked));
+        let met: Vec<f64> = tick.met.iter().map(|&on| f64::from(u8::from(on))).collect();
+        let got: Vec<f64> = record.deviation_limited[..k].iter().map(|&on| f64::from(u8::from(on))).collect();
+        self.same("deviation limited", &got, &Vector::from_vec(met));
+        let position = Vector::from_column_slice(&tick.reference.position);
+        self.to_scale("reference", &record.reference.position, &position, 1.0);
         if controller.settings().law == Law::Impedance {
             self.number("gain factor", controller.gain_factor(), tick.derating);
         }
@@ -101,6 +106,8 @@ struct Seen {
     slowed: usize,
     singular: usize,
     derated: usize,
+    faded: usize,
+    limited: usize,
 }
 
 /// One arm, one set of settings, a few ticks.
@@ -115,7 +122,7 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
     let with_servos = !cases::free_of_kp(&settings) || random.chance(0.5);
     let servos = with_servos.then(|| cases::servos(random, &seeded::servos(index), n));
     let settings = cases::tamed(&model, settings, servos.as_ref());
-    let at_limits = random.chance(0.3);
+    let at_limits = random.chance(0.5);
     let mut controller = Controller::new(Arc::clone(&model), settings.clone(), servos.clone()).unwrap();
     let mut oracle = Oracle::new(&model, &settings, servos.as_ref(), controller.damping());
     let mut q = random.joints(&model, if at_limits { 1.02 } else { 0.8 });
@@ -162,7 +169,9 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
         seen.locked += usize::from(want.locked.contains(&true));
         seen.saturated += usize::from(want.factors[1] < 1.0 || want.factors[2] < 1.0);
         seen.slowed += usize::from(want.factors[0] < 1.0);
+        seen.faded += usize::from(want.faded);
         seen.derated += usize::from(want.derating < 1.0);
+        seen.limited += usize::from(want.met.contains(&true));
         seen.singular += usize::from(want.sigma[0] < 0.02);
         for i in 0..n {
             q[i] += 0.01 * speed[i] + random.between(-1e-3, 1e-3);
@@ -175,7 +184,7 @@ fn both_transcriptions_agree() {
     for law in [Law::Cap, Law::Impedance, Law::Paper] {
         let mut seen = Seen::default();
         let mut wrong = Vec::new();
-        for seed in 0..1200 {
+        for seed in 0..1440 {
             let found = RefCell::new(Vec::new());
             sequence(
                 usize::try_from(seed % 3).unwrap(),
@@ -190,9 +199,14 @@ fn both_transcriptions_agree() {
         // The sequences must have been where it is difficult; springs are rarely too fast.
         let slowed = if law == Law::Impedance { 30 } else { 80 };
         assert!(
-            seen.locked > 300 && seen.saturated > 300 && seen.slowed > slowed && seen.singular > 200,
+            seen.locked > 300
+                && seen.saturated > 300
+                && seen.limited > 300
+                && seen.slowed > slowed
+                && seen.singular > 200,
             "{law:?} {seen:?}"
         );
         assert!(law != Law::Impedance || seen.derated > 300, "{seen:?}");
+        assert!(law == Law::Paper || seen.faded > 100, "{law:?} {seen:?}");
     }
 }

@@ -273,6 +273,16 @@ readings! {
         }
 
         #[getter]
+        fn deviation_limited<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+            numpy::PyArray1::from_slice(py, &self.core.record().deviation_limited[..self.core.task_len()]).into_any()
+        }
+
+        #[getter]
+        fn reference<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+            new_array(py, &[4, 4], &self.core.record().reference.to_rows().concat())
+        }
+
+        #[getter]
         fn factors(&self) -> (f64, f64, f64) {
             self.core.record().factors.into()
         }

@@ -1,7 +1,8 @@
 //! `Settings`.
 
+use pliant_core::MAX_AXES;
 use pliant_core::settings::{Follow, Law, LimitRule, Projector, Settings as CoreSettings};
-use pliant_core::task::axes::Axis;
+use pliant_core::task::axes::{Axis, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
@@ -31,14 +32,15 @@ impl Settings {
 
     /// A preset with some fields replaced; axes that are not named keep what the preset says.
     ///
-    /// `all` presets speak of axes that a smaller task need not have.
-    fn preset(mut core: CoreSettings, all: bool, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+    /// Most presets speak of axes that a smaller task need not have; `named` are those that it must.
+    fn preset(mut core: CoreSettings, named: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let Some(overrides) = overrides else { return Self::check(&core) };
         let rest = overrides.copy()?;
         if let Some(task) = rest.get_item("task")? {
             core.task = TaskField::read("task", &task)?;
-            for (axis, on) in core.axes.iter_mut().zip(core.task.axes) {
-                if all && !on {
+            let needed = if named.is_empty() { [false; MAX_AXES] } else { parse_axes("axis", named).or_raise()? };
+            for ((axis, on), needed) in core.axes.iter_mut().zip(core.task.axes).zip(needed) {
+                if !on && !needed {
                     *axis = Axis::default();
                 }
             }
@@ -115,7 +117,7 @@ fields! {
         #[classmethod]
         #[pyo3(signature = (**overrides))]
         fn paper(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::preset(CoreSettings::paper(), true, overrides)
+            Self::preset(CoreSettings::paper(), "", overrides)
         }
 
         #[pyo3(signature = (model, path = None, *, servos = None))]
@@ -134,25 +136,65 @@ fields! {
         #[classmethod]
         #[pyo3(signature = (axes, /, **overrides))]
         fn soft(_class: &Bound<'_, PyType>, axes: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::preset(CoreSettings::soft(axes).or_raise()?, false, overrides)
+            Self::preset(CoreSettings::soft(axes).or_raise()?, axes, overrides)
         }
 
         #[classmethod]
         #[pyo3(signature = (**overrides))]
         fn firm(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::preset(CoreSettings::firm(), true, overrides)
+            Self::preset(CoreSettings::firm(), "", overrides)
         }
 
         #[classmethod]
         #[pyo3(signature = (**overrides))]
         fn door(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::preset(CoreSettings::door(), true, overrides)
+            Self::preset(CoreSettings::door(), "", overrides)
+        }
+
+        #[classmethod]
+        #[pyo3(signature = (*, axis = "x", pull = None, **overrides))]
+        fn drawer(
+            _class: &Bound<'_, PyType>,
+            axis: &str,
+            pull: Option<f64>,
+            overrides: Option<&Bound<'_, PyDict>>,
+        ) -> PyResult<Self> {
+            Self::preset(CoreSettings::drawer(axis, pull).or_raise()?, axis, overrides)
+        }
+
+        #[classmethod]
+        #[pyo3(signature = (*, press = None, axis = "z", **overrides))]
+        fn wipe(
+            _class: &Bound<'_, PyType>,
+            press: Option<f64>,
+            axis: &str,
+            overrides: Option<&Bound<'_, PyDict>>,
+        ) -> PyResult<Self> {
+            Self::preset(CoreSettings::wipe(press, axis).or_raise()?, axis, overrides)
+        }
+
+        #[classmethod]
+        #[pyo3(signature = (**overrides))]
+        fn hand_over(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+            Self::preset(CoreSettings::hand_over(), "", overrides)
+        }
+
+        #[classmethod]
+        #[pyo3(signature = (*, axis = "-z", push = None, **overrides))]
+        fn plug(
+            _class: &Bound<'_, PyType>,
+            axis: &str,
+            push: Option<f64>,
+            overrides: Option<&Bound<'_, PyDict>>,
+        ) -> PyResult<Self> {
+            let settings = CoreSettings::plug(axis, push).or_raise()?;
+            Self::preset(settings, axis.trim_start_matches(['-', '+']), overrides)
         }
 
         #[classmethod]
         #[pyo3(signature = (**overrides))]
         fn hand_guiding(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::preset(CoreSettings::hand_guiding(), true, overrides)
+            Self::preset(CoreSettings::hand_guiding(), "", overrides)
         }
     }
 }

@@ -1,7 +1,7 @@
 //! `Task` and `Axis`.
 
 use pliant_core::MAX_AXES;
-use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis, Profile, Task as CoreTask, Yields, parse_axes};
+use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis, Beyond, Profile, Task as CoreTask, Yields, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping, PyMappingProxy, PyTuple};
 
@@ -85,13 +85,16 @@ fields! {
         profile: Word<Profile>,
         step_limit: Optional<Number>,
         soft_step_limit: Optional<Number>,
+        deviation_limit: Optional<Number>,
+        beyond: Word<Beyond>,
     }
     methods {
         #[new]
         #[pyo3(
             signature = (**fields),
             text_signature = "(*, soft=None, firm=None, hold=None, stiffness=None, damping=None, yields=None, eta=0.0, \
-                              d_minus=None, d_plus=None, profile='firming', step_limit=None, soft_step_limit=None)"
+                              d_minus=None, d_plus=None, profile='firming', step_limit=None, soft_step_limit=None, \
+                              deviation_limit=None, beyond='follow')"
         )]
         fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
             Self::with(CoreAxis::default(), fields)

@@ -4,7 +4,7 @@ use std::marker::PhantomData;
 
 use pliant_core::servos::ServoKind;
 use pliant_core::settings::{Follow, GravityUse, Law, LimitRule, Projector};
-use pliant_core::task::axes::{Profile, Yields};
+use pliant_core::task::axes::{Beyond, Profile, Yields};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyString};
 
@@ -60,6 +60,10 @@ impl Words for Projector {
 impl Words for Profile {
     const WORDS: &'static [(&'static str, Self)] =
         &[("firming", Self::Firming), ("constant", Self::Constant), ("yielding", Self::Yielding)];
+}
+
+impl Words for Beyond {
+    const WORDS: &'static [(&'static str, Self)] = &[("follow", Self::Follow), ("hold", Self::Hold)];
 }
 
 impl Words for Yields {

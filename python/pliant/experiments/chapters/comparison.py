@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pliant.experiments import baselines, laws
+from pliant.experiments import admittance, baselines, laws
+from pliant.experiments.chapters import comparison_stress as stress
 from pliant.experiments.chapters.common import (
     BACK,
     RELEASE,
@@ -59,6 +60,9 @@ class Way:
     delay: tuple[int, int] = (0, 0)
 
 
+#: Spring of those that come back [N/m]: 15 N where the hand holds still.
+SPRING = 100.0
+
 WAYS: Mapping[str, Way] = {
     "stiff": Way("stiff position control", baselines.stiff_joints, "stiff"),
     "uniform 50": Way("all limits at 50 %", partial(baselines.uniform_limit, 0.5), "uniform"),
@@ -74,6 +78,22 @@ WAYS: Mapping[str, Way] = {
     "cap delayed": Way("cap, η 0.999, delayed", laws.cap, "cap", delay=(1, 1)),
     "springs": Way("law impedance", laws.impedance, "impedance"),
     "impedance": Way("torque impedance, 1 kHz", baselines.torque_impedance, "impedance", 1000.0),
+    "impedance compensated": Way(
+        "the same, friction compensated",
+        partial(baselines.torque_impedance, compensated=True),
+        "impedance",
+        1000.0,
+    ),
+    "impedance spring": Way(
+        "the same, 100 N/m in y",
+        partial(baselines.torque_impedance, compensated=True, spring=SPRING),
+        "impedance",
+        1000.0,
+    ),
+    "admittance": Way("admittance by current", admittance.by_current, "admittance"),
+    "admittance spring": Way(
+        "admittance, 100 N/m in y", partial(admittance.by_current, spring=SPRING), "admittance"
+    ),
 }
 QUICK = ("stiff", "uniform 30", "paper literal", "paper 0.999", "cap 0", "cap 0.999", "impedance")
 
@@ -81,7 +101,7 @@ QUICK = ("stiff", "uniform 30", "paper literal", "paper 0.999", "cap 0", "cap 0.
 def jobs(options: Options) -> list[Job]:
     """Every way, pushed toward + and toward −."""
     signs = (1,) if options.quick else (1, -1)
-    return [
+    plain = [
         Job(
             f"{key}/{sign:+d}",
             drag,
@@ -91,14 +111,23 @@ def jobs(options: Options) -> list[Job]:
         for key in (QUICK if options.quick else WAYS)
         for sign in signs
     ]
+    return plain + stress.jobs({key: WAYS[key] for key in WAYS if f"{key}/+1" in _keys(plain)})
+
+
+def _keys(jobs: list[Job]) -> set[str]:
+    return {job.key for job in jobs}
 
 
 def measure(outcomes: Mapping[str, Dragged]) -> Numbers:
     """Numbers by way: the worse of the two directions."""
     gathered: dict[str, list[dict[str, float | None]]] = {}
     for name, run in outcomes.items():
-        gathered.setdefault(name.split("/")[0], []).append(_one(run))
-    return {key: _worse(ones) for key, ones in gathered.items()}
+        key, what = name.split("/")
+        if what in {"+1", "-1"}:
+            gathered.setdefault(key, []).append(_one(run))
+    return {
+        key: {**_worse(ones), **stress.measure(key, outcomes)} for key, ones in gathered.items()
+    }
 
 
 def _one(run: Dragged) -> dict[str, float | None]:
@@ -134,23 +163,24 @@ def chapter(numbers: Numbers) -> Chapter:
         title="Force to move it, and what the stiff axes do meanwhile",
         done="At the vertical grasp pose a strong hand (up to 80 N at the tool) moves the tool by "
         "0.15 m in y within 1.5 s, holds it, and lets go; every controller gets the same hand, in "
-        "both directions. Torque impedance is an arm with torque-controlled joints at 1 kHz; all "
+        "both directions. Torque impedance is an arm with torque-controlled joints at 1 kHz; "
+        "admittance reads the motors' currents (1 % noise) and moves a virtual body of 1 kg; all "
         "others send goals and torque limits to the same position servos at 100 Hz; “delayed” has "
         "a tick of delay each way.",
         paper="The paper compares with no other method.",
         caption="Left: the worse of both directions, logarithmic; the lower left corner is where "
         "one wants to be. Right: y over time for one of each family, pushed toward +.",
-        statements=_statements(numbers),
+        statements=(*_statements(numbers), *stress.statements(numbers)),
     )
     ours, stiff = numbers["cap 0.999"], numbers["stiff"]
     return Chapter(
         number=NUMBER,
         title=TITLE,
         lead="What does the effort buy? The same hand meets a stiff arm, an arm with all its "
-        "limits turned down, the paper's law, the default law, springs on the same servos, and an "
-        "arm that can command torques.",
+        "limits turned down, the paper's law, the default law, springs on the same servos, an arm "
+        "that can command torques, and one that reads forces from its motors' currents.",
         figures=(figure,),
-        tables=(_table(numbers),),
+        tables=(_table(numbers), stress.table(numbers, {key: WAYS[key].name for key in numbers})),
         numbers=numbers,
         headline=(
             (

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from string import ascii_uppercase
 from typing import TYPE_CHECKING
+
+from matplotlib.lines import Line2D
 
 from pliant.experiments.figures.style import (
     LAW_COLOURS,
@@ -31,10 +34,11 @@ def draw(
     numbers: Numbers, traces: Mapping[str, Trace], ways: Mapping[str, Way], folder: Path
 ) -> None:
     """Draw `5-comparison`."""
-    with canvas(1, 2, size=(WIDE, 4.8), width_ratios=[1.15, 1.0]) as (figure, axes):
+    with canvas(1, 2, size=(WIDE, 5.6), width_ratios=[1.15, 1.0]) as (figure, axes):
         ax, over = axes[0]
         names: list[tuple[float, float, str, str]] = []
-        for key, way in ways.items():
+        key_of_letters = []
+        for letter, (key, way) in zip(ascii_uppercase, ways.items(), strict=False):
             force, drift = numbers[key]["force"], 1e3 * numbers[key]["drift"]
             stays = numbers[key]["returned"] is None
             colour = LAW_COLOURS[way.family]
@@ -47,7 +51,8 @@ def draw(
                 color=colour,
                 markerfacecolor="none" if stays else colour,
             )
-            names.append((force, drift, way.name, colour))
+            names.append((force, drift, letter, colour))
+            key_of_letters.append(Line2D([], [], linestyle="", label=f"{letter}  {way.name}"))
         ax.set_xscale("log")
         ax.set_yscale("log")
         ax.set_xlim(2.0, 110.0)
@@ -78,5 +83,12 @@ def draw(
         over.set_ylabel("y, from its target [mm]")
         over.set_title("pulled toward +y, let go at 5 s")
         label_end(over, 9.0, marks, size=7.5)
-        label_points(ax, sorted(names, key=lambda name: -name[1]))
+        label_points(ax, sorted(names, key=lambda name: -name[1]), size=8.5)
+        figure.legend(
+            handles=key_of_letters,
+            loc="outside lower left",
+            ncols=4,
+            handlelength=0.0,
+            labelcolor=[LAW_COLOURS[way.family] for way in ways.values()],
+        )
         save(figure, folder, "5-comparison")

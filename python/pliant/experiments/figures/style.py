@@ -50,6 +50,7 @@ LAW_COLOURS = {
     "stiff": MUTED,
     "impedance": GREEN,
     "uniform": PURPLE,
+    "admittance": "#8a6d1d",
 }
 #: Width of a figure that fills the report [inch].
 WIDE = 11.0

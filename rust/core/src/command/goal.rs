@@ -44,7 +44,21 @@ pub(crate) fn scale_to_fit<const P: usize>(
     factors
 }
 
-/// Finds joints whose goal lies beyond a position limit, and the lead that puts it on the limit.
+/// How far beyond its position limit [rad] a joint still pushes outward, where the delay lets it fade that fast.
+const STOP_WIDTH: f64 = 0.02;
+
+/// A `lead` [rad] that serves a force, of a joint at `q`: what points out of the limits shrinks once q is beyond them.
+///
+/// It may pass the limit, for a joint at its stop could not exert a torque otherwise; but nothing is to push the joint
+/// itself farther out. `slope` is by how much it shrinks per rad at most: a stop stiffer than that rings with the delay.
+#[inline]
+pub(crate) fn fade_beyond(lead: f64, q: f64, lower: f64, upper: f64, slope: f64) -> f64 {
+    let beyond = at_least(if lead > 0.0 { q - upper } else { lower - q }, 0.0);
+    let size = lead.abs();
+    at_least(size - at_most(size / STOP_WIDTH, slope) * beyond, 0.0).copysign(lead)
+}
+
+/// Finds joints that are to move beyond a position limit, and the lead that brings them onto the limit.
 ///
 /// Returns whether a joint was added to `locked`. A locked joint keeps the lead it still has and the others take over what
 /// it cannot do, so that the rest of the task stays right; it is not unlocked within a tick.
@@ -69,9 +83,9 @@ pub(crate) fn lock(
     added
 }
 
-/// Moves `from` by at most `step` toward `to` within the position limits.
+/// Moves `from` by at most `step` toward `to` within `lower` and `upper`.
 ///
-/// A goal that starts outside them, as the joint itself does, walks back in; it does not jump.
+/// A goal that starts outside them walks back in; it does not jump.
 /// A `to` that is not a number stays one (`f64::max` would drop it), so that the step can refuse to send it.
 #[inline]
 pub(crate) fn slew(from: f64, to: f64, step: f64, lower: f64, upper: f64) -> f64 {
@@ -147,6 +161,18 @@ mod tests {
         assert!((slew(0.5, 2.0, 0.1, -1.0, 1.0) - 0.6).abs() < 1e-15);
         assert!((slew(0.5, -2.0, f64::INFINITY, -1.0, 1.0) + 1.0).abs() < 1e-15);
         assert!((slew(3.0, 0.0, 0.1, -1.0, 1.0) - 2.9).abs() < 1e-15);
+    }
+
+    #[test]
+    fn a_force_leads_beyond_the_limit_but_not_the_joint() {
+        let at = |lead, q, slope| fade_beyond(lead, q, -1.0, 1.0, slope);
+        for q in [-0.5, 1.0, -7.0] {
+            assert!((at(0.1, q, 2.0) - 0.1).abs() < 1e-15, "inward or inside: untouched");
+        }
+        assert!((at(0.1, 1.02, 2.0) - 0.06).abs() < 1e-15 && (at(-0.1, -1.02, 2.0) + 0.06).abs() < 1e-15);
+        assert!((at(0.01, 1.01, 2.0) - 0.005).abs() < 1e-15, "a small one is gone after 0.02 rad");
+        assert!(at(0.1, 1.5, 2.0).abs() < 1e-15 && (at(0.1, 1.5, 0.0) - 0.1).abs() < 1e-15);
+        assert!(at(f64::NAN, 1.5, 2.0).is_nan());
     }
 
     #[test]

@@ -7,6 +7,7 @@ use crate::law::inverse::pseudo_inverse;
 use crate::law::nullspace::{NullSpace, fade_squared};
 use crate::law::singular::SingularValues;
 use crate::plan::Plan;
+use crate::pose::Pose;
 use crate::settings::Projector;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -17,7 +18,7 @@ pub struct Record {
     pub q: JointVec,
     /// Filtered velocity v [rad/s].
     pub velocity: JointVec,
-    /// Deviation e in the task frame [m, rad].
+    /// Deviation e from the reference, in the task frame [m, rad].
     pub deviation: AxisVec,
     /// Adapted deviation ẽ [m, rad].
     pub adapted_deviation: AxisVec,
@@ -56,6 +57,10 @@ pub struct Record {
     pub saturated: [bool; MAX_JOINTS],
     /// Joints at a position limit that left the inverse kinematics.
     pub locked: [bool; MAX_JOINTS],
+    /// Task axes at which the target met its deviation limit.
+    pub deviation_limited: [bool; MAX_AXES],
+    /// The target as far as the tool's speed and the deviation limits let it: what the deviation is taken from.
+    pub reference: Pose,
 }
 
 impl Record {
@@ -82,6 +87,8 @@ impl Record {
             gain_factor: 1.0,
             saturated: [false; MAX_JOINTS],
             locked: [false; MAX_JOINTS],
+            deviation_limited: [false; MAX_AXES],
+            reference: Pose::IDENTITY,
         }
     }
 

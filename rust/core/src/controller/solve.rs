@@ -1,6 +1,6 @@
 //! Lines 7 to 11: the law, and what the other joints take over where one meets a position limit.
 
-use crate::command::goal::lock;
+use crate::command::goal::{fade_beyond, lock};
 use crate::controller::input::Input;
 use crate::controller::memory::Memory;
 use crate::controller::record::update_singular;
@@ -27,7 +27,7 @@ pub(super) struct Solution {
     /// Task rows, columns of locked joints zero.
     pub(super) rows: Rows,
     pub(super) locked: [bool; MAX_JOINTS],
-    /// Goals before slew and position limits [rad].
+    /// Goals before the slew [rad]: what moves the arm within the position limits, what exerts a force beyond them too.
     pub(super) goal: JointVec,
     pub(super) gradient: JointVec,
     pub(super) feed_forward: JointVec,
@@ -50,9 +50,9 @@ pub(super) fn solve(
     let scaled = plan.scale_rows(&seen.rows);
     let damping = condition(plan, &scaled, memory);
     let row_damping = plan.damping_scale.map(|scale| scale * damping);
-    let feed_forward = resist(plan, settings, memory);
+    let mut feed_forward = resist(plan, settings, memory);
     let gradient = cost_gradient(plan, input, seen, &scaled, memory);
-    let (all_joints, shares) = motion(&Tick {
+    let (mut all_joints, shares) = motion(&Tick {
         plan,
         horizon: settings.horizon,
         rows: &seen.rows,
@@ -74,11 +74,16 @@ pub(super) fn solve(
         feed_forward: &feed_forward,
         integral: &memory.integral,
     });
-    let (mut without_lead, mut carried) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+    let (mut without_lead, mut beside, mut carried) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
     for i in 0..n {
-        let torque = feed_forward[i] * plan.servos.compliance[i];
-        without_lead[i] = seen.q[i] + torque + seen.gravity_in_goal[i] / plan.kg[i] + memory.integral[i];
-        carried[i] = seen.gravity_in_goal[i] + feed_forward[i] + plan.servos.kp[i] * memory.integral[i];
+        let (kp, compliance) = (plan.servos.kp[i], plan.servos.compliance[i]);
+        let fade = |lead| fade_beyond(lead, seen.q[i], plan.lower[i], plan.upper[i], plan.stop_slope);
+        all_joints.force_lead[i] = fade(all_joints.force_lead[i]);
+        let resistance = fade(feed_forward[i] * compliance);
+        feed_forward[i] = kp * resistance;
+        without_lead[i] = seen.q[i] + memory.integral[i];
+        beside[i] = all_joints.force_lead[i] + resistance + seen.gravity_in_goal[i] / plan.kg[i];
+        carried[i] = seen.gravity_in_goal[i] + feed_forward[i] + kp * (memory.integral[i] + all_joints.force_lead[i]);
     }
     let (mut locked, mut fixed_lead) = ([false; MAX_JOINTS], [0.0; MAX_JOINTS]);
     let (mut motion, mut rows) = (all_joints, seen.rows);
@@ -86,6 +91,7 @@ pub(super) fn solve(
         let mut goal = without_lead;
         (0..n).for_each(|i| goal[i] += motion.lead[i] + motion.null[i]);
         if !lock(&goal, &without_lead, &plan.lower, &plan.upper, &mut locked, &mut fixed_lead, n) {
+            (0..n).for_each(|i| goal[i] += beside[i]);
             return Solution { motion, shares, rows, locked, goal, gradient, feed_forward, damping, row_damping };
         }
         let (mut cut, mut lead, mut torque) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
@@ -97,7 +103,8 @@ pub(super) fn solve(
                     row[i] = 0.0;
                 }
             } else {
-                (lead[i], torque[i]) = (whole, carried[i] + plan.servos.kp[i] * whole);
+                lead[i] = whole + all_joints.force_lead[i];
+                torque[i] = carried[i] + plan.servos.kp[i] * whole;
             }
         }
         let takeover = Takeover {

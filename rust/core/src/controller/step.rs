@@ -11,10 +11,13 @@ use crate::controller::{Command, Controller, StepInput};
 use crate::error::{Error, Result};
 use crate::kinematics::Frames;
 use crate::law::inverse::transpose_times;
+use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::{Law, LimitRule};
 use crate::task;
-use crate::task::deviation::{into_frame, pose_error};
+use crate::task::deviation::{into_frame, out_of_frame, pose_error};
+use crate::task::deviation_limit::Pushed;
+use crate::task::governor::Governor;
 use crate::task::wish::Wish;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -35,6 +38,10 @@ pub(super) struct Seen {
     pub(super) rows: Rows,
     /// Deviation (6,) in the task frame.
     error: AxisVec,
+    tool: Pose,
+    reference: Pose,
+    /// Which of x, y, z, roll, pitch, yaw met its deviation limit.
+    limited: [bool; MAX_AXES],
     /// Torques that hold the arm [N·m].
     holding: JointVec,
     pub(super) gravity_in_goal: JointVec,
@@ -86,12 +93,16 @@ impl Controller {
 
         let predicted = self.predict(q, input, &mut memory);
         let speed = settings.max_tool_speed;
+        let before = memory.governor.pose();
         let reference = memory.governor.follow(target, speed, settings.max_tool_acceleration, dt);
+        let mut seen = self.look(&predicted, reference);
+        if !plan.deviation_limits.is_empty() {
+            limit_deviation(plan, &before, &mut seen, &mut memory.governor);
+        }
         let twist = input.twist.map_or([0.0; MAX_AXES], |twist| memory.governor.velocity(&twist, speed));
-        let seen = self.look(&predicted, &reference);
         let wish = Wish::new(plan, settings, &seen.error, &into_frame(&seen.base_from_task, &twist));
         let solution = solve(plan, settings, input, &seen, &wish, &mut memory);
-        let mut record = note(&seen, &wish, &solution, &memory, settings.horizon);
+        let mut record = note(plan, &seen, &wish, &solution, &memory, settings.horizon);
 
         let wanted = self.wanted_limits(q, &seen, &wish, &solution, &record, &memory);
         let rise = plan.rise.map(|per_second| per_second * dt);
@@ -102,12 +113,14 @@ impl Controller {
                 let (lead, most) = (solution.motion.lead[i] + solution.motion.null[i], self.lead_limit(i, limit[i]));
                 goal[i] += clip(lead, most) - lead;
             }
-            goal[i] = slew(memory.goal[i], goal[i], settings.goal_slew * dt, plan.lower[i], plan.upper[i]);
+            let (lower, upper) = (plan.lower[i] - plan.beyond[i], plan.upper[i] + plan.beyond[i]);
+            goal[i] = slew(memory.goal[i], goal[i], settings.goal_slew * dt, lower, upper);
             record.saturated[i] = limit[i] >= plan.servos.torque[i];
         }
         if settings.integrate > 0.0 {
-            let mut lead = solution.motion.stiff_lead;
-            (0..plan.n).for_each(|i| lead[i] += solution.motion.null[i]);
+            let mut lead = solution.motion.lead;
+            (0..plan.n)
+                .for_each(|i| lead[i] = if solution.locked[i] { 0.0 } else { lead[i] + solution.motion.null[i] });
             let addition = Addition {
                 lead: &lead,
                 share: settings.integrate * dt,
@@ -139,7 +152,7 @@ impl Controller {
     }
 
     /// Line 2: kinematics, gravity and deviation.
-    fn look(&self, q: &JointVec, reference: &Pose) -> Seen {
+    fn look(&self, q: &JointVec, reference: Pose) -> Seen {
         let chain = self.model.chain();
         let mut frames = Frames::default();
         let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
@@ -153,7 +166,10 @@ impl Controller {
         Seen {
             q: *q,
             rows: task::rows(&world, &base_from_task, &self.plan.axes),
-            error: into_frame(&base_from_task, &pose_error(&frames.tool, reference)),
+            error: into_frame(&base_from_task, &pose_error(&frames.tool, &reference)),
+            tool: frames.tool,
+            reference,
+            limited: [false; MAX_AXES],
             gravity_in_goal: if gravity.in_goal() { holding } else { nothing },
             gravity_in_limit: if gravity.in_limits() { holding } else { nothing },
             holding,
@@ -175,11 +191,9 @@ impl Controller {
         let (plan, k, n) = (&self.plan, self.plan.k, self.plan.n);
         let (pull, mut offset) = (transpose_times(&seen.rows, &record.wrench, k), [0.0; MAX_JOINTS]);
         for i in 0..n {
-            let mut lead = solution.motion.null[i];
-            if solution.locked[i] {
-                // What its limit leaves of its part of the wrench.
-                lead = solution.motion.lead[i] - plan.servos.compliance[i] * pull[i];
-            }
+            // The null space, and what a position limit has taken of the joint's part of the wrench.
+            let lead = solution.motion.lead[i] + solution.motion.force_lead[i] + solution.motion.null[i]
+                - plan.servos.compliance[i] * pull[i];
             offset[i] = plan.servos.kp[i] * (lead + memory.integral[i] + seen.q[i] - q[i]);
         }
         let load = Load {
@@ -211,7 +225,20 @@ impl Controller {
     }
 }
 
-fn note(seen: &Seen, wish: &Wish, solution: &Solution, memory: &Memory, horizon: f64) -> Record {
+/// Bounds the deviation of stiff axes by moving the reference; its speed along these axes is then spent.
+fn limit_deviation(plan: &Plan, before: &Pose, seen: &mut Seen, governor: &mut Governor) {
+    let pushed = Pushed { tool: &seen.tool, base_from_task: &seen.base_from_task, before };
+    if let Some(kept) = pushed.keep(&plan.deviation_limits, &seen.reference) {
+        let mut velocity = into_frame(&seen.base_from_task, &governor.own_velocity());
+        for (value, met) in velocity.iter_mut().zip(kept.met) {
+            *value *= if met { 0.0 } else { kept.advance };
+        }
+        governor.put(kept.reference, out_of_frame(&seen.base_from_task, &velocity));
+        (seen.reference, seen.error, seen.limited) = (kept.reference, kept.error, kept.met);
+    }
+}
+
+fn note(plan: &Plan, seen: &Seen, wish: &Wish, solution: &Solution, memory: &Memory, horizon: f64) -> Record {
     let mut wrench = solution.motion.wrench.soft;
     for (value, stiff) in wrench.iter_mut().zip(solution.motion.wrench.stiff) {
         *value += stiff;
@@ -238,5 +265,7 @@ fn note(seen: &Seen, wish: &Wish, solution: &Solution, memory: &Memory, horizon:
         gain_factor: solution.motion.gain_factor,
         saturated: [false; MAX_JOINTS],
         locked: solution.locked,
+        deviation_limited: std::array::from_fn(|r| plan.axes.get(r).is_some_and(|&axis| seen.limited[axis])),
+        reference: seen.reference,
     }
 }

@@ -64,10 +64,10 @@ pub(crate) struct Tick<'a> {
 /// What a law hands to the command floor.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Motion {
-    /// Lead of the goals from the task [rad].
+    /// Lead of the goals that is to move the arm: that of stiff axes, under law `paper` of all [rad].
     pub(crate) lead: JointVec,
-    /// The part of it that serves stiff axes [rad].
-    pub(crate) stiff_lead: JointVec,
+    /// Lead of the goals that is to exert a force, whether the arm moves or not: that of soft axes [rad].
+    pub(crate) force_lead: JointVec,
     /// Null-space part of the goals [rad].
     pub(crate) null: JointVec,
     /// Wrench of the laws that speak of forces [N, N·m].

@@ -106,7 +106,8 @@ pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Activation) {
     };
     let shares = activation(&pinv, null_shares, k, n);
     let factors = [null_factor, task_factor, task_factor];
-    (Motion { lead, stiff_lead: lead, null, wrench: Wrench::default(), factors, gain_factor: 1.0 }, shares)
+    let force_lead = [0.0; MAX_JOINTS];
+    (Motion { lead, force_lead, null, wrench: Wrench::default(), factors, gain_factor: 1.0 }, shares)
 }
 
 /// `K_q v`.

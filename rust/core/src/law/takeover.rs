@@ -81,10 +81,9 @@ impl Motion {
         let mut out = *self;
         for i in 0..MAX_JOINTS {
             if locked[i] {
-                (out.lead[i], out.stiff_lead[i], out.null[i]) = (fixed[i], 0.0, 0.0);
+                (out.lead[i], out.null[i]) = (fixed[i], 0.0);
             } else {
                 out.lead[i] += addition.lead[i];
-                out.stiff_lead[i] += addition.lead[i];
             }
         }
         for (value, more) in out.wrench.stiff.iter_mut().zip(addition.wrench) {

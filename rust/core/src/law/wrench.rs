@@ -37,16 +37,14 @@ impl Tick<'_> {
         let [null_speed, soft_speed, stiff_speed] = scale_to_fit(&[0.0; MAX_JOINTS], [&null, &soft, &stiff], &reach, n);
         let factors = [null_speed, soft_torque * soft_speed, stiff_torque * stiff_speed];
 
-        let mut lead = [0.0; MAX_JOINTS];
         for i in 0..MAX_JOINTS {
             soft[i] *= soft_speed;
             stiff[i] *= stiff_speed;
             null[i] *= null_speed;
-            lead[i] = soft[i] + stiff[i];
         }
         wrench.soft = wrench.soft.map(|f| f * factors[1]);
         wrench.stiff = wrench.stiff.map(|f| f * factors[2]);
-        Motion { lead, stiff_lead: stiff, null, wrench, factors, gain_factor: plan.kx_derating }
+        Motion { lead: stiff, force_lead: soft, null, wrench, factors, gain_factor: plan.kx_derating }
     }
 
     /// Scales the null-space motion to its torque, `Σ k_p |null| ≤ τ₀`, and to its speed limit.

@@ -12,10 +12,11 @@ use crate::servos::{ServoArrays, Servos};
 use crate::settings::{Damping, Follow, Law, LimitRule, Projector, Settings};
 use crate::survey;
 use crate::task::axes::{AXIS_NAMES, Frame};
+use crate::task::deviation_limit::DeviationLimit;
 
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 pub(crate) use rows::Row;
-use rows::resolve_rows;
+use rows::{deviation_limits, resolve_rows};
 
 /// Reach [m] of the arm on which the damping constants were found; others are scaled to it.
 const REFERENCE_REACH: f64 = 0.71;
@@ -48,6 +49,8 @@ pub(crate) struct Plan {
     /// Axis index of each row.
     pub(crate) axes: Vec<usize>,
     pub(crate) rows: [Row; MAX_AXES],
+    /// Axes with a deviation limit; where there are none, a step knows nothing of them.
+    pub(crate) deviation_limits: Vec<DeviationLimit>,
     /// 1 / length for translations, 1 for rotations: what makes singular values of mixed rows comparable.
     pub(crate) row_scale: AxisVec,
     /// Factor on λ² of each row.
@@ -72,6 +75,10 @@ pub(crate) struct Plan {
     pub(crate) joint_speed: JointVec,
     pub(crate) lower: JointVec,
     pub(crate) upper: JointVec,
+    /// How far goals may pass the position limits [rad]: the lead that the servo's whole torque takes.
+    pub(crate) beyond: JointVec,
+    /// By how much a lead that serves a force fades per rad that its joint is beyond the limits, at most.
+    pub(crate) stop_slope: f64,
     pub(crate) floor: JointVec,
     pub(crate) margin: JointVec,
     /// Rise of the limits per second; ∞ for none.
@@ -130,6 +137,7 @@ impl Plan {
             budget_on_goal: settings.budget_on_goal,
             frame: settings.task.frame,
             rows,
+            deviation_limits: deviation_limits(settings, &axes),
             row_scale,
             damping_scale,
             kx: [[0.0; MAX_AXES]; MAX_AXES],
@@ -147,6 +155,8 @@ impl Plan {
             joint_speed: resolve_speed(model, settings)?,
             lower: fill(model.lower(), f64::NEG_INFINITY),
             upper: fill(model.upper(), f64::INFINITY),
+            beyond: [0.0; MAX_JOINTS],
+            stop_slope: 0.0,
             floor: match &settings.floor {
                 Some(floor) => list("floor", Some(floor), n, 0.0)?,
                 None => arrays.friction,
@@ -167,21 +177,28 @@ impl Plan {
             k,
         );
         check_gain(settings, &plan)?;
+        plan.stop_slope = plan.gain_bound(settings.delay, 1.0 / settings.rate) - 1.0;
         if plan.law == Law::Impedance {
             stiffness::check(model, settings, &plan)?;
         }
-        for i in 0..n {
-            let usable = plan.servos.torque[i];
-            let share = if usable.is_finite() { settings.margin * usable } else { 0.0 };
-            plan.margin[i] = share.max(2.0 * plan.servos.friction[i]);
-            if settings.stiffening_time > 0.0 {
-                plan.rise[i] = usable / settings.stiffening_time;
-            }
-        }
+        plan.follow_torques(settings);
         if let Some(posture) = &settings.posture {
             list("posture", Some(posture), n, 0.0)?;
         }
         Ok(plan)
+    }
+
+    /// Margin and rise of the limits, and how far goals may pass the position limits.
+    fn follow_torques(&mut self, settings: &Settings) {
+        for i in 0..self.n {
+            let usable = self.servos.torque[i];
+            let share = if usable.is_finite() { settings.margin * usable } else { 0.0 };
+            self.margin[i] = share.max(2.0 * self.servos.friction[i]);
+            self.beyond[i] = if self.servos.has_kp { usable * self.servos.compliance[i] } else { 0.0 };
+            if settings.stiffening_time > 0.0 {
+                self.rise[i] = usable / settings.stiffening_time;
+            }
+        }
     }
 
     /// Task rows with translations divided by the arm's length.
@@ -225,6 +242,7 @@ impl Plan {
         let (gain, bound) = (self.gain(settings.horizon), self.gain_bound(delay, 1.0 / settings.rate));
         self.kx_derating = if self.law == Law::Cap && gain > bound { bound / gain } else { 1.0 };
         self.impedance_bounds = stiffness::bounds(settings, delay);
+        self.stop_slope = bound - 1.0;
     }
 }
 

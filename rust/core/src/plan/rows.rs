@@ -9,6 +9,7 @@ use crate::servos::ServoArrays;
 use crate::settings::{Law, Settings};
 use crate::survey;
 use crate::task::axes::{AXIS_NAMES, Axis, Profile, Yields};
+use crate::task::deviation_limit::DeviationLimit;
 
 /// Largest η without knowing `k_p` or having captured gravity: beyond it a gravity error walks the arm away.
 const ETA_UNPROVEN: f64 = 0.95;
@@ -33,6 +34,19 @@ pub(crate) struct Row {
     pub(crate) profile: Profile,
     pub(crate) step_limit: f64,
     pub(crate) soft_step_limit: f64,
+}
+
+/// The axes that have a deviation limit; mostly none.
+pub(super) fn deviation_limits(settings: &Settings, axes: &[usize]) -> Vec<DeviationLimit> {
+    let of = |&axis: &usize| {
+        let given = &settings.axes[axis];
+        given.deviation_limit.map(|limit| DeviationLimit {
+            axis,
+            most: given.effective_yields().sides().map(|on| if on { f64::INFINITY } else { limit }),
+            beyond: given.beyond,
+        })
+    };
+    axes.iter().filter_map(of).collect()
 }
 
 /// Strengths where nothing is given: soft, firm, hold of translations and rotations.

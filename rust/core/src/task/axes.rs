@@ -154,6 +154,16 @@ pub enum Profile {
     Yielding,
 }
 
+/// What the target does where a stiff axis is beyond its deviation limit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Beyond {
+    /// It lets this axis go: the arm gives way with the force of the limit, and is led back when it is let go.
+    #[default]
+    Follow,
+    /// It waits, all of it, until the axis is within its limit again.
+    Hold,
+}
+
 /// What is asked of one task axis. `None` takes the default, which for the strengths depends on law and arm.
 ///
 /// Strengths are forces [N] ([N·m] for rotations) under the laws `cap` and `impedance`, torque budgets [N·m] under law
@@ -184,6 +194,10 @@ pub struct Axis {
     pub step_limit: Option<f64>,
     /// The same while it yields.
     pub soft_step_limit: Option<f64>,
+    /// Largest deviation [m or rad] toward a side that does not yield; `None`: any.
+    pub deviation_limit: Option<f64>,
+    /// What happens beyond it.
+    pub beyond: Beyond,
 }
 
 impl Axis {
@@ -235,6 +249,18 @@ impl Axis {
         if let (Some(soft), Some(firm)) = (self.soft, self.firm) {
             for side in 0..2 {
                 check(at("soft"), soft[side], soft[side] <= firm[side], &format!("[0, firm = {}]", firm[side]))?;
+            }
+        }
+        if let Some(limit) = self.deviation_limit {
+            check(at("deviation_limit"), limit, limit > 0.0 && limit.is_finite(), "(0, ∞)")?;
+            if self.effective_yields() == Yields::Both {
+                return Err(Error::config(
+                    at("deviation_limit"),
+                    format!(
+                        "{limit} has no effect on an axis that yields to both sides: leave it out, or say to which side \
+                         the axis yields (yields=\"+\", \"-\" or \"none\")"
+                    ),
+                ));
             }
         }
         if self.eta > 0.0 && self.effective_yields() == Yields::None {

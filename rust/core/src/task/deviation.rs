@@ -99,6 +99,11 @@ pub(crate) fn into_frame(base_from_task: &[[f64; 3]; 3], v: &AxisVec) -> AxisVec
     ]
 }
 
+/// Both halves of a 6-vector turned from the task frame into base axes.
+pub(crate) fn out_of_frame(base_from_task: &[[f64; 3]; 3], v: &AxisVec) -> AxisVec {
+    std::array::from_fn(|i| (0..3).map(|k| base_from_task[i % 3][k] * v[3 * (i / 3) + k]).sum())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

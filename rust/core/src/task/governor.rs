@@ -22,6 +22,21 @@ impl Governor {
         Self { pose, velocity: [0.0; 6], arrived: [true; 2], target: pose, target_speed: [0.0; 2] }
     }
 
+    /// The reference.
+    pub(crate) fn pose(&self) -> Pose {
+        self.pose
+    }
+
+    /// Takes another reference than it has come to, and another velocity (6,), base axes: the target is then ahead.
+    pub(crate) fn put(&mut self, pose: Pose, velocity: [f64; 6]) {
+        (self.pose, self.velocity, self.arrived) = (pose, velocity, [false; 2]);
+    }
+
+    /// Its own velocity (6,), base axes.
+    pub(crate) fn own_velocity(&self) -> [f64; 6] {
+        self.velocity
+    }
+
     /// Velocity of the reference (6,), base axes: the target's own `twist` once it is caught, within `speed`.
     pub(crate) fn velocity(&self, twist: &[f64; 6], speed: [f64; 2]) -> [f64; 6] {
         let mut out = self.velocity;

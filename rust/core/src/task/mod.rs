@@ -5,6 +5,7 @@ pub mod axes;
 pub mod compliance;
 pub mod deviation;
 
+pub(crate) mod deviation_limit;
 pub(crate) mod governor;
 pub(crate) mod wish;
 

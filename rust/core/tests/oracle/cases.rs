@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
-use pliant_core::task::axes::{Axis, Frame, Profile, Task, Yields};
+use pliant_core::task::axes::{Axis, Beyond, Frame, Profile, Task, Yields};
 use pliant_core::{Controller, Model, Servos};
 
 use crate::seeded::Random;
@@ -39,6 +39,12 @@ fn axis(random: &mut Random, law: Law, translation: bool, small: bool) -> Axis {
         profile: random.pick(&[Profile::Firming, Profile::Constant, Profile::Yielding]),
         step_limit: random.pick(&[None, Some(0.05), Some(f64::INFINITY)]),
         soft_step_limit: random.pick(&[None, None, Some(0.1), Some(f64::INFINITY)]),
+        deviation_limit: if yields == Yields::Both {
+            None
+        } else {
+            random.pick(&[None, None, Some(if translation { 0.01 } else { 0.03 }), Some(0.1)])
+        },
+        beyond: random.pick(&[Beyond::Follow, Beyond::Hold]),
     }
 }
 

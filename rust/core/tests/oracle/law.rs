@@ -31,7 +31,10 @@ pub(super) struct Want<'a> {
 /// What it answers.
 #[derive(Clone)]
 pub(super) struct Motion {
+    /// What is to move the arm.
     pub(super) lead: Vector,
+    /// What is to exert the force of soft axes.
+    pub(super) force: Vector,
     pub(super) null: Vector,
     pub(super) wrench: Vector,
     pub(super) factors: [f64; 3],
@@ -192,7 +195,8 @@ impl Want<'_> {
         let lead_stiff = (tau_stiff * f_stiff).component_div(&kp);
         let [f_null, g_soft, g_stiff] = self.slower(&null, &lead_soft, &lead_stiff);
         Motion {
-            lead: lead_soft * g_soft + lead_stiff * g_stiff,
+            lead: lead_stiff * g_stiff,
+            force: lead_soft * g_soft,
             null: null * f_null,
             wrench: soft * (f_soft * g_soft) + stiff * (f_stiff * g_stiff),
             factors: [f_null, f_soft * g_soft, f_stiff * g_stiff],
@@ -260,7 +264,14 @@ impl Want<'_> {
         null *= self.null_speed_factor(&null);
         let [f_null, f_task, _] = self.slower(&null, &lead, &zero);
         null *= f_null;
-        Motion { lead: lead * f_task, null, wrench: Vector::zeros(k), factors: [f_null, f_task, f_task], derating: 1.0 }
+        Motion {
+            lead: lead * f_task,
+            force: zero,
+            null,
+            wrench: Vector::zeros(k),
+            factors: [f_null, f_task, f_task],
+            derating: 1.0,
+        }
     }
 
     /// `all` with locked joints at their `fixed` lead; what they lack is solved for over the other joints, with the damping
@@ -295,18 +306,19 @@ impl Want<'_> {
         if settings.law == pliant_core::settings::Law::Paper {
             wrench.fill(0.0);
         } else {
-            let base = of(false, &(self.base + kp.component_mul(&whole)));
+            let base = of(false, &(self.base + kp.component_mul(&(&whole + &all.force))));
             let torque = kp.component_mul(&more);
             if beyond(&(&base + &torque), &self.oracle.ceiling()) {
                 factor = fit(&base, &torque, &self.oracle.ceiling());
             }
         }
-        let before = of(false, &whole);
+        let before = of(false, &(&whole + &all.force));
         let zero = Vector::zeros(n);
         factor = factor.min(self.slower(&zero, &more, &before)[1]);
         more *= factor;
         Motion {
             lead: of(false, &(&all.lead + &more)) + of(true, fixed),
+            force: all.force.clone(),
             null: of(false, &all.null),
             wrench: &all.wrench + wrench * factor,
             factors: all.factors,

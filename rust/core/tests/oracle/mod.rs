@@ -11,6 +11,7 @@ use pliant_core::settings::{Damping, Gain, Law, LimitRule, Settings};
 use pliant_core::task::axes::{Frame, Profile, Yields};
 use pliant_core::{Model, Pose, Reference, ServoKind, Servos, StepInput};
 
+mod deviation_limit;
 mod law;
 
 pub(crate) type Vector = DVector<f64>;
@@ -36,6 +37,8 @@ pub(crate) struct Memory {
     goal: Vector,
     limit: Option<Vector>,
     rest: Vector,
+    /// Target of the last tick as far as the deviation limits let it.
+    reference: Pose,
 }
 
 /// Everything that one tick came to; one entry per row of the task, or per joint.
@@ -62,6 +65,11 @@ pub(crate) struct Tick {
     pub(crate) lambda: f64,
     pub(crate) gamma: f64,
     pub(crate) locked: Vec<bool>,
+    /// Whether a force led out of a limit that its joint had passed.
+    pub(crate) faded: bool,
+    /// Axes that met their deviation limit.
+    pub(crate) met: Vec<bool>,
+    pub(crate) reference: Pose,
     pub(crate) goal: Vector,
     pub(crate) limit: Vector,
     /// Smallest and largest singular value of the rows, by SVD.
@@ -100,13 +108,16 @@ impl Oracle {
                 goal: zero.clone(),
                 limit: None,
                 rest: zero,
+                reference: Pose::IDENTITY,
             },
         }
     }
 
     pub(crate) fn reset(&mut self, q: &[f64]) {
+        let reference = self.model.forward_kinematics(q).unwrap();
         let q = Vector::from_column_slice(q);
         self.memory = Memory {
+            reference,
             held: q.clone(),
             velocity: Vector::zeros(q.len()),
             gamma: 1.0,
@@ -163,7 +174,7 @@ impl Oracle {
         usable.zip_map(&friction, |m, f| m.max(2.0 * f))
     }
 
-    fn base_from_task(&self, tool: &Pose) -> Matrix3<f64> {
+    pub(crate) fn base_from_task(&self, tool: &Pose) -> Matrix3<f64> {
         let of = |r: &[[f64; 3]; 3]| Matrix3::from_fn(|i, j| r[i][j]);
         match &self.settings.task.frame {
             Frame::Base => Matrix3::identity(),
@@ -195,7 +206,7 @@ impl Oracle {
     }
 
     /// (1)(2): position difference, rotation vector of `R_d Rᵀ`, turned into the task frame; then only the task's axes.
-    fn deviation(&self, tool: &Pose, target: &Pose) -> Vector {
+    pub(crate) fn deviation(&self, tool: &Pose, target: &Pose) -> Vector {
         let of = |r: &[[f64; 3]; 3]| Rotation3::from_matrix_unchecked(Matrix3::from_fn(|i, j| r[i][j]));
         let turn = (of(&target.rotation) * of(&tool.rotation).inverse()).scaled_axis();
         let position = Vector3::from(target.position) - Vector3::from(tool.position);
@@ -328,8 +339,10 @@ impl Oracle {
         // 2
         let tool = self.model.forward_kinematics(q.as_slice()).unwrap();
         let rows = self.rows(&q);
-        let e = self.deviation(&tool, target);
-        let twist = input.twist.copied().unwrap_or_default();
+        let (reference, met) = self.reference(&tool, target);
+        let e = self.deviation(&tool, &reference);
+        // A reference that does not reach its target does not have the target's velocity.
+        let twist = input.twist.copied().filter(|_| !met.contains(&true)).unwrap_or_default();
         let twist = self.in_task(
             &tool,
             &Vector3::new(twist[0], twist[1], twist[2]),
@@ -399,12 +412,31 @@ impl Oracle {
             gradient: &gradient,
             base: &(&in_goal + &feed_forward),
         };
-        let all_joints = match settings.law {
+        // What exerts a force may lead out of the position limits; with q itself beyond one it fades, by 1/(0.02 rad) or by
+        // what the delay allows: 0.03 s / T_e, less the 1 that the servo itself has.
+        let late = self.delay + 0.5 / settings.rate;
+        let well_damped = self.resistance().iter().zip(kp.iter()).all(|(d, kp)| d / kp >= 0.04);
+        let slope = if well_damped { 2.0 } else { (0.03 / late).clamp(1.0, 3.0) - 1.0 };
+        let fade = |lead: f64, i: usize| {
+            let beyond = if lead > 0.0 { q[i] - self.model.upper()[i] } else { self.model.lower()[i] - q[i] };
+            if beyond > 0.0 {
+                lead.signum() * (lead.abs() - beyond * slope.min(lead.abs() / 0.02)).max(0.0)
+            } else {
+                lead
+            }
+        };
+        let mut all_joints = match settings.law {
             Law::Cap => want.cap(),
             Law::Impedance => want.impedance(),
             Law::Paper => want.paper(),
         };
-        let without_lead = &q + feed_forward.component_div(&kp) + in_goal.component_div(&self.kg);
+        let (lead, resisted) = (all_joints.force.clone(), feed_forward.component_div(&kp));
+        all_joints.force = Vector::from_fn(n, |i, _| fade(lead[i], i));
+        let faded = all_joints.force != lead;
+        let resisted = Vector::from_fn(n, |i, _| fade(resisted[i], i));
+        let feed_forward = resisted.component_mul(&kp);
+        let want = law::Want { base: &(&in_goal + &feed_forward), ..want };
+        let (without_lead, forces) = (q.clone(), &all_joints.force + &resisted + in_goal.component_div(&self.kg));
         let mut motion = all_joints.clone();
         let mut locked = vec![false; n];
         let goal = loop {
@@ -412,7 +444,7 @@ impl Oracle {
             let beyond = |i: usize| !(self.model.lower()[i]..=self.model.upper()[i]).contains(&goal[i]);
             let more: Vec<usize> = (0..n).filter(|&i| !locked[i] && beyond(i)).collect();
             if more.is_empty() {
-                break goal;
+                break goal + &forces;
             }
             for i in more {
                 locked[i] = true;
@@ -440,10 +472,9 @@ impl Oracle {
         let null_torque = settings.null_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
         let wanted = if cap && settings.limits == LimitRule::Demand {
             let bounded = Vector::from_fn(k, |r, _| clip(motion.wrench[r], most[r]));
-            // A locked joint: the same, less what its limit cuts off.
+            // Less what a position limit cuts off.
             let (pulled, whole) = (rows.transpose() * bounded, rows.transpose() * &motion.wrench);
-            let cut = kp.component_mul(&motion.lead) - whole;
-            let task = Vector::from_fn(n, |i, _| if locked[i] { pulled[i] + cut[i] } else { pulled[i] });
+            let task = pulled + kp.component_mul(&(&motion.lead + &motion.force)) - whole;
             let asked = &in_limit + task + &feed_forward + kp.component_mul(&(&motion.null + &q - &measured));
             asked.zip_map(&in_limit, |a, g| a.abs().max(settings.gravity_scale * g.abs())) + self.margin()
         } else if cap {
@@ -482,11 +513,15 @@ impl Oracle {
                 goal[i] = goal[i] - lead + clip(lead, most);
             }
             let (from, slew) = (self.memory.goal[i], settings.goal_slew * ahead);
-            goal[i] = goal[i].max(self.model.lower()[i]).min(self.model.upper()[i]).max(from - slew).min(from + slew);
+            // Out of the limits by no more than the whole torque takes.
+            let out = if self.servos.is_some() { ceiling[i] / kp[i] } else { 0.0 };
+            let (lower, upper) = (self.model.lower()[i] - out, self.model.upper()[i] + out);
+            goal[i] = goal[i].max(lower).min(upper).max(from - slew).min(from + slew);
         }
         let singular = self.scaled(&rows).singular_values();
 
         self.memory.gamma = gamma;
+        self.memory.reference = reference;
         self.memory.goal.clone_from(&goal);
         self.memory.limit = Some(limit.clone());
         Tick {
@@ -512,6 +547,9 @@ impl Oracle {
             activation,
             gamma,
             locked,
+            faded,
+            met,
+            reference,
             goal,
             limit,
         }

@@ -1,0 +1,130 @@
+"""From a TOML file, or the name of a ready one, to a checked `Config`."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from pliant import ConfigError
+from pliant.config import ready
+from pliant.config.messages import explain
+from pliant.config.schema import Config
+
+
+def load(
+    source: str | Path,
+    *,
+    port: str | None = None,
+    backend: str | None = None,
+    urdf: str | Path | None = None,
+    calibration: str | Path | None = None,
+) -> Config:
+    """Read a configuration file.
+
+    Args:
+        source: Path of a TOML file, or the name of a ready one (`pliant.config.names()`).
+        port: Device in place of the file's, where the file names a single port; or `auto`.
+        backend: `bus`, `emulator` or `sim` in place of the file's.
+        urdf: URDF file in place of the file's, relative to the working folder.
+        calibration: LeRobot's calibration file in place of the file's, likewise.
+
+    Returns:
+        The configuration, checked as a whole.
+
+    Raises:
+        ConfigError: The file is not there, is no TOML, or something in it is wrong: all of it is
+            said at once, with the key, the value and what would be right.
+    """
+    path = Path(source).expanduser()
+    name = str(source)
+    if path.is_file():
+        text, folder, label = _read(path), path.resolve().parent, str(source)
+    elif path.suffix != ".toml" and name in ready.names():
+        text, folder, label = ready.text(name), Path.cwd(), f"{name} (ready file)"
+    elif path.suffix == ".toml" or len(path.parts) > 1:
+        raise ConfigError(f"there is no file {name}; ready files: {', '.join(ready.names())}")
+    else:
+        raise ConfigError(
+            f"{name!r} is neither a file nor the name of a ready one: {', '.join(ready.names())}"
+        )
+    overrides = Overrides(port=port, backend=backend, urdf=urdf, calibration=calibration)
+    return parse(text, source=label, folder=folder, overrides=overrides)
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What the command line says in place of the file; see `load`."""
+
+    port: str | None = None
+    backend: str | None = None
+    urdf: str | Path | None = None
+    calibration: str | Path | None = None
+
+    def apply(self, table: dict[str, Any], source: str) -> None:
+        """Write them into the table.
+
+        Raises:
+            ConfigError: One port is given for several.
+        """
+        if self.backend is not None:
+            table["backend"] = self.backend
+        if self.urdf is not None and isinstance(table.get("robot"), dict):
+            table["robot"].pop("builtin", None)
+            table["robot"]["urdf"] = Path(self.urdf).expanduser().resolve()
+        if self.calibration is not None:
+            table["calibration"] = Path(self.calibration).expanduser().resolve()
+        if self.port is None:
+            return
+        ports: Any = table.get("port", [{}])
+        if not isinstance(ports, list) or len(ports) != 1:
+            raise ConfigError(
+                f"{source} does not name just one port: a path from outside cannot replace them; "
+                "write the paths into the file"
+            )
+        table["port"] = [{**ports[0], "path": self.port}]
+
+
+def parse(
+    text: str,
+    *,
+    source: str = "configuration",
+    folder: str | Path = ".",
+    overrides: Overrides = Overrides(),
+) -> Config:
+    """Check the text of a configuration.
+
+    Args:
+        text: TOML.
+        source: What errors call it.
+        folder: Folder that relative paths start from.
+        overrides: What replaces the file's words.
+
+    Raises:
+        ConfigError: As in `load`.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{source} is no TOML: {error}") from error
+    overrides.apply(table, source)
+    try:
+        config = Config.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(explain(error, Config, source)) from None
+    config = config.at(Path(folder))
+    try:
+        config.settings()
+    except (ConfigError, TypeError) as error:
+        raise ConfigError(f"{source}: settings: {error}") from error
+    return config
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} cannot be read: {error}") from error

@@ -1,0 +1,96 @@
+"""What is wrong with a file, in sentences: which key, which value, what would be right."""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING, Any, get_args
+
+from pydantic import BaseModel
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from pydantic import ValidationError
+    from pydantic_core import ErrorDetails
+
+
+def explain(error: ValidationError, schema: type[BaseModel], source: str) -> str:
+    """All that is wrong, one sentence each.
+
+    Args:
+        error: What pydantic found.
+        schema: The table that was read.
+        source: Name of the file.
+    """
+    findings = dict.fromkeys(_sentence(detail, schema) for detail in error.errors())
+    return f"{source}: " + "; ".join(findings)
+
+
+def suggest(word: str, known: Iterable[str]) -> str:
+    """`, did you mean 'x'? There are: ...` for a word that is not known."""
+    names = sorted(known)
+    close = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{hint}there are: {', '.join(names) or 'none'}"
+
+
+def _sentence(detail: ErrorDetails, schema: type[BaseModel]) -> str:
+    place = _path(detail["loc"])
+    kind = detail["type"]
+    if kind == "extra_forbidden":
+        word = str(detail["loc"][-1])
+        return f"{place} is not a key here; {suggest(word, keys(schema, detail['loc'][:-1]))}"
+    if kind == "missing":
+        return f"{place} is missing"
+    said = detail["msg"].removeprefix("Value error, ")
+    said = said[:1].lower() + said[1:]
+    if kind in {"value_error", "assertion_error"}:
+        return f"{place}: {said}" if place else said
+    return f"{place} = {_short(detail['input'])}: {said}"
+
+
+def keys(schema: type[BaseModel], path: Sequence[int | str]) -> set[str]:
+    """Keys of the table at `path`."""
+    table: Any = schema
+    for step in path:
+        if isinstance(table, type) and issubclass(table, BaseModel):
+            field = _field(table, str(step))
+            table = field.annotation if field is not None else None
+        elif isinstance(step, int) or (isinstance(step, str) and not _is_model(table)):
+            table = next((a for a in get_args(table) if a is not str), None)
+        table = _inner(table, step)
+    if not _is_model(table):
+        return set()
+    return {field.alias or name for name, field in table.model_fields.items()}
+
+
+def _field(table: type[BaseModel], name: str) -> Any:
+    for own, field in table.model_fields.items():
+        if name in {own, field.alias}:
+            return field
+    return None
+
+
+def _is_model(table: Any) -> bool:
+    return isinstance(table, type) and issubclass(table, BaseModel)
+
+
+def _inner(table: Any, step: int | str) -> Any:
+    """The table inside an Optional; containers stay for the next step to open."""
+    parts = get_args(table)
+    if type(None) in parts:
+        return next((part for part in parts if part is not type(None)), None)
+    del step
+    return table
+
+
+def _path(location: Sequence[int | str]) -> str:
+    out = ""
+    for step in location:
+        out += f"[{step}]" if isinstance(step, int) else f"{'.' if out else ''}{step}"
+    return out
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

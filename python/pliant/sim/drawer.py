@@ -1,0 +1,133 @@
+"""A drawer on a slide, gripped at its handle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import ConfigError
+from pliant.sim._mujoco import mujoco
+from pliant.sim.grip import Gripped
+from pliant.sim.parts import set_damping
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pliant.sim.plant import Plant
+    from pliant.sim.spec import Build
+
+#: Size of the drawn box: along the slide, across it, high [m].
+SIZE = np.array((0.30, 0.30, 0.12))
+
+
+@dataclass(kw_only=True)
+class Drawer(Gripped):
+    """A box on a slide, held by the arm at its handle; the handle is where the tool is at reset.
+
+    Attributes:
+        axis: Direction in which it opens (3,), unit vector in base axes.
+        mass: Of the box [kg].
+        friction: Dry friction of the slide [N].
+        binding: Friction of the slide per N of force across it.
+        damping: Viscous damping of the slide [N·s/m].
+        stop: Length of the slide [m]; both ends are hard.
+        way, widest: How far it is open now, and was at most [m].
+        across: Largest force across the slide that the arm has put on the handle [N].
+    """
+
+    axis: Sequence[float] = (-1.0, 0.0, 0.0)
+    mass: float = 2.0
+    friction: float = 3.0
+    binding: float = 0.3
+    damping: float = 5.0
+    stop: float = 0.25
+    name: str = "drawer"
+    way: float = field(default=0.0, init=False)
+    widest: float = field(default=0.0, init=False)
+    across: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        """Check the numbers once."""
+        super().__post_init__()
+        axis = np.asarray(self.axis, dtype=np.float64)
+        if axis.shape != (3,) or abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9:
+            raise ConfigError(f"Drawer.axis must be a unit vector (3,), got {self.axis!r}")
+        low = min(self.friction, self.binding, self.damping)
+        if not (low >= 0.0 and self.mass > 0.0 and self.stop > 0.0):
+            raise ConfigError(
+                "Drawer needs mass and stop > 0; friction, binding and damping at least 0; "
+                f"got {self!r}"
+            )
+
+    def with_(self, **changes: object) -> Drawer:
+        """Return another drawer with these attributes changed."""
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+    def add(self, build: Build) -> None:
+        """Add slide, box and grip."""
+        axis = np.asarray(self.axis, dtype=np.float64)
+        frame = build.spec.worldbody.add_body(name=f"{self.name}:frame", mocap=True)
+        box = frame.add_body(name=f"{self.name}:box", gravcomp=1.0)
+        slide = box.add_joint(
+            name=f"{self.name}:slide", axis=axis, type=mujoco.mjtJoint.mjJNT_SLIDE
+        )
+        slide.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        slide.range = (0.0, self.stop)
+        slide.frictionloss = self.friction
+        set_damping(slide, self.damping)
+        box.explicitinertial = True
+        box.mass = self.mass
+        box.ipos = -axis * SIZE[0] / 2
+        box.inertia = self.mass / 12 * ((SIZE @ SIZE) - SIZE**2)
+        up = np.array((0.0, 0.0, 1.0)) if abs(axis[2]) < 0.9 else np.array((0.0, 1.0, 0.0))
+        across = np.cross(up, axis) / np.linalg.norm(np.cross(up, axis))
+        quat = np.zeros(4)
+        turn = np.stack([axis, across, np.cross(axis, across)], axis=1)
+        mujoco.mju_mat2Quat(quat, turn.reshape(9))
+        for thick, place, rgba in (
+            (SIZE, -axis * (0.03 + SIZE[0] / 2), (0.55, 0.42, 0.30, 0.55)),
+            (np.array((0.015, 0.34, 0.16)), -axis * 0.03, (0.45, 0.33, 0.22, 0.9)),
+        ):
+            geom = box.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX, size=thick / 2, contype=0, conaffinity=0
+            )
+            geom.pos, geom.quat, geom.rgba = place, quat, rgba
+        self.add_grip(build, box, (0.0, 0.0, 0.0))
+
+    def place(self, plant: Plant) -> None:
+        """Put the closed drawer so that its handle is in the tool, and forget the records."""
+        model = plant.mj_model
+        frame = int(model.body(f"{self.name}:frame").mocapid[0])
+        plant.mj_data.mocap_pos[frame] = plant.tool[:3, 3]
+        joint = model.joint(f"{self.name}:slide")
+        self._qpos, self._dof = int(joint.qposadr[0]), int(joint.dofadr[0])
+        self._axis = np.asarray(self.axis, dtype=np.float64)
+        self.place_grip(plant)
+        self.way = self.widest = self.across = 0.0
+        self._sideways = 0.0
+
+    def before(self, plant: Plant) -> None:
+        """Let the slide bind under the force across it."""
+        friction = self.friction + self.binding * self._sideways
+        plant.mj_model.dof_frictionloss[self._dof] = friction
+
+    def during(self, plant: Plant) -> None:
+        """Nothing pulls at a drawer but the arm."""
+
+    def after(self, plant: Plant) -> None:
+        """Record the way, and what the grip carries along and across the slide."""
+        self.way = float(plant.mj_data.qpos[self._qpos])
+        self.widest = max(self.widest, self.way)
+        before = self.peak_force
+        self.feel_grip(plant)
+        side = self.pull - (self.pull @ self._axis) * self._axis
+        self._sideways = float(np.sqrt(side @ side))
+        if plant.time > 0.0 and self.peak_force >= before > 0.0:
+            self.across = max(self.across, self._sideways)
+
+
+def drawer(**changes: object) -> Drawer:
+    """A drawer that opens toward the robot (-x) by 0.25 m, 2 kg, 3 N of friction."""
+    return Drawer().with_(**changes)

@@ -1,0 +1,187 @@
+"""A plug at the tool's tip and a square hole for it, with real contacts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import ConfigError
+from pliant.sim._mujoco import mujoco
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pliant.sim.plant import Plant
+    from pliant.sim.spec import Build
+
+    Array = NDArray[np.float64]
+
+#: Only the plug and the walls touch each other: contype and conaffinity of both.
+TOUCHING = {"contype": 2, "conaffinity": 2}
+#: Hardness of the contacts: time constant [s], and solimp.
+HARDNESS, IMPEDANCE = 0.005, (0.95, 0.99, 0.0005)
+#: Time over which contact forces are averaged [s]: hard parts rattle from step to step.
+FELT = 0.01
+#: Length of the plug [m].
+LENGTH = 0.08
+#: Thickness of the walls [m], and how far they reach beyond the hole.
+WALL = 0.03
+
+
+@dataclass(kw_only=True)
+class Socket:
+    """A square hole under the tool, and a round-ended plug whose tip is the tool's origin.
+
+    The plug is fixed to the tool and points along the tool's -z, as the hole does at reset. Four
+    walls make the hole, four planks at 45 deg its chamfer; below `depth` is a floor.
+
+    Attributes:
+        offset: Middle of the mouth from the tool at reset, (3,) in its axes [m].
+        tilt: Rotation vector (3,) by which the hole is turned, base axes [rad].
+        width: Of the plug, its diameter [m].
+        clearance: Hole less plug, on each side [m].
+        depth: Of the hole [m].
+        chamfer: How far the mouth is wider, on each side [m].
+        friction: Coefficient μ of the contacts.
+        name: Prefix of the bodies.
+        force: Norm of the contact force now [N].
+        peak_along, peak_across: Largest contact force along and across the hole so far [N].
+        deepest: How far the tip has come below the mouth along the hole [m].
+    """
+
+    offset: Sequence[float] = (0.0, 0.0, -0.02)
+    tilt: Sequence[float] = (0.0, 0.0, 0.0)
+    width: float = 0.02
+    clearance: float = 0.0005
+    depth: float = 0.03
+    chamfer: float = 0.004
+    friction: float = 0.3
+    name: str = "socket"
+    force: float = field(default=0.0, init=False)
+    peak_along: float = field(default=0.0, init=False)
+    peak_across: float = field(default=0.0, init=False)
+    deepest: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        """Check the numbers once."""
+        if np.shape(self.offset) != (3,) or np.shape(self.tilt) != (3,):
+            raise ConfigError("Socket.offset and tilt have three entries each")
+        low = min(self.clearance, self.chamfer, self.friction)
+        if not (self.width > 0.0 and self.depth > 0.0 and low >= 0.0):
+            raise ConfigError(
+                "Socket needs width and depth > 0; clearance, chamfer and friction at least 0; "
+                f"got {self!r}"
+            )
+
+    def with_(self, **changes: object) -> Socket:
+        """Return another socket with these attributes changed."""
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+    def add(self, build: Build) -> None:
+        """Add the plug to the arm and the socket to the world, and switch contacts on."""
+        spec = build.spec
+        spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        radius = self.width / 2.0
+        frame = spec.worldbody.add_body(name=f"{self.name}:frame", mocap=True)
+        half = radius + self.clearance
+        for k in range(4):
+            turn = np.array((np.cos(k * np.pi / 4.0), 0.0, 0.0, np.sin(k * np.pi / 4.0)))
+            self._wall(frame, turn, half)
+        floor = frame.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(half, half, 0.005))
+        floor.pos = (0.0, 0.0, -self.depth - 0.005)
+        self._finish(floor, (0.35, 0.36, 0.40, 1.0))
+        tip = next(site for site in spec.sites if site.name == build.model.tip)
+        up, turned = np.zeros(3), np.asarray(tip.quat, dtype=np.float64)
+        mujoco.mju_rotVecQuat(up, np.array((0.0, 0.0, LENGTH / 2)), turned)
+        plug = tip.parent.add_geom(
+            name=f"{self.name}:plug",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            size=(radius, LENGTH / 2 - radius, 0.0),
+            pos=tip.pos + up,
+            quat=turned,
+            mass=0.0,
+        )
+        self._finish(plug, (0.85, 0.35, 0.2, 1.0))
+
+    def _wall(self, frame: mujoco.MjsBody, turn: Array, half: float) -> None:
+        """One of the four walls: a block beside the hole, with a plank at 45 deg on its edge."""
+        quat = np.zeros(4)
+        place, reach = np.zeros(3), half + WALL
+        block = frame.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=(WALL / 2, reach, self.depth / 2)
+        )
+        # The block ends below the chamfer; the plank goes on from there.
+        low = self.depth - self.chamfer
+        block.size = (WALL / 2, reach, low / 2)
+        mujoco.mju_rotVecQuat(place, np.array((half + WALL / 2, 0.0, -self.depth + low / 2)), turn)
+        block.pos, block.quat = place, turn
+        self._finish(block, (0.55, 0.57, 0.62, 1.0))
+        if self.chamfer > 0.0:
+            thick, long = 0.004, self.chamfer / np.sqrt(2.0)
+            slope = np.array((np.cos(-np.pi / 8.0), 0.0, np.sin(-np.pi / 8.0), 0.0))
+            mujoco.mju_mulQuat(quat, turn, slope)
+            # Middle of the sloping face, less half the plank's thickness along its normal.
+            normal = np.array((-1.0, 0.0, 1.0)) / np.sqrt(2.0)
+            middle = np.array((half + self.chamfer / 2, 0.0, -self.chamfer / 2)) - normal * thick
+            plank = frame.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX, size=(long, half + self.chamfer, thick)
+            )
+            mujoco.mju_rotVecQuat(place, middle, turn)
+            plank.pos, plank.quat = place, quat
+            self._finish(plank, (0.70, 0.72, 0.76, 1.0))
+
+    def _finish(self, geom: mujoco.MjsGeom, rgba: Sequence[float]) -> None:
+        """Give a geom its contacts and its colour."""
+        geom.contype, geom.conaffinity = TOUCHING["contype"], TOUCHING["conaffinity"]
+        geom.friction = (self.friction, 0.0, 0.0)
+        geom.condim = 3
+        geom.solref = (HARDNESS, 1.0)
+        geom.solimp[:3] = IMPEDANCE
+        geom.rgba = rgba
+
+    def place(self, plant: Plant) -> None:
+        """Put the socket under the tool, hang the plug along -z, and forget the records."""
+        model, data, tool = plant.mj_model, plant.mj_data, plant.tool
+        frame = int(model.body(f"{self.name}:frame").mocapid[0])
+        tilt, quat = np.zeros(4), np.zeros(4)
+        turn = np.asarray(self.tilt, dtype=np.float64)
+        mujoco.mju_axisAngle2Quat(tilt, turn, float(np.linalg.norm(turn)))
+        mujoco.mju_mat2Quat(quat, np.ascontiguousarray(tool[:3, :3]).reshape(9))
+        mujoco.mju_mulQuat(quat, tilt, quat.copy())
+        data.mocap_pos[frame] = self._mouth = tool[:3, 3] + tool[:3, :3] @ self.offset
+        data.mocap_quat[frame] = quat
+        matrix = np.zeros(9)
+        mujoco.mju_quat2Mat(matrix, quat)
+        self._into = -matrix.reshape(3, 3)[:, 2]
+        self._plug = int(model.geom(f"{self.name}:plug").id)
+        self._wrench, self._mean = np.zeros(6), np.zeros(3)
+        self.force = self.peak_along = self.peak_across = self.deepest = 0.0
+
+    def before(self, plant: Plant) -> None:
+        """Nothing moves by itself."""
+
+    def during(self, plant: Plant) -> None:
+        """Contacts are MuJoCo's own."""
+
+    def after(self, plant: Plant) -> None:
+        """Record how deep the tip is and what the contacts carry."""
+        data = plant.mj_data
+        total = np.zeros(3)
+        for index in range(data.ncon):
+            contact = data.contact[index]
+            mujoco.mj_contactForce(plant.mj_model, data, index, self._wrench)
+            force = contact.frame.reshape(3, 3).T @ self._wrench[:3]
+            total += force if contact.geom2 == self._plug else -force
+        share = plant.dt / (FELT + plant.dt)
+        self._mean += share * (total - self._mean)
+        self.force = float(np.sqrt(self._mean @ self._mean))
+        along = -float(self._mean @ self._into)
+        across = self._mean + along * self._into
+        self.peak_along = max(self.peak_along, along)
+        self.peak_across = max(self.peak_across, float(np.sqrt(across @ across)))
+        tip = plant.tool[:3, 3] - self._mouth
+        self.deepest = max(self.deepest, float(tip @ self._into))

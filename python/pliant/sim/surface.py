@@ -1,0 +1,87 @@
+"""An uneven surface with friction, for pads that wipe over it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import ConfigError
+from pliant.sim.truth import TOOL
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pliant.sim.hand import Wrench
+    from pliant.sim.truth import Truth
+
+    Array = NDArray[np.float64]
+
+#: Speed at which friction is fully there [m/s]; below, it grows with speed.
+CREEP = 0.005
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surface:
+    """A surface below the arm whose height goes up and down, met by the four corners of a flat pad.
+
+    Its height is ``base - below + unevenness sin(2π y/wave) cos(2π x/wave)``, base and x, y counted
+    from where the frame is at reset, so that it is `below` under the start. Each corner is pushed
+    up by ``max(k depth - d v, 0)`` and held back by friction, opposite to its sliding.
+
+    Attributes:
+        below: Height of the start above it [m].
+        unevenness: Half the height from valley to hill [m].
+        wave: Distance from hill to hill [m].
+        stiffness: Of the whole pad on the surface [N/m].
+        damping: Of the whole pad while pressed [N·s/m].
+        friction: Coefficient μ of dry friction.
+        pad: Half the side of the square pad [m]; its axes are those of the frame.
+        at: Frame in the middle of the pad.
+    """
+
+    below: float = 0.01
+    unevenness: float = 0.010
+    wave: float = 0.30
+    stiffness: float = 2e4
+    damping: float = 20.0
+    friction: float = 0.4
+    pad: float = 0.02
+    at: str = TOOL
+
+    def __post_init__(self) -> None:
+        """Check the numbers once."""
+        low = min(self.stiffness, self.damping, self.friction, self.pad)
+        if not (low >= 0.0 and self.wave > 0.0 and np.isfinite(self.below + self.unevenness)):
+            raise ConfigError(
+                "Surface needs wave > 0; stiffness, damping, friction and pad at least 0; "
+                f"got {self!r}"
+            )
+
+    def height(self, x: float, y: float) -> float:
+        """Height [m] over its mean, at x, y [m] from the start."""
+        k = 2.0 * np.pi / self.wave
+        return self.unevenness * float(np.sin(k * y) * np.cos(k * x))
+
+    def force(self, truth: Truth, t: float) -> Wrench:
+        """The surface's push and friction, summed over the corners."""
+        frame = truth.frame(self.at)
+        twist = frame.twist()
+        total, torque = np.zeros(3), np.zeros(3)
+        for corner in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
+            arm = frame.rotation @ np.array((*corner, 0.0)) * self.pad
+            place = frame.position + arm - frame.start
+            depth = self.height(place[0], place[1]) - self.below - place[2]
+            if depth <= 0.0:
+                continue
+            speed = twist[:3] + np.cross(twist[3:], arm)
+            normal = max((self.stiffness * depth - self.damping * speed[2]) / 4.0, 0.0)
+            force = np.array((0.0, 0.0, normal))
+            sliding = float(np.hypot(speed[0], speed[1]))
+            if sliding > 0.0:
+                hold = self.friction * normal * np.tanh(sliding / CREEP)
+                force[:2] = -hold * speed[:2] / sliding
+            total += force
+            torque += np.cross(arm, force)
+        return total, torque, frame.position

@@ -1,0 +1,181 @@
+//! Deviation limits of stiff axes: what the target does where such an axis is off by more than it may be.
+//!
+//! The deviation is bounded by moving the reference, never by cutting the deviation behind its back: the reference has a
+//! speed and a memory, so that a release ends in a motion at the tool's speed, not in a throw.
+
+use crate::pose::Pose;
+use crate::task::axes::Beyond;
+use crate::task::deviation::{into_frame, out_of_frame, pose_error, rotation_matrix, rotation_vector};
+use crate::{AxisVec, MAX_AXES};
+
+/// Change of a deviation [m or rad] that leads neither on nor back: rounding must not let a waiting target go.
+const STILL: f64 = 1e-9;
+
+/// One axis that has a limit.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct DeviationLimit {
+    /// Index among x, y, z, roll, pitch, yaw.
+    pub(crate) axis: usize,
+    /// Largest deviation [m or rad] when pushed toward (−, +); ∞ toward a side that yields.
+    pub(crate) most: [f64; 2],
+    pub(crate) beyond: Beyond,
+}
+
+impl DeviationLimit {
+    /// What the limit leaves of the deviation `e`: e > 0 where the axis is pushed toward −.
+    fn kept(&self, e: f64) -> f64 {
+        e.clamp(-self.most[1], self.most[0])
+    }
+}
+
+/// The arm and its references at one tick.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pushed<'a> {
+    pub(crate) tool: &'a Pose,
+    pub(crate) base_from_task: &'a [[f64; 3]; 3],
+    /// Reference of the last tick.
+    pub(crate) before: &'a Pose,
+}
+
+/// A reference that the limits allow.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Kept {
+    pub(crate) reference: Pose,
+    /// Deviation (6,) from it, in the task frame.
+    pub(crate) error: AxisVec,
+    /// Share of the reference's advance that the waiting axes allow.
+    pub(crate) advance: f64,
+    /// Which of x, y, z, roll, pitch, yaw met its limit.
+    pub(crate) met: [bool; MAX_AXES],
+}
+
+impl Pushed<'_> {
+    /// The deviation (6,) of a reference, in the task frame.
+    fn error(&self, reference: &Pose) -> AxisVec {
+        into_frame(self.base_from_task, &pose_error(self.tool, reference))
+    }
+
+    /// Bounds the deviation from `reference`; `None` where nothing is beyond its limit.
+    ///
+    /// First the whole reference waits where it would carry a `hold` axis beyond its limit, or farther beyond; then the
+    /// `follow` axes of what is left are drawn to within their limit of the tool.
+    pub(crate) fn keep(&self, limits: &[DeviationLimit], reference: &Pose) -> Option<Kept> {
+        let (mut met, mut advance) = ([false; MAX_AXES], 1.0_f64);
+        let (from, to) = (self.error(self.before), self.error(reference));
+        for limit in limits {
+            let (e0, e1) = (from[limit.axis], to[limit.axis]);
+            if (limit.kept(e1) - e1).abs() > 0.0 {
+                met[limit.axis] = true;
+                if limit.beyond == Beyond::Hold {
+                    // What a hand has pushed beyond the limit need not come back: it must only not grow.
+                    let allowed = e1.clamp(e0.min(-limit.most[1]), e0.max(limit.most[0]));
+                    let share = if (e1 - e0).abs() > STILL { (allowed - e0) / (e1 - e0) } else { 0.0 };
+                    advance = advance.min(share.clamp(0.0, 1.0));
+                }
+            }
+        }
+        if !met.contains(&true) {
+            return None;
+        }
+        let mut reference = if advance < 1.0 { between(self.before, reference, advance) } else { *reference };
+        let mut error = self.error(&reference);
+        let mut follows = false;
+        for limit in limits.iter().filter(|limit| limit.beyond == Beyond::Follow) {
+            let kept = limit.kept(error[limit.axis]);
+            follows |= (kept - error[limit.axis]).abs() > 0.0;
+            error[limit.axis] = kept;
+        }
+        if follows {
+            reference = self.beside_tool(&error);
+        }
+        Some(Kept { reference, error, advance, met })
+    }
+
+    /// The pose whose deviation is `error` (6,), in the task frame.
+    fn beside_tool(&self, error: &AxisVec) -> Pose {
+        let e = out_of_frame(self.base_from_task, error);
+        let mut pose = *self.tool;
+        for (value, shift) in pose.position.iter_mut().zip(e) {
+            *value += shift;
+        }
+        pose.rotation = product(&rotation_matrix([e[3], e[4], e[5]]), &self.tool.rotation);
+        pose
+    }
+}
+
+/// The pose at `share` of the way: straight, and about one axis.
+fn between(from: &Pose, to: &Pose, share: f64) -> Pose {
+    let mut pose = *from;
+    for (value, end) in pose.position.iter_mut().zip(to.position) {
+        *value += share * (end - *value);
+    }
+    let transposed = std::array::from_fn(|i| std::array::from_fn(|j| from.rotation[j][i]));
+    let turn = rotation_vector(&product(&to.rotation, &transposed)).map(|angle| share * angle);
+    pose.rotation = product(&rotation_matrix(turn), &from.rotation);
+    pose
+}
+
+fn product(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[i][k] * b[k][j]).sum()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FRAME: [[f64; 3]; 3] = Pose::IDENTITY.rotation;
+
+    fn at(x: f64, y: f64, yaw: f64) -> Pose {
+        Pose { position: [x, y, 0.0], rotation: rotation_matrix([0.0, 0.0, yaw]) }
+    }
+
+    fn limit(axis: usize, most: f64, beyond: Beyond) -> DeviationLimit {
+        DeviationLimit { axis, most: [most; 2], beyond }
+    }
+
+    #[test]
+    fn within_its_limits_nothing_happens() {
+        let pushed = Pushed { tool: &Pose::IDENTITY, base_from_task: &FRAME, before: &Pose::IDENTITY };
+        assert!(pushed.keep(&[limit(0, 0.02, Beyond::Hold)], &at(0.0199, 5.0, 1.0)).is_none());
+    }
+
+    #[test]
+    fn following_axes_keep_the_limit_and_the_others_their_target() {
+        let tool = at(0.1, 0.2, 0.3);
+        let pushed = Pushed { tool: &tool, base_from_task: &FRAME, before: &tool };
+        let limits = [limit(0, 0.02, Beyond::Follow), limit(5, 0.1, Beyond::Follow)];
+        let kept = pushed.keep(&limits, &at(-0.4, 0.7, 1.3)).unwrap();
+        let expected = at(0.08, 0.7, 0.4);
+        for i in 0..3 {
+            assert!((kept.reference.position[i] - expected.position[i]).abs() < 1e-15);
+            for j in 0..3 {
+                assert!((kept.reference.rotation[i][j] - expected.rotation[i][j]).abs() < 1e-15);
+            }
+        }
+        assert_eq!(kept.met, [true, false, false, false, false, true]);
+    }
+
+    #[test]
+    fn a_waiting_axis_stops_all_of_the_target_and_lets_it_retreat() {
+        let tool = Pose::IDENTITY;
+        let limits = [limit(0, 0.02, Beyond::Hold)];
+        let pushed = Pushed { tool: &tool, base_from_task: &FRAME, before: &at(0.01, 0.0, 0.0) };
+        let kept = pushed.keep(&limits, &at(0.05, 0.4, 0.4)).unwrap();
+        assert!((kept.advance - 0.25).abs() < 1e-12);
+        assert!((kept.error[0] - 0.02).abs() < 1e-15 && (kept.error[1] - 0.1).abs() < 1e-12);
+        assert!((kept.error[5] - 0.1).abs() < 1e-12);
+        // Pushed beyond by a hand: no farther, but back.
+        let beyond = Pushed { before: &at(0.05, 0.0, 0.0), ..pushed };
+        assert!(beyond.keep(&limits, &at(0.06, 0.1, 0.0)).unwrap().advance.abs() < 1e-15);
+        assert!((beyond.keep(&limits, &at(0.04, 0.1, 0.0)).unwrap().advance - 1.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn a_side_that_yields_has_no_limit() {
+        let tool = Pose::IDENTITY;
+        let pushed = Pushed { tool: &tool, base_from_task: &FRAME, before: &tool };
+        let limits = [DeviationLimit { axis: 1, most: [0.02, f64::INFINITY], beyond: Beyond::Follow }];
+        assert!(pushed.keep(&limits, &at(0.0, -0.5, 0.0)).is_none());
+        assert!((pushed.keep(&limits, &at(0.0, 0.5, 0.0)).unwrap().error[1] - 0.02).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,78 @@
+//! Deviation limits once more, by the words: first the waiting axes stop the target, then the following ones let it go.
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use pliant_core::Pose;
+use pliant_core::task::axes::{Beyond, Yields};
+
+use super::{Oracle, Vector};
+
+fn rotation(pose: &Pose) -> Rotation3<f64> {
+    Rotation3::from_matrix_unchecked(Matrix3::from_fn(|i, j| pose.rotation[i][j]))
+}
+
+/// By the quaternion: the trace of a rotation by next to nothing has no digits left.
+fn scaled_axis(rotation: &Rotation3<f64>) -> Vector3<f64> {
+    UnitQuaternion::from_rotation_matrix(rotation).scaled_axis()
+}
+
+fn pose(position: Vector3<f64>, rotation: Rotation3<f64>) -> Pose {
+    let m = rotation.matrix();
+    Pose { position: position.into(), rotation: std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)])) }
+}
+
+impl Oracle {
+    /// Lowest and highest deviation that the limit of an axis allows.
+    fn allowed(&self, axis: usize) -> (f64, f64) {
+        let given = &self.settings.axes[axis];
+        let most = given.deviation_limit.unwrap_or(f64::INFINITY);
+        match given.effective_yields() {
+            Yields::None => (-most, most),
+            Yields::Plus => (f64::NEG_INFINITY, most),
+            Yields::Minus => (-most, f64::INFINITY),
+            Yields::Both => (f64::NEG_INFINITY, f64::INFINITY),
+        }
+    }
+
+    /// The target as far as the limits let it, and the rows that met theirs.
+    pub(super) fn reference(&self, tool: &Pose, target: &Pose) -> (Pose, Vec<bool>) {
+        let axes = self.axes();
+        let before = self.memory.reference;
+        let (was, wanted) = (self.deviation(tool, &before), self.deviation(tool, target));
+        let beyond = |r: usize, e: f64| {
+            let (low, high) = self.allowed(axes[r]);
+            e < low || e > high
+        };
+        let met: Vec<bool> = (0..axes.len()).map(|r| beyond(r, wanted[r])).collect();
+        let mut share: f64 = 1.0;
+        for r in 0..axes.len() {
+            if met[r] && self.settings.axes[axes[r]].beyond == Beyond::Hold {
+                let (low, high) = self.allowed(axes[r]);
+                let nearest = wanted[r].max(low.min(was[r])).min(high.max(was[r]));
+                let way = wanted[r] - was[r];
+                share = share.min(if way.abs() <= 1e-9 { 0.0 } else { ((nearest - was[r]) / way).clamp(0.0, 1.0) });
+            }
+        }
+        let mut reference = *target;
+        if share < 1.0 {
+            let (from, to) = (Vector3::from(before.position), Vector3::from(target.position));
+            let turn = scaled_axis(&(rotation(target) * rotation(&before).inverse())) * share;
+            reference = pose(from + (to - from) * share, Rotation3::new(turn) * rotation(&before));
+        }
+        // Every axis of space, also those that are none of the task's.
+        let turn = self.base_from_task(tool);
+        let linear = turn.transpose() * (Vector3::from(reference.position) - Vector3::from(tool.position));
+        let angular = turn.transpose() * scaled_axis(&(rotation(&reference) * rotation(tool).inverse()));
+        let e = Vector::from_iterator(6, linear.iter().chain(angular.iter()).copied());
+        let mut kept = e.clone();
+        for &axis in axes.iter().filter(|&&axis| self.settings.axes[axis].beyond == Beyond::Follow) {
+            let (low, high) = self.allowed(axis);
+            kept[axis] = e[axis].max(low).min(high);
+        }
+        if kept != e {
+            let shift = turn * Vector3::new(kept[0], kept[1], kept[2]);
+            let spin = Rotation3::new(turn * Vector3::new(kept[3], kept[4], kept[5]));
+            reference = pose(Vector3::from(tool.position) + shift, spin * rotation(tool));
+        }
+        (reference, met)
+    }
+}

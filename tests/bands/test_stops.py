@@ -1,0 +1,82 @@
+"""Position limits in physics: a limit for motion, none for force."""
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant import robots
+from pliant.experiments.laws import UNBLURRED
+from pliant.experiments.setups import VERTICAL
+from pliant.sim import Plant
+
+#: Start of each arm [rad], caps tried [N], most that the first joint may be driven out [rad].
+ARMS = {
+    "arm7": (VERTICAL, (4.0, 20.0), 0.02),
+    "so101": (np.array([0.2, -0.3, 0.3, 0.9, 0.0]), (0.5, 2.0), 0.08),
+}
+
+
+def limited(name, q, room):
+    """The arm with limits of the first joint at q ± room; the plant's stops are farther out."""
+    bounds = {robots.load(name).joint_names[0]: (q[0] - room, q[0] + room)}
+    return robots.load(name, limits=bounds)
+
+
+def beyond_the_limit(name, cap, ticks, law="cap"):
+    """How far y, soft, its target out of reach, drives a joint out: most, at the end, ringing."""
+    q, room = ARMS[name][0], 0.05
+    model, plant = limited(name, q, room), Plant(robots.load(name), delay=(ticks, ticks))
+    spring = {"stiffness": 500.0} if law == "impedance" else {}
+    settings = pliant.Settings(
+        task="xyz" if model.n == 5 else "xyz rpy",
+        axes={"y": pliant.Axis(soft=cap, firm=cap, **spring)},
+        law=law,
+        delay=2 * ticks / plant.rate,
+        **UNBLURRED,
+    )
+    controller = pliant.Controller(model, settings)
+    target = model.forward_kinematics(q)
+    target[1, 3] += 0.3 * np.sign(model.jacobian(q)[1, 0])
+    plant.reset(q)
+    out = []
+    for _ in range(300):
+        command = controller.step(plant.read().q, target[:3, 3] if model.n == 5 else target)
+        plant.write(command.goal, command.torque_limit)
+        plant.advance()
+        out.append(abs(plant.q[0] - q[0]) - room)
+    assert max(out) > -0.01, "the joint got to its limit"
+    return max(out), out[-1], np.ptp(out[-50:])
+
+
+@pytest.mark.parametrize("ticks", [0, 1])
+@pytest.mark.parametrize("name", ARMS)
+def test_a_soft_axis_does_not_drive_a_joint_out_of_its_limits(name, ticks):
+    for cap in ARMS[name][1]:
+        most, _, ringing = beyond_the_limit(name, cap, ticks)
+        assert most < ARMS[name][2]  # (.017; .069 with the run-up of 1 rad/s, .031 at rest)
+        assert ringing < 1e-3
+
+
+def test_nor_under_law_impedance():
+    most, _, _ = beyond_the_limit("arm7", 20.0, 0, law="impedance")
+    assert most < 0.02
+
+
+def test_gravity_is_carried_at_a_limit():
+    """A joint that stands on its limit stays there, whichever way its weight pulls."""
+    name, q = "arm7", ARMS["arm7"][0]
+    model = robots.load(name)
+    weight = model.gravity(q)
+    joint = int(np.argmax(np.abs(weight)))
+    for side in (-1.0, 1.0):
+        edge = (q[joint], q[joint] + 0.5) if side < 0.0 else (q[joint] - 0.5, q[joint])
+        bounded = robots.load(name, limits={model.joint_names[joint]: edge})
+        controller = pliant.Controller(bounded, pliant.Settings(axes={"y": pliant.Axis()}))
+        plant = Plant(model)
+        plant.reset(q)
+        for _ in range(100):
+            command = controller.step(plant.read().q, model.forward_kinematics(q))
+            plant.write(command.goal, command.torque_limit)
+            plant.advance()
+        assert np.abs(plant.q - q).max() < 1e-3
+    assert abs(weight[joint]) > 1.0

@@ -1,0 +1,156 @@
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant import config
+from pliant.config import build
+
+ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
+OWN = ("arm7", "koch", "so100", "so101")
+SIM = 'backend = "sim"\nrobot.builtin = "so101"\n'
+
+
+@pytest.mark.parametrize("name", config.names())
+def test_ready_files_are_valid_and_say_what_they_are(name):
+    read = config.load(name)
+    assert len(config.describe(name)) > 40
+    assert read.settings().rate == read.loop.rate
+    if name in OWN:
+        model = read.model()
+        assert list(read.servo) == list(model.joint_names)
+        pliant.Controller(model, read.settings())
+
+
+def test_a_users_urdf_takes_the_place_of_the_files():
+    urdf = ROBOTS / "vx300s" / "vx300s.urdf"
+    if not urdf.is_file():
+        pytest.skip(f"no {urdf}")
+    read = config.load("vx300s", urdf=urdf)
+    assert read.model().joint_names == tuple(read.servo)
+    assert len(read.life.rest) == read.model().n
+
+
+def test_a_missing_urdf_is_named():
+    with pytest.raises(pliant.ConfigError, match=r"robot\.urdf.*vx300s\.urdf.*--urdf"):
+        config.load("vx300s").model()
+
+
+def test_urdf_and_file_that_disagree_on_joints():
+    text = 'robot.builtin = "koch"\n[servo]\n' + "\n".join(
+        f'{joint} = {{ model = "XL330-M288", id = {i} }}'
+        for i, joint in enumerate(("shoulder_pan", "shoulder_lift", "elbow", "wrist_flex"), 1)
+    )
+    with pytest.raises(pliant.ConfigError, match="no servo for elbow_flex, wrist_roll") as caught:
+        config.parse(text).model()
+    assert "no joint for the servos elbow" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x =", "is no TOML"),
+        (SIM + "bakend = 1", "did you mean 'backend'"),
+        ("backend = 'sim'\n[robot]\n", "robot: takes one of urdf and builtin"),
+        (SIM + "[loop]\nrate = -1", r"loop\.rate = -1: input should be greater than 0"),
+        (SIM + "[loop]\nrate = nan", r"loop\.rate = nan"),
+        (SIM + "[life]\nrest = [inf]", r"life\.rest\[0\] = inf: .*finite"),
+        (SIM + '[servo.a]\nmodle = "x"\nid = 1', r"servo\.a\.modle .* did you mean 'model'"),
+        (SIM + '[servo.a]\nmodel = "x"\nid = 300', r"servo\.a\.id = 300"),
+        (SIM + '[servo.a]\nmodel = "x"\nid = 1\nport = "mian"', "did you mean 'main'"),
+        (SIM + '[servo.a]\nmodel = "x"\nid = 1\ntwin = { id = 1 }', "same id 1"),
+        (SIM + '[servo]\na = { model = "x", id = 1 }\nb = { model = "x", id = 1 }', "same id 1"),
+        (SIM + '[settings]\nlaw = "capp"', "did you mean 'cap'"),
+        (SIM + "[settings.axes.y]\nsofft = 3", r"settings: axes\.y: .*did you mean 'soft'"),
+        (SIM + "[settings.axes]\ny = 3", r"axes\.y is a table"),
+        ('preset = "dor"\n' + SIM, "did you mean 'door'"),
+        ('preset = "soft"\n' + SIM, "needs axes"),
+        ('soft = "y"\n' + SIM, "preset"),
+        ('robot.builtin = "so101"', "needs a servo for every joint"),
+        (
+            SIM + "[gripper]\nopen = 1\nclosed = 1\n[gripper.servo]\nmodel = 'x'\nid = 1",
+            "same angle",
+        ),
+        (SIM + "[[port]]\n[[port]]\n", "'main' is there twice"),
+    ],
+)
+def test_mistakes_are_named_with_what_would_be_right(text, said):
+    with pytest.raises(pliant.ConfigError, match=said) as caught:
+        config.parse(text, source="arm.toml")
+    assert str(caught.value).startswith("arm.toml")
+    assert "http" not in str(caught.value)
+
+
+def test_all_mistakes_are_said_at_once():
+    with pytest.raises(pliant.ConfigError) as caught:
+        config.parse("robto = 1\n[loop]\nrate = 0\n[port]\nx = 1")
+    assert len(re.findall("; ", str(caught.value))) >= 2
+
+
+def test_settings_go_through_the_same_code_as_in_python():
+    read = config.parse(
+        'backend = "sim"\npreset = "soft"\nsoft = "y"\nrobot.builtin = "arm7"\n'
+        "[loop]\nrate = 200\n"
+        "[settings]\nlaw = 'cap'\n[settings.axes.x]\nhold = 30.0\nfirm = [5.0, 9.0]\n"
+    )
+    by_hand = pliant.Settings.soft(
+        "y", law="cap", rate=200.0, axes={"x": pliant.Axis(hold=30.0, firm=(5.0, 9.0))}
+    )
+    assert read.settings() == by_hand
+
+
+def test_the_command_line_replaces_port_and_backend(tmp_path):
+    read = config.load("so101", port="/dev/ttyX", backend="emulator")
+    assert (read.port[0].path, read.backend) == ("/dev/ttyX", "emulator")
+    file = tmp_path / "two.toml"
+    file.write_text(SIM + "[[port]]\nname = 'a'\n[[port]]\nname = 'b'\n")
+    with pytest.raises(pliant.ConfigError, match="just one port"):
+        config.load(file, port="/dev/ttyX")
+
+
+def test_files_that_are_not_there(tmp_path):
+    with pytest.raises(pliant.ConfigError, match="so101"):
+        config.load("so-101")
+    with pytest.raises(pliant.ConfigError, match=r"no file .*arm\.toml"):
+        config.load(tmp_path / "arm.toml")
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(pliant.ConfigError, match="cannot be read"):
+        config.load(tmp_path / "bytes.toml")
+
+
+def test_directions_of_the_ready_so101_match_the_makers_model():
+    urdf = ROBOTS / "so101" / "so101_new_calib.urdf"
+    if not urdf.is_file():
+        pytest.skip(f"no {urdf}")
+    read = config.load("so101")
+    own, makers = read.model(), pliant.Model.from_urdf(urdf, tip="gripper_frame_link")
+    signs = np.array([read.servo[joint].sign for joint in own.joint_names])
+    for joint in range(own.n):
+        counts = np.eye(own.n)[joint] * 0.4
+        turn = [
+            np.asarray(
+                m.forward_kinematics(q)[:3, :3] @ m.forward_kinematics(np.zeros(5))[:3, :3].T
+            )
+            for m, q in ((own, signs * counts), (makers, counts))
+        ]
+        np.testing.assert_allclose(turn[0], turn[1], atol=0.06)
+
+
+def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):
+    (tmp_path / "cal.json").write_text(
+        '{"shoulder_pan": {"id": 1, "drive_mode": 0, "homing_offset": 5, "range_min": 1000, '
+        '"range_max": 3001}}'
+    )
+    text = SIM + (
+        'calibration = "cal.json"\n[servo]\nshoulder_pan = { model = "STS3215-C001", id = 1 }\n'
+        'elbow_flex = { model = "STS3215-C001", id = 3, zero = 7 }\n'
+    ).replace('calibration = "cal.json"\n', "")
+    read = config.parse('calibration = "cal.json"\n' + text, folder=tmp_path)
+    assert build.zeros(read) == {"shoulder_pan": 2000.5, "elbow_flex": 7.0}
+    other = config.parse(
+        'calibration = "cal.json"\n' + text.replace("id = 1", "id = 2"), folder=tmp_path
+    )
+    with pytest.raises(pliant.ConfigError, match="has id 1, the configuration says 2"):
+        build.zeros(other)

@@ -1,0 +1,42 @@
+import json
+
+import pytest
+
+import pliant
+from pliant.config import read_calibration
+
+MOTOR = {"id": 1, "drive_mode": 0, "homing_offset": -12, "range_min": 900, "range_max": 3100}
+
+
+def test_a_file_is_read_as_it_is(tmp_path):
+    file = tmp_path / "my_arm.json"
+    file.write_text(json.dumps({"shoulder_pan": MOTOR}))
+    motor = read_calibration(file)["shoulder_pan"]
+    assert (motor.id, motor.middle, motor.homing_offset) == (1, 2000.0, -12)
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ({k: v for k, v in MOTOR.items() if k != "range_max"}, "lacks range_max"),
+        ({**MOTOR, "range_mni": 3}, "did you mean 'range_min'"),
+        ({**MOTOR, "id": "one"}, r"shoulder_pan\.id is a whole number, got 'one'"),
+        ({**MOTOR, "id": True}, r"shoulder_pan\.id is a whole number"),
+        ({**MOTOR, "range_min": 3100}, "empty range"),
+        ([], "is no table"),
+    ],
+)
+def test_what_is_wrong_with_a_motor_is_named(tmp_path, entry, said):
+    file = tmp_path / "arm.json"
+    file.write_text(json.dumps({"shoulder_pan": entry}))
+    with pytest.raises(pliant.ConfigError, match=said):
+        read_calibration(file)
+
+
+def test_files_that_are_no_calibration(tmp_path):
+    with pytest.raises(pliant.ConfigError, match="lerobot-calibrate"):
+        read_calibration(tmp_path / "none.json")
+    for text in ("{", "[]", "{}", '"x"'):
+        (tmp_path / "bad.json").write_text(text)
+        with pytest.raises(pliant.ConfigError, match="no calibration file"):
+            read_calibration(tmp_path / "bad.json")
