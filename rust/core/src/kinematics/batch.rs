@@ -105,11 +105,9 @@ fn gather<A: Wide>(q: &[f64], n: usize) -> [A::Real; MAX_JOINTS] {
     let mut columns = [[0.0; LANES]; MAX_JOINTS];
     let last = (q.len() / n).saturating_sub(1);
     for lane in 0..LANES {
-        let from = lane.min(last) * n;
-        if let Some(row) = q.get(from..from + n) {
-            for (column, value) in columns.iter_mut().zip(row) {
-                column[lane] = *value;
-            }
+        let row = &q[lane.min(last) * n..][..n];
+        for k in 0..n {
+            columns[k & (MAX_JOINTS - 1)][lane] = row[k];
         }
     }
     let mut out = [A::splat(0.0); MAX_JOINTS];
@@ -119,33 +117,23 @@ fn gather<A: Wide>(q: &[f64], n: usize) -> [A::Real; MAX_JOINTS] {
     out
 }
 
-/// `rows` × `columns` numbers of each configuration into the rows of `out`.
+/// The first `size` numbers of each configuration into the rows of `out`; `numbers` come in whole eights.
 #[inline(always)]
-fn scatter<A: Wide, const R: usize, const C: usize>(numbers: &[[A::Real; C]; R], columns: usize, out: &mut [f64]) {
-    let (mut row, mut column) = (0, 0);
-    let size = R * columns;
-    for from in (0..size).step_by(LANES) {
-        let mut eight = [A::splat(0.0); LANES];
-        for slot in &mut eight {
-            if row < R {
-                *slot = numbers[row][column.min(C - 1)];
-                column += 1;
-                if column >= columns {
-                    (row, column) = (row + 1, 0);
-                }
-            }
-        }
-        let turned = A::transpose(&eight);
+fn scatter<A: Wide>(numbers: &[A::Real], size: usize, out: &mut [f64]) {
+    let lanes = (out.len() / size).min(LANES);
+    let mut from = 0;
+    while from < size {
+        let Some(eight) = numbers[from..].first_chunk::<LANES>() else { return };
+        let turned = A::transpose(eight);
         let width = LANES.min(size - from);
-        for (to, values) in out.chunks_exact_mut(size).zip(&turned) {
-            if width == LANES
-                && let Some(to) = to[from..].first_chunk_mut::<LANES>()
-            {
-                *to = *values;
-            } else {
-                to[from..].copy_from_slice(&values[..width]);
+        for lane in 0..lanes {
+            let to = &mut out[lane * size + from..][..width];
+            match to.first_chunk_mut::<LANES>() {
+                Some(to) => *to = turned[lane],
+                None => to.copy_from_slice(&turned[lane][..width]),
             }
         }
+        from += LANES;
     }
 }
 
@@ -166,21 +154,33 @@ impl Kernel for Poses<'_> {
         let n = self.chain.n.clamp(1, MAX_JOINTS);
         let (zero, one) = (M::Eight::splat(0.0), M::Eight::splat(1.0));
         let mut rows = [[zero; MAX_JOINTS]; MAX_AXES];
+        let mut flat = [zero; MAX_AXES * MAX_JOINTS];
         let (with_poses, with_jacobians) = (!self.poses.is_empty(), !self.jacobians.is_empty());
         let (mut poses, mut jacobians) = (self.poses.chunks_mut(16 * LANES), self.jacobians.chunks_mut(6 * n * LANES));
         for q in self.q.chunks(n * LANES) {
             let tool = self.chain.kinematics_by::<M::Eight>(&gather::<M::Eight>(q, n), &mut rows);
             if let Some(out) = poses.next().filter(|_| with_poses) {
                 let (r, p) = (&tool.rotation, &tool.position);
-                let row = [[r[0][0], r[0][1], r[0][2], p[0]], [r[1][0], r[1][1], r[1][2], p[1]]];
-                let last = [[r[2][0], r[2][1], r[2][2], p[2]], [zero, zero, zero, one]];
-                scatter::<M::Eight, 4, 4>(&[row[0], row[1], last[0], last[1]], 4, out);
+                let mut numbers = [zero; 16];
+                for i in 0..3 {
+                    for c in 0..3 {
+                        numbers[4 * i + c] = r[i][c];
+                    }
+                    numbers[4 * i + 3] = p[i];
+                }
+                numbers[15] = one;
+                scatter::<M::Eight>(&numbers, 16, out);
             }
             if self.reference == Reference::Local {
                 turn_to_tool::<M::Eight>(&tool.rotation, &mut rows, n);
             }
             if let Some(out) = jacobians.next().filter(|_| with_jacobians) {
-                scatter::<M::Eight, MAX_AXES, MAX_JOINTS>(&rows, n, out);
+                for r in 0..MAX_AXES {
+                    for k in 0..n {
+                        flat[r * n + k] = rows[r][k];
+                    }
+                }
+                scatter::<M::Eight>(&flat, 6 * n, out);
             }
         }
     }
@@ -203,11 +203,11 @@ impl Kernel for Torques<'_> {
         let n = self.chain.n.clamp(1, MAX_JOINTS);
         let zero = M::Eight::splat(0.0);
         let mut frames = Frames::filled(zero);
-        let mut torques = [[zero; MAX_JOINTS]; 1];
+        let mut torques = [zero; MAX_JOINTS];
         for (q, out) in self.q.chunks(n * LANES).zip(self.torques.chunks_mut(n * LANES)) {
             self.chain.forward_by::<M::Eight>(&gather::<M::Eight>(q, n), &mut frames);
-            self.chain.gravity_by::<M::Eight>(&frames, self.masses, self.gravity, &mut torques[0]);
-            scatter::<M::Eight, 1, MAX_JOINTS>(&torques, n, out);
+            self.chain.gravity_by::<M::Eight>(&frames, self.masses, self.gravity, &mut torques);
+            scatter::<M::Eight>(&torques, n, out);
         }
     }
 }

@@ -10,10 +10,12 @@
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+mod functions;
 mod instructions;
 mod lanes;
 mod scalar;
 
+pub(crate) use functions::{quadrant_angle, tanh};
 pub use instructions::Instructions;
 pub(crate) use instructions::{Kernel, Machine};
 pub(crate) use lanes::Array;
