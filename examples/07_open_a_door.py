@@ -15,15 +15,11 @@ SECONDS = 2.0 if os.environ.get("PLIANT_SHORT") else 7.0
 START = [-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115]  # [rad]
 
 model = pliant.robots.arm7()
-compliant = {
-    "y": pliant.Axis(soft=4.0, firm=15.0, eta=0.999),  # [N]
-    "yaw": pliant.Axis(soft=0.8, firm=1.5, eta=0.999),  # [N·m]
-}
 
 # The picture's other row: the paper's law, nothing gives way, and every servo may use all it has.
 stiff = {"all": pliant.Axis(hold=1000.0)}
 ways = {
-    "y and yaw compliant": pliant.Settings(axes=compliant, alpha=1.0),
+    "y and yaw compliant": pliant.Settings.door(),
     "all axes stiff": pliant.Settings.paper(axes=stiff, gravity=True, alpha=1.0),
 }
 

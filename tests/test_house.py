@@ -18,7 +18,7 @@ import pytest
 import pliant
 
 ROOT = Path(__file__).resolve().parents[1]
-EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich")
+EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich", "rustypot")
 LONGEST_FILE = 400  # lines
 LARGEST_WHEEL = 1.5e6  # bytes
 LONGEST_RUN = 120  # [s] per example and per document
@@ -111,7 +111,9 @@ def wheel() -> Path:
 
 def test_wheel_is_complete_and_small(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
-    sources = [p for p in (ROOT / "python").rglob("*") if p.suffix in {".py", ".pyi", ".urdf"}]
+    sources = [
+        p for p in (ROOT / "python").rglob("*") if p.suffix in {".py", ".pyi", ".urdf", ".toml"}
+    ]
     expected = {p.relative_to(ROOT / "python").as_posix() for p in sources} | {"pliant/py.typed"}
     assert expected <= names
     assert any(name.endswith("licenses/LICENSE") for name in names)

@@ -18,6 +18,7 @@ from pliant._core import (
     Check,
     Command,
     ConfigError,
+    Contact,
     Controller,
     Finding,
     FrameNotFound,
@@ -40,6 +41,7 @@ from pliant._core import (
     ShapeError,
     Task,
     UrdfError,
+    WrenchEstimate,
     __version__,
     activation,
     adapt_target,
@@ -55,28 +57,42 @@ from pliant._core import (
 )
 
 if TYPE_CHECKING:
+    from pliant import arm as arm
+    from pliant import config as config
     from pliant import experiments as experiments
+    from pliant import identify as identify
+    from pliant import reactions as reactions
     from pliant import robots as robots
+    from pliant import servo as servo
     from pliant import sim as sim
+    from pliant.arm.connect import connect as connect
+    from pliant.identify.floating import Float as Float
+    from pliant.loop import Loop as Loop
+    from pliant.reactions import Reaction as Reaction
+    from pliant.reactions import Watch as Watch
 
 __all__ = [
     "Axis",
     "Check",
     "Command",
     "ConfigError",
+    "Contact",
     "Controller",
     "Finding",
+    "Float",
     "FrameNotFound",
     "IkSolution",
     "Inertial",
     "Joint",
     "LimitError",
     "Link",
+    "Loop",
     "Mimic",
     "Model",
     "Payload",
     "PliantError",
     "Pose",
+    "Reaction",
     "Report",
     "ServoError",
     "ServoFault",
@@ -86,12 +102,15 @@ __all__ = [
     "ShapeError",
     "Task",
     "UrdfError",
+    "Watch",
+    "WrenchEstimate",
     "__version__",
     "activation",
     "adapt_target",
     "as_pose",
     "check",
     "compliance",
+    "connect",
     "damped_pseudo_inverse",
     "holding_torque",
     "joint_torque_limits",
@@ -101,10 +120,20 @@ __all__ = [
 ]
 
 #: Parts that are loaded when they are first named: they need extras, or time.
-_PARTS = ("experiments", "robots", "sim")
+_PARTS = ("arm", "config", "experiments", "identify", "reactions", "robots", "servo", "sim")
+#: Names that live in one of them.
+_NAMES = {
+    "Float": "pliant.identify.floating",
+    "Loop": "pliant.loop",
+    "Reaction": "pliant.reactions",
+    "Watch": "pliant.reactions",
+    "connect": "pliant.arm.connect",
+}
 
 
 def __getattr__(name: str) -> Any:
+    if name in _NAMES:
+        return getattr(importlib.import_module(_NAMES[name]), name)
     if name in _PARTS:
         return importlib.import_module(f"pliant.{name}")
     raise AttributeError(f"module 'pliant' has no attribute {name!r}")

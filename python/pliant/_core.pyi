@@ -15,6 +15,7 @@ __all__ = [
     "Check",
     "Command",
     "ConfigError",
+    "Contact",
     "Controller",
     "Finding",
     "FrameNotFound",
@@ -37,6 +38,7 @@ __all__ = [
     "ShapeError",
     "Task",
     "UrdfError",
+    "WrenchEstimate",
     "__version__",
     "activation",
     "adapt_target",
@@ -143,7 +145,7 @@ class ConfigError(PliantError):
     key: str | None
 
 class ServoError(PliantError):
-    """A servo or its bus did not do what was asked. For those who drive servos; none ships yet."""
+    """A servo or its bus did not do what was asked; the message says what to do."""
 
 class ServoTimeout(ServoError):
     """A servo did not answer in time."""
@@ -620,6 +622,10 @@ class _ServoFields(TypedDict, total=False):
     kp: ArrayLike
     torque: ArrayLike
     friction: ArrayLike
+    load_friction: ArrayLike
+    stribeck: ArrayLike
+    load_stribeck: ArrayLike
+    stribeck_speed: ArrayLike
     damping: ArrayLike
     kv: ArrayLike
     armature: ArrayLike
@@ -638,6 +644,10 @@ class Servos:
         kp: Stiffness of the position loop [N m/rad] > 0.
         torque: Usable torque at the present voltage [N m] > 0: the ceiling of every torque limit.
         friction: Dry friction of gears and motor [N m].
+        load_friction: Dry friction in addition, per N m that the joint carries [1].
+        stribeck: Dry friction in addition at rest [N m], gone in fast motion.
+        load_stribeck: The same per N m that the joint carries [1].
+        stribeck_speed: Speed at which a third of the friction at rest is left [rad/s] > 0.
         damping: Damping of gears and back-EMF outside the torque limit [N m s/rad].
         kv: Damping of the servo's own loop, inside the torque limit [N m s/rad].
         armature: Rotor inertia seen at the joint [kg m^2]; only simulators use it.
@@ -658,6 +668,10 @@ class Servos:
         kp: ArrayLike,
         torque: ArrayLike,
         friction: ArrayLike = 0.0,
+        load_friction: ArrayLike = 0.0,
+        stribeck: ArrayLike = 0.0,
+        load_stribeck: ArrayLike = 0.0,
+        stribeck_speed: ArrayLike = 1.0,
         damping: ArrayLike = 0.0,
         kv: ArrayLike = 0.0,
         armature: ArrayLike = 0.0,
@@ -677,6 +691,22 @@ class Servos:
     @property
     def friction(self) -> _Array:
         """Dry friction (n,) [N m]."""
+
+    @property
+    def load_friction(self) -> _Array:
+        """Dry friction per N m carried (n,) [1]."""
+
+    @property
+    def stribeck(self) -> _Array:
+        """Dry friction in addition at rest (n,) [N m]."""
+
+    @property
+    def load_stribeck(self) -> _Array:
+        """Dry friction in addition at rest, per N m carried (n,) [1]."""
+
+    @property
+    def stribeck_speed(self) -> _Array:
+        """Speed at which a third of the friction at rest is left (n,) [rad/s]."""
 
     @property
     def damping(self) -> _Array:
@@ -705,6 +735,25 @@ class Servos:
     @property
     def kp_known(self) -> bool:
         """Whether `kp` is known within 10 %."""
+
+    @staticmethod
+    def of(
+        models: Sequence[str],
+        *,
+        voltage: float | None = None,
+        gains: Sequence[int | None] | None = None,
+    ) -> Servos:
+        """Servos from the tables of `pliant.servo`, one model per joint.
+
+        Args:
+            models: Servo models base to tip, as `pliant.servo.names()` lists them.
+            voltage: Supply voltage [V]; default each model's rated one.
+            gains: Gain registers; None where the maker's setting stands.
+
+        Raises:
+            ConfigError: A model is not known (the nearest names are given), the voltage is outside
+                its range, or the gains are not one per model.
+        """
 
     def replace(self, **changes: Unpack[_ServoFields]) -> Servos:
         """The same with some fields changed."""
@@ -1038,7 +1087,7 @@ class Settings:
         damping_share: float = 0.8,
         prediction_share: float = 0.9,
         friction_speed: float = 0.05,
-        velocity_filter: float = 0.02,
+        velocity_filter: float = 0.04,
         delay: float = 0.0,
         goal_slew: float | None = 1.0,
         stiffening_time: float = 0.2,
@@ -1662,6 +1711,197 @@ class Controller:
     @property
     def locked(self) -> NDArray[np.bool_]:
         """Joints at a position limit that left the inverse kinematics (n,)."""
+
+@final
+class WrenchEstimate:
+    """What pushes at the tool, and how sure that is.
+
+    Forces [N] and torques [N m] of the surroundings on the tool, taken at the tool: a push toward +
+    is positive. `str` gives one line.
+    """
+
+    @property
+    def force(self) -> _Array:
+        """Force and torque (6,) along the axes of the task frame; 0 along axes not looked at."""
+
+    @property
+    def uncertainty(self) -> _Array:
+        """`|force - truth|` (6,) is at most this if the options tell the truth; inf: not known."""
+
+    @property
+    def force_base(self) -> _Array:
+        """Force and torque (6,) in base axes."""
+
+    @property
+    def uncertainty_base(self) -> _Array:
+        """Bound (6,) of those in base axes."""
+
+    @property
+    def torque_residual(self) -> _Array:
+        """What the surroundings add to each joint (n,) [N m], behind the low-pass."""
+
+    @property
+    def torque_uncertainty(self) -> _Array:
+        """How far that can be off (n,) [N m]; a payload nobody knows of is counted above only."""
+
+    @property
+    def evidence(self) -> float:
+        """Largest of |residual| / uncertainty over the joints: above 1 something pushes."""
+
+    @property
+    def torque(self) -> _Array:
+        """Torque of each servo (n,) [N m], from lead and limit or as measured."""
+
+    @property
+    def velocity(self) -> _Array:
+        """Joint velocity that the estimate used (n,) [rad/s]."""
+
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """Joints whose servo is at its limit (n,): their torque is the limit."""
+
+    @property
+    def touch(self) -> NDArray[np.bool_]:
+        """Axes that are touched (6,)."""
+
+    @property
+    def stop(self) -> NDArray[np.bool_]:
+        """Axes whose force asks for a stop (6,)."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+
+@final
+class Contact:
+    """Feels what pushes at the tool of an arm without force sensors.
+
+    What the servos exert beyond gravity, friction and acceleration, the surroundings must exert:
+    `J' F = r = g + M q'' + t_f tanh(v / v0) + d v - clip(k_p (goal - q) - k_v v, +-limit)`. With
+    `|error of r_i| <= u_i`, `F = (J W J' + P)^-1 J W r`, `W = diag(1/u^2)`, `P = diag(1/most^2)`,
+    and the bound is `|G| u + |G J' - I| most`: what no joint feels is uncertain by `most`.
+
+    Call `update` once per tick, before the controller's `step`. Shares are of the quantity's own
+    size: 0.3 is 30 %.
+
+    Args:
+        controller: Whose model, payload, gravity, delay, task frame and commands are used.
+        axes: Axes of the task frame along which the surroundings can push; along the others nothing
+            is taken to push. None: all six with six joints or more, else those of the task.
+        filter: Time constant of the low-pass [s]; 0 for none.
+        friction_error: How wrong friction and damping may be. At rest dry friction is open anyway.
+        kp_error: How wrong k_p and torque limits may be; None: 0.1 if `kp_known`, else 0.25.
+        gravity_error: How wrong gravity torques may be.
+        payload_error: Mass at the tool that may be there unknown [kg].
+        inertia_error: How wrong the torques of acceleration may be (groups are point masses).
+        load_error: How wrong a measured load or current may be.
+        torque_constant: Torque per current (n,) [N m/A], needed where a current is given.
+        most: Largest force [N] and torque [N m] thought possible.
+        touch, stop: Thresholds [N, N m] by axis key, e.g. `{"xyz": 8.0}`. In force is the larger of
+            threshold and `guard` times the present uncertainty.
+        hysteresis: Share of its threshold by which a force must fall to end an event.
+        min_time: How long a threshold must be passed before an event begins or ends [s].
+        guard: At 1 an event is proven; 0.6 has given no false alarm in an hour (docs/contact.md).
+        accept: `("thresholds",)` takes thresholds below the uncertainty as they are, unguarded.
+
+    Raises:
+        LimitError: An option out of range; a threshold below what this arm at rest can tell from a
+            contact in the median pose, with that number.
+        ConfigError, ShapeError: No servos, unknown axes, constants of another length.
+    """
+
+    def __new__(
+        cls,
+        controller: Controller,
+        *,
+        axes: str | None = None,
+        filter: float = 0.04,
+        friction_error: float = 0.3,
+        kp_error: float | None = None,
+        gravity_error: float = 0.05,
+        payload_error: float = 0.0,
+        inertia_error: float = 0.3,
+        load_error: float = 0.2,
+        torque_constant: ArrayLike | None = None,
+        most: tuple[float, float] = (100.0, 20.0),
+        touch: Mapping[str, float] | None = None,
+        stop: Mapping[str, float] | None = None,
+        hysteresis: float = 0.3,
+        min_time: float = 0.02,
+        guard: float = 1.0,
+        accept: Sequence[str] = (),
+    ) -> Contact: ...
+    def update(
+        self,
+        q: ArrayLike,
+        *,
+        dt: float | None = None,
+        dq: ArrayLike | None = None,
+        load: ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        sent: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> WrenchEstimate:
+        """Take one reading; before the controller's step of this tick.
+
+        Until a command that was in force is known, and no load is given, nothing is felt: force 0,
+        uncertainty inf.
+
+        Args:
+            q: Measured joint positions (n,) [rad].
+            dt: Time since the last reading [s]; None: 1 / rate of the controller's settings.
+            dq: Joint velocity (n,) [rad/s] in place of the filtered one.
+            load: Torques that the servos say they exert (n,) [N m], in place of lead and limit.
+            current: Currents of the motors (n,) [A]; needs `torque_constant`.
+            sent: Goals and limits (n,) that were sent last, where not the controller's command.
+
+        Raises:
+            ShapeError, LimitError, ConfigError: An input that cannot be used; nothing has changed.
+        """
+
+    def uncertainty_at(self, q: ArrayLike) -> _Array:
+        """Bound (6,) [N, N m] for the arm at rest in q (n,) [rad], holding its weight."""
+
+    def typical_uncertainty(self) -> _Array:
+        """Median (6,) of `uncertainty_at` over 64 poses of the joint space (a millisecond)."""
+
+    def reset(self) -> None:
+        """Forget velocity, filter, commands and events; a tare stays."""
+
+    def tare(self) -> None:
+        """Take the present force for zero: from now on the change is felt.
+
+        Errors of k_p, gravity and payload count from here only; what dry friction may have hidden
+        in the tare counts in addition.
+
+        Raises:
+            ConfigError: Nothing has been felt yet.
+        """
+
+    def clear_tare(self) -> None:
+        """Undo a tare."""
+
+    @property
+    def tared(self) -> bool:
+        """Whether a tare is in force."""
+
+    @property
+    def estimate(self) -> WrenchEstimate:
+        """The last estimate."""
+
+    @property
+    def guard(self) -> float:
+        """Share of the uncertainty that a force must exceed to count."""
+
+    @property
+    def latency(self) -> float:
+        """What an event lags by design [s]: delay of the controller, low-pass, shortest time."""
+
+    @property
+    def axes(self) -> tuple[_AxisName, ...]:
+        """Axes looked at."""
+
+    @property
+    def controller(self) -> Controller:
+        """The controller."""
 
 def damped_pseudo_inverse(J: ArrayLike, damping: float) -> _Array:
     """Damped pseudo-inverse of (3): J^T (J J^T + lambda^2 I)^-1, shape (n, k).

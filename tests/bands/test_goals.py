@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from pliant.experiments import goals, laws
+from pliant.experiments import goals, laws, rates
 
 
 def test_table_measures_and_judges():
@@ -16,6 +16,15 @@ def test_table_measures_and_judges():
     printed = goals.text(rows).splitlines()
     assert len(printed) == 3
     assert printed[-1].endswith("| yes |")
+
+
+def test_drag_and_door_are_tried_at_every_rate_delay_and_belief():
+    under = rates.conditions()
+    assert len(under) == 12
+    assert len({(one.rate, one.delay, one.believed) for one in under}) == 12
+    lines = rates.text("nothing of this name").splitlines()
+    assert len(lines) == 2
+    assert lines[0].count("|") == lines[1].count("|")
 
 
 def test_goals_print_as_people_write_them():

@@ -57,20 +57,25 @@ def test_urdf_and_file_that_disagree_on_joints():
         (SIM + "[loop]\nrate = -1", r"loop\.rate = -1: input should be greater than 0"),
         (SIM + "[loop]\nrate = nan", r"loop\.rate = nan"),
         (SIM + "[life]\nrest = [inf]", r"life\.rest\[0\] = inf: .*finite"),
+        (SIM + '[servo.a]\nmodel = "XM430"\nid = 1', "did you mean: XM430-W"),
         (SIM + '[servo.a]\nmodle = "x"\nid = 1', r"servo\.a\.modle .* did you mean 'model'"),
-        (SIM + '[servo.a]\nmodel = "x"\nid = 300', r"servo\.a\.id = 300"),
-        (SIM + '[servo.a]\nmodel = "x"\nid = 1\nport = "mian"', "did you mean 'main'"),
-        (SIM + '[servo.a]\nmodel = "x"\nid = 1\ntwin = { id = 1 }', "same id 1"),
-        (SIM + '[servo]\na = { model = "x", id = 1 }\nb = { model = "x", id = 1 }', "same id 1"),
+        (SIM + '[servo.a]\nmodel = "MX-64"\nid = 300', r"servo\.a\.id = 300"),
+        (SIM + '[servo.a]\nmodel = "MX-64"\nid = 1\nport = "mian"', "did you mean 'main'"),
+        (SIM + '[servo.a]\nmodel = "MX-64"\nid = 1\ntwin = { id = 1 }', "same id 1"),
+        (
+            SIM + '[servo]\na = { model = "MX-64", id = 1 }\nb = { model = "MX-64", id = 1 }',
+            "same id 1",
+        ),
         (SIM + '[settings]\nlaw = "capp"', "did you mean 'cap'"),
         (SIM + "[settings.axes.y]\nsofft = 3", r"settings: axes\.y: .*did you mean 'soft'"),
         (SIM + "[settings.axes]\ny = 3", r"axes\.y is a table"),
         ('preset = "dor"\n' + SIM, "did you mean 'door'"),
-        ('preset = "soft"\n' + SIM, "needs axes"),
-        ('soft = "y"\n' + SIM, "preset"),
+        ('preset = "soft"\n' + SIM, "needs its axes"),
+        ('preset = { name = "wipe", pres = 3 }\n' + SIM, "pres"),
+        ("preset = { press = 3 }\n" + SIM, "without a name"),
         ('robot.builtin = "so101"', "needs a servo for every joint"),
         (
-            SIM + "[gripper]\nopen = 1\nclosed = 1\n[gripper.servo]\nmodel = 'x'\nid = 1",
+            SIM + "[gripper]\nopen = 1\nclosed = 1\n[gripper.servo]\nmodel = 'MX-64'\nid = 1",
             "same angle",
         ),
         (SIM + "[[port]]\n[[port]]\n", "'main' is there twice"),
@@ -91,7 +96,7 @@ def test_all_mistakes_are_said_at_once():
 
 def test_settings_go_through_the_same_code_as_in_python():
     read = config.parse(
-        'backend = "sim"\npreset = "soft"\nsoft = "y"\nrobot.builtin = "arm7"\n'
+        'backend = "sim"\npreset = { name = "soft", axes = "y" }\nrobot.builtin = "arm7"\n'
         "[loop]\nrate = 200\n"
         "[settings]\nlaw = 'cap'\n[settings.axes.x]\nhold = 30.0\nfirm = [5.0, 9.0]\n"
     )
@@ -144,8 +149,8 @@ def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):
         '"range_max": 3001}}'
     )
     text = SIM + (
-        'calibration = "cal.json"\n[servo]\nshoulder_pan = { model = "STS3215-C001", id = 1 }\n'
-        'elbow_flex = { model = "STS3215-C001", id = 3, zero = 7 }\n'
+        'calibration = "cal.json"\n[servo]\nshoulder_pan = { model = "STS3215-7.4V", id = 1 }\n'
+        'elbow_flex = { model = "STS3215-7.4V", id = 3, zero = 7 }\n'
     ).replace('calibration = "cal.json"\n', "")
     read = config.parse('calibration = "cal.json"\n' + text, folder=tmp_path)
     assert build.zeros(read) == {"shoulder_pan": 2000.5, "elbow_flex": 7.0}

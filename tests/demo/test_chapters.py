@@ -80,6 +80,8 @@ FLIPS = [
     (4, "The end of both", ("opening_and_closing", "door", "rigid", "cap", "ends"), [45.0]),
     (5, "A position-controlled", ("cap 0.999", "force"), 30.0),
     (5, "Law cap keeps", ("cap 0", "held"), 30.0),
+    (6, "With no joint near", ("arm7", "kept_clear"), 0.9),
+    (6, "What is missed", ("arm7", "kept"), 0.5),
 ]
 
 
@@ -118,7 +120,7 @@ def test_an_experiment_that_does_not_exist_is_named_with_those_that_do():
     with pytest.raises(ConfigError, match=r"no experiment 9; choose from 1 \(Which joint"):
         demo.choose(demo.EXPERIMENTS, (1, 9))
     assert list(demo.choose(demo.EXPERIMENTS, (5, 2))) == [2, 5]
-    assert list(demo.choose(demo.EXPERIMENTS, ())) == [1, 2, 3, 4, 5]
+    assert list(demo.choose(demo.EXPERIMENTS, ())) == [1, 2, 3, 4, 5, 6]
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def check_folder(folder, done):
 def test_quick_demo_leaves_a_report_that_needs_nothing(pliant_command, tmp_path):
     done = pliant_command("demo", "--quick", "--out", "here")
     content, text = check_folder(tmp_path / "here", done)
-    assert sorted(content["experiments"]) == ["1", "2", "3", "4", "5"]
+    assert sorted(content["experiments"]) == ["1", "2", "3", "4", "5", "6"]
     for experiment in content["experiments"].values():
         for statement in experiment["statements"]:
             assert statement["verdict"] in {"agrees", "differs because", "does not agree"}

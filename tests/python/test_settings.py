@@ -99,6 +99,7 @@ VALUES = [
     Task("x z pitch", frame=[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], length=0.3),
     Servos(kp=[100.0, 50.0], torque=5.0, kind="duty", no_load_speed=[6.0, 7.0]),
     Servos(kp=100.0, torque=5.0),
+    Servos(kp=[9.0, 8.0], torque=5.0, load_friction=0.2, stribeck=[0.1, 0.0], stribeck_speed=2.0),
     Payload(0.5, (0.0, 0.1, 0.2)),
     Pose.from_rpy([0.1, 0.2, 0.3], [0.4, 0.5, 0.6]),
 ]

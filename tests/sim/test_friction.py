@@ -86,3 +86,17 @@ def test_what_is_no_friction_is_refused():
         Plant(pliant.robots.arm7(), friction="stribeck")
     with pytest.raises(ShapeError, match="base has shape"):
         Plant(pliant.robots.arm7(), friction=Friction(base=[0.1, 0.2]))
+
+
+def test_what_a_controller_may_believe_is_the_friction_of_the_gears():
+    """Linear in load and rational in speed: within a fifth of the gears where they move slowly."""
+    table = Friction.of([MX106]).believed(pliant.Servos(kp=[100.0], torque=10.0, friction=0.3))
+    assert table.friction.tolist() == [0.0]
+    for load in (0.5, 2.0, 4.0):
+        for speed in (0.0, 0.3, 1.0):
+            x = speed / table.stribeck_speed
+            share = 1.0 / (1.0 + x + x**2)
+            believed = share * table.stribeck + load * (
+                table.load_friction + share * table.load_stribeck
+            )
+            assert believed == pytest.approx(MX106.most(load, -load, speed), rel=0.2)

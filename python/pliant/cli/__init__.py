@@ -16,6 +16,11 @@ if TYPE_CHECKING:
 #: flags.
 COMMANDS = {
     "demo": ("pliant.cli.demo", "run the paper's experiments on the simulator and leave a report"),
+    "scan": ("pliant.cli.scan", "find servos: ports, speeds, ids, models"),
+    "doctor": ("pliant.cli.doctor", "say what stands between a configuration and a soft arm"),
+    "setup": ("pliant.cli.setup", "set up servos: the only command that writes their EEPROM"),
+    "run": ("pliant.cli.run", "hold an arm compliantly, or let it follow targets"),
+    "emulate": ("pliant.cli.emulate", "put an arm's servos on a serial port that is not there"),
 }
 #: Exit code of an error that was explained, as of a flag that does not exist.
 EXPLAINED = 2

@@ -8,6 +8,7 @@ import pliant
 from pliant import ConfigError
 from pliant.config.lerobot import Calibration, read_calibration
 from pliant.config.messages import suggest
+from pliant.servo.models import find
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from pliant.config.schema import Config, Servo
 
 #: Presets that need nothing but their name, and the one that needs axes.
-PRESETS = ("paper", "firm", "door", "hand_guiding", "soft")
+PRESETS = ("paper", "firm", "door", "drawer", "hand_guiding", "hand_over", "plug", "soft", "wipe")
 
 
 def check(config: Config) -> None:
@@ -26,17 +27,27 @@ def check(config: Config) -> None:
     Raises:
         ValueError: Several sentences, joined.
     """
-    wrong = [*_ports(config), *_ids(config), *_presets(config)]
+    wrong = [*_models(config), *_ports(config), *_ids(config), *_presets(config)]
     if config.backend != "sim" and not config.servo:
         wrong.append(f"servo is missing: backend {config.backend!r} needs a servo for every joint")
     if wrong:
         raise ValueError("; ".join(wrong))
 
 
+def _models(config: Config) -> list[str]:
+    out = []
+    for joint, servo in servos(config).items():
+        try:
+            find(servo.model)
+        except ConfigError as error:
+            out.append(f"servo.{joint}.model: {error}")
+    return out
+
+
 def _ports(config: Config) -> list[str]:
     names = [port.name for port in config.port]
     out = [f"port {name!r} is there twice" for name in sorted(set(names)) if names.count(name) > 1]
-    for joint, servo in _servos(config).items():
+    for joint, servo in servos(config).items():
         if servo.port not in names:
             out.append(f"servo.{joint}.port: no port {servo.port!r}; {suggest(servo.port, names)}")
     return out
@@ -45,7 +56,7 @@ def _ports(config: Config) -> list[str]:
 def _ids(config: Config) -> list[str]:
     seen: dict[tuple[str, int], str] = {}
     out = []
-    for joint, servo in _servos(config).items():
+    for joint, servo in servos(config).items():
         own = [servo.id] if servo.twin is None else [servo.id, servo.twin.id]
         for number in own:
             other = seen.setdefault((servo.port, number), joint)
@@ -58,23 +69,25 @@ def _ids(config: Config) -> list[str]:
 
 
 def _presets(config: Config) -> list[str]:
-    if config.preset is None:
-        return (
-            ["soft names axes for the preset 'soft'; add preset = \"soft\""] if config.soft else []
-        )
-    if config.preset not in PRESETS:
-        return [f"preset: there is no preset {config.preset!r}; {suggest(config.preset, PRESETS)}"]
-    if (config.preset == "soft") != (config.soft is not None):
-        need = "needs" if config.preset == "soft" else "does not take"
-        return [f'preset {config.preset!r} {need} axes: soft = "y yaw"']
-    return []
+    name, _ = _preset(config)
+    if name in (None, *PRESETS):
+        return []
+    return [f"preset: there is no preset {name!r}; {suggest(str(name), PRESETS)}"]
 
 
-def _servos(config: Config) -> dict[str, Servo]:
+def _preset(config: Config) -> tuple[Any, dict[str, Any]]:
+    """Name and arguments of the preset."""
+    if isinstance(config.preset, dict):
+        arguments = dict(config.preset)
+        return arguments.pop("name", "(without a name)"), arguments
+    return config.preset, {}
+
+
+def servos(config: Config) -> dict[str, Servo]:
     """All servos of the file by the name of their joint."""
     out = dict(config.servo)
     if config.gripper is not None:
-        out["gripper"] = config.gripper.servo
+        out[config.gripper.joint] = config.gripper.servo
     return out
 
 
@@ -136,11 +149,14 @@ def settings(config: Config) -> Settings:
     if isinstance(fields.get("task"), dict):
         fields["task"] = pliant.Task(**fields["task"])
     fields.setdefault("rate", config.loop.rate)
-    if config.preset is None:
+    name, arguments = _preset(config)
+    if name is None:
         return pliant.Settings(**fields)
-    if config.soft is not None:
-        return pliant.Settings.soft(config.soft, **fields)
-    preset: Settings = getattr(pliant.Settings, config.preset)(**fields)
+    if name == "soft":
+        if "axes" not in arguments:
+            raise ConfigError('preset "soft" needs its axes: { name = "soft", axes = "y yaw" }')
+        return pliant.Settings.soft(arguments.pop("axes"), **arguments, **fields)
+    preset: Settings = getattr(pliant.Settings, name)(**arguments, **fields)
     return preset
 
 
@@ -164,7 +180,7 @@ def zeros(config: Config) -> dict[str, float | None]:
     if config.calibration is not None:
         table = read_calibration(inside(config, config.calibration))
     out: dict[str, float | None] = {}
-    for joint, servo in _servos(config).items():
+    for joint, servo in servos(config).items():
         if servo.zero is not None or not table:
             out[joint] = servo.zero
             continue

@@ -14,6 +14,7 @@ from pliant.config import build
 
 if TYPE_CHECKING:
     from pliant import Model, Settings
+    from pliant.arm import Arm
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -75,36 +76,32 @@ class Port(Table):
 
     Attributes:
         name: What servos call it.
-        path: Device, `auto` for the only one there is, or `emulator`.
-        baud: [bit/s]; None: what the servo family is set to usually.
-        return_delay: Of the servos as set in them [µs].
+        path: Device, or `auto` for the only one there is.
+        baud: [bit/s]
     """
 
     name: str = "main"
     path: str = "auto"
-    baud: Annotated[int, Field(ge=9600, le=4_500_000)] | None = None
-    return_delay: NotNegative = 0.0
+    baud: Annotated[int, Field(ge=9600, le=4_500_000)] = 1_000_000
 
 
 class Twin(Table):
-    """A second servo that drives the same joint.
+    """A second servo that drives the same joint; its zero is found at open.
 
     Attributes:
         id: Its id on the same port.
-        sign: +1 where it counts up with the joint.
-        zero: Its count where the joint's angle is 0; None: as calibrated, else the middle.
+        sign: +1 where its counts rise with the joint's angle.
     """
 
     id: Id
     sign: Literal[1, -1] = -1
-    zero: Number | None = None
 
 
 class Servo(Table):
     """One servo of one joint.
 
     Attributes:
-        model: Row of the servo table, e.g. `STS3215-C001` or `XM430-W350`.
+        model: Row of the servo table, e.g. `STS3215-7.4V` or `XM430-W350`.
         id: Its id on the port.
         port: Name of the port.
         sign: +1 where counts rise with the joint's angle.
@@ -112,11 +109,11 @@ class Servo(Table):
             middle of the servo's range.
         gear: Turns of the servo per turn of the joint.
         twin: A second servo on the same joint.
-        lower, upper: Position limits of the joint in place of the model's [rad].
-        kp: Stiffness [N·m/rad] in place of what the gain register says.
-        torque: Usable torque [N·m] in place of the table's.
-        friction, damping: Of gears and motor [N·m, N·m·s/rad].
-        current: Most continuous current, for the thermal budget [A].
+        lower, upper: Position limits in software [rad]; None: what the servo's own limits allow.
+        stall: Stall torque at the rated voltage in place of the table's [N·m].
+        torque_offset: Torque that the gears eat, off what the register promises [N·m].
+        kp: Stiffness [N·m/rad] as identified, in place of what the gain register says.
+        friction, damping: Of the gears as identified, in place of the table's [N·m, N·m·s/rad].
     """
 
     model: str
@@ -128,11 +125,11 @@ class Servo(Table):
     twin: Twin | None = None
     lower: Number | None = None
     upper: Number | None = None
+    stall: Positive | None = None
+    torque_offset: NotNegative = 0.0
     kp: Positive | None = None
-    torque: Positive | None = None
     friction: NotNegative | None = None
     damping: NotNegative | None = None
-    current: Positive | None = None
 
 
 class Gripper(Table):
@@ -140,23 +137,23 @@ class Gripper(Table):
 
     Attributes:
         servo: Its servo.
-        joint: The joint of the model that it moves, so that its weight is where it is; None where
-            the model has none.
-        open, closed: Angles of the two ends [rad].
-        limit: Most torque as a share of the servo's [0, 1].
-        arm_length: From its axis to where it grips, to turn a force into a torque [m].
+        joint: Its name; where the model has a joint of this name, its weight is where it is.
+        open, closed: Angles of the two ends [rad]; None: the limits of the model's joint.
+        limit: Torque limit unless a force is asked for [N·m]; None: the lesser of 30 % of the
+            largest and 0.9 of the servo's overload threshold.
+        lever: From its axis to the middle of the finger [m], so that forces are newtons there.
     """
 
     servo: Servo
-    joint: str | None = None
-    open: Number
-    closed: Number
-    limit: Annotated[float, Field(gt=0.0, le=1.0)] = 0.3
-    arm_length: Positive | None = None
+    joint: str = "gripper"
+    open: Number | None = None
+    closed: Number | None = None
+    limit: NotNegative | None = None
+    lever: Positive | None = None
 
     @model_validator(mode="after")
     def _two_ends(self) -> Self:
-        if self.open == self.closed:
+        if self.open is not None and self.open == self.closed:
             raise ValueError(f"open and closed are the same angle, {self.open:g} rad")
         return self
 
@@ -166,30 +163,30 @@ class Loop(Table):
 
     Attributes:
         rate: [Hz]
-        stale: For how long old samples may be used [s].
+        hold_for: How long a silent bus or program is waited for before the arm is lowered [s].
     """
 
     rate: Annotated[float, Field(gt=0.0, le=2000.0)] = 100.0
-    stale: Positive = 0.05
+    hold_for: Positive = 0.5
 
 
 class Life(Table):
     """How the arm is put down.
 
     Attributes:
-        rest: Pose to park in (n,) [rad]; None: where it comes to rest by itself.
+        rest: Pose where it goes first (n,) [rad]; None: straight down.
         exit: What leaving does.
     """
 
     rest: list[Number] | None = None
-    exit: Literal["lower", "park", "hold"] = "lower"
+    exit: Literal["lower", "hold"] = "lower"
 
 
 class Supply(Table):
     """What feeds the servos.
 
     Attributes:
-        voltage: Nominal voltage [V].
+        voltage: Nominal voltage [V]; the emulator and `doctor` use it, an arm reads its own.
         current: Most current of the supply [A]; None: no limit.
     """
 
@@ -210,10 +207,9 @@ class Config(Table):
         calibration: LeRobot's calibration file, relative to this one; `~` is the home folder.
         loop: Rate and deadlines.
         life: How it ends.
-        preset: Name of a preset of `pliant.Settings`, e.g. `door` or `soft`.
-        soft: Axes that the preset `soft` makes yield.
+        preset: A preset of `pliant.Settings` by name, `"door"`, or with its arguments,
+            `{ name = "soft", axes = "y yaw" }`.
         fields: The table `settings`: fields of `pliant.Settings`; `axes` is a table by axis key.
-        kp_known: Whether the servos' stiffness is known within 10 %.
     """
 
     backend: Literal["bus", "emulator", "sim"] = "bus"
@@ -225,10 +221,8 @@ class Config(Table):
     calibration: Path | None = None
     loop: Loop = Loop()
     life: Life = Life()
-    preset: str | None = None
-    soft: str | None = None
+    preset: str | dict[str, Any] | None = None
     fields: dict[str, Any] = Field(default_factory=dict, alias="settings")
-    kp_known: bool = False
 
     #: Folder that relative paths start from.
     _folder: Path = PrivateAttr(default=Path())
@@ -257,6 +251,12 @@ class Config(Table):
             ConfigError: Its joints are not those that have servos.
         """
         return build.model(self)
+
+    def arm(self, **options: Any) -> Arm:
+        """The arm, to be enabled by `with`; see `pliant.connect`."""
+        from pliant.config.assemble import arm
+
+        return arm(self, **options)
 
     def settings(self) -> Settings:
         """The controller's settings, validated by the same code as those made in Python.

@@ -21,7 +21,7 @@ from pliant.experiments import campaign_table, laws, merits
 from pliant.experiments.campaign_arms import available
 from pliant.experiments.campaign_bench import Promise
 from pliant.experiments.campaign_jobs import POSES, REAL_GEARS, jobs, run
-from pliant.experiments.conditions import NOMINAL
+from pliant.experiments.conditions import NOMINAL, Conditions
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Options:
 
 
 def gears_text() -> str:
-    """Drag and door with the table's friction and with gears as they are, believed as in the table.
+    """Drag and door with the table's friction and with gears as they are, unknown and known.
 
     Returns:
         A table in Markdown; forces in N, drift in mm, the door's opening in deg.
@@ -56,11 +56,21 @@ def gears_text() -> str:
         "strong hand": merits.strong(laws.cap()),
         "door, rigid grip": merits.door("door"),
     }
-    lines = ["| scene | figure | friction of the table | gears as they are |", "|---|---|---|---|"]
-    real = NOMINAL.with_plant(friction=REAL_GEARS["arm7"])
+    gears = REAL_GEARS["arm7"]
+    under = {
+        "friction of the table": NOMINAL,
+        "gears as they are": Conditions(gears=gears),
+        "identified": Conditions(gears=gears, gears_known=True),
+        "believed × 0.7": Conditions(gears=gears, gears_known=True, believed=0.7),
+        "identified, a tick each way": Conditions(gears=gears, gears_known=True, delay=(1, 1)),
+    }
+    lines = ["| scene | figure | " + " | ".join(under) + " |", "|---" * (len(under) + 2) + "|"]
     for scene, measure in measures.items():
-        table, gears = measure(NOMINAL), measure(real)
-        lines += [f"| {scene} | {name} | {table[name]:.3g} | {gears[name]:.3g} |" for name in table]
+        found = [measure(one) for one in under.values()]
+        lines += [
+            f"| {scene} | {name} | " + " | ".join(f"{one[name]:.3g}" for one in found) + " |"
+            for name in found[0]
+        ]
     return "\n".join(lines)
 
 

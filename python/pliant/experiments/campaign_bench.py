@@ -5,7 +5,7 @@ The hand is made of MuJoCo's own actuators, so that a control period is one call
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,11 +17,10 @@ from pliant.sim import Plant
 from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
     from pliant.experiments.campaign_arms import Arm
+    from pliant.sim.friction import Friction
     from pliant.sim.spec import Build
 
     Array = NDArray[np.float64]
@@ -53,6 +52,8 @@ class Disturbance:
         identified: Whether the controller knows the true stiffness.
         captured: Whether gravity was captured in this pose.
         payload: Unknown mass at the tool [kg].
+        gears: Friction by speed and load in place of the table's.
+        gears_known: Whether the controller knows it.
         plant: More options of the plant.
     """
 
@@ -65,7 +66,8 @@ class Disturbance:
     identified: bool = False
     captured: bool = False
     payload: float = 0.0
-    plant: Mapping[str, Any] = field(default_factory=dict)
+    gears: Friction | None = None
+    gears_known: bool = False
 
     @property
     def wrong(self) -> bool:
@@ -110,7 +112,8 @@ class Promise:
         true_friction: The same with the dry friction there truly was.
         band: Largest difference that keeps the promise [N or N·m].
         stop: What mechanical stops take of the push, Σ_i J⁺_ij t_i [N or N·m]; 0 without contact.
-        locked: Whether a joint's goal was held by its position limit.
+        left: Σ_i |J⁺_ij| τ_f,i over the joints that no position limit held [N or N·m].
+        locked: Whether a joint's motion was held by its position limit.
         room: Distance of the nearest joint to its stop at the end [rad].
         drift: Largest distance of the stiff axes from the target over the run's end [m].
         speed: Rms speed of the joints at the end [rad/s].
@@ -128,6 +131,7 @@ class Promise:
     true_friction: float = np.nan
     band: float = np.nan
     stop: float = 0.0
+    left: float = np.nan
     locked: bool = False
     room: float = np.nan
     drift: float = np.nan
@@ -145,12 +149,15 @@ class Promise:
 
     @property
     def stopped(self) -> bool:
-        """Whether it was not kept because a joint stood at its mechanical stop, and provably so."""
-        return (
-            not self.kept
-            and self.stop != 0.0
-            and abs(self.felt - self.stop - self.promise) <= self.band
-        )
+        """Whether it was not kept because a joint stood at its position limit, and provably so.
+
+        A stop takes part of the push, and the joints that are left meet the push with another
+        friction: with both counted, the promise holds.
+        """
+        if self.kept or not (self.locked or self.stop != 0.0):
+            return False
+        band = self.band - self.friction + max(self.left, self.friction)
+        return abs(self.felt - self.stop - self.promise) <= band
 
 
 class Grip:
@@ -230,11 +237,13 @@ class Bench:
             flicker=1 if disturbance.count else 0,
             kp_scale=disturbance.kp,
             payload=(disturbance.payload, (0.0, 0.0, 0.0)) if disturbance.payload else None,
-            **disturbance.plant,
+            friction=disturbance.gears or "coulomb",
         )
         known = disturbance.kp if disturbance.identified else 1.0
         count = disturbance.count
         self.servos = arm.servos.replace(kp=known * np.asarray(arm.servos.kp), count=count)
+        if disturbance.gears is not None and disturbance.gears_known:
+            self.servos = disturbance.gears.believed(self.servos)
         self.compliance = 1.0 / np.asarray(self.servos.kp)
         gains = self.plant.gains
         self.damping = gains.damping + gains.kv
@@ -296,7 +305,10 @@ class Bench:
         c = float(jacobian[self.arm.rows.index(row)] ** 2 @ self.compliance)
         joint_speed = np.mean(speeds, axis=0)
         rubs = self.damping * joint_speed if seen.moving else 0.0 * joint_speed
-        friction = float(inverse @ (np.asarray(self.arm.servos.friction) + rubs))
+        dry = self._dry(plant.q)
+        friction = float(inverse @ (dry + rubs))
+        moves = ~np.asarray(controller.locked)
+        left = np.abs(np.linalg.pinv(jacobian[:, moves])[:, self.arm.rows.index(row)])
         space = np.minimum(plant.q - model.lower, np.asarray(model.upper) - plant.q)
         return Promise(
             **named,
@@ -307,11 +319,18 @@ class Bench:
             true_friction=float(inverse @ (plant.friction + rubs)),
             band=(0.40 if seen.wrong else 0.15) * cap + friction,
             stop=-sign * float(column @ self._stops()),
+            left=float(left @ dry[moves]),
             locked=bool(np.any(controller.locked)),
             room=float(space.min()),
             drift=drift,
             speed=float(np.sqrt(np.mean(np.square(speeds)))),
         )
+
+    def _dry(self, q: Array) -> Array:
+        """Dry friction (n,) [N·m] at rest under the arm's weight, as the controller believes it."""
+        s, weight = self.servos, np.abs(self.arm.model.gravity(q))
+        at_rest: Array = np.asarray(s.friction) + s.stribeck
+        return at_rest + (np.asarray(s.load_friction) + s.load_stribeck) * weight
 
     @property
     def _flat(self) -> bool:

@@ -43,20 +43,23 @@ class Job:
         return bench.promises(self.pose, bench.arm.poses(self.pose + 1)[self.pose])
 
 
-def gears(arm: str) -> Disturbance:
-    """Friction as it is, by speed and load, where somebody has identified it.
+def gears(arm: str) -> tuple[Disturbance, Disturbance]:
+    """Friction as it is, by speed and load, where somebody has identified it: unknown and known.
 
     Raises:
         KeyError: Nobody has.
     """
-    return replace(NOMINAL, name="gears as they are", plant={"friction": REAL_GEARS[arm]})
+    unknown = replace(NOMINAL, name="gears as they are", gears=REAL_GEARS[arm])
+    return unknown, replace(unknown, name="gears as they are, identified", gears_known=True)
 
 
 @lru_cache(maxsize=2)
 def _bench(arm: str, disturbance: str) -> Bench:
     """The bench of this process; jobs come arm by arm, disturbance by disturbance."""
     known = {one.name: one for one in (NOMINAL, *DISTURBANCES)}
-    return Bench(load(arm), known.get(disturbance) or gears(arm))
+    if disturbance not in known:
+        known |= {one.name: one for one in gears(arm)}
+    return Bench(load(arm), known[disturbance])
 
 
 def jobs(
@@ -79,7 +82,7 @@ def jobs(
         if main and disturbed:
             out += [Job(name, one, pose) for one in DISTURBANCES for pose in range(tenth)]
         if friction and name in REAL_GEARS:
-            out += [Job(name, gears(name), pose) for pose in range(tenth)]
+            out += [Job(name, one, pose) for one in gears(name) for pose in range(tenth)]
     return out
 
 

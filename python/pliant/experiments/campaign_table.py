@@ -34,7 +34,7 @@ class Row:
         refused: Share of the cases that the limits cannot hold.
         kept: Share in band, every pose and axis.
         kept_free, kept_guided: The same with the other axes free and held.
-        stopped: Share not in band, provably by a joint at its mechanical stop.
+        stopped: Share not in band, provably by a joint at its position limit.
         kept_clear: Share in band with every joint clear of its stops at the end.
         clear: Share of such cases.
         kept_truly: Share within the band of the friction there truly was.
@@ -118,7 +118,7 @@ def _quantile(values: Sequence[float], q: float) -> float:
 def text(rows: Sequence[Row]) -> str:
     """The table, as Markdown."""
     lines = [
-        "| arm | disturbance | poses | cases | refused % | in band % | free | guided | by a stop "
+        "| arm | disturbance | poses | cases | refused % | in band % | free | guided | by a limit "
         "| clear of stops | true friction | error: median % | 95th % | free: median | 95th "
         "| drift 95th [mm] | < 5 mm % | met |",
         "|---" * 18 + "|",
@@ -167,46 +167,13 @@ def _plain(value: Any) -> Any:
 
 def draw(folder: Path, rows: Sequence[Row], found: Found) -> None:
     """Write `campaign.png`: how the errors are distributed, by arm and by disturbance."""
-    from pliant.experiments.figures import style
+    from pliant.experiments.figures import caps
 
-    arms = [key for key in found if key[1] == "nominal"]
     first = rows[0].arm if rows else ""
-    disturbed = [key for key in found if key[0] == first]
-    height = 1.2 + 0.42 * max(len(arms), len(disturbed), 4)
-    with style.canvas(1, 2, size=(style.WIDE, height)) as (figure, axes):
-        titles = ("Nominal, by arm", f"{first}, one disturbance at a time")
-        for ax, keys, title in zip(axes[0], (arms, disturbed), titles, strict=True):
-            _strips(ax, keys, found, name=0 if keys is arms else 1)
-            ax.set_title(title)
-        style.save(figure, folder, "campaign")
-
-
-def _strips(ax: Any, keys: Sequence[tuple[str, str]], found: Found, *, name: int) -> None:
-    """One line per key: the middle 95 % and half of the errors, the median, the share in band."""
-    from pliant.experiments.figures import style
-
-    for place, key in enumerate(reversed(keys)):
-        run = [p for p in found[key] if not p.refused]
-        if not run:
-            continue
-        marks = 100.0 * np.quantile([p.error for p in run], (0.025, 0.25, 0.5, 0.75, 0.975))
-        low, a, middle, b, high = np.clip(marks, -100.0, 100.0)
-        ax.plot((low, high), (place, place), color=style.SKY, linewidth=2.0)
-        ax.plot((a, b), (place, place), color=style.BLUE, linewidth=6.0)
-        ax.plot(middle, place, "|", color=style.CARD, markersize=8, markeredgewidth=1.5)
-        share = 100.0 * _share([p.kept for p in run])
-        ax.annotate(
-            f"{share:.1f} % in band",
-            (1.0, place),
-            xycoords=("axes fraction", "data"),
-            ha="right",
-            va="center",
-            fontsize=7.5,
-            color=style.MUTED,
-        )
-    ax.set_yticks(range(len(keys)), [key[name] for key in reversed(keys)])
-    ax.set_xlim(-105.0, 185.0)
-    ax.set_xticks((-100, -50, 0, 50, 100), ("≤ −100", "−50", "0", "50", "≥ 100"))
-    ax.set_ylim(-0.6, len(keys) - 0.2)
-    ax.axvline(0.0, color=style.MUTED, linewidth=0.7)
-    ax.set_xlabel("felt − promised [% of the cap]: middle 95 %, half, median")
+    panels = {
+        "Nominal, by arm": {arm: p for (arm, name), p in found.items() if name == "nominal"},
+        f"{first}, one disturbance at a time": {
+            name: p for (arm, name), p in found.items() if arm == first
+        },
+    }
+    caps.draw(panels, folder, "campaign")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pliant.experiments import metrics
 from pliant.experiments.conditions import NOMINAL
 from pliant.experiments.episode import Trace, run
 from pliant.experiments.setups import AXES, VERTICAL, arm, displaced, servos, tool
@@ -126,5 +127,42 @@ def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Blocked:
         fastest=float(speed.max()),
         left=float(np.linalg.norm(trace.error[-1, :3])),
         limited=float(np.mean(flags)),
+        trace=trace,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arrived:
+    """A target that jumped by 0.10 m in x and in y, with nothing in the way.
+
+    Attributes:
+        after: When the tool was within 3 mm of it for good, counted from the jump [s].
+        left: Distance at the end [m].
+        speed: Rms speed of the joints in the last second [rad/s].
+        trace: The run.
+    """
+
+    after: float
+    left: float
+    speed: float
+    trace: Trace
+
+
+def jump(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Arrived:
+    """Let the target jump aside at 1 s and wait until 5 s.
+
+    Args:
+        law: The settings.
+        conditions: Loop, bus and beliefs.
+    """
+    start = tool(VERTICAL)
+    there = displaced(displaced(start, "x", 0.10), "y", 0.10)
+    plant, controller = conditions.build(), conditions.controller(law)
+    trace = run(plant, controller, lambda t: there if t >= 1.0 else start, 5.0, q=VERTICAL)
+    off = np.linalg.norm(trace.error[:, :3], axis=1)
+    return Arrived(
+        after=float(trace.t[np.flatnonzero(off > 3e-3)[-1]]) - 1.0,
+        left=float(off[-1]),
+        speed=metrics.speed(trace, 4.0, 5.0),
         trace=trace,
     )

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from pliant.experiments.episode import Controlling
     from pliant.sim import Fixture, Hand
+    from pliant.sim.friction import Friction
 
 
 @runtime_checkable
@@ -35,6 +36,8 @@ class Conditions:
         delay: Ticks from sampling to read() and from write() to the servo; known to the controller.
         believed: Friction and damping as the controller believes them, over their true values.
         count: Encoder count [rad], known to the controller.
+        gears: Friction by speed and load in place of the table's, known to the controller or not.
+        gears_known: Whether it is.
         flicker: Counts by which readings toggle at random.
         plant: More options of `pliant.sim.Plant`, which win over the above; the controller knows
             nothing of them.
@@ -44,6 +47,8 @@ class Conditions:
     delay: tuple[int, int] = (0, 0)
     believed: float = 1.0
     count: float = 0.0
+    gears: Friction | None = None
+    gears_known: bool = False
     flicker: int = 0
     plant: Mapping[str, Any] = field(default_factory=dict)
 
@@ -58,6 +63,7 @@ class Conditions:
             "delay": self.delay,
             "count": self.count,
             "flicker": self.flicker,
+            **({} if self.gears is None else {"friction": self.gears}),
             **self.plant,
         }
         return Plant(arm(), scene=scene, **options)
@@ -65,8 +71,13 @@ class Conditions:
     def servos(self) -> pliant.Servos:
         """Servo table of `arm7` as the controller believes it."""
         true = servos()
+        if self.gears is not None and self.gears_known:
+            true = self.gears.believed(true)
         return true.replace(
             friction=self.believed * np.asarray(true.friction),
+            load_friction=self.believed * np.asarray(true.load_friction),
+            stribeck=self.believed * np.asarray(true.stribeck),
+            load_stribeck=self.believed * np.asarray(true.load_stribeck),
             damping=self.believed * np.asarray(true.damping),
             kv=self.believed * np.asarray(true.kv),
             count=self.count,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from pliant import ConfigError
 from pliant.experiments import provenance, report
-from pliant.experiments.chapters import activation, comparison, doors, static, tracking
+from pliant.experiments.chapters import activation, caps, comparison, doors, static, tracking
 from pliant.experiments.chapters.common import Options
 from pliant.experiments.result import Verdict
 from pliant.experiments.runner import Job, Workers, draw_off_screen, prefixed
@@ -48,7 +48,7 @@ class Experiment(Protocol):
 
 #: The chapters about the paper's arm, by number.
 EXPERIMENTS: Mapping[int, Experiment] = {
-    module.NUMBER: module for module in (activation, static, tracking, doors, comparison)
+    module.NUMBER: module for module in (activation, static, tracking, doors, comparison, caps)
 }
 
 

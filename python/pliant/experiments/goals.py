@@ -274,4 +274,9 @@ def text(rows: list[Row]) -> str:
 if __name__ == "__main__":
     import sys
 
-    print(text(table(" ".join(sys.argv[1:]))))
+    from pliant.experiments import rates
+
+    wanted = " ".join(sys.argv[1:])
+    print(text(table(wanted)))
+    print("\nDrag and door by rate, ticks of delay each way, and believed over true friction:\n")
+    print(rates.text(wanted))

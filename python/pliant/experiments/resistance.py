@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import pliant
 from pliant.experiments.conditions import NOMINAL
 from pliant.experiments.doors import SCENES
 from pliant.experiments.episode import Trace, run
-from pliant.experiments.setups import arm, displaced, tool
+from pliant.experiments.setups import displaced, tool
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    import pliant
     from pliant.experiments.conditions import Conditions
-    from pliant.experiments.episode import Commanded, Controlling
+    from pliant.experiments.episode import Commanded
     from pliant.experiments.hands import Law
     from pliant.sim.grip import Grip
 
@@ -35,48 +35,6 @@ SPEED, REST, BEGIN = 0.05, 1.0, 1.0
 LONGEST = 8.0
 
 
-class Feeler:
-    """Estimates the wrench on the tool from goals, limits and measured positions.
-
-    ``F = -C⁻¹ J K_p⁻¹ (clip(k_p (goal - q), ±limit) - g - τ_f tanh(v/v₀) - d v)``, C = J K_p⁻¹ Jᵀ:
-    what the servos give, less what gravity and the joints take. v is the measured velocity behind a
-    filter of 20 ms, d what gears, back-EMF and the servo's own damping resist.
-    """
-
-    def __init__(self, model: pliant.Model, servos: pliant.Servos, period: float) -> None:
-        """Take the arm and the believed servos; `period` in s."""
-        self._model, self._period = model, period
-        self._kp = np.asarray(servos.kp)
-        self._friction = np.asarray(servos.friction)
-        self._damping = np.asarray(servos.damping) + np.asarray(servos.kv)
-        self._torque = np.asarray(servos.torque)
-
-    def reset(self, q: Array) -> None:
-        """Start at rest in q (n,) [rad]."""
-        self._q, self._v = q.copy(), np.zeros_like(q)
-        self._goal, self._limit = q.copy(), self._torque
-
-    def feel(self, q: Array) -> Array:
-        """Wrench (6,) of the surroundings on the tool [N, N·m], from the reading q (n,) [rad]."""
-        raw = (q - self._q) / self._period
-        self._v = self._v + self._period / (0.02 + self._period) * (raw - self._v)
-        self._q = q.copy()
-        given = np.clip(self._kp * (self._goal - q), -self._limit, self._limit)
-        taken = (
-            self._model.gravity(q)
-            + self._friction * np.tanh(self._v / 0.05)
-            + self._damping * self._v
-        )
-        _, jacobian = self._model.kinematics(q)
-        scaled = jacobian / self._kp
-        pushed = np.linalg.solve(scaled @ jacobian.T, scaled @ (given - taken))
-        return -np.asarray(pushed, dtype=np.float64)
-
-    def tell(self, command: Commanded) -> None:
-        """Remember what the servos were told after the reading."""
-        self._goal, self._limit = command.goal.copy(), command.torque_limit.copy()
-
-
 class ByResistance:
     """A controller that moves its own target: pulls until it resists, rests, pushes until it does.
 
@@ -84,26 +42,26 @@ class ByResistance:
         ends: Times at which an end was recognised [s].
     """
 
-    def __init__(self, inner: Controlling, feeler: Feeler, period: float) -> None:
+    def __init__(self, inner: pliant.Controller, period: float) -> None:
         """Wrap a controller; `period` in s."""
-        self._inner, self._feeler, self._period = inner, feeler, period
+        self._inner, self._contact, self._period = inner, pliant.Contact(inner), period
         self.ends: list[float] = []
 
     def reset(self, q: Array) -> None:
         """Start at rest in q (n,) [rad]."""
         self._inner.reset(q)
-        self._feeler.reset(q)
+        self._contact.reset()
         self._way, self._time, self._pressed, self._resting = 0.0, 0.0, 0.0, BEGIN
         self.ends = []
 
     @property
     def compliance(self) -> Array:
         """That of the controller inside."""
-        return np.asarray(getattr(self._inner, "compliance", np.full(6, np.nan)))
+        return self._inner.compliance
 
     def step(self, q: Array, target: Array) -> Commanded:
         """One tick; `target` is the pose (4, 4) at the closed door."""
-        force = float(self._feeler.feel(q)[0])
+        force = float(self._contact.update(q).force_base[0])
         if self._resting > 0.0:
             self._resting -= self._period
         elif len(self.ends) < 2:
@@ -115,9 +73,7 @@ class ByResistance:
                 self.ends.append(self._time)
                 self._pressed, self._resting = 0.0, REST
         self._time += self._period
-        command = self._inner.step(q, displaced(target, "x", self._way))
-        self._feeler.tell(command)
-        return command
+        return self._inner.step(q, displaced(target, "x", self._way))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,9 +112,10 @@ def open_and_close(
     setup = SCENES[scene]
     leaf = setup.leaf(grip=grip, stop=float(np.deg2rad(STOP)))
     period = 1.0 / conditions.rate
-    feeler = Feeler(arm(), conditions.servos(), period)
     inner = conditions.controller(law(soft=setup.soft, alpha=1.0))
-    controller = ByResistance(inner, feeler, period)
+    if not isinstance(inner, pliant.Controller):
+        raise pliant.ConfigError("a door is felt through a controller of pliant's own")
+    controller = ByResistance(inner, period)
     duration = BEGIN + 2.0 * LONGEST
     trace = run(conditions.build(leaf), controller, tool(setup.start), duration, q=setup.start)
     return OpenedAndClosed(

@@ -21,9 +21,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: How far the target pulls a drawer of 0.25 m [m].
-DRAWN = 0.28
-#: Half-lengths of the figure that the pad wipes, x and y [m]; its period in y, half of that in x [s].
+#: How far the target pulls a drawer of 0.25 m, and how far it is pushed behind its place then [m].
+DRAWN, BACK = 0.28, 0.03
+#: Speed of the drawer's target [m/s]; when it turns back [s].
+DRAWER_SPEED, TURNS = 0.05, 8.0
+#: Half-lengths of the figure of eight that the pad wipes, x and y [m]; its period in y [s].
 STROKE, STROKE_TIME = (0.04, 0.10), 8.0
 #: Lowering the pad takes until then, and wiping begins [s].
 DOWN = 3.0
@@ -41,40 +43,53 @@ class Drawn:
 
     Attributes:
         way: How far it came [m].
-        force: Largest force in the grip [N].
+        left: How far it is open at the end [m].
+        force: Largest force in the grip, with the jolt at the end stop [N].
+        held: Force in the grip at the end [N].
         across: Largest part of it across the slide [N].
         torque: Largest torque in the grip [N·m].
         trace: The run.
     """
 
     way: float
+    left: float
     force: float
+    held: float
     across: float
     torque: float
     trace: Trace
 
 
 def pull_drawer(
-    law: Law, *, degrees: float = 10.0, stop: float = 0.25, conditions: Conditions = NOMINAL
+    law: Law, *, degrees: float = 10.0, shut: bool = False, conditions: Conditions = NOMINAL
 ) -> Drawn:
     """Pull along -x at 0.05 m/s on a drawer whose slide points elsewhere, and on at its end stop.
 
     Args:
         law: Settings of our controller, or one that is not ours.
         degrees: Angle between the slide and the pull, in the horizontal plane [deg].
-        stop: Length of the slide [m].
+        shut: Whether to push it shut again afterwards.
         conditions: Loop, bus and beliefs.
 
     Returns:
         The figures and the run.
     """
     angle = np.deg2rad(degrees)
-    box = drawer(axis=(-float(np.cos(angle)), float(np.sin(angle)), 0.0), stop=stop)
-    target = pull(tool(AT_DOOR), DRAWN)
-    trace = run(conditions.build(box), conditions.controller(law), target, 8.5, q=AT_DOOR)
+    box = drawer(axis=(-float(np.cos(angle)), float(np.sin(angle)), 0.0))
+    start = tool(AT_DOOR)
+
+    def target(t: float) -> Array:
+        out = min(max(t - 1.0, 0.0) * DRAWER_SPEED, DRAWN)
+        back = min(max(t - TURNS, 0.0) * DRAWER_SPEED, DRAWN + BACK)
+        return displaced(start, "x", back - out)
+
+    duration = TURNS + (DRAWN + BACK) / DRAWER_SPEED + 0.5 if shut else TURNS
+    trace = run(conditions.build(box), conditions.controller(law), target, duration, q=AT_DOOR)
     return Drawn(
         way=box.widest,
+        left=box.way,
         force=box.peak_force,
+        held=box.force,
         across=box.across,
         torque=box.peak_torque,
         trace=trace,

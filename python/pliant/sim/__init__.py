@@ -10,6 +10,7 @@
 axes; all units SI.
 """
 
+from pliant.arm.state import State
 from pliant.sim.doors import Door, Drive, door, fridge, oven
 from pliant.sim.drawer import Drawer, drawer
 from pliant.sim.friction import MX64, MX106, STS3215, Friction
@@ -33,7 +34,7 @@ from pliant.sim.plant import Plant
 from pliant.sim.record import Recorder
 from pliant.sim.scene import Fixture, Table, Wall, table
 from pliant.sim.socket import Socket
-from pliant.sim.state import Felt, State
+from pliant.sim.state import Felt
 from pliant.sim.surface import Surface
 from pliant.sim.truth import Frame, Truth
 

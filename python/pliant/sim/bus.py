@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pliant.arm.state import State
 from pliant.sim.imperfections import Encoder, Line, delays, share
-from pliant.sim.state import Order, State
+from pliant.sim.state import Order
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,6 +45,11 @@ class Bus:
         self._write_loss = share(write_loss, "write_loss")
         self._count, self._flicker, self._noise = count, flicker, noise
 
+    @property
+    def write_delay(self) -> int:
+        """Ticks from a write to the servos."""
+        return self._delay[1]
+
     def reset(self, first: Order, extra: Mapping[str, float]) -> None:
         """Start anew, with all chance, as if `first` had been the order for ever."""
         seeds = np.random.SeedSequence(self._seed).spawn(3)
@@ -72,7 +78,8 @@ class Bus:
         """Take a reading of the true q (n,) [rad] at `time` [s] and pass the line on by a tick."""
         now = State(self._encoder.read(q), time=time, extra=extra)
         old = self._reads.pass_on(now, silent=self._is_silent(time))
-        self.state = State(old.q.copy(), None, old.time, self._reads.fresh, old.extra)
+        age = np.full(self._n, time - old.time)
+        self.state = State(old.q.copy(), None, old.time, self._reads.fresh, old.extra, age)
 
     def _is_silent(self, time: float) -> bool:
         return self._silent is not None and self._silent[0] <= time < self._silent[1]

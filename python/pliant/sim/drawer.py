@@ -9,7 +9,7 @@ import numpy as np
 
 from pliant import ConfigError
 from pliant.sim._mujoco import mujoco
-from pliant.sim.grip import Gripped
+from pliant.sim.grip import SETTLE, Gripped
 from pliant.sim.parts import set_damping
 
 if TYPE_CHECKING:
@@ -120,11 +120,10 @@ class Drawer(Gripped):
         """Record the way, and what the grip carries along and across the slide."""
         self.way = float(plant.mj_data.qpos[self._qpos])
         self.widest = max(self.widest, self.way)
-        before = self.peak_force
         self.feel_grip(plant)
         side = self.pull - (self.pull @ self._axis) * self._axis
         self._sideways = float(np.sqrt(side @ side))
-        if plant.time > 0.0 and self.peak_force >= before > 0.0:
+        if plant.time > SETTLE:
             self.across = max(self.across, self._sideways)
 
 

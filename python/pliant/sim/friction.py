@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError
+from pliant import ConfigError, Servos
 from pliant.sim._mujoco import mujoco
 from pliant.sim.gains import per_joint
 
@@ -97,6 +97,20 @@ class Friction:
         """
         names = [field.name for field in fields(self)]
         return Friction(**{name: per_joint(getattr(self, name), n, name) for name in names})
+
+    def believed(self, servos: Servos) -> Servos:
+        """What a controller may believe of such gears: servos with this friction, none before.
+
+        Motor and load are equal and opposite but for friction, so their coefficients add up; the
+        quadratic terms are left out, and ``1/(1 + x + x²)`` stands for ``exp(-x^a)``.
+        """
+        return servos.replace(
+            friction=self.base,
+            load_friction=np.add(self.motor, self.external),
+            stribeck=self.stribeck,
+            load_stribeck=np.add(self.motor_stribeck, self.external_stribeck),
+            stribeck_speed=self.speed,
+        )
 
     @staticmethod
     def of(joints: Sequence[Friction]) -> Friction:

@@ -24,7 +24,7 @@ class Handed(Gripped):
     """A ball in the grip that a person takes: a spring from the ball to a hand that goes away.
 
     The person's force is ``clip(stiffness (goal - place) - damping v, limit)``, by its norm; the
-    hand also carries the ball's weight once the grip is open. Before the course starts nobody pulls.
+    hand carries the ball's weight once the grip is open. Before the course starts nobody pulls.
 
     Attributes:
         mass: Of the ball [kg].

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 
 from pliant import ConfigError, ShapeError
+from pliant.arm.state import State
 from pliant.sim import spec as spec_module
 from pliant.sim._mujoco import mujoco
 from pliant.sim.bank import ServoBank
@@ -18,7 +19,7 @@ from pliant.sim.bus import Bus
 from pliant.sim.checks import load, physics_steps
 from pliant.sim.friction import Friction, Gears
 from pliant.sim.gains import per_joint, resolve
-from pliant.sim.state import Felt, Order, State
+from pliant.sim.state import Felt, Order
 from pliant.sim.tree import last_moving
 from pliant.sim.truth import TOOL, WRIST, Truth
 
@@ -76,6 +77,7 @@ class Plant:
         rate, period, dt: Control rate [Hz], control period and physics step [s].
         steps: Physics steps per period.
         gains: The true servos.
+        write_delay: From write() to the servos [s].
         hands: What each hand did, in the order of the scene.
         mj_model, mj_data, spec: MuJoCo's own objects, for pictures and pages.
 
@@ -137,6 +139,7 @@ class Plant:
             silent=silent,
             seed=seed,
         )
+        self.write_delay = self._bus.write_delay * self.period
         hands, self._fixtures = _split(scene)
         built = spec_module.build(
             model,

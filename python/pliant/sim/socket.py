@@ -71,10 +71,10 @@ class Socket:
         if np.shape(self.offset) != (3,) or np.shape(self.tilt) != (3,):
             raise ConfigError("Socket.offset and tilt have three entries each")
         low = min(self.clearance, self.chamfer, self.friction)
-        if not (self.width > 0.0 and self.depth > 0.0 and low >= 0.0):
+        if not (self.width > 0.0 and self.depth > self.chamfer and low >= 0.0):
             raise ConfigError(
-                "Socket needs width and depth > 0; clearance, chamfer and friction at least 0; "
-                f"got {self!r}"
+                "Socket needs width > 0 and depth > chamfer; clearance, chamfer and friction at "
+                f"least 0; got {self!r}"
             )
 
     def with_(self, **changes: object) -> Socket:
@@ -111,12 +111,9 @@ class Socket:
         """One of the four walls: a block beside the hole, with a plank at 45 deg on its edge."""
         quat = np.zeros(4)
         place, reach = np.zeros(3), half + WALL
-        block = frame.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX, size=(WALL / 2, reach, self.depth / 2)
-        )
         # The block ends below the chamfer; the plank goes on from there.
         low = self.depth - self.chamfer
-        block.size = (WALL / 2, reach, low / 2)
+        block = frame.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(WALL / 2, reach, low / 2))
         mujoco.mju_rotVecQuat(place, np.array((half + WALL / 2, 0.0, -self.depth + low / 2)), turn)
         block.pos, block.quat = place, turn
         self._finish(block, (0.55, 0.57, 0.62, 1.0))
@@ -149,7 +146,8 @@ class Socket:
         frame = int(model.body(f"{self.name}:frame").mocapid[0])
         tilt, quat = np.zeros(4), np.zeros(4)
         turn = np.asarray(self.tilt, dtype=np.float64)
-        mujoco.mju_axisAngle2Quat(tilt, turn, float(np.linalg.norm(turn)))
+        angle = float(np.linalg.norm(turn))
+        mujoco.mju_axisAngle2Quat(tilt, turn / max(angle, 1e-12), angle)
         mujoco.mju_mat2Quat(quat, np.ascontiguousarray(tool[:3, :3]).reshape(9))
         mujoco.mju_mulQuat(quat, tilt, quat.copy())
         data.mocap_pos[frame] = self._mouth = tool[:3, 3] + tool[:3, :3] @ self.offset

@@ -1,4 +1,4 @@
-"""Records at the plant's interface: what the bus reports, what is sent, what a hand did."""
+"""Records at the plant's interface: what is sent, what a hand did."""
 
 from __future__ import annotations
 
@@ -15,25 +15,6 @@ if TYPE_CHECKING:
     from pliant.sim.hand import Hand
 
     Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class State:
-    """What the bus reports.
-
-    Attributes:
-        q: Joint positions (n,) [rad], as old as the read delay.
-        dq: Joint velocities (n,) where the servo reports them; the simulated one does not.
-        time: When the sample was taken [s].
-        fresh: False when this tick's reading was lost and the last one is repeated.
-        extra: Positions of off-chain joints by name (a gripper) [rad].
-    """
-
-    q: Array
-    dq: Array | None = None
-    time: float = 0.0
-    fresh: bool = True
-    extra: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass

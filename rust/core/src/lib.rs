@@ -7,7 +7,8 @@
 //! * [`task`]: poses → deviation, softness, strength per axis;
 //! * [`law`]: deviation and strength → what each joint exerts and where it goes;
 //! * `command`: motion and force → goals and torque limits that a servo may be sent;
-//! * [`controller`]: calls each floor once per tick.
+//! * [`controller`]: calls each floor once per tick;
+//! * [`contact`]: commands and positions → what pushes at the tool, beside the steps.
 //!
 //! [`settings`] and [`servos`] say what is asked and what is believed; a plan resolved from them, once, is what every floor
 //! reads. [`functions`] offers the mathematics for Jacobians of your own. [`error`] and [`pose`] are shared by all.
@@ -41,6 +42,7 @@
 #![deny(unsafe_code)]
 
 mod command;
+pub mod contact;
 pub mod controller;
 pub mod error;
 pub mod functions;
@@ -59,6 +61,7 @@ pub mod settings;
 mod survey;
 pub mod task;
 
+pub use contact::{Contact, ContactInput, ContactOptions, WrenchEstimate};
 pub use controller::{Command, Controller, Record, StepInput};
 pub use error::{Error, Result};
 pub use functions::{

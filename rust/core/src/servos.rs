@@ -24,6 +24,14 @@ pub struct Servos {
     pub torque: Vec<f64>,
     /// Dry friction of gears and motor [N·m] ≥ 0.
     pub friction: Vec<f64>,
+    /// Dry friction in addition, per N·m that the joint carries [1] ≥ 0: of gears that rub more under load.
+    pub load_friction: Vec<f64>,
+    /// Dry friction in addition at rest [N·m] ≥ 0, gone in fast motion (Stribeck).
+    pub stribeck: Vec<f64>,
+    /// The same per N·m that the joint carries [1] ≥ 0.
+    pub load_stribeck: Vec<f64>,
+    /// Speed at which a third of the friction at rest is left [rad/s] > 0.
+    pub stribeck_speed: Vec<f64>,
     /// Viscous damping of gears and back-EMF that acts outside the torque limit [N·m·s/rad] ≥ 0.
     pub damping: Vec<f64>,
     /// Damping of the servo's own loop, inside the torque limit [N·m·s/rad] ≥ 0.
@@ -47,6 +55,10 @@ impl Servos {
             kp,
             torque,
             friction: vec![0.0],
+            load_friction: vec![0.0],
+            stribeck: vec![0.0],
+            load_stribeck: vec![0.0],
+            stribeck_speed: vec![1.0],
             damping: vec![0.0],
             kv: vec![0.0],
             armature: vec![0.0],
@@ -98,6 +110,10 @@ impl Servos {
             kp: spread("kp", &self.kp)?,
             torque: spread("torque", &self.torque)?,
             friction: spread("friction", &self.friction)?,
+            load_friction: spread("load_friction", &self.load_friction)?,
+            stribeck: spread("stribeck", &self.stribeck)?,
+            load_stribeck: spread("load_stribeck", &self.load_stribeck)?,
+            stribeck_speed: spread("stribeck_speed", &self.stribeck_speed)?,
             damping: spread("damping", &self.damping)?,
             kv: spread("kv", &self.kv)?,
             armature: spread("armature", &self.armature)?,
@@ -113,6 +129,10 @@ impl Servos {
             ("kp", &self.kp, true),
             ("torque", &self.torque, true),
             ("friction", &self.friction, false),
+            ("load_friction", &self.load_friction, false),
+            ("stribeck", &self.stribeck, false),
+            ("load_stribeck", &self.load_stribeck, false),
+            ("stribeck_speed", &self.stribeck_speed, true),
             ("damping", &self.damping, false),
             ("kv", &self.kv, false),
             ("armature", &self.armature, false),
@@ -138,12 +158,22 @@ pub(crate) struct ServoArrays {
     /// Ceiling of the limits; ∞ where nothing is known.
     pub(crate) torque: JointVec,
     pub(crate) friction: JointVec,
+    /// Friction per torque carried, at rest in addition, the latter per torque carried, and 1/speed of its end.
+    pub(crate) load_friction: JointVec,
+    pub(crate) stribeck: JointVec,
+    pub(crate) load_stribeck: JointVec,
+    pub(crate) stribeck_slowness: JointVec,
     /// All that resists motion in proportion to speed: gears, the servo's own damping, back-EMF.
     pub(crate) damping: JointVec,
     pub(crate) count: JointVec,
 }
 
 impl ServoArrays {
+    /// Dry friction of joint `i` at rest that carries `torque` [N·m].
+    pub(crate) fn friction_at_rest(&self, i: usize, torque: f64) -> f64 {
+        self.friction[i] + self.stribeck[i] + (self.load_friction[i] + self.load_stribeck[i]) * torque.abs()
+    }
+
     /// From servos that [`Servos::for_joints`] has spread; without servos from the effort limits of the model.
     pub(crate) fn new(n: usize, servos: Option<&Servos>, effort: &[Option<f64>]) -> Self {
         let mut arrays = Self {
@@ -153,6 +183,10 @@ impl ServoArrays {
             kp_mean: 1.0,
             torque: [f64::INFINITY; MAX_JOINTS],
             friction: [0.0; MAX_JOINTS],
+            load_friction: [0.0; MAX_JOINTS],
+            stribeck: [0.0; MAX_JOINTS],
+            load_stribeck: [0.0; MAX_JOINTS],
+            stribeck_slowness: [0.0; MAX_JOINTS],
             damping: [0.0; MAX_JOINTS],
             count: [0.0; MAX_JOINTS],
         };
@@ -167,6 +201,10 @@ impl ServoArrays {
             arrays.compliance[i] = 1.0 / servos.kp[i];
             arrays.torque[i] = servos.torque[i];
             arrays.friction[i] = servos.friction[i];
+            arrays.load_friction[i] = servos.load_friction[i];
+            arrays.stribeck[i] = servos.stribeck[i];
+            arrays.load_stribeck[i] = servos.load_stribeck[i];
+            arrays.stribeck_slowness[i] = 1.0 / servos.stribeck_speed[i];
             let back_emf = match (servos.kind, &servos.no_load_speed) {
                 (ServoKind::Duty, Some(speed)) => servos.torque[i] / speed[i],
                 _ => 0.0,

@@ -6,7 +6,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use pliant_core::settings::{Follow, GravityUse, Law, LimitRule, Projector};
-use pliant_core::task::axes::{Axis, Frame, Task, Yields};
+use pliant_core::task::axes::{Axis, Beyond, Frame, Task, Yields};
 use pliant_core::{Controller, ModelOptions, Settings, StepInput};
 
 #[path = "common/seeded.rs"]
@@ -94,6 +94,8 @@ fn variants() -> Vec<(usize, Settings)> {
                         ..Settings::default()
                     };
                     settings.axes[1] = axis([Yields::Both, Yields::Plus][round]);
+                    settings.axes[0].deviation_limit = Some(0.001);
+                    settings.axes[0].beyond = [Beyond::Follow, Beyond::Hold][round];
                     all.push((0, settings.clone()));
                     let task = Task { frame: Frame::Tool, ..Task::of("xyz").unwrap() };
                     all.push((2, Settings { task, ..settings }));

@@ -23,7 +23,7 @@ use crate::task::Axis;
 /// Compliant task-space controller of one arm.
 #[pyclass(module = "pliant")]
 pub(crate) struct Controller {
-    core: CoreController,
+    pub(crate) core: CoreController,
     n: usize,
     /// Whether a target may be a position alone.
     position_only: bool,

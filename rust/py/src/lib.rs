@@ -2,6 +2,7 @@
 #![deny(unsafe_code)]
 
 mod command;
+mod contact;
 mod controller;
 mod convert;
 mod error;
@@ -32,6 +33,8 @@ mod _core {
 
     #[pymodule_export]
     use crate::command::Command;
+    #[pymodule_export]
+    use crate::contact::{Contact, WrenchEstimate};
     #[pymodule_export]
     use crate::controller::Controller;
     #[pymodule_export]

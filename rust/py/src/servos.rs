@@ -22,7 +22,19 @@ impl Servos {
                 return Err(config(&format!("servos.{name}"), "is required: one number per joint, or one for all"));
             }
         }
-        let lists = [&core.kp, &core.torque, &core.friction, &core.damping, &core.kv, &core.armature, &core.count];
+        let lists = [
+            &core.kp,
+            &core.torque,
+            &core.friction,
+            &core.load_friction,
+            &core.stribeck,
+            &core.load_stribeck,
+            &core.stribeck_speed,
+            &core.damping,
+            &core.kv,
+            &core.armature,
+            &core.count,
+        ];
         let speeds = core.no_load_speed.as_ref().map_or(0, Vec::len);
         let n = lists.into_iter().map(Vec::len).max().unwrap_or(1).max(speeds);
         core.for_joints(n).or_raise().map(Self)
@@ -32,6 +44,10 @@ impl Servos {
         let rest = vec![0.0; self.0.kp.len()];
         let base = CoreServos {
             friction: rest.clone(),
+            load_friction: rest.clone(),
+            stribeck: rest.clone(),
+            load_stribeck: rest.clone(),
+            stribeck_speed: vec![1.0; self.0.kp.len()],
             damping: rest.clone(),
             kv: rest.clone(),
             armature: rest.clone(),
@@ -47,6 +63,10 @@ fields! {
         kp: Joints,
         torque: Joints,
         friction: Joints,
+        load_friction: Joints,
+        stribeck: Joints,
+        load_stribeck: Joints,
+        stribeck_speed: Joints,
         damping: Joints,
         kv: Joints,
         armature: Joints,
@@ -59,11 +79,26 @@ fields! {
         #[new]
         #[pyo3(
             signature = (**fields),
-            text_signature = "(*, kp, torque, friction=0.0, damping=0.0, kv=0.0, armature=0.0, count=0.0, \
-                              kind='current', no_load_speed=None, kp_known=False)"
+            text_signature = "(*, kp, torque, friction=0.0, load_friction=0.0, stribeck=0.0, load_stribeck=0.0, \
+                              stribeck_speed=1.0, damping=0.0, kv=0.0, armature=0.0, count=0.0, kind='current', \
+                              no_load_speed=None, kp_known=False)"
         )]
         fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
             Self::with(CoreServos::new(Vec::new(), Vec::new()), fields)
+        }
+
+        /// From servo models by name; the tables are Python's, and so is what reads them.
+        #[staticmethod]
+        #[pyo3(signature = (models, *, voltage=None, gains=None))]
+        fn of<'py>(
+            models: &Bound<'py, PyAny>,
+            voltage: Option<&Bound<'py, PyAny>>,
+            gains: Option<&Bound<'py, PyAny>>,
+        ) -> PyResult<Bound<'py, PyAny>> {
+            let options = PyDict::new(models.py());
+            options.set_item("voltage", voltage)?;
+            options.set_item("gains", gains)?;
+            models.py().import("pliant.servo.table")?.call_method("servos_of", (models,), Some(&options))
         }
 
         fn __len__(&self) -> usize {

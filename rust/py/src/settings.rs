@@ -6,7 +6,7 @@ use pliant_core::task::axes::{Axis, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
-use crate::error::OrRaise;
+use crate::error::{OrRaise, config};
 use crate::fields::{Fields, fields};
 use crate::kinds::{Dampings, Flag, Gains, Joints, Kind, Names, Number, Optional, Speeds};
 use crate::model::Model;
@@ -50,6 +50,20 @@ impl Settings {
             rest.del_item("axes")?;
         }
         Self::with(core, Some(&rest))
+    }
+
+    /// A preset whose axis `named` yields and yet has to push, which under law `impedance` takes a spring.
+    fn driven(core: CoreSettings, named: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let settings = Self::preset(core, named, overrides)?;
+        let mut driven = settings.0.axes.iter().zip(parse_axes("axis", named).or_raise()?);
+        if settings.0.law == Law::Impedance && driven.any(|(axis, on)| on && axis.stiffness.is_none()) {
+            let message = format!(
+                "under law=\"impedance\" '{named}' yields without a spring, so that nothing would push: give \
+                 axes={{\"{named}\": Axis(stiffness=... [N/m], yields=\"both\", soft=... [N])}}, or leave law=\"cap\""
+            );
+            return Err(config(&format!("axes.{named}.stiffness"), message));
+        }
+        Ok(settings)
     }
 }
 
@@ -159,7 +173,7 @@ fields! {
             pull: Option<f64>,
             overrides: Option<&Bound<'_, PyDict>>,
         ) -> PyResult<Self> {
-            Self::preset(CoreSettings::drawer(axis, pull).or_raise()?, axis, overrides)
+            Self::driven(CoreSettings::drawer(axis, pull).or_raise()?, axis, overrides)
         }
 
         #[classmethod]
@@ -170,7 +184,7 @@ fields! {
             axis: &str,
             overrides: Option<&Bound<'_, PyDict>>,
         ) -> PyResult<Self> {
-            Self::preset(CoreSettings::wipe(press, axis).or_raise()?, axis, overrides)
+            Self::driven(CoreSettings::wipe(press, axis).or_raise()?, axis, overrides)
         }
 
         #[classmethod]
@@ -188,7 +202,7 @@ fields! {
             overrides: Option<&Bound<'_, PyDict>>,
         ) -> PyResult<Self> {
             let settings = CoreSettings::plug(axis, push).or_raise()?;
-            Self::preset(settings, axis.trim_start_matches(['-', '+']), overrides)
+            Self::driven(settings, axis.trim_start_matches(['-', '+']), overrides)
         }
 
         #[classmethod]

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import pliant
 from pliant.experiments import laws
-from pliant.experiments.baselines import Goals
 from pliant.experiments.chapters import doors_text
 from pliant.experiments.chapters.common import Options
 from pliant.experiments.conditions import NOMINAL
 from pliant.experiments.doors import SCENES, open_door
-from pliant.experiments.resistance import STOP, Feeler, open_and_close
+from pliant.experiments.resistance import STOP, open_and_close
 from pliant.experiments.result import Chapter, Numbers
 from pliant.experiments.runner import Job
 from pliant.experiments.setups import arm
@@ -104,13 +104,11 @@ def _both(run: OpenedAndClosed) -> dict[str, Any]:
 
 def felt(trace: Trace) -> Array:
     """Force in x (N,) [N] that the arm estimates from its joint positions, replayed from a run."""
-    period = float(trace.t[1] - trace.t[0])
-    feeler = Feeler(arm(), NOMINAL.servos(), period)
-    feeler.reset(trace.q[0])
+    contact = pliant.Contact(pliant.Controller(arm(), laws.cap(), NOMINAL.servos()))
     force = np.zeros(trace.t.size)
     for k in range(trace.t.size):
-        force[k] = feeler.feel(trace.q[k])[0]
-        feeler.tell(Goals(trace.goal[k], trace.limit[k]))
+        sent = (trace.goal[k], trace.limit[k])
+        force[k] = contact.update(trace.q[k], sent=sent).force_base[0]
     return force
 
 

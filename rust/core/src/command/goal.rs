@@ -41,7 +41,7 @@ fn shrink<const P: usize>(base: &JointVec, parts: [&JointVec; P], bound: &JointV
             let all = others + part;
             // A part that moves this joint by no more than rounding cannot mend it and must not vanish for it; nor may
             // it for a sum that the part before has brought to the bound up to rounding.
-            let rounding = 1e-12 * bound[i];
+            let rounding = 1e-9 * bound[i];
             if all.abs() > bound[i] + rounding {
                 fits = false;
                 if part.abs() > rounding {

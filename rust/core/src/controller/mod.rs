@@ -278,6 +278,11 @@ impl Controller {
         Ok(())
     }
 
+    /// Delay T_d [s] from reading to arrival of the goal, as set or measured.
+    pub const fn delay(&self) -> f64 {
+        self.delay
+    }
+
     /// Factor ≤ 1 on K_x that the delay demands; under law `impedance` the one on the stiffness at the last step, which
     /// the pose demands too.
     pub fn gain_factor(&self) -> f64 {

@@ -4,7 +4,7 @@ use crate::command::goal::{fade_beyond, lock};
 use crate::controller::input::Input;
 use crate::controller::memory::Memory;
 use crate::controller::step::Seen;
-use crate::law::feedforward::{damping_squared, fade, resistance};
+use crate::law::feedforward::{Resistance, damping_squared, fade};
 use crate::law::inverse::{Cholesky, Square, times, weighted_gram};
 use crate::law::nullspace::fade_squared;
 use crate::law::singular::{Condition, SingularValues};
@@ -53,7 +53,7 @@ pub(super) fn solve(
     for r in 0..k.min(MAX_AXES) {
         row_damping[r] = plan.damping_scale[r] * condition.damping;
     }
-    let mut feed_forward = resist(plan, settings, memory, n);
+    let resistance = resist(plan, settings, memory, n);
     let gradient = cost_gradient(plan, n, input, seen, &scaled, condition.mu_squared);
     let (mut all_joints, budget) = motion(&Tick {
         plan,
@@ -76,10 +76,11 @@ pub(super) fn solve(
         velocity: &memory.filter.velocity,
         gradient: &gradient,
         gravity: &seen.gravity_in_goal,
-        feed_forward: &feed_forward,
+        resistance: &resistance,
         integral: &memory.integral,
     });
     let (mut without_lead, mut beside, mut carried) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+    let mut feed_forward = all_joints.feed_forward;
     for i in 0..n {
         let (kp, compliance) = (plan.servos.kp[i], plan.servos.compliance[i]);
         let fade = |lead| fade_beyond(lead, seen.q[i], plan.lower[i], plan.upper[i], plan.stop_slope);
@@ -189,13 +190,12 @@ fn joint_gram(scaled: &Rows, n: usize) -> Square {
 
 /// Line 10; law `paper` has no feed-forward.
 #[inline(always)]
-fn resist(plan: &Plan, settings: &Settings, memory: &Memory, n: usize) -> JointVec {
+fn resist(plan: &Plan, settings: &Settings, memory: &Memory, n: usize) -> Resistance {
     if plan.law == Law::Paper {
-        return [0.0; MAX_JOINTS];
+        return Resistance::NONE;
     }
-    let (servos, shares) = (&plan.servos, (settings.friction_share, settings.damping_share));
-    let v = &memory.filter.velocity;
-    resistance(v, &servos.friction, &servos.damping, shares, settings.friction_speed, memory.gamma, n)
+    let (v, shares) = (&memory.filter.velocity, (settings.friction_share, settings.damping_share));
+    Resistance::new(v, &plan.servos, shares, settings.friction_speed, memory.gamma, n)
 }
 
 /// Gradient of the null-space cost, all its parts.

@@ -207,7 +207,8 @@ impl Cycle<'_> {
         if !finite {
             return false;
         }
-        if settings.integrate > 0.0 {
+        // A deviation that a limit keeps up is not to be worked off.
+        if settings.integrate > 0.0 && !self.scratch.seen.limited.contains(&true) {
             self.integrate(dt, &wish, &solution);
         }
         self.memory.goal = goal;

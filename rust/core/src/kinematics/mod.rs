@@ -11,12 +11,14 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 mod batch;
 mod forward;
 mod gravity;
+mod inertia;
 mod inverse;
 mod jacobian;
 pub(crate) mod spatial;
 
 pub use forward::Frames;
 pub use gravity::Masses;
+pub(crate) use inertia::JointMatrix;
 pub use inverse::{IkOptions, IkReason, IkSolution};
 
 /// Axes of a Jacobian's rows; its reference point is the tool in both.

@@ -34,6 +34,12 @@ pub(crate) fn scale<A: Arithmetic>(s: A::Real, v: &Vec3<A::Real>) -> Vec3<A::Rea
     [s * v[0], s * v[1], s * v[2]]
 }
 
+/// `m v`.
+#[inline(always)]
+pub(crate) fn rotate<A: Arithmetic>(m: &Mat3<A::Real>, v: &Vec3<A::Real>) -> Vec3<A::Real> {
+    [dot::<A>(&m[0], v), dot::<A>(&m[1], v), dot::<A>(&m[2], v)]
+}
+
 /// `m v + p`.
 #[inline(always)]
 pub(crate) fn place<A: Arithmetic>(m: &Mat3<A::Real>, v: &Vec3<A::Real>, p: &Vec3<A::Real>) -> Vec3<A::Real> {

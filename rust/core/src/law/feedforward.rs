@@ -1,6 +1,7 @@
 //! Velocity, prediction over the known delay, and what the joints themselves resist: lines 1 and 10.
 
 use crate::number::tanh;
+use crate::servos::ServoArrays;
 use crate::{JointVec, MAX_JOINTS};
 
 /// Largest speed [m/s, rad/s] that is taken for a real one.
@@ -45,24 +46,47 @@ impl VelocityFilter {
     }
 }
 
-/// Feed-forward torque `γ (b_f τ_f tanh(v / v₀) + b_d d v)` [N·m].
-#[inline(always)]
-pub(crate) fn resistance(
-    v: &JointVec,
-    friction: &JointVec,
-    damping: &JointVec,
-    shares: (f64, f64),
-    friction_speed: f64,
-    gamma: f64,
-    n: usize,
-) -> JointVec {
-    let mut out = [0.0; MAX_JOINTS];
-    let slope = 1.0 / friction_speed;
-    for i in 0..n.min(MAX_JOINTS) {
-        let dry = shares.0 * friction[i] * tanh(v[i] * slope);
-        out[i] = gamma * (dry + shares.1 * damping[i] * v[i]);
+/// What the joints resist with, as far as it is fed forward.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Resistance {
+    /// Whatever the joints carry [N·m].
+    pub(crate) idle: JointVec,
+    /// In addition per N·m that they carry.
+    pub(crate) loaded: JointVec,
+}
+
+impl Resistance {
+    /// Of nothing.
+    pub(crate) const NONE: Self = Self { idle: [0.0; MAX_JOINTS], loaded: [0.0; MAX_JOINTS] };
+
+    /// `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and `γ b_f (μ + s μ_s) tanh(v/v₀)`, `s = 1/(1 + x + x²)`, `x = |v|/v_s`:
+    /// what friction at rest has more than in motion fades with the speed.
+    #[inline(always)]
+    pub(crate) fn new(
+        v: &JointVec,
+        servos: &ServoArrays,
+        shares: (f64, f64),
+        friction_speed: f64,
+        gamma: f64,
+        n: usize,
+    ) -> Self {
+        let (mut out, slope) = (Self::NONE, 1.0 / friction_speed);
+        for i in 0..n.min(MAX_JOINTS) {
+            let x = v[i].abs() * servos.stribeck_slowness[i];
+            let at_rest = 1.0 / (1.0 + x + x * x);
+            let way = tanh(v[i] * slope);
+            let dry = servos.friction[i] + at_rest * servos.stribeck[i];
+            out.idle[i] = gamma * (shares.0 * dry * way + shares.1 * servos.damping[i] * v[i]);
+            out.loaded[i] = gamma * shares.0 * (servos.load_friction[i] + at_rest * servos.load_stribeck[i]) * way;
+        }
+        out
     }
-    out
+
+    /// The torque of joint `i` that carries `torque` [N·m].
+    #[inline(always)]
+    pub(crate) fn under(&self, i: usize, torque: f64) -> f64 {
+        self.idle[i] + self.loaded[i] * torque.abs()
+    }
 }
 
 /// γ of line 7: fades feed-forward and prediction near singular poses, `clip(3 σ/σ₀, ½, 1)`.

@@ -12,6 +12,7 @@ pub(crate) mod svd;
 pub(crate) mod takeover;
 pub(crate) mod wrench;
 
+use crate::law::feedforward::Resistance;
 use crate::law::nullspace::{NullSpace, manipulability_gradient};
 use crate::law::singular::Condition;
 use crate::law::wrench::Wrench;
@@ -59,7 +60,7 @@ pub(crate) struct Tick<'a> {
     pub(crate) gradient: &'a JointVec,
     /// Gravity in the goals.
     pub(crate) gravity: &'a JointVec,
-    pub(crate) feed_forward: &'a JointVec,
+    pub(crate) resistance: &'a Resistance,
     /// Lead that the integrating goal has stored [rad].
     pub(crate) integral: &'a JointVec,
 }
@@ -77,6 +78,8 @@ pub(crate) struct Motion {
     pub(crate) wrench: Wrench,
     /// Factors by which null-space, soft and stiff part were scaled.
     pub(crate) factors: [f64; 3],
+    /// Feed-forward of what the joints resist with [N·m].
+    pub(crate) feed_forward: JointVec,
     /// Factor ≤ 1 on the gain of the stiff axes that delay and pose demand.
     pub(crate) gain_factor: f64,
 }

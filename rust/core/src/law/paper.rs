@@ -120,8 +120,9 @@ pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, JointVec) {
         if plan.k < plan.n { null_column(&along, || null_space.matrix(), plan.n) } else { [0.0; MAX_JOINTS] };
     let budget = activation(&pinv, null_shares, k, n).distribute(tick.most, plan.null_torque, k, n);
     let factors = [null_factor, task_factor, task_factor];
-    let force_lead = [0.0; MAX_JOINTS];
-    (Motion { lead, force_lead, null, wrench: Wrench::default(), factors, gain_factor: 1.0 }, budget)
+    let (force_lead, feed_forward) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+    let motion = Motion { lead, force_lead, null, wrench: Wrench::default(), factors, feed_forward, gain_factor: 1.0 };
+    (motion, budget)
 }
 
 /// `K_q v`.

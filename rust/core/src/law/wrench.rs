@@ -1,6 +1,6 @@
 //! From a wrench to the goals' lead, within torque ceilings and joint speeds: shared by the laws that speak of forces.
 
-use crate::command::goal::scale_to_fit;
+use crate::command::goal::{clip, scale_to_fit};
 use crate::law::inverse::transpose_times;
 use crate::law::{Motion, Tick};
 use crate::{AxisVec, JointVec, MAX_JOINTS};
@@ -23,10 +23,11 @@ impl Tick<'_> {
         // Torque ceilings: the soft part gives way first, then the stiff one, gravity never.
         let mut soft = transpose_times(self.rows, &wrench.soft, k, n);
         let mut stiff = transpose_times(self.rows, &wrench.stiff, k, n);
-        let mut base = [0.0; MAX_JOINTS];
+        let (mut base, mut feed_forward) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         for i in 0..n {
             let lead = null[i] + self.integral[i];
-            base[i] = self.gravity[i] + self.feed_forward[i] + servos.kp[i] * lead;
+            feed_forward[i] = self.resistance.under(i, clip(self.gravity[i] + soft[i] + stiff[i], servos.torque[i]));
+            base[i] = self.gravity[i] + feed_forward[i] + servos.kp[i] * lead;
         }
         let [soft_torque, stiff_torque] = scale_to_fit(&base, [&soft, &stiff], &servos.torque, n);
         // Joint speeds: the null part first.
@@ -47,7 +48,7 @@ impl Tick<'_> {
             wrench.soft[r] *= factors[1];
             wrench.stiff[r] *= factors[2];
         }
-        Motion { lead: stiff, force_lead: soft, null, wrench, factors, gain_factor: plan.kx_derating }
+        Motion { lead: stiff, force_lead: soft, null, wrench, factors, feed_forward, gain_factor: plan.kx_derating }
     }
 
     /// Scales the null-space motion to its torque, `Σ k_p |null| ≤ τ₀`, and to its speed limit.

@@ -141,7 +141,7 @@ impl Controller {
             dead_host: Vec::with_capacity(k),
         };
         let mut keeps = limit;
-        (0..n).for_each(|i| keeps[i] += plan.servos.friction[i]);
+        (0..n).for_each(|i| keeps[i] += plan.servos.friction_at_rest(i, record.gravity[i]));
         let mut frames = Frames::default();
         self.model().chain().forward(&record.q, &mut frames);
         let dead = Dead {

@@ -31,7 +31,7 @@ impl<'a> Pose<'a> {
         Self { plan, settings, record, shares: shares.filter(|_| plan.law == Law::Paper), null }
     }
 
-    /// `Σ_i |J⁺_ij| τ_f,i` of each axis: what moves the tool along it turns every joint against its friction.
+    /// `Σ_i |J⁺_ij| τ_f,i` of each axis, friction at rest under the arm's weight: what moves the tool along it turns every joint against its friction.
     pub(super) fn friction(&self) -> AxisVec {
         let (plan, record) = (self.plan, self.record);
         let scaled = plan.scale_rows(&record.rows, plan.n);
@@ -40,7 +40,8 @@ impl<'a> Pose<'a> {
         let inverse = pseudo_inverse(&scaled, &[1.0; MAX_JOINTS], &squared, plan.k, plan.n);
         let mut out = [0.0; MAX_AXES];
         for r in 0..plan.k.min(MAX_AXES) {
-            let felt: f64 = (0..plan.n).map(|i| inverse[r][i].abs() * plan.servos.friction[i]).sum();
+            let felt: f64 =
+                (0..plan.n).map(|i| inverse[r][i].abs() * plan.servos.friction_at_rest(i, record.gravity[i])).sum();
             out[r] = felt * plan.row_scale[r];
         }
         out

@@ -169,6 +169,12 @@ pub(crate) fn servos(random: &mut Random, nominal: &Servos, n: usize) -> Servos 
         servos.kp[i] *= random.between(0.7, 1.3);
         servos.torque[i] *= random.between(0.4, 1.2);
         servos.friction[i] *= random.between(0.0, 1.5);
+        if random.chance(0.3) {
+            servos.load_friction[i] = random.between(0.0, 0.3);
+            servos.stribeck[i] = random.between(0.0, 0.2);
+            servos.load_stribeck[i] = random.between(0.0, 0.3);
+            servos.stribeck_speed[i] = random.between(0.3, 3.0);
+        }
         servos.count[i] = random.pick(&[0.0, 1e-3, 5e-3]);
     }
     if random.chance(0.3) {

@@ -24,8 +24,10 @@ pub(super) struct Want<'a> {
     /// Velocity of the target less that of the tool.
     pub(super) relative: &'a Vector,
     pub(super) gradient: &'a Vector,
-    /// Gravity and feed-forward.
-    pub(super) base: &'a Vector,
+    pub(super) in_goal: &'a Vector,
+    /// Feed-forward of a joint that carries nothing, and in addition per torque carried.
+    pub(super) idle: &'a Vector,
+    pub(super) loaded: &'a Vector,
 }
 
 /// What it answers.
@@ -37,6 +39,7 @@ pub(super) struct Motion {
     pub(super) force: Vector,
     pub(super) null: Vector,
     pub(super) wrench: Vector,
+    pub(super) feed_forward: Vector,
     pub(super) factors: [f64; 3],
     /// On the stiffness, by ρ.
     pub(super) derating: f64,
@@ -55,7 +58,7 @@ fn fit(others: &Vector, part: &Vector, bound: &Vector) -> f64 {
     let mut factor: f64 = 1.0;
     for i in 0..part.len() {
         let all = others[i] + part[i];
-        if all.abs() > bound[i] * (1.0 + 1e-12) && part[i].abs() > bound[i] * 1e-12 {
+        if all.abs() > bound[i] * (1.0 + 1e-9) && part[i].abs() > bound[i] * 1e-9 {
             factor = factor.min(((bound[i] * all.signum() - others[i]) / part[i]).clamp(0.0, 1.0));
         }
     }
@@ -63,7 +66,7 @@ fn fit(others: &Vector, part: &Vector, bound: &Vector) -> f64 {
 }
 
 fn beyond(sum: &Vector, bound: &Vector) -> bool {
-    (0..sum.len()).any(|i| sum[i].abs() > bound[i] * (1.0 + 1e-12))
+    (0..sum.len()).any(|i| sum[i].abs() > bound[i] * (1.0 + 1e-9))
 }
 
 impl Want<'_> {
@@ -181,8 +184,10 @@ impl Want<'_> {
 
         // Over the ceiling W is scaled, soft first, then stiff; gravity and feed-forward never.
         let ceiling = self.oracle.ceiling();
-        let base = self.base + kp.component_mul(&null);
         let (tau_soft, tau_stiff) = (self.rows.transpose() * soft, self.rows.transpose() * stiff);
+        let carried = (self.in_goal + &tau_soft + &tau_stiff).zip_map(&ceiling, |torque, most| torque.abs().min(most));
+        let feed_forward = self.idle + self.loaded.component_mul(&carried);
+        let base = self.in_goal + &feed_forward + kp.component_mul(&null);
         let (mut f_soft, mut f_stiff) = (1.0, 1.0);
         if beyond(&(&base + &tau_soft + &tau_stiff), &ceiling) {
             f_soft = fit(&(&base + &tau_stiff), &tau_soft, &ceiling);
@@ -198,6 +203,7 @@ impl Want<'_> {
             lead: lead_stiff * g_stiff,
             force: lead_soft * g_soft,
             null: null * f_null,
+            feed_forward,
             wrench: soft * (f_soft * g_soft) + stiff * (f_stiff * g_stiff),
             factors: [f_null, f_soft * g_soft, f_stiff * g_stiff],
             derating: 1.0,
@@ -269,6 +275,7 @@ impl Want<'_> {
             force: zero,
             null,
             wrench: Vector::zeros(k),
+            feed_forward: Vector::zeros(n),
             factors: [f_null, f_task, f_task],
             derating: 1.0,
         }
@@ -306,7 +313,7 @@ impl Want<'_> {
         if settings.law == pliant_core::settings::Law::Paper {
             wrench.fill(0.0);
         } else {
-            let base = of(false, &(self.base + kp.component_mul(&(&whole + &all.force))));
+            let base = of(false, &(self.in_goal + &all.feed_forward + kp.component_mul(&(&whole + &all.force))));
             let torque = kp.component_mul(&more);
             if beyond(&(&base + &torque), &self.oracle.ceiling()) {
                 factor = fit(&base, &torque, &self.oracle.ceiling());
@@ -321,6 +328,7 @@ impl Want<'_> {
             force: all.force.clone(),
             null: of(false, &all.null),
             wrench: &all.wrench + wrench * factor,
+            feed_forward: all.feed_forward.clone(),
             factors: all.factors,
             derating: all.derating,
         }

@@ -374,10 +374,20 @@ impl Oracle {
         // 10
         let gravity = self.model.gravity(q.as_slice()).unwrap();
         let (friction, resistance) = (self.joint(|s| &s.friction, 0.0), self.resistance());
-        let feed_forward = Vector::from_fn(n, |i, _| {
-            let dry = settings.friction_share * friction[i] * (velocity[i] / settings.friction_speed).tanh();
-            if cap { gamma * (dry + settings.damping_share * resistance[i] * velocity[i]) } else { 0.0 }
+        // Friction at rest beyond that in motion fades as 1/(1 + x + x²).
+        let fading = |i: usize| {
+            let x = velocity[i].abs() / self.joint(|s| &s.stribeck_speed, 1.0)[i];
+            1.0 / (1.0 + x + x * x)
+        };
+        let way = |i: usize| settings.friction_share * (velocity[i] / settings.friction_speed).tanh();
+        let (stribeck, per_load) = (self.joint(|s| &s.stribeck, 0.0), self.joint(|s| &s.load_friction, 0.0));
+        let per_load_at_rest = self.joint(|s| &s.load_stribeck, 0.0);
+        let on = if cap { gamma } else { 0.0 };
+        let idle = Vector::from_fn(n, |i, _| {
+            let dry = (friction[i] + fading(i) * stribeck[i]) * way(i);
+            on * (dry + settings.damping_share * resistance[i] * velocity[i])
         });
+        let loaded = Vector::from_fn(n, |i, _| on * (per_load[i] + fading(i) * per_load_at_rest[i]) * way(i));
         let in_goal = if settings.gravity == pliant_core::settings::GravityUse::Both
             || settings.gravity == pliant_core::settings::GravityUse::Goal
         {
@@ -411,7 +421,9 @@ impl Oracle {
             viscosity: &viscosity,
             relative: &relative,
             gradient: &gradient,
-            base: &(&in_goal + &feed_forward),
+            in_goal: &in_goal,
+            idle: &idle,
+            loaded: &loaded,
         };
         // What exerts a force may lead out of the position limits; with q itself beyond one it fades, by 1/(0.02 rad) or by
         // what the delay allows: 0.03 s / T_e, less the 1 that the servo itself has.
@@ -431,12 +443,12 @@ impl Oracle {
             Law::Impedance => want.impedance(),
             Law::Paper => want.paper(),
         };
-        let (lead, resisted) = (all_joints.force.clone(), feed_forward.component_div(&kp));
+        let (lead, resisted) = (all_joints.force.clone(), all_joints.feed_forward.component_div(&kp));
         all_joints.force = Vector::from_fn(n, |i, _| fade(lead[i], i));
         let faded = all_joints.force != lead;
         let resisted = Vector::from_fn(n, |i, _| fade(resisted[i], i));
         let feed_forward = resisted.component_mul(&kp);
-        let want = law::Want { base: &(&in_goal + &feed_forward), ..want };
+        all_joints.feed_forward.clone_from(&feed_forward);
         let (without_lead, forces) = (q.clone(), &all_joints.force + &resisted + in_goal.component_div(&self.kg));
         let mut motion = all_joints.clone();
         let mut locked = vec![false; n];

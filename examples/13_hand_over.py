@@ -1,0 +1,42 @@
+"""The arm holds out an object of unknown weight, gives way to the hand that takes it, and lets go.
+
+Near its target the arm resists enough to carry the object; once drawn 50 mm away it knows that
+somebody takes it, and the gripper opens. Stiff, the person has to pull three times as hard.
+"""
+
+import os
+
+import numpy as np
+
+import pliant
+import pliant.robots
+import pliant.sim
+
+SECONDS = 3.2 if os.environ.get("PLIANT_SHORT") else 6.0
+START = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657]  # [rad]
+TAKEN = 0.05  # [m]
+
+model = pliant.robots.arm7()
+ways = {"hand_over": pliant.Settings.hand_over(), "all axes stiff": pliant.Settings.firm()}
+
+for name, settings in ways.items():
+    thing = pliant.sim.Handed(mass=0.3)  # a person takes hold of it at 2 s
+    arm = pliant.sim.Plant(model, scene=[thing])
+    arm.reset(START)
+    controller = pliant.Controller(model, settings)
+    controller.reset(START)
+    target, sag = arm.tool, 0.0
+    for _ in range(round(SECONDS * arm.rate)):
+        command = controller.step(arm.read().q, target)
+        arm.write(command.goal, command.torque_limit)
+        arm.advance()
+        away = float(np.linalg.norm(controller.deviation[:3]))  # [m]
+        if arm.time < 2.0:
+            sag = away
+        elif thing.released is None and away > TAKEN:
+            thing.release(arm)  # on a real arm: arm.gripper.open()
+    when = "never" if thing.released is None else f"at {thing.released:.2f} s"
+    print(
+        f"{name}: hung {1e3 * sag:.0f} mm under 0.3 kg, let go {when}; "
+        f"the person pulled with at most {thing.peak_effort:.0f} N"
+    )

@@ -1,0 +1,54 @@
+"""An arm that is not what its table says finds out by itself: servos, payload, delay.
+
+The simulated servos are 20 % softer than their table, rub 40 % more, answer a tick late, and the
+tool carries 0.2 kg that nobody told of. `pliant.identify` needs positions, goals and limits only;
+on hardware `arm` is what `pliant.connect` returns.
+
+python examples/17_identify.py
+"""
+
+import os
+
+import numpy as np
+
+import pliant
+import pliant.robots
+import pliant.sim
+
+SHORT = bool(os.environ.get("PLIANT_SHORT"))
+START = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])  # [rad]
+
+model = pliant.robots.arm7()
+arm = pliant.sim.Plant(
+    model,
+    kp_scale=0.8,
+    friction_scale=1.4,
+    delay=(1, 0),  # [ticks]
+    count=np.deg2rad(0.088),  # [rad]
+    payload=(0.2, (0.02, 0.01, 0.05)),  # [kg], [m]
+)
+arm.reset(START)
+table = model.servos.replace(count=np.deg2rad(0.088), kp_known=False)
+
+# 1. What is known after capturing gravity in place: nothing moves, four seconds.
+settings = pliant.Settings.soft("y")
+controller = pliant.Controller(model, settings, table)
+print(f"capture\n{pliant.identify.capture(arm, controller)}\n")
+
+# 2. Weighing alone. The table's k_p is wrong, so the error bars are wide.
+if not SHORT:
+    print(f"weigh\n{pliant.identify.payload(arm, controller, span=0.4).sentences()}\n")
+
+# 3. Everything, about two and a half minutes of the arm's time. Poses within ±0.4 rad are free.
+found = pliant.identify.run(arm, model, table, span=0.4)
+print(f"identify\n{found}\n")
+
+# 4. A controller that believes all of it: table, payload and delay.
+controller = found.controller(model, settings)
+target = model.forward_kinematics(arm.read().q)
+for _ in range(200):
+    command = controller.step(arm.read().q, target)
+    arm.write(command.goal, command.torque_limit)
+    arm.advance()
+error = 1e3 * np.linalg.norm(arm.tool[:3, 3] - target[:3, 3])  # [mm]
+print(f"held for 2 s with what was found: {error:.1f} mm off")

@@ -1,0 +1,47 @@
+"""Hand guiding: the arm weighs nothing, stays where it is left, and its k_p may be wrong by half.
+
+python examples/18_float.py
+"""
+
+import os
+
+import numpy as np
+
+import pliant
+import pliant.robots
+import pliant.sim
+
+SECONDS = 3.0 if os.environ.get("PLIANT_SHORT") else 10.0
+START = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])  # [rad]
+
+model = pliant.robots.arm7()
+count, deadband = np.deg2rad([0.088, 0.06])  # [rad]
+table = model.servos.replace(count=count, kp_known=False)
+
+for kp_scale in (0.5, 1.0, 2.0):
+    # From 8 s on a hand leads the tool 0.12 m to the left within 2 s, holds it, and lets go.
+    course = pliant.sim.Course(start=8.0 + SECONDS, rise=2.0, end=11.0 + SECONDS)
+    hand = pliant.sim.Drag(axis="y", distance=0.12, stiffness=2000.0, limit=60.0, course=course)
+    arm = pliant.sim.Plant(model, kp_scale=kp_scale, count=count, deadband=deadband, scene=[hand])
+    arm.reset(START)
+
+    floating = pliant.Float(model, table)  # the one line; then step(q) at every tick
+    places, forces, ready = [], [], 0
+    while arm.time < 11.0 + 2.0 * SECONDS:
+        command = floating.step(arm.read().q)
+        arm.write(command.goal, command.torque_limit)
+        arm.advance()
+        ready += not floating.ready  # the first swing, in which nobody may touch it
+        places.append(arm.tool[:3, 3])
+        forces.append(abs(arm.hands[0].force[1]))
+
+    way = 1e3 * np.linalg.norm(np.array(places) - places[ready], axis=1)  # [mm]
+    alone = way[ready : ready + round(100 * SECONDS)].max()
+    gone = round(100 * course.end)
+    stays = 1e3 * np.linalg.norm(np.array(places[gone:]) - places[gone], axis=1).max()
+    low, high = floating.stiffness / model.servos.kp
+    print(
+        f"k_p × {kp_scale:3.1f}: untouched {alone:.1f} mm in {SECONDS:.0f} s, led by "
+        f"{np.median(forces[round(100 * course.start) + 50 : gone - 100]):.1f} N, "
+        f"then moves {stays:.1f} mm; shoulder k_p taken for {low[0]:.2f} to {high[0]:.2f} × table"
+    )

@@ -1,0 +1,22 @@
+"""The life of an arm over any drive: enabling, reading and writing, leaving without a fall."""
+
+from pliant.arm.arm import Arm
+from pliant.arm.budget import Budget
+from pliant.arm.drive import Clock, Drive, Health, MonotonicClock, Sample
+from pliant.arm.gripper import Gripper, Jaw
+from pliant.arm.lowering import Lowering
+from pliant.arm.state import State
+
+__all__ = [
+    "Arm",
+    "Budget",
+    "Clock",
+    "Drive",
+    "Gripper",
+    "Health",
+    "Jaw",
+    "Lowering",
+    "MonotonicClock",
+    "Sample",
+    "State",
+]

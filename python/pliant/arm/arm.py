@@ -1,0 +1,381 @@
+"""An arm that is not dropped: torque on in order, limits within budget, a way down at the end."""
+
+from __future__ import annotations
+
+import atexit
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from pliant import ConfigError, ServoError, ServoTimeout
+from pliant.arm.budget import Budget
+from pliant.arm.cycle import EASE, Cycle
+from pliant.arm.exits import descend
+from pliant.arm.gripper import Gripper, Jaw
+from pliant.arm.lowering import SUPPORT, margin
+from pliant.arm.points import Points
+from pliant.arm.signals import Signals
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import TracebackType
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Model
+    from pliant.arm.drive import Clock, Drive
+    from pliant.arm.state import State
+
+    Array = NDArray[np.float64]
+    Exit = Literal["lower", "park", "hold"]
+
+#: Cycles within which every joint must have answered before torque goes on.
+ATTEMPTS = 10
+
+
+#: Largest distance of a first goal from where its joint is [rad].
+LEAD = 0.1
+
+
+class Arm:
+    """An arm over any drive, with its life cycle.
+
+    `with` opens, identifies and enables it, and lowers it at the end, whatever the reason.
+
+    Args:
+        model: The robot; its joint names are looked up among the drive's.
+        drive: What moves the joints.
+        rest: Joint positions (n,) [rad] where `lower` goes first; None: straight down.
+        exit: What leaving does: `lower`, or `hold`.
+        rate: Of the arm's own loops, enabling and leaving [Hz].
+        hold_for: How long a silent bus or program is waited for before the arm is lowered [s].
+        budget: What servos and supply give for long; None: the default.
+        grippers: How joints off the chain open and close, by name; others take the model's limits.
+        watchdog: Silence after which servos that can stop by themselves do [s]; 0: never.
+        signals: Whether SIGINT and SIGTERM lower the arm.
+
+    Attributes:
+        model, drive, rate, rest, hold_for: As given.
+        servos: The chain's servos, n entries, as the drive has them; better known once open.
+        grippers: The joints off the chain by name; made anew when the drive opens.
+        enabled: Whether torque is on.
+
+    Raises:
+        ConfigError: The drive lacks a joint of the model, or an argument is out of range.
+        ShapeError, LimitError: The rest pose is none.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        drive: Drive,
+        *,
+        rest: ArrayLike | None = None,
+        exit: Exit = "lower",
+        rate: float = 100.0,
+        hold_for: float = 0.5,
+        budget: Budget | None = None,
+        grippers: Mapping[str, Jaw] | None = None,
+        watchdog: float = 0.2,
+        signals: bool = True,
+    ) -> None:
+        """Sort the joints; nothing is opened or moved yet."""
+        if not (rate > 0.0 and hold_for > 0.0 and watchdog >= 0.0):
+            raise ConfigError(
+                "rate and hold_for must be above 0, watchdog at least 0; got "
+                f"{rate!r} Hz, {hold_for!r} s, {watchdog!r} s"
+            )
+        if exit not in {"lower", "hold"}:
+            raise ConfigError(f"exit must be 'lower' or 'hold', got {exit!r}")
+        self.model, self.drive = model, drive
+        self.rate, self.hold_for, self._watchdog = float(rate), float(hold_for), float(watchdog)
+        self._exit, self._signals = exit, Signals() if signals else None
+        self._budget, self._jaws = budget or Budget(), dict(grippers or {})
+        self._meet()
+        self.rest = None if rest is None else self._posture(rest, "rest")
+        self._points = Points(model)
+        self.enabled = self._opened = False
+
+    def _meet(self) -> None:
+        """Make all that depends on what the servos are: a drive that is open knows it better."""
+        self._cycle = Cycle(self.model, self.drive, self._budget)
+        self.servos = self._cycle.servos
+        self.grippers = self._make_grippers(self._jaws)
+
+    def _make_grippers(self, jaws: dict[str, Jaw]) -> dict[str, Gripper]:
+        """One gripper per joint beside the chain."""
+        roster, drive = self._cycle.roster, self.drive
+        unknown = sorted(set(jaws) - set(roster.extra))
+        if unknown:
+            there = ", ".join(roster.extra) or "none"
+            raise ConfigError(f"no joint {unknown[0]!r} off the chain; there are: {there}")
+        overload = np.broadcast_to(getattr(drive, "overload", 1.0), len(roster.names))
+        return {
+            name: Gripper(
+                name,
+                jaws.get(name, Jaw()),
+                self.model,
+                largest=float(np.broadcast_to(drive.servos.torque, len(roster.names))[i]),
+                overload=float(overload[i]),
+                order=self._order,
+                measure=lambda name: float(self._cycle.watch.position[roster.index(name)]),
+            )
+            for name, i in zip(roster.extra, roster.beside.tolist(), strict=True)
+        }
+
+    # Life.
+
+    def open(self) -> None:
+        """Connect and identify; torque stays as it is.
+
+        Raises:
+            ServoError: What is wrong on the bus.
+        """
+        if not self._opened:
+            self.drive.open()
+            self._opened = True
+            self._meet()
+
+    def enable(self) -> None:
+        """Torque on: limits first, goals where the joints are, then a ramp of half a second.
+
+        The first limits carry the weight of the arm and little more: one that holds itself up is
+        taken over, one that lies on a table stays there. Signal handlers come first.
+
+        Raises:
+            ServoTimeout: Joints do not answer; names them.
+            ServoError: Joints moved or did not obey when torque came on.
+        """
+        if self.enabled:
+            return
+        self.open()
+        cycle, kp = self._cycle, np.asarray(self.servos.kp)
+        self._hear_all()
+        gravity = cycle.gravity()
+        names = cycle.roster.names
+        on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[cycle.roster.chain]
+        # A joint that carries weight already would dip if its goal went to where it is.
+        start = cycle.q + np.where(on, np.clip(gravity / kp, -LEAD, LEAD), 0.0)
+        weight = SUPPORT * np.abs(gravity) + 2.0 * np.asarray(self.servos.friction)
+        for name, gripper in self.grippers.items():
+            cycle.orders[name] = (gripper.position, gripper.limit)
+        if self._signals is not None:
+            self._signals.install()
+        atexit.register(self._at_exit)
+        self.enabled = True
+        try:
+            cycle.begin(start, weight)
+        except ServoError:
+            self._forget()
+            raise
+        self._take_up(start)
+        self.drive.watchdog(self._watchdog)
+
+    def _hear_all(self) -> None:
+        """Read until every joint has answered once."""
+        watch, roster = self._cycle.watch, self._cycle.roster
+        watch.forget()
+        for _ in range(ATTEMPTS):
+            self._cycle.sample()
+            silent = [roster.names[i] for i in np.flatnonzero(np.isnan(watch.position))]
+            if not silent:
+                return
+            self.clock.wait_until(self.clock.now() + 1.0 / self.rate)
+        raise ServoTimeout(
+            f"no answer from {', '.join(silent)}: torque stays off; check their power, cable and id"
+        )
+
+    def _take_up(self, start: Array) -> None:
+        """Goals go from where the joints were to where they carry the weight; limits rise."""
+        cycle, period = self._cycle, 1.0 / self.rate
+        full = cycle.q + cycle.gravity() / np.asarray(self.servos.kp)
+        begin = self.clock.now()
+        while (passed := self.clock.now() - begin) < EASE:
+            self.clock.wait_until(self.clock.now() + period)
+            cycle.sample()
+            gravity = cycle.gravity()
+            share = min(2.0 * passed / EASE, 1.0)
+            limit = SUPPORT * np.abs(gravity) + share * margin(self.servos, gravity)
+            cycle.send(start + share * (full - start), limit)
+        cycle.ease()
+
+    def lower(self) -> None:
+        """To the rest pose if there is one, then down at 0.15 m/s until it rests; torque off.
+
+        Raises:
+            ServoError: The bus is gone, or a joint kept its torque.
+        """
+        self._descend(self.rest)
+
+    def park(self, pose: ArrayLike | None = None) -> None:
+        """To a pose (n,) [rad], by default the rest pose, straight through joint space; then lower.
+
+        Raises:
+            ConfigError, ShapeError, LimitError: No pose of this arm; nothing has moved.
+            ServoError: As `lower`.
+        """
+        if pose is None and self.rest is None:
+            raise ConfigError("no pose to park in: arm.park([...]) or connect(..., rest=[...])")
+        self._descend(self.rest if pose is None else self._posture(pose, "pose"))
+
+    def hold(self) -> None:
+        """Stay here with torque on, also when the program ends. Servos that hold get hot."""
+        if not self.enabled:
+            return
+        cycle, kp = self._cycle, np.asarray(self.servos.kp)
+        gravity = cycle.gravity()
+        push = margin(self.servos, gravity)
+        need = cycle.q + gravity / kp
+        lead = np.clip(cycle.goal - need, -push / kp, push / kp)
+        cycle.send(need + lead, SUPPORT * np.abs(gravity) + push)
+        self.drive.watchdog(0.0)
+        self._forget()
+
+    def limp(self) -> None:
+        """Torque off where the arm stands: it falls. Every joint is tried.
+
+        Raises:
+            ServoError: A joint kept its torque.
+        """
+        try:
+            self.drive.disable(self._cycle.roster.names)
+        finally:
+            self._forget()
+
+    def close(self) -> None:
+        """Leave as `exit` says where torque is on, then let go of the bus."""
+        try:
+            if self.enabled:
+                self.lower() if self._exit == "lower" else self.hold()
+        finally:
+            if self._opened:
+                self._opened = False
+                self.drive.close()
+
+    def _descend(self, rest: Array | None) -> None:
+        """Lower the arm; a second signal leaves it held where it is."""
+        if not self.enabled:
+            return
+        if self._signals is not None:
+            self._signals.leaving = True
+        try:
+            descend(self._cycle, self._points, rest, self.rate)
+            self.drive.disable(self._cycle.roster.names)
+        finally:
+            signals = self._signals
+            self._forget()
+        if signals is not None:
+            signals.deliver()
+
+    def _forget(self) -> None:
+        """Nothing is left to be brought down."""
+        self.enabled = False
+        atexit.unregister(self._at_exit)
+        if self._signals is not None:
+            self._signals.restore()
+
+    def _at_exit(self) -> None:
+        """The program ends and torque is on."""
+        self.close()
+
+    def __enter__(self) -> Arm:
+        try:
+            self.enable()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            self.close()
+        except ServoError as worse:
+            if error is None:
+                raise
+            # The first error is the cause; what went wrong on the way down stands beside it.
+            error.add_note(f"while the arm was being lowered: {worse}")
+
+    # Every cycle.
+
+    def read(self) -> State:
+        """What the joints report in this cycle.
+
+        Joints that did not answer, or whose answer cannot be true, keep their last position and
+        grow older: `State.fresh`, `State.age`.
+
+        Raises:
+            ServoError: The connection is gone.
+        """
+        return self._cycle.state(self._cycle.sample())
+
+    def write(
+        self,
+        goal: ArrayLike,
+        limit: ArrayLike | None = None,
+        extra: Mapping[str, tuple[float, float]] | None = None,
+    ) -> None:
+        """Send goals and torque limits, within position limits and budgets.
+
+        Args:
+            goal: Joint goals (n,) [rad], cut at the position limits and what the weight needs
+                beyond them.
+            limit: Torque limits (n,) [N·m]; None keeps the last.
+            extra: Goal [rad] and limit [N·m] of joints off the chain by name; others keep theirs.
+
+        Raises:
+            ShapeError, LimitError, ConfigError: What cannot be sent; nothing was.
+            ServoError: Torque is off, or the connection is gone.
+        """
+        self._on()
+        self._cycle.write(goal, limit, extra)
+
+    def ease(self) -> None:
+        """Let limits rise again from what carries the arm, within 0.5 s: after a silence."""
+        self._cycle.ease()
+
+    @property
+    def gripper(self) -> Gripper:
+        """The only joint off the chain.
+
+        Raises:
+            ConfigError: There is none, or there are several: those are in `grippers`.
+        """
+        if len(self.grippers) != 1:
+            there = ", ".join(self.grippers) or "none"
+            raise ConfigError(f"arm.gripper needs one joint off the chain; there are: {there}")
+        return next(iter(self.grippers.values()))
+
+    @property
+    def clock(self) -> Clock:
+        """The drive's time."""
+        return self._cycle.clock
+
+    @property
+    def heat(self) -> dict[str, float]:
+        """Share of the thermal budget in use, by joint; limits come down from 0.8 on."""
+        return dict(zip(self._cycle.roster.names, self._cycle.meter.heat.tolist(), strict=True))
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """What has happened so far: the drive's counters, and readings refused for a jump."""
+        return {**self.drive.counters, "jumps": self._cycle.watch.jumps}
+
+    def _order(self, name: str, goal: float, limit: float) -> None:
+        """Give a joint off the chain its order at once; the chain keeps its own."""
+        self._on()
+        self._cycle.orders[name] = (goal, limit)
+        self._cycle.send(self._cycle.goal, self._cycle.limit)
+
+    def _on(self) -> None:
+        if not self.enabled:
+            raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
+
+    def _posture(self, value: ArrayLike, name: str) -> Array:
+        """Joint positions (n,) [rad] within their limits."""
+        pose = self._cycle.vector(value, name)
+        return np.clip(pose, self.model.lower, self.model.upper)

@@ -1,0 +1,94 @@
+"""From a name, a description or parts to an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pliant._core import ConfigError, Model
+
+if TYPE_CHECKING:
+    from pliant.arm import Arm
+    from pliant.arm.drive import Drive
+    from pliant.config import Config
+
+#: Arguments that belong to the arm, whatever drives it.
+_OF_THE_ARM = frozenset(
+    ("rest", "exit", "rate", "hold_for", "budget", "grippers", "watchdog", "signals")
+)
+
+#: Arguments that replace words of a configuration file.
+_OF_THE_FILE = frozenset(("port", "backend", "urdf", "calibration"))
+
+
+def connect(
+    what: str | Path | Config | Mapping[str, Any] | Model,
+    drive: Drive | None = None,
+    **options: Any,
+) -> Arm:
+    """Make an arm; `with` then enables it, and lowers it at the end.
+
+    Args:
+        what: Path of a configuration file, or the name of a ready one
+            (`pliant.config.names()`); ``"sim"`` with ``robot=``, or ``"sim:arm7"``: a built-in arm
+            on the simulator; the same as a mapping, ``{"kind": "sim", "robot": "arm7"}``; a
+            `Config`; or a model, with its drive.
+        drive: What moves the joints of a model.
+        **options: Those of `pliant.arm.Arm`; for a file also `port`, `backend`, `urdf` and
+            `calibration`, as for `pliant.config.load`; for a simulated arm `q` (n,) [rad], where it
+            stands (default: the middle of its ranges), `real_time`, and those of
+            `pliant.sim.Plant`.
+
+    Returns:
+        The arm, with torque as it was.
+
+    Raises:
+        ConfigError: A name or an option is not known, or a file is wrong; says what is right.
+        ServoError: The file leaves the port open and there is none, or a choice.
+
+    Example:
+        >>> with pliant.connect("sim:arm7") as arm:
+        ...     state = arm.read()
+    """
+    if isinstance(what, Model):
+        if drive is None:
+            raise ConfigError("connect(model, drive) needs the drive that moves the joints")
+        from pliant.arm import Arm
+
+        return Arm(what, drive, **options)
+    if drive is not None:
+        raise ConfigError("a drive goes with a model: connect(model, drive)")
+    if isinstance(what, str | Path) and str(what).partition(":")[0] != "sim":
+        from pliant.config import load
+
+        return load(what, **{k: options.pop(k) for k in _OF_THE_FILE & set(options)}).arm(**options)
+    if isinstance(what, str | Path):
+        kind, _, robot = str(what).partition(":")
+        what = {"kind": kind, **({"robot": robot} if robot else {})}
+    if not isinstance(what, Mapping):
+        return what.arm(**options)
+    merged = {**what, **options}
+    kind = merged.pop("kind", None)
+    if kind != "sim":
+        raise ConfigError(f"no arm of kind {kind!r}; there is 'sim', or give a model and a drive")
+    return _simulated(**merged)
+
+
+def _simulated(
+    *, robot: str | Model = "arm7", q: Any = None, real_time: bool = False, **options: Any
+) -> Arm:
+    """A built-in arm, or any model, on the simulator."""
+    from pliant import robots
+    from pliant.arm import Arm
+    from pliant.arm.simulated import SimDrive
+    from pliant.sim import Plant
+
+    model = robots.load(robot) if isinstance(robot, str) else robot
+    of_the_arm = {key: value for key, value in options.items() if key in _OF_THE_ARM}
+    plant = Plant(
+        model, **{k: v for k, v in options.items() if k not in _OF_THE_ARM or k == "rate"}
+    )
+    if q is not None:
+        plant.reset(q)
+    return Arm(model, SimDrive(plant, real_time=real_time), **of_the_arm)

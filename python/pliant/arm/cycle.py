@@ -1,0 +1,226 @@
+"""One cycle of an arm: what is believed of a reading, and what a command may become."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import LimitError, ServoTimeout, ShapeError
+from pliant.arm.budget import Meter
+from pliant.arm.drive import MonotonicClock
+from pliant.arm.lowering import SUPPORT, margin
+from pliant.arm.roster import Roster
+from pliant.arm.state import State
+from pliant.arm.watch import Watch
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Model
+    from pliant.arm.budget import Budget
+    from pliant.arm.drive import Clock, Drive, Reported
+
+    Array = NDArray[np.float64]
+
+#: Limits rise to what is asked for within this time after torque on, or after a silence [s].
+EASE = 0.5
+
+
+class Cycle:
+    """Reads and writes all joints of a drive, with the checks that every cycle gets.
+
+    Attributes:
+        servos: The chain's servos, n entries.
+        goal, limit: Last sent to the chain (n,) [rad, N·m].
+        orders: Last goal and limit of each joint beside the chain.
+        meter: Heat.
+        watch: Believed positions.
+    """
+
+    def __init__(self, model: Model, drive: Drive, budget: Budget) -> None:
+        """Sort the joints and start with nothing known."""
+        self.model, self.drive = model, drive
+        self.clock: Clock = getattr(drive, "clock", None) or MonotonicClock()
+        self.roster = Roster(model, drive)
+        self.servos = self.roster.servos(drive)
+        size = len(self.roster.names)
+        self._kp, self._usable = _row(drive.servos.kp, size), _row(drive.servos.torque, size)
+        self.meter = Meter(budget, self._usable, getattr(drive, "stall_current", None))
+        self.watch = Watch(self.roster.fastest(model))
+        self.goal, self.limit = np.zeros(model.n), np.zeros(model.n)
+        self.orders: dict[str, tuple[float, float]] = {}
+        self._eased = -np.inf
+        self._used: float | None = None
+        self._sent: tuple[Array, Array] | None = None
+        self._voltage = np.full(size, np.nan)
+        self._trouble: dict[str, tuple[str, ...]] = {}
+        self._rows: dict[str, Array | None] = {}
+
+    # Reading.
+
+    def sample(self) -> NDArray[np.bool_]:
+        """Take a reading; return which joints of the chain brought a position (n,).
+
+        Raises:
+            ServoError: The connection is gone.
+        """
+        try:
+            sample = self.drive.read()
+        except ServoTimeout:
+            self._heat(None)
+            return np.zeros(self.model.n, dtype=bool)
+        ok = self.watch.take(sample)
+        chain = self.roster.chain
+        self._rows = {
+            "dq": None if sample.velocity is None else sample.velocity[chain],
+            "load": None if sample.load is None else sample.load[chain],
+            "current": None if sample.current is None else sample.current[chain],
+        }
+        self._heat(sample.load)
+        heard: NDArray[np.bool_] = ok[chain]
+        return heard
+
+    def state(self, ok: NDArray[np.bool_]) -> State:
+        """What is known now, after a sample that brought these joints (n,)."""
+        watch, chain = self.watch, self.roster.chain
+        time = watch.time[chain]
+        position = watch.position
+        return State(
+            q=position[chain],
+            time=float(time.min()),
+            fresh=bool(ok.all()),
+            extra={name: float(position[self.roster.index(name)]) for name in self.roster.extra},
+            age=self.clock.now() - time,
+            voltage=self._voltage[chain],
+            temperature=self.meter.temperature[chain],
+            faults=self.faults(),
+            **self._rows,
+        )
+
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong with servos, in sentences."""
+        reported = [text for found in self._trouble.values() for text in found]
+        return (*reported, *self.meter.faults(self.roster.names))
+
+    @property
+    def q(self) -> Array:
+        """Believed positions of the chain (n,) [rad]."""
+        q: Array = self.watch.position[self.roster.chain]
+        return q
+
+    def gravity(self) -> Array:
+        """Torques (n,) [N·m] that hold the chain at the believed positions."""
+        return np.asarray(self.model.gravity(self.q), dtype=np.float64)
+
+    # Writing.
+
+    def ease(self) -> None:
+        """Let limits rise from what carries the arm again."""
+        self._eased = self.clock.now()
+
+    def write(
+        self,
+        goal: ArrayLike,
+        limit: ArrayLike | None,
+        extra: Mapping[str, tuple[float, float]] | None,
+    ) -> None:
+        """Check, cut and send; see `Arm.write`."""
+        goal = self.vector(goal, "goal")
+        limit = self.limit if limit is None else self.vector(limit, "limit")
+        if limit.min() < 0.0:
+            raise LimitError(f"limit must be at least 0 N·m, got {limit.min():g}")
+        self.orders = {**self.orders, **self.roster.check(extra or {})}
+        gravity, model, chain = self.gravity(), self.model, self.roster.chain
+        need = gravity / self._kp[chain]
+        goal = np.clip(
+            goal, model.lower + np.minimum(need, 0.0), model.upper + np.maximum(need, 0.0)
+        )
+        self.send(goal, self._cut(goal, limit, gravity))
+
+    def _cut(self, goal: Array, limit: Array, gravity: Array) -> Array:
+        """Limits (n,) [N·m] within heat, supply, and the rise after a silence."""
+        chain, least = self.roster.chain, SUPPORT * np.abs(gravity)
+        usable = self._usable[chain]
+        firm = np.minimum(least + margin(self.servos, gravity), usable)
+        share = min(max((self.clock.now() - self._eased) / EASE, 0.0), 1.0)
+        limit = np.minimum(limit, firm + share * (usable - firm))
+        limit = np.minimum(limit, np.maximum(self.meter.ceiling()[chain], least))
+        goals, limits = self._all(goal, limit)
+        floor = self.roster.join(least, np.zeros(self.roster.beside.size))
+        pull = self._kp * np.nan_to_num(goals - self.watch.position)
+        rationed: Array = self.meter.ration(pull, limits, floor)[chain]
+        return rationed
+
+    def begin(self, goal: Array, limit: Array) -> None:
+        """Torque on with these first goals and limits (n,).
+
+        Raises:
+            ServoError: A joint moved or did not obey.
+        """
+        self.goal, self.limit = goal.copy(), limit.copy()
+        self._sent = self._all(goal, np.minimum(limit, self._usable[self.roster.chain]))
+        self.drive.enable(*self._sent)
+
+    def send(self, goal: Array, limit: Array) -> None:
+        """Send goals and limits of the chain (n,) as they are; joints beside it get their orders.
+
+        Raises:
+            ServoError: The connection is gone.
+        """
+        goals, limits = self._all(goal, np.minimum(limit, self._usable[self.roster.chain]))
+        self._sent = goals, limits
+        self.goal, self.limit = goal.copy(), limits[self.roster.chain]
+        self.drive.write(goals, limits)
+        self._learn(self.drive.slow())
+
+    def _all(self, goal: Array, limit: Array) -> tuple[Array, Array]:
+        """Goals and limits (N,) in the drive's order; limits beside the chain within their heat."""
+        beside = self.roster.beside
+        orders = [self.orders[name] for name in self.roster.extra]
+        most = np.minimum([order[1] for order in orders], self.meter.ceiling()[beside])
+        goals = self.roster.join(goal, np.array([order[0] for order in orders]))
+        return goals, self.roster.join(limit, most)
+
+    def _heat(self, load: Array | None) -> None:
+        """Account for what the servos have exerted since the last reading."""
+        now = self.clock.now()
+        if self._used is not None and self._sent is not None:
+            goal, limit = self._sent
+            error = np.nan_to_num(goal - self.watch.position)
+            torque = np.minimum(np.abs(self._kp * error), limit)
+            if load is not None:
+                torque = np.where(np.isfinite(load), np.abs(load), torque)
+            self.meter.use(torque, now - self._used)
+        self._used = now
+
+    def _learn(self, health: Reported | None) -> None:
+        """Keep what the slow rota brought."""
+        if health is None:
+            return
+        place = self.roster.index(health.name)
+        if health.voltage is not None:
+            self._voltage[place] = health.voltage
+        if health.temperature is not None:
+            self.meter.temperature[place] = health.temperature
+        self._trouble[health.name] = health.faults
+
+    def vector(self, value: ArrayLike, name: str) -> Array:
+        """A joint vector (n,) that can be sent.
+
+        Raises:
+            ShapeError: Another shape. LimitError: Not finite.
+        """
+        array = np.array(value, dtype=np.float64)
+        if array.shape != (self.model.n,):
+            raise ShapeError(f"{name} has shape {array.shape}, expected ({self.model.n},)")
+        if not np.isfinite(array).all():
+            raise LimitError(f"{name} is not finite, nothing was sent: {array.tolist()}")
+        return array
+
+
+def _row(value: ArrayLike, size: int) -> Array:
+    """One number per joint."""
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), size).copy()

@@ -1,0 +1,138 @@
+"""Grippers, and any other joint beside the chain: a goal and a torque limit of their own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pliant import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pliant import Model
+
+#: Default limit as a share of the largest torque, and of the servo's overload threshold.
+DEFAULT_SHARE, OVERLOAD_SHARE = 0.3, 0.9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Jaw:
+    """What a gripper is.
+
+    Attributes:
+        opened, closed: Joint positions [rad, m]; None: upper and lower limit in the robot's
+            description.
+        limit: Torque limit unless a force is asked for [N·m, N]; None: the lesser of 30 % of the
+            largest torque and 0.9 of the overload threshold.
+        lever: Distance from the axis to the middle of the finger [m]: forces are then newtons at
+            the finger, and the width is metres. None: torques and angles.
+    """
+
+    opened: float | None = None
+    closed: float | None = None
+    limit: float | None = None
+    lever: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if self.limit is not None and not self.limit >= 0.0:
+            raise ConfigError(f"Jaw.limit must be at least 0 N·m, got {self.limit!r}")
+        if self.lever is not None and not self.lever > 0.0:
+            raise ConfigError(f"Jaw.lever must be above 0 m, got {self.lever!r}")
+
+
+class Gripper:
+    """A joint off the chain that opens and closes with a bounded torque.
+
+    Holding an object is sitting at the limit: the goal is where the fingers would meet.
+
+    Attributes:
+        name: Its joint.
+        opened, closed: Joint positions [rad, m].
+        limit: Limit unless a force is asked for [N·m, N].
+        largest: Largest limit [N·m, N].
+    """
+
+    def __init__(
+        self,
+        name: str,
+        jaw: Jaw,
+        model: Model,
+        *,
+        largest: float,
+        overload: float,
+        order: Callable[[str, float, float], None],
+        measure: Callable[[str], float],
+    ) -> None:
+        """Complete what the jaw leaves open; `Arm` makes these.
+
+        Raises:
+            ConfigError: Neither the jaw nor the model knows how far it opens.
+        """
+        joint = next((j for j in model.joints if j.name == name), None)
+        self.name, self.largest = name, largest
+        self._sliding = joint is not None and joint.kind == "prismatic"
+        self.closed = self._end(jaw.closed, None if joint is None else joint.lower, "closed")
+        self.opened = self._end(jaw.opened, None if joint is None else joint.upper, "opened")
+        default = min(DEFAULT_SHARE, OVERLOAD_SHARE * overload) * largest
+        self.limit = default if jaw.limit is None else min(jaw.limit, largest)
+        self._lever, self._order, self._measure = jaw.lever, order, measure
+
+    def open(self) -> None:
+        """Open all the way with the default limit."""
+        self.go(self.opened)
+
+    def close(self, force: float | None = None) -> None:
+        """Close on whatever is there.
+
+        Args:
+            force: Largest force at the finger [N] where the lever is known or the joint slides,
+                else torque [N·m]; None: the default limit.
+
+        Raises:
+            ConfigError: The force is negative, not finite, or more than the servo has.
+        """
+        self.go(self.closed, force)
+
+    def go(self, position: float, force: float | None = None) -> None:
+        """Go to a joint position [rad, m], at most from end to end; `force` as in `close`."""
+        low, high = sorted((self.closed, self.opened))
+        if not math.isfinite(position):
+            raise ConfigError(f"{self.name}: position is not finite: {position!r}")
+        self._order(self.name, min(max(position, low), high), self._torque(force))
+
+    @property
+    def position(self) -> float:
+        """Last measured joint position [rad, m]."""
+        return self._measure(self.name)
+
+    @property
+    def width(self) -> float:
+        """How far it is open, 0 when closed: [m] with a lever or a sliding joint, else [rad]."""
+        way = abs(self.position - self.closed)
+        if self._sliding or self._lever is None:
+            return way
+        return 2.0 * self._lever * math.sin(min(way, math.pi) / 2.0)
+
+    def _torque(self, force: float | None) -> float:
+        """Torque limit [N·m] of a force [N]."""
+        if force is None:
+            return self.limit
+        arm = self._lever if self._lever is not None and not self._sliding else 1.0
+        torque = force * arm
+        if not 0.0 <= torque <= self.largest:
+            raise ConfigError(
+                f"{self.name}: force must be between 0 and {self.largest / arm:g}, got {force!r}"
+            )
+        return torque
+
+    def _end(self, given: float | None, described: float | None, which: str) -> float:
+        """One end of the travel."""
+        value = described if given is None else given
+        if value is None or not math.isfinite(value):
+            raise ConfigError(
+                f"gripper {self.name!r} has no limit in the model: give Jaw({which}=...) [rad]"
+            )
+        return float(value)

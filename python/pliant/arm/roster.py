@@ -1,0 +1,111 @@
+"""Which servo of a drive is which joint: those of the chain, and those beside it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import ConfigError, LimitError, Servos
+from pliant.arm.watch import FASTEST
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from pliant import Model
+    from pliant.arm.drive import Drive
+
+    Array = NDArray[np.float64]
+    Orders = Mapping[str, tuple[float, float]]
+
+
+class Roster:
+    """The joints of a drive, sorted.
+
+    Attributes:
+        names: All joints in the order of the drive (N,).
+        chain: Places of the chain's joints in that order (n,).
+        beside: Places of the others.
+        extra: Their names.
+    """
+
+    def __init__(self, model: Model, drive: Drive) -> None:
+        """Match names.
+
+        Raises:
+            ConfigError: A joint of the chain has no servo, or a name stands twice.
+        """
+        self.names = tuple(drive.names)
+        if len(set(self.names)) != len(self.names):
+            raise ConfigError(f"two servos have one joint name: {', '.join(self.names)}")
+        missing = [name for name in model.joint_names if name not in self.names]
+        if missing:
+            raise ConfigError(
+                f"no servo is named {', '.join(missing)}; the servos are {', '.join(self.names)}, "
+                f"the joints of {model.name!r} from {model.base!r} to {model.tip!r} "
+                f"{', '.join(model.joint_names)}"
+            )
+        self.chain = np.array([self.names.index(name) for name in model.joint_names])
+        self.beside = np.setdiff1d(np.arange(len(self.names)), self.chain)
+        self.extra = tuple(self.names[i] for i in self.beside)
+
+    def index(self, name: str) -> int:
+        """Place of a joint in the drive's order."""
+        return self.names.index(name)
+
+    def servos(self, drive: Drive) -> Servos:
+        """The chain's servos out of the drive's table, in chain order."""
+        table, pick = drive.servos, self.chain
+        count = len(self.names)
+
+        def take(values: Array) -> Array:
+            row: Array = np.broadcast_to(np.asarray(values, dtype=np.float64), count)[pick]
+            return row
+
+        speed = table.no_load_speed
+        return Servos(
+            kp=take(table.kp),
+            torque=take(table.torque),
+            friction=take(table.friction),
+            damping=take(table.damping),
+            kv=take(table.kv),
+            armature=take(table.armature),
+            count=take(table.count),
+            kind=table.kind,
+            no_load_speed=None if speed is None else take(speed),
+            kp_known=table.kp_known,
+        )
+
+    def fastest(self, model: Model) -> Array:
+        """Largest speeds (N,) [rad/s]: the model's, where it has them."""
+        fastest = np.full(len(self.names), FASTEST)
+        known = np.asarray(model.velocity_limit)
+        fastest[self.chain] = np.where(np.isfinite(known), known, FASTEST)
+        return fastest
+
+    def join(self, chain: Array, beside: Array) -> Array:
+        """A vector (N,) in the drive's order."""
+        both = np.empty(len(self.names))
+        both[self.chain], both[self.beside] = chain, beside
+        return both
+
+    def check(self, orders: Orders) -> dict[str, tuple[float, float]]:
+        """Goals [rad] and limits [N·m] of joints beside the chain, as numbers that can be sent.
+
+        Raises:
+            ConfigError: No such joint. LimitError: Not finite, or a negative limit.
+        """
+        checked = {}
+        for name, (goal, limit) in orders.items():
+            if name not in self.extra:
+                there = ", ".join(self.extra) or "none"
+                raise ConfigError(
+                    f"no joint {name!r} off the chain to write to; there are: {there}"
+                )
+            if not (math.isfinite(goal) and math.isfinite(limit) and limit >= 0.0):
+                raise LimitError(f"extra[{name!r}] must be a finite goal and a limit >= 0")
+            checked[name] = (float(goal), float(limit))
+        return checked

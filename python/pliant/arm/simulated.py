@@ -1,0 +1,155 @@
+"""The simulated arm as a drive, with a clock of its own: its time passes when somebody waits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pliant import Servos
+from pliant.arm.drive import Health, MonotonicClock, Sample
+from pliant.sim.gains import FULL_EFFORT_ERROR
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from pliant.sim import Plant
+
+    Array = NDArray[np.float64]
+
+
+class SimClock:
+    """Simulated time: waiting runs the physics, as fast as it goes or as fast as life.
+
+    In real time the physics follows the machine's clock, and a program that dawdles finds that its
+    arm has gone on without it.
+
+    Attributes:
+        period: Control period of the plant [s], the grain of this time.
+        on_tick: Called after every period of physics, for records.
+    """
+
+    def __init__(self, plant: Plant, real_time: bool) -> None:
+        """Start where the plant is."""
+        self.plant, self.period = plant, plant.period
+        self.on_tick: Callable[[], object] | None = None
+        self._wall = MonotonicClock() if real_time else None
+        self._offset = plant.time - (self._wall.now() if self._wall else 0.0)
+
+    def now(self) -> float:
+        """Time since the plant's reset [s]."""
+        return self.plant.time if self._wall is None else self._wall.now() + self._offset
+
+    def wait_until(self, deadline: float) -> None:
+        """Run the physics until `deadline` [s]."""
+        if self._wall is None:
+            while self.plant.time < deadline - 1e-9:
+                self._advance()
+        else:
+            self._wall.wait_until(deadline - self._offset)
+            self.catch_up()
+
+    def catch_up(self) -> None:
+        """In real time, let the physics come up to the present."""
+        while self._wall is not None and self.plant.time + self.period <= self.now():
+            self._advance()
+
+    def _advance(self) -> None:
+        self.plant.advance()
+        if self.on_tick is not None:
+            self.on_tick()
+
+
+class SimDrive:
+    """A `pliant.sim.Plant` behind the interface of a bus of servos.
+
+    Off-chain joints follow those of the chain. A simulated servo without torque has a limit of
+    zero.
+
+    Attributes:
+        plant: The simulation, with the truth.
+        clock: Simulated time.
+        names: The chain's joints, then those beside it that have a servo.
+        servos: One entry per name.
+        latency: From a write to its effect [s].
+        counters: Writes and readings lost so far.
+    """
+
+    def __init__(self, plant: Plant, *, real_time: bool = False) -> None:
+        """Wrap a plant as it stands, with its torque on.
+
+        Args:
+            plant: The simulated arm.
+            real_time: Let simulated time be real time.
+        """
+        self.plant = plant
+        self.clock = SimClock(plant, real_time)
+        gains, self._extra = plant.gains, tuple(plant.read().extra)
+        self.names = (*plant.model.joint_names, *self._extra)
+        kp = np.array([plant.mj_model.actuator(name).gainprm[0] for name in self._extra])
+        torque = kp * FULL_EFFORT_ERROR
+        table = getattr(plant.model, "servos", None)
+        count: Any = np.zeros(plant.n) if table is None else table.count
+        zero = np.zeros(len(self._extra))
+        self.servos = Servos(
+            kp=np.concatenate((gains.kp, kp)),
+            torque=np.concatenate((gains.torque, torque)),
+            friction=np.concatenate((gains.friction, zero)),
+            damping=np.concatenate((gains.damping, zero)),
+            kv=np.concatenate((gains.kv, zero)),
+            count=np.concatenate((np.broadcast_to(count, plant.n), zero)),
+            kp_known=True,
+        )
+        self.latency = plant.write_delay
+        self.counters: dict[str, int] = {"reads": 0, "lost reads": 0, "writes": 0}
+        self._on = np.ones(len(self.names), dtype=bool)
+
+    @property
+    def enabled(self) -> NDArray[np.bool_]:
+        """Which joints have torque (N,)."""
+        return self._on.copy()
+
+    def open(self) -> None:
+        """Nothing to connect."""
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def read(self) -> Sample:
+        """What the simulated bus reports."""
+        self.clock.catch_up()
+        state = self.plant.read()
+        self.counters["reads"] += 1
+        self.counters["lost reads"] += not state.fresh
+        position = np.concatenate((state.q, [state.extra[name] for name in self._extra]))
+        return Sample(position, np.full(position.size, state.fresh), state.time)
+
+    def write(self, goal: Array, limit: Array) -> None:
+        """Send goals (N,) [rad] and limits (N,) [N·m]; joints without torque stay without."""
+        self.clock.catch_up()
+        n = self.plant.n
+        limit = np.where(self._on, limit, 0.0)
+        pairs = zip(goal[n:].tolist(), limit[n:].tolist(), strict=True)
+        self.plant.write(goal[:n], limit[:n], dict(zip(self._extra, pairs, strict=True)))
+        self.counters["writes"] += 1
+
+    def slow(self) -> Health | None:
+        """Simulated servos have neither voltage nor heat."""
+        return None
+
+    def enable(self, goal: Array, limit: Array) -> None:
+        """Torque on, limit and goal in the same write."""
+        self._on[:] = True
+        self.write(goal, limit)
+
+    def disable(self, names: Sequence[str]) -> None:
+        """Torque off."""
+        self._on &= ~np.isin(self.names, list(names))
+        state = self.plant.read()
+        position = np.concatenate((state.q, [state.extra[name] for name in self._extra]))
+        self.write(position, np.where(self._on, self.servos.torque, 0.0))
+
+    def watchdog(self, seconds: float) -> None:
+        """Simulated servos keep their last order for ever."""

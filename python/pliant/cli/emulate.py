@@ -1,0 +1,54 @@
+"""`pliant emulate`: the servos of a configuration on a port that is not there."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from pliant import ConfigError, config
+from pliant.servo.emulator import Faults, Timing
+
+
+def run(
+    arm: Annotated[str, tyro.conf.Positional],
+    *,
+    timing: Literal["off", "wire", "usb"] = "off",
+    lose: float = 0.0,
+    seed: int = 0,
+    duration: float | None = None,
+    urdf: Path | None = None,
+    calibration: Path | None = None,
+) -> None:
+    """Emulate an arm's servos, with the simulated arm behind them, until Ctrl-C.
+
+    Prints the path of each port: open it with any driver, or with `pliant run ARM --port PATH`.
+
+    Args:
+        arm: Configuration file, or the name of a ready one (so101, koch, arm7, ...).
+        timing: How long bytes take: not at all, as on the wire, or as through an FTDI adapter whose
+            latency timer is 16 ms.
+        lose: Share of the answers that get lost.
+        seed: Of all chance.
+        duration: Ends by itself [s].
+        urdf: URDF in place of the file's.
+        calibration: LeRobot's calibration file in place of the file's.
+    """
+    from pliant.config.emulation import emulated
+
+    if not 0.0 <= lose <= 1.0:
+        raise ConfigError(f"--lose is a share from 0 to 1, got {lose:g}")
+    read = config.load(arm, backend="emulator", urdf=urdf, calibration=calibration)
+    latency = 0.016 if timing == "usb" else 0.0
+    chosen = Timing(wire=timing != "off", usb_latency=latency)
+    console = Console()
+    with emulated(read, timing=chosen, faults=Faults(seed=seed, lose=lose)) as bus:
+        for name, path in bus.ports.items():
+            console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
+        console.print("somebody holds the arm until its torque comes on; Ctrl-C ends", style="dim")
+        end = None if duration is None else time.monotonic() + duration
+        while end is None or time.monotonic() < end:
+            time.sleep(0.1)

@@ -1,0 +1,131 @@
+"""`pliant run`: hold an arm compliantly, or let it follow targets, with a live table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import tyro
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+import pliant
+from pliant import config
+from pliant.cli.targets import Targets, open_targets
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pliant.arm import Arm
+    from pliant.loop import Tick
+
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+#: How often the table is drawn [Hz].
+FRAMES = 5.0
+
+
+def run(
+    arm: Annotated[str, tyro.conf.Positional],
+    *,
+    soft: str = "",
+    targets: Annotated[str, tyro.conf.arg(metavar="FILE|-|udp:PORT")] = "",
+    duration: float | None = None,
+    port: str | None = None,
+    backend: str | None = None,
+    urdf: Path | None = None,
+    calibration: Path | None = None,
+    quiet: bool = False,
+) -> None:
+    """Switch torque on, control the arm until Ctrl-C, and lower it.
+
+    A line of targets is a JSON object: {"position": [x, y, z]} in metres, base axes, with
+    "wxyz": [w, x, y, z] or "xyzw" if it shall turn too; or {"q": [...]} in rad.
+
+    Args:
+        arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
+        soft: Axes that yield, e.g. "y yaw", in place of the file's settings.
+        targets: Where targets come from: a file with one a line, played at the loop's rate; - for
+            standard input; udp:PORT for datagrams on this machine. Nothing: the arm holds.
+        duration: Ends by itself [s].
+        port: Device in place of the file's.
+        backend: bus, emulator or sim in place of the file's.
+        urdf: URDF in place of the file's.
+        calibration: LeRobot's calibration file in place of the file's.
+        quiet: No table.
+    """
+    read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
+    settings = read.settings()
+    if soft:
+        task = settings.task
+        settings = pliant.Settings.soft(soft, task=task, rate=settings.rate)
+    if duration is not None and not duration > 0.0:
+        raise pliant.ConfigError(f"--duration must be above 0 s, got {duration:g}")
+    with open_targets(targets) as source, read.arm() as live:
+        _loop(live, settings, source, duration, quiet)
+
+
+def _loop(
+    arm: Arm, settings: pliant.Settings, source: Targets, duration: float | None, quiet: bool
+) -> None:
+    controller = pliant.Controller(arm.model, settings, arm.servos)
+    loop = pliant.Loop(arm, controller, rate=settings.rate, duration=duration)
+    console = Console()
+    every = max(round(settings.rate / FRAMES), 1)
+    pose: NDArray[np.float64] | None = None
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+        for tick in loop:
+            here = arm.model.forward_kinematics(tick.q)
+            pose = here if pose is None else pose
+            wanted = source.latest()
+            if source.done:
+                break
+            if wanted is not None:
+                pose = wanted.pose(arm.model, pose)
+            command = controller.step(tick.q, pose, dt=tick.dt)
+            tick.write(command)
+            if not quiet and tick.index % every == 0:
+                live.update(_table(arm, controller, tick, command, here), refresh=True)
+    counts = ", ".join(f"{name} {count}" for name, count in arm.counters.items() if count)
+    console.print(
+        f"{len(loop.lateness)} ticks, late by {loop.lateness}; {loop.missed} missed; bus: {counts}",
+        highlight=False,
+    )
+
+
+def _table(
+    arm: Arm,
+    controller: pliant.Controller,
+    tick: Tick,
+    command: pliant.Command,
+    here: NDArray[np.float64],
+) -> Table:
+    """Where the tool is, how each axis gives way, what the joints may use and how warm they are."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{arm.model.name}, {tick.time:.0f} s")
+    for name in ("axis", "tool", "off by", "softness", "joint", "q", "limit", "of usable", "heat"):
+        table.add_column(name, justify="left" if name in {"axis", "joint"} else "right")
+    axes = controller.settings.task.names
+    error, softness = controller.deviation, controller.softness
+    limit, usable, heat = command.torque_limit, np.asarray(arm.servos.torque), arm.heat
+    for row in range(max(len(axes), arm.model.n)):
+        cells = [""] * 9
+        if row < len(axes):
+            place = AXES.index(axes[row])
+            unit = "mm" if place < 3 else "mrad"
+            cells[0] = axes[row]
+            cells[1] = f"{here[place, 3] * 1e3:.0f} mm" if place < 3 else ""
+            cells[2] = f"{error[row] * 1e3:+.1f} {unit}"
+            cells[3] = f"{softness[row]:.2f}"
+        if row < arm.model.n:
+            name = arm.model.joint_names[row]
+            cells[4:] = [
+                name,
+                f"{tick.q[row]:+.3f}",
+                f"{limit[row]:.2f} N·m",
+                f"{limit[row] / usable[row]:.0%}",
+                f"{heat[name]:.0%}",
+            ]
+        table.add_row(*cells)
+    return table

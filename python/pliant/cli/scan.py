@@ -1,0 +1,64 @@
+"""`pliant scan`: which servos are on which port, at which speed, under which id."""
+
+from __future__ import annotations
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from pliant import ConfigError, ServoError
+from pliant.servo import serial_ports
+from pliant.servo.scan import ALL, BAUDRATES, USUAL, Seen, scan
+
+
+def run(*, port: str = "auto", baud: int | None = None, deep: bool = False) -> None:
+    """Ask every id at every usual speed, in both protocols; nothing is written.
+
+    Args:
+        port: Device, or auto for all serial ports of this machine.
+        baud: Only this speed [bit/s].
+        deep: All 253 ids instead of 0 to 40.
+    """
+    if baud is not None and baud <= 0:
+        raise ConfigError(f"--baud must be above 0 bit/s, got {baud}")
+    ports = serial_ports() if port == "auto" else (port,)
+    if not ports:
+        raise ServoError(
+            "there is no serial port on this machine: plug the adapter in; on Linux it appears as "
+            "/dev/ttyUSB0 or /dev/ttyACM0, and `lsusb` shows it"
+        )
+    console, found = Console(), list[Seen]()
+    with console.status("") as status:
+        for path in ports:
+            found += scan(
+                path,
+                baudrates=BAUDRATES if baud is None else (baud,),
+                ids=ALL if deep else USUAL,
+                progress=status.update,
+            )
+    if not found:
+        raise ServoError(
+            f"no servo answers on {', '.join(ports)}: is the servos' power on, is the cable in?"
+            + ("" if deep else " `pliant scan --deep` asks all ids")
+        )
+    _show(console, found)
+
+
+def _show(console: Console, found: list[Seen]) -> None:
+    for port in dict.fromkeys(seen.port for seen in found):
+        console.print(port, highlight=False, soft_wrap=True)
+        table = Table(box=SIMPLE_HEAD, pad_edge=False)
+        table.add_column("id", justify="right")
+        for heading in ("model", "bit/s", "protocol", "note"):
+            table.add_column(heading)
+        for seen in (seen for seen in found if seen.port == port):
+            speed, protocol = str(seen.baudrate), f"{seen.protocol[1]}.0"
+            table.add_row(str(seen.id), _model(seen), speed, protocol, seen.note)
+        console.print(table)
+
+
+def _model(seen: Seen) -> str:
+    """Name of the model; variants that answer alike share the part of their names."""
+    if len(seen.models) > 1:
+        return f"{seen.models[0].partition('-')[0]} (one of {len(seen.models)} variants)"
+    return seen.models[0] if seen.models else f"number {seen.number}"

@@ -1,0 +1,208 @@
+"""What stands between a configuration and a soft arm, with remedies. Writes nothing."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from pliant import PliantError, ServoError
+from pliant.arm.drive import MonotonicClock
+from pliant.arm.lateness import Lateness
+from pliant.config import assemble, build
+from pliant.servo import ServoChain, wire_time
+from pliant.servo.port import latency_timer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pliant import Model
+    from pliant.config.schema import Config
+    from pliant.servo.identify import Found
+
+Level = Literal["good", "note", "bad"]
+#: Latency timer of an FTDI adapter that is short enough [s].
+SHORT = 0.0015
+#: Cycles that are read, and seconds that the clock is watched.
+CYCLES, WATCHED = 200, 1.0
+#: Lateness of a tick that a loop can live with, as a share of its period.
+LATE = 0.2
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """One finding.
+
+    Attributes:
+        level: `good`, `note` (works, could be better), or `bad` (must be mended).
+        about: What was looked at.
+        text: What was found, and the remedy.
+    """
+
+    level: Level
+    about: str
+    text: str
+
+
+def examine(config: Config) -> Iterator[Diagnosis]:
+    """Look at files, ports, servos and the machine, in the order in which they are needed.
+
+    What depends on something that is broken is left out.
+    """
+    try:
+        model = config.model()
+        build.zeros(config)
+    except PliantError as error:
+        yield Diagnosis("bad", "files", str(error))
+        return
+    yield Diagnosis("good", "files", f"{model.name}: {model.n} joints, {model.base} to {model.tip}")
+    yield from _model(config, model)
+    yield _clock(config.loop.rate)
+    if config.backend == "sim":
+        yield Diagnosis("note", "bus", "backend 'sim' has none")
+        return
+    try:
+        drive = assemble.drive(config, model)
+    except PliantError as error:
+        yield Diagnosis("bad", "ports", str(error))
+        return
+    assert isinstance(drive, ServoChain)
+    if config.backend == "bus":
+        yield from _ports(drive)
+    try:
+        drive.open()
+    except (ServoError, ImportError) as error:
+        for line in str(error).splitlines():
+            yield Diagnosis("bad", "servos", line)
+        return
+    try:
+        yield from _servos(drive.found)
+        yield from _sense(drive, model)
+        yield _cycle(drive, config)
+    finally:
+        drive.close()
+
+
+def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
+    """What the description leaves open."""
+    rest = config.life.rest
+    if rest is None:
+        yield Diagnosis(
+            "note", "rest pose", "none: the arm is lowered straight down; set [life] rest = […]"
+        )
+    elif len(rest) != model.n:
+        yield Diagnosis("bad", "rest pose", f"{len(rest)} angles for {model.n} joints")
+    if config.calibration is None and all(s.zero is None for s in config.servo.values()):
+        yield Diagnosis(
+            "note",
+            "calibration",
+            "every servo's middle counts as its joint's zero; name LeRobot's file in "
+            "`calibration`, or give each servo its `zero`",
+        )
+
+
+def _clock(rate: float) -> Diagnosis:
+    """How late this machine wakes up."""
+    clock, late, period = MonotonicClock(), Lateness(), 1.0 / rate
+    deadline = clock.now()
+    end = deadline + WATCHED
+    while deadline < end:
+        deadline += period
+        clock.wait_until(deadline)
+        late.add(clock.now() - deadline)
+    worst, often = late.percentile(99.9), late.percentile(50.0)
+    text = f"wakes {often * 1e6:.0f} µs late, at most {worst * 1e3:.2f} ms, at {rate:g} Hz"
+    if worst > LATE * period:
+        return Diagnosis(
+            "note", "loop", f"{text}: other programs compete; close them, or lower [loop] rate"
+        )
+    return Diagnosis("good", "loop", text)
+
+
+def _ports(chain: ServoChain) -> Iterator[Diagnosis]:
+    """Permissions and adapters."""
+    for path in dict.fromkeys(spec.port for spec in chain.specs):
+        if not Path(path).exists() or not os.access(path, os.R_OK | os.W_OK):
+            continue  # opening it says why, with the remedy
+        timer = latency_timer(path)
+        if timer is not None and timer > SHORT:
+            name = Path(path).resolve().name
+            yield Diagnosis(
+                "bad",
+                "adapter",
+                f"{path} holds answers back for {timer * 1e3:.0f} ms: echo 1 | sudo tee "
+                f"/sys/bus/usb-serial/devices/{name}/latency_timer (a udev rule makes it last)",
+            )
+
+
+def _servos(found: tuple[Found, ...]) -> Iterator[Diagnosis]:
+    """Who answered, and what is worth knowing of them."""
+    volts = [f.voltage for f in found]
+    yield Diagnosis(
+        "good",
+        "servos",
+        f"{len(found)} answer: {', '.join(sorted({f.model for f in found}))}, "
+        f"{min(volts):.1f} to {max(volts):.1f} V",
+    )
+    firmware: dict[str, set[int]] = {}
+    for one in found:
+        firmware.setdefault(one.model, set()).add(one.firmware)
+        for note in one.notes:
+            yield Diagnosis("note", one.joint, note)
+    for model, versions in firmware.items():
+        if len(versions) > 1:
+            said = ", ".join(map(str, sorted(versions)))
+            yield Diagnosis(
+                "note", model, f"firmware differs among them ({said}): update all alike"
+            )
+
+
+def _sense(chain: ServoChain, model: Model) -> Iterator[Diagnosis]:
+    """Whether where the joints say they are is possible."""
+    position = dict(zip(chain.names, chain.read().position.tolist(), strict=True))
+    for name, low, high in zip(model.joint_names, model.lower, model.upper, strict=True):
+        q = position[name]
+        if not low - 0.1 <= q <= high + 0.1:
+            yield Diagnosis(
+                "bad",
+                name,
+                f"stands at {q:.2f} rad, outside its {low:.2f} to {high:.2f}: its zero, sign or "
+                "gear in the file is wrong, or it is not calibrated",
+            )
+
+
+def _cycle(chain: ServoChain, config: Config) -> Diagnosis:
+    """How long reading all joints takes, against the wire."""
+    times, before = [], chain.counters["timeouts"]
+    for _ in range(CYCLES):
+        begin = time.perf_counter()
+        chain.read()
+        times.append(time.perf_counter() - begin)
+    lost = chain.counters["timeouts"] - before
+    median, worst = float(np.median(times)), float(np.quantile(times, 0.99))
+    family = chain.specs[0].row.family
+    servos = sum(len(spec.servos) for spec in chain.specs)
+    bare = wire_time(
+        family.protocol,
+        "sync_read" if family.sync_read else "read",
+        servos if family.sync_read else 1,
+        family.read[0].size,
+        baudrate=config.port[0].baud,
+    ) * (1 if family.sync_read else servos)
+    text = (
+        f"reading takes {median * 1e3:.2f} ms, 99 %: {worst * 1e3:.2f} ms; the wire alone "
+        f"{bare * 1e3:.2f} ms"
+    )
+    if lost:
+        return Diagnosis(
+            "bad", "bus", f"{lost} of {CYCLES} readings lost; {text}: check the cables"
+        )
+    if worst > 0.7 / config.loop.rate:
+        return Diagnosis(
+            "bad", "bus", f"{text}: too slow for {config.loop.rate:g} Hz; lower [loop] rate"
+        )
+    return Diagnosis("good", "bus", text)

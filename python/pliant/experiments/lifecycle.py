@@ -1,0 +1,191 @@
+"""What an arm does when it is lowered, and when things go wrong: the tables of docs/lifecycle.md.
+
+``python -m pliant.experiments.lifecycle [poses]`` prints both.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import robots
+from pliant.arm.arm import Arm
+from pliant.arm.simulated import SimDrive
+from pliant.experiments.mishaps import MISHAPS, suffer
+from pliant.experiments.setups import VERTICAL
+from pliant.sim import Plant, table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from pliant.sim import Hand
+
+    Array = NDArray[np.float64]
+
+#: The load that the model does not know [kg], and the table below the lower of tool and wrist [m].
+LOAD, TABLE = 0.3, 0.10
+#: Share of the usable torque that holding arm and load may take in a pose drawn at random.
+HOLDS = 0.9
+#: How long the arm is watched after its torque is off [s].
+AFTER = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lowered:
+    """One descent.
+
+    Attributes:
+        speed: Highest speed of the tool until torque was off [m/s].
+        after: Highest speed within the second after [m/s].
+        force: Largest mean over a tick of the force on one point of the table [N].
+        resting: Force on the table a second after torque was off: the weight that rests there [N].
+        seconds: How long it took.
+    """
+
+    speed: float
+    after: float
+    force: float
+    resting: float
+    seconds: float
+
+
+def lower(
+    q: Array,
+    *,
+    load: float = 0.0,
+    over_table: bool = False,
+    ticks: int = 0,
+    rest: Array | None = None,
+    robot: str = "arm7",
+    kp_scale: float = 1.0,
+) -> Lowered:
+    """Enable an arm in q (n,) [rad], let it hold for half a second, and lower it.
+
+    Args:
+        q: Posture (n,) [rad].
+        load: Mass at the tool that nobody told the arm of [kg].
+        over_table: Put a table 0.10 m below the lower of tool and wrist.
+        ticks: Delay of readings, and of writes, at 100 Hz.
+        rest: Where to go first (n,) [rad].
+        robot: A built-in arm.
+        kp_scale: True over believed stiffness of the servos.
+
+    Returns:
+        What happened.
+    """
+    model = robots.load(robot)
+    plant = Plant(
+        model,
+        payload=(load, (0.0, 0.0, 0.0)) if load else None,
+        delay=(ticks, ticks),
+        kp_scale=kp_scale,
+    )
+    plant.reset(q)
+    if over_table:
+        scene: Sequence[Hand] = table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE)
+        plant.set_hands(scene)
+    drive = SimDrive(plant)
+    arm = Arm(model, drive, rest=rest, signals=False)
+    speeds: list[float] = []
+    forces: list[float] = [0.0]
+
+    def look() -> None:
+        twist = plant.truth.frame("tool").twist()
+        speeds.append(float(np.linalg.norm(twist[:3])))
+        forces.extend(float(np.linalg.norm(felt.force)) for felt in plant.hands)
+
+    arm.enable()
+    drive.clock.on_tick = look
+    begin = plant.time
+    arm.lower()
+    seconds, speed, force = plant.time - begin, max(speeds), max(forces)
+    speeds.clear()
+    drive.clock.wait_until(plant.time + AFTER)
+    resting = sum(float(np.linalg.norm(felt.force)) for felt in plant.hands)
+    return Lowered(speed=speed, after=max(speeds), force=force, resting=resting, seconds=seconds)
+
+
+def postures(count: int, *, seed: int = 0, robot: str = "arm7", load: float = LOAD) -> list[Array]:
+    """Random postures (n,) [rad] inside the limits in which the arm can hold itself and a load."""
+    model, heavy = robots.load(robot), robots.load(robot, payload=(load, (0.0, 0.0, 0.0)))
+    assert model.servos is not None
+    usable = np.asarray(model.servos.torque)
+    low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
+    high = np.where(np.isfinite(model.upper), model.upper, np.pi)
+    rng = np.random.default_rng(seed)
+    found: list[Array] = []
+    while len(found) < count:
+        q = rng.uniform(low, high)
+        if np.all(np.abs(heavy.gravity(q)) < HOLDS * usable):
+            found.append(q)
+    return found
+
+
+#: The rows of the first table: name, arguments of `lower`.
+CASES: tuple[tuple[str, dict[str, object]], ...] = (
+    ("nothing in the way", {}),
+    ("0.3 kg it does not know", {"load": LOAD}),
+    ("over a table", {"over_table": True}),
+    ("load, table, a tick each way", {"load": LOAD, "over_table": True, "ticks": 1}),
+    ("table, servos 25 % stiffer than believed", {"over_table": True, "kp_scale": 1.25}),
+    ("table, servos 20 % softer than believed", {"over_table": True, "kp_scale": 0.8}),
+    ("to a rest pose", {"rest": np.array((-0.4, -0.1, 0.0, -0.8, 0.0, 0.0, 0.0))}),
+)
+
+
+def lower_table(poses: Iterable[Array]) -> list[str]:
+    """The first table, as lines of Markdown: worst (median) over the poses."""
+    poses = list(poses)
+    lines = [
+        "| `lower` | tool [m/s] | after torque off [m/s] | force on the table [N] | of which rests "
+        "[N] | takes [s] |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, options in CASES:
+        runs = [lower(q, **options) for q in poses]  # type: ignore[arg-type]
+        cells = [
+            _worst([run.speed for run in runs], 2),
+            _worst([run.after for run in runs], 2),
+            _worst([run.force for run in runs], 1) if options.get("over_table") else "",
+            _worst([run.resting for run in runs], 1) if options.get("over_table") else "",
+            _worst([run.seconds for run in runs], 0),
+        ]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return lines
+
+
+def mishap_table() -> list[str]:
+    """The second table, as lines of Markdown: every mishap alone, and with a hand at the tool."""
+    lines = [
+        "| what happens | the arm | tool meanwhile [m/s] | drop [mm] | tool lowered [m/s] | hand "
+        "feels [N] |",
+        "|---|---|---|---|---|---|",
+    ]
+    for mishap in MISHAPS:
+        alone, held = suffer(mishap), suffer(mishap, held=True)
+        lines.append(
+            f"| {mishap.title} | {alone.outcome} | {alone.speed:.2f} | {1e3 * alone.drop:.1f} | "
+            f"{alone.descent:.2f} | {held.force:.1f} |"
+        )
+    return lines
+
+
+def _worst(values: list[float], digits: int) -> str:
+    return f"{max(values):.{digits}f} ({np.median(values):.{digits}f})"
+
+
+def main() -> None:
+    """Print both tables."""
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 10
+    print("\n".join(lower_table([VERTICAL, *postures(count)])), flush=True)
+    print()
+    print("\n".join(mishap_table()))
+
+
+if __name__ == "__main__":
+    main()

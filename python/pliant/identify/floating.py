@@ -1,0 +1,285 @@
+"""Hand guiding: an arm that weighs nothing, stays where it is left, and needs no exact stiffness.
+
+The arm first swings a little: the mean of the leads that move it up and down carries it, lead₀ at
+gravity g₀, and half their difference is its friction ρ, both in rad, whatever k_p is. Then goals
+follow it like the second hand of a pair that holds it loosely. Per joint:
+
+    anchor = clip(anchor, q̂ − w, q̂ + w)                         moves only when dragged by its play
+    goal   = anchor + lead₀ + c (g(q̂) − g₀) + b_f ρ tanh(v/v₀) + c_low b_d d v
+    w      = w₀ (1 − 0.9 tanh |v|/v₀) + ½ (c_high − c_low) |g − g₀|
+
+[c_low, c_high] is what the compliance 1/k_p can be. The play grows by exactly what the lead may be
+wrong, so a wrong k_p can sag the arm into its play but cannot make it walk. Wherever the arm is
+left at rest its lead is right within ρ; that narrows the interval, and the play with it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+from pliant.identify.guided import wide_enough
+from pliant.identify.rig import Rig
+from pliant.identify.seam import Order
+from pliant.identify.slides import first_moments, payload_rows, slides
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Model, Servos
+    from pliant.identify.seam import Steps
+    from pliant.identify.slides import Slide
+
+    Array = NDArray[np.float64]
+
+#: Factor by which a stiffness may be wrong either way: known, and not known.
+KNOWN, UNKNOWN = 1.1, 2.2
+#: Shares of friction and damping that are fed forward, of the delay that is predicted over.
+FRICTION, DAMPING, PREDICTION = 0.8, 0.8, 0.9
+#: Speed at which the friction feed-forward saturates [rad/s], and time constant of the speed [s].
+SLOW, FILTER = 0.05, 0.02
+#: How much of its play a moving joint gives up.
+MOVING = 0.9
+#: Time without motion beyond a count after which the arm rests [s]; least motion that counts [rad].
+REST, MOTION = 0.4, 5e-4
+#: Period of the first swing [s], and number of swings.
+SWING, TURNS = 2.6, 1.75
+#: Error of the lead that the swing finds, as a share of the friction it averages out.
+AVERAGED = 0.15
+#: Time of motion in which a play shrinks to what has been learnt at rest [s].
+SHRINK = 0.5
+#: Least play at rest [rad]; with counts, at least this many; and this share of the friction ρ.
+LEAST, COUNTS, RUBBING = 2e-3, 1.5, 0.15
+#: Most speed of the goals [rad/s].
+SLEW = 3.0
+
+
+class Float:
+    """Makes an arm weightless for a hand: one line, then `step` once per tick.
+
+    Args:
+        model: The arm.
+        servos: What is believed of its servos; None for the model's. With `kp_known=True` k_p is
+            taken to be right within 10 %, else within a factor of 2.
+        rate: Control rate [Hz].
+        delay: From reading to arrival of the goal [s].
+        payload: What the tool carries beside the model: a `pliant.Payload` or (mass, com).
+        swing: Size of the first swing [rad], before what friction takes.
+        torque_share: Torque allowed on top of gravity, as a share of the usable torque: what a
+            hand must overcome where the arm resists.
+
+    Attributes:
+        ready: Whether the first swing is over; before, nobody may touch the arm.
+        play: Play of each joint in this tick (n,) [rad].
+        stiffness: What k_p can be (2, n) [N·m/rad], lowest and highest.
+
+    Raises:
+        ConfigError: Nothing is known of the servos. LimitError: A number out of range.
+
+    Example:
+        >>> floating = pliant.Float(model)
+        >>> for tick in pliant.Loop(arm, rate=100.0):
+        ...     tick.write(floating.step(tick.q))
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        servos: Servos | None = None,
+        *,
+        rate: float = 100.0,
+        delay: float = 0.0,
+        payload: pliant.Payload | tuple[float, ArrayLike] | None = None,
+        swing: float = 0.04,
+        torque_share: float = 0.3,
+    ) -> None:
+        table = servos if servos is not None else model.servos
+        if table is None:
+            raise pliant.ConfigError("Float needs a servo table: pass servos=pliant.Servos(…)")
+        for name, value, low, high in (
+            ("rate", rate, 10.0, 1000.0),
+            ("delay", delay, 0.0, 0.5),
+            ("swing", swing, 0.01, 0.3),
+            ("torque_share", torque_share, 0.05, 1.0),
+        ):
+            if not low <= value <= high:
+                raise pliant.LimitError(f"{name} must be in [{low:g}, {high:g}], got {value:g}")
+        n = self._n = model.n
+        self._model, self._dt, self._delay, self._share = model, 1.0 / rate, delay, torque_share
+        self._table, self._swing = table, swing
+        self._rig = Rig(model, table, self._dt, doubt=KNOWN if table.kp_known else UNKNOWN)
+        self._torque, self._count = self._rig.torque, self._rig.count
+        self._damping = self._rig.damping + self._rig.kv + self._rig.back_emf
+        self._wrong = KNOWN if table.kp_known else UNKNOWN
+        self._moments = np.zeros(4)
+        if payload is not None:
+            if not isinstance(payload, pliant.Payload):
+                payload = pliant.Payload(*payload)
+            self._moments = first_moments(payload.mass, payload.com)
+        known = model.payload
+        self._carried = self._moments.copy()
+        if known is not None:
+            self._carried += first_moments(known.mass, known.com)
+        self._begin: Steps[Array] | None = None
+        self.ready = False
+        self.play = np.full(n, LEAST)
+
+    @property
+    def stiffness(self) -> Array:
+        """What k_p can be after every rest so far (2, n) [N·m/rad]."""
+        if not self.ready:
+            return np.array([self._rig.kp / self._wrong, self._rig.kp * self._wrong])
+        return np.array([1.0 / self._high, 1.0 / self._low])
+
+    def reset(self, q: ArrayLike) -> None:
+        """Start anew at q (n,) [rad], with a swing; what has been learnt is forgotten."""
+        q = self._positions(q)
+        self._rig = Rig(self._model, self._table, self._dt, doubt=self._wrong)
+        self._rig.carried = payload_rows(self._model, q) @ self._moments
+        self._begin, self.ready = self._swinging(q), False
+        self._order = next(self._begin)
+
+    def step(self, q: ArrayLike) -> Order:
+        """One tick: goals and torque limits for measured positions q (n,) [rad].
+
+        The first call resets to q.
+
+        Raises:
+            ShapeError: Not n finite positions; nothing has changed then.
+            LimitError: The first swing would leave the position limits.
+            ServoError: A joint does not follow the first swing.
+        """
+        q = self._positions(q)
+        if self._begin is None:
+            self.reset(q)
+        elif self.ready:
+            self._order = self._follow(q)
+        else:
+            try:
+                self._order = self._begin.send(q)
+            except StopIteration:
+                self._take(q)
+        return self._order
+
+    def _swinging(self, q: Array) -> Steps[Array]:
+        """Swing slowly, return to where it began, and be still."""
+        rig, home = self._rig, q
+        _, q = yield from wide_enough(rig, q, self._swing)
+        for _ in range(round(REST / self._dt)):
+            q = yield from rig.send(q, home + rig.lead(home), rig.limits(home), np.zeros(self._n))
+        return q
+
+    def _take(self, q: Array) -> None:
+        """Turn the leads of the swing into what carries the arm, its friction, and 1/k_p."""
+        rig, n = self._rig, self._n
+        self._low, self._high = 1.0 / (self._wrong * rig.kp), self._wrong / rig.kp
+        middle = 0.5 * (self._low + self._high)
+        base = self._holding(q)
+        rows = [slide for record in rig.records for slide in slides(rig, record)]
+        # A joint that did not swing is carried as believed, with all its doubt: g_0 = lead_0 = 0.
+        self._lead, self._rub = np.zeros(n), rig.friction * middle
+        swung = np.zeros(n, dtype=bool)
+        for i in range(n):
+            sides = [
+                [s for s in rows if s.joint == i and s.direction == side] for side in (1.0, -1.0)
+            ]
+            if not all(sides):
+                continue
+            up, down = (
+                np.mean([s.drive - middle[i] * (self._load(s) - base[i]) for s in side])
+                for side in sides
+            )
+            speed = np.mean([abs(s.speed) for side in sides for s in side])
+            self._lead[i], half = 0.5 * (up + down), 0.5 * (up - down)
+            swung[i] = True
+            self._rub[i] = max(half - middle[i] * self._damping[i] * speed, 0.3 * half, 0.0)
+        error = AVERAGED * self._rub + 0.5 * self._count + MOTION
+        load = np.where(swung & (np.abs(base) > 0.0), base, np.nan)
+        self._narrow((self._lead - error) / load, (self._lead + error) / load)
+        self._gravity = np.where(swung, base, 0.0)
+        self._least = np.maximum(np.maximum(LEAST, COUNTS * self._count), RUBBING * self._rub)
+        self._goal, self._seen, self._speed = self._order.goal.copy(), q.copy(), np.zeros(n)
+        carried = self._lead + 0.5 * (self._low + self._high) * (base - self._gravity)
+        # A joint that swung rests in the middle of its friction; another keeps its goal.
+        self._anchor = np.where(swung, q, self._goal - carried)
+        self._excess = np.maximum(np.abs(self._anchor - q) - self._least, 0.0)
+        self._rest_at, self._learnt, self._still, self._moved = q, q, 0.0, False
+        self.ready = True
+
+    def _follow(self, q: Array) -> Order:
+        """Goals that let themselves be dragged."""
+        self._estimate(q)
+        ahead = q + PREDICTION * self._delay * self._speed
+        gravity = self._holding(ahead)
+        self._learn(q)
+        change = gravity - self._gravity
+        lead = self._lead + 0.5 * (self._low + self._high) * change
+        doubt = 0.5 * (self._high - self._low) * np.abs(change)
+        pace = np.tanh(self._speed / SLOW)
+        # At rest no goal moves; what a rest has taught comes as the arm is led on.
+        self._excess = self._excess * (1.0 - np.abs(pace) * min(self._dt / SHRINK, 1.0))
+        self.play = self._least * (1.0 - MOVING * np.abs(pace)) + doubt + self._excess
+        self._anchor = np.clip(self._anchor, ahead - self.play, ahead + self.play)
+        helping = FRICTION * self._rub * pace + DAMPING * self._low * self._damping * self._speed
+        goal = self._anchor + lead + helping
+        goal = np.clip(goal, self._model.lower + lead, self._model.upper + lead)
+        most = SLEW * self._dt
+        self._goal = self._goal + np.clip(goal - self._goal, -most, most)
+        needed = np.maximum(1.1 * np.abs(gravity), self._rig.kp * np.abs(lead))
+        limit = np.minimum(self._torque, needed + self._share * self._torque)
+        return Order(self._goal.copy(), limit)
+
+    def _learn(self, q: Array) -> None:
+        """Where the arm has come to rest, narrow what 1/k_p can be; the goal does not move."""
+        if (np.abs(q - self._rest_at) > np.maximum(1.1 * self._count, MOTION)).any():
+            self._moved |= bool((np.abs(q - self._learnt) > 3.0 * self._least).any())
+            self._rest_at, self._still = q, 0.0
+            return
+        self._still += self._dt
+        if self._still < REST or not self._moved:
+            return
+        self._moved, self._learnt = False, q
+        change = self._holding(q) - self._gravity
+        before, doubt = self._low + self._high, 0.5 * (self._high - self._low) * np.abs(change)
+        lead, band = self._goal - q, self._rub + self._least
+        moved = np.where(np.abs(change) > 0.0, change, np.nan)
+        self._narrow((lead - self._lead - band) / moved, (lead - self._lead + band) / moved)
+        # What the lead gains the anchor gives: the goal stays.
+        self._anchor += 0.5 * (before - self._low - self._high) * change
+        self._excess = np.maximum(self._excess, doubt)
+
+    def _narrow(self, one: Array, other: Array) -> None:
+        """Cut the interval of 1/k_p to these ends (n,), NaN for none.
+
+        Where nothing would be left (a hand that leans on the arm, a payload), it is kept.
+        """
+        low = np.maximum(self._low, np.fmin(one, other))
+        high = np.minimum(self._high, np.fmax(one, other))
+        fits = low < high
+        self._low, self._high = np.where(fits, low, self._low), np.where(fits, high, self._high)
+
+    def _load(self, slide: Slide) -> float:
+        """Torque that holds the arm in a slide with the payload told [N·m]."""
+        return slide.gravity + float(slide.payload @ self._carried)
+
+    def _estimate(self, q: Array) -> None:
+        """Filtered speed, from readings with a play of one count."""
+        seen = np.clip(self._seen, q - self._count, q + self._count)
+        rate = (seen - self._seen) / self._dt
+        self._speed = self._speed + (rate - self._speed) * self._dt / (FILTER + self._dt)
+        self._seen = seen
+
+    def _holding(self, q: Array) -> Array:
+        """Torques that hold the arm with its payload (n,) [N·m]."""
+        gravity = np.asarray(self._model.gravity(q))
+        if self._moments[0] > 0.0:
+            gravity = gravity + payload_rows(self._model, q) @ self._moments
+        return gravity
+
+    def _positions(self, q: ArrayLike) -> Array:
+        q = np.array(q, dtype=np.float64)
+        if q.shape != (self._n,) or not np.isfinite(q).all():
+            raise pliant.ShapeError(f"q must be {self._n} finite positions [rad], got {q!r}")
+        return q

@@ -1,0 +1,219 @@
+"""What an identification found, in numbers and in sentences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Controller, Model, Payload, Servos, Settings
+    from pliant.identify.delay import Delay
+    from pliant.identify.regress import Solution
+    from pliant.identify.rig import Rig
+
+    Array = NDArray[np.float64]
+
+#: Share of its error bar that a direction of the payload must lose to count as separated.
+SEPARATED = 0.5
+
+
+@dataclass(frozen=True)
+class PayloadEstimate:
+    """A payload with error bars.
+
+    Attributes:
+        mass: Mass [kg], at least 0.
+        mass_sigma: Its standard deviation [kg].
+        com: Centre (3,) in the tool frame [m]; 0 where the mass is not told from nothing.
+        com_sigma: Its standard deviations (3,) [m].
+        moments: (m, m c) (4,) [kg, kg m], as fitted.
+        covariance: Of the moments (4, 4).
+        separated: How much of the believed error the poses took away, along the four directions in
+            which they tell most to least (4,): 0 nothing, 1 all.
+    """
+
+    mass: float
+    mass_sigma: float
+    com: NDArray[np.float64]
+    com_sigma: NDArray[np.float64]
+    moments: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    separated: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, solution: Solution) -> PayloadEstimate:
+        """From the moments of a fit; the centre's errors to first order."""
+        moments, covariance = solution.payload, solution.payload_covariance
+        sigma = float(np.sqrt(covariance[0, 0]))
+        mass = max(float(moments[0]), 0.0)
+        com, com_sigma = np.zeros(3), np.full(3, np.inf)
+        if mass > 2.0 * sigma:
+            com = moments[1:] / mass
+            slope = np.column_stack([-com, np.eye(3)]) / mass
+            com_sigma = np.sqrt(np.diag(slope @ covariance @ slope.T))
+        return cls(
+            mass, sigma, com, com_sigma, moments, covariance, np.sort(solution.separated)[::-1]
+        )
+
+    @property
+    def found(self) -> bool:
+        """Whether the mass differs from nothing by more than two standard deviations."""
+        return self.mass > 2.0 * self.mass_sigma
+
+    @property
+    def payload(self) -> Payload:
+        """As a `pliant.Payload`; of mass 0 where none was found."""
+        return pliant.Payload(self.mass if self.found else 0.0, self.com)
+
+    def sentences(self) -> list[str]:
+        """What it weighs, where its centre is, and what the poses could not tell."""
+        if not self.found:
+            out = [f"no payload found: {self.mass:.3f} ± {2 * self.mass_sigma:.3f} kg (95 %)."]
+        else:
+            where = ", ".join(
+                f"{axis} {1e3 * c:+.0f} ± {2e3 * s:.0f}"
+                for axis, c, s in zip("xyz", self.com, self.com_sigma, strict=True)
+            )
+            out = [
+                f"payload {self.mass:.3f} ± {2 * self.mass_sigma:.3f} kg, centre {where} mm in the "
+                "tool frame (95 %)."
+            ]
+        weak = int((self.separated < SEPARATED).sum())
+        if weak:
+            out.append(
+                f"{weak} of the 4 numbers of the payload (mass and centre) cannot be told from "
+                "these poses and stay near what was believed: allow a larger span or give poses "
+                "that turn the tool against gravity."
+            )
+        return out
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What the arm's servos and bus are, with standard deviations.
+
+    Attributes:
+        servos: The table, ready for a `Controller`: `kp`, `friction`, `damping`, `kv` as found.
+        errors: Standard deviation of `kp`, `friction`, `load`, `damping` and `kv`, (n,) each, in
+            their units.
+        load: Share of the load that adds to dry friction (n,); 0 where the data show none. The
+            table's `friction` contains it at the load of the pose.
+        delay: From reading to arrival of the goal, T_d [s].
+        delay_sigma: Its standard deviation [s].
+        payload: What the tool carries.
+        spread: Residuals over what friction and encoder explain; well above 1: the model misses
+            something.
+        joint_names: For the sentences.
+        believed: The table it started from.
+    """
+
+    servos: Servos
+    errors: dict[str, NDArray[np.float64]]
+    load: NDArray[np.float64]
+    delay: float
+    delay_sigma: float
+    payload: PayloadEstimate
+    spread: float
+    joint_names: tuple[str, ...]
+    believed: Servos
+
+    @classmethod
+    def of(cls, rig: Rig, home: ArrayLike, solution: Solution, late: Delay) -> Identification:
+        """Turn a fit into a servo table.
+
+        `damping` is what acts outside the limit, without the back-EMF of duty-limited servos, which
+        stands in their `no_load_speed`; `kv` is what is left of D = d + k_v + k_p T_d.
+        """
+        value, sigma = solution.value, solution.sigma
+        outer = np.maximum(value["outer"], 0.0)
+        kv = np.maximum(value["total"] - outer - value["kp"] * late.seconds, 0.0)
+        load = np.abs(np.asarray(rig.model.gravity(home)) + rig.carried)
+        share = value["load"] + value["motor"]
+        share_sigma = np.hypot(sigma["load"], sigma["motor"])
+        friction = np.maximum(value["friction"] + share * load, 0.0)
+        speed = rig.servos.no_load_speed
+        if speed is not None:
+            # Less resistance than its back-EMF: the servo is faster than its table says.
+            least = rig.torque / np.maximum(outer, 1e-6 * rig.torque)
+            speed = np.where(outer < rig.back_emf, least, np.asarray(speed))
+        servos = rig.servos.replace(
+            no_load_speed=speed,
+            kp=np.maximum(value["kp"], 0.05 * rig.kp),
+            friction=friction,
+            damping=np.maximum(outer - rig.back_emf, 0.0),
+            kv=kv,
+            kp_known=bool((sigma["kp"] < 0.1 * value["kp"]).all()),
+        )
+        errors = {
+            "kp": sigma["kp"],
+            "friction": np.hypot(sigma["friction"], share_sigma * load),
+            "load": share_sigma,
+            "damping": sigma["outer"],
+            "kv": np.sqrt(
+                sigma["total"] ** 2 + sigma["outer"] ** 2 + (value["kp"] * late.sigma) ** 2
+            ),
+        }
+        return cls(
+            servos=servos,
+            errors=errors,
+            load=np.where(share > 1e-6, share, 0.0),
+            delay=late.seconds,
+            delay_sigma=late.sigma,
+            payload=PayloadEstimate.of(solution),
+            spread=solution.spread,
+            joint_names=tuple(rig.model.joint_names),
+            believed=rig.servos,
+        )
+
+    def controller(self, model: Model, settings: Settings | None = None) -> Controller:
+        """A controller that believes all of this: servos, payload and delay."""
+        controller = pliant.Controller(model, settings, self.servos)
+        if self.payload.found:
+            controller.set_payload(self.payload.mass, self.payload.com)
+        controller.set_delay(self.delay)
+        return controller
+
+    def sentences(self) -> list[str]:
+        """One sentence per joint, then bus, payload, and what to be wary of."""
+        out = []
+        servos, old = self.servos, self.believed
+        n = len(self.joint_names)
+        were = [np.broadcast_to(np.asarray(x), n) for x in (old.kp, old.friction)]
+        for i, name in enumerate(self.joint_names):
+            kp, friction = float(servos.kp[i]), float(servos.friction[i])
+            text = (
+                f"{name}: k_p {kp:.3g} ± {2 * self.errors['kp'][i]:.2g} N·m/rad "
+                f"({kp / were[0][i]:.2f} × believed), "
+                f"friction {friction:.3g} ± {2 * self.errors['friction'][i]:.2g} N·m "
+                f"(believed {were[1][i]:.3g}), damping {servos.damping[i]:.3g} outside the limit "
+                f"and {servos.kv[i]:.2g} N·m·s/rad inside"
+            )
+            if self.load[i]:
+                text += f"; {100 * self.load[i]:.0f} % of the load adds to its friction"
+            out.append(text + ".")
+        out.append(
+            f"loop delay {1e3 * self.delay:.1f} ± {2e3 * self.delay_sigma:.1f} ms, from reading to "
+            "arrival of the goal."
+        )
+        out += self.payload.sentences()
+        unsure = self.errors["kp"] > 0.1 * np.asarray(servos.kp)
+        for name in np.asarray(self.joint_names)[unsure]:
+            out.append(
+                f"{name}: k_p is not known within 10 %; its load hardly changes "
+                "between these poses."
+            )
+        if self.spread > 2.0:
+            out.append(
+                f"residuals are {self.spread:.1f} × what friction and encoder explain: play, a "
+                "wrong mass in the model, or somebody touched the arm."
+            )
+        return out
+
+    def __str__(self) -> str:
+        return "\n".join(self.sentences())

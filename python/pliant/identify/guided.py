@@ -1,0 +1,217 @@
+"""Identification of an arm by itself: one guided call."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+from pliant.identify.delay import delay as fit_delay
+from pliant.identify.found import Identification
+from pliant.identify.poses import pose_list
+from pliant.identify.regress import Beliefs, Solution, solve
+from pliant.identify.rig import Rig
+from pliant.identify.seam import Procedure, drive
+from pliant.identify.slides import bare_gravity, payload_rows, slides
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Model, Servos
+    from pliant.identify.delay import Delay
+    from pliant.identify.rig import Record
+    from pliant.identify.seam import Arm, Steps, Tick
+
+    Array = NDArray[np.float64]
+
+#: Swing at slow pace, in multiples of friction over stiffness on top of the amplitude [1].
+BEYOND_FRICTION = 4.0
+#: Largest swing [rad], and how often it may grow to outlast more friction than believed.
+WIDEST, GROWTHS = 0.4, 2
+#: Periods [s] and numbers of swings: at every pose, and in two more paces at the first.
+SLOW, PACES = (2.6, 1.75), ((1.8, 2.25), (5.0, 1.25))
+#: The same for one joint driven by its limit.
+PUSHES = ((1.8, 2.25), (5.0, 1.25))
+#: Jumps of each joint's goal.
+JUMPS = 7
+
+
+def run(
+    arm: Arm,
+    model: Model,
+    servos: Servos | None = None,
+    *,
+    poses: int | ArrayLike = 5,
+    span: float = 0.1,
+    amplitude: float = 0.05,
+    rate: float | None = None,
+    loop: Iterable[Tick] | None = None,
+    **options: float,
+) -> Identification:
+    """Identify stiffness, friction, damping, payload and delay on the arm; about 1.5 minutes.
+
+    Swings all joints slowly at a few poses, then each joint by the torque of its limit, then lets
+    each goal jump. Nobody may touch the arm. Arguments as `identification`.
+
+    Args:
+        arm: The arm, at rest, simulated or connected and enabled.
+        model: Its description.
+        servos: What is believed of its servos; None for the model's.
+        poses: How many poses to choose within `span`, or postures (K, n) [rad].
+        span: How far chosen poses may be from the present one, per joint [rad].
+        amplitude: Swing about each pose [rad], before what friction takes.
+        rate: Control rate [Hz]; None for the arm's, or 100.
+        loop: Ticks of a loop of one's own; None for one at the right rate.
+        **options: As `identification`.
+
+    Raises:
+        LimitError: The motion would leave the position limits. Nothing is sent.
+        ServoError: A joint does not follow. The arm is left holding.
+    """
+    period = 1.0 / float(rate or getattr(arm, "rate", None) or 100.0)
+    procedure = identification(
+        model, servos, period=period, poses=poses, span=span, amplitude=amplitude, **options
+    )
+    return drive(arm, procedure, loop, rate=1.0 / period)
+
+
+def identification(
+    model: Model,
+    servos: Servos | None = None,
+    *,
+    period: float = 0.01,
+    poses: int | ArrayLike = 5,
+    span: float = 0.1,
+    amplitude: float = 0.05,
+    torque_share: float = 0.6,
+    limit_error: float = 0.05,
+) -> Procedure[Identification]:
+    """The procedure of `run`, for a loop of one's own.
+
+    Args:
+        model: Description of the arm.
+        servos: What is believed of its servos; None for the model's.
+        period: Control period [s].
+        poses: How many poses to choose within `span`, or postures (K, n) [rad].
+        span: How far chosen poses may be from the present one, per joint [rad].
+        amplitude: Swing about each pose [rad], before what friction takes.
+        torque_share: Torque allowed on top of gravity, as a share of the usable torque.
+        limit_error: Standard deviation of what a torque limit truly is, as a share.
+
+    Raises:
+        ConfigError: Nothing is believed of the servos. LimitError: A number out of range.
+    """
+    believed = servos if servos is not None else model.servos
+    if believed is None:
+        raise pliant.ConfigError(
+            "identification starts from a servo table: pass servos=pliant.Servos(kp=…, torque=…)"
+        )
+    rig = Rig(model, believed, period, torque_share=torque_share)
+    if not 0.01 <= amplitude <= 0.5:
+        raise pliant.LimitError(f"amplitude must be in [0.01, 0.5] rad, got {amplitude:g}")
+    return Procedure(lambda q: _identify(rig, q, poses, (span, amplitude, limit_error)))
+
+
+def swing(rig: Rig, amplitude: float) -> Array:
+    """Swing of each joint that outlasts its friction (n,) [rad]."""
+    return amplitude + BEYOND_FRICTION * rig.friction / rig.kp
+
+
+def wide_enough(rig: Rig, q: Array, amplitude: float) -> Steps[tuple[Array, Array]]:
+    """Swing near q, wider until every joint moves by the amplitude; the swing, and where it is.
+
+    A goal that turns around must first cross the friction of the joint, 2 f/k_p, before it moves.
+
+    Raises:
+        LimitError: The swing would leave the position limits.
+    """
+    start, size = q.copy(), swing(rig, amplitude)
+    for _ in range(GROWTHS + 1):
+        pose = rig.inside(start, size)
+        rig.begin()
+        q = yield from rig.travel(q, start, pose)
+        record = rig.begin()
+        q = yield from rig.sweep(q, pose, size, *SLOW)
+        moved = np.array(record.q)[-round(SLOW[0] / rig.period) :]
+        lack = amplitude - 0.5 * (moved.max(axis=0) - moved.min(axis=0))
+        rig.begin()
+        q = yield from rig.travel(q, pose, start)
+        if (lack < 0.3 * amplitude).all():
+            break
+        rig.records.remove(record)
+        size = np.minimum(size + 1.5 * np.maximum(lack, 0.0), WIDEST)
+    return size, q
+
+
+def statics(rig: Rig, q: Array, route: list[Array], size: Array) -> Steps[Array]:
+    """Swing slowly at each pose of the route, from its first to its last."""
+    at = route[0]
+    for pose in route:
+        rig.begin()
+        q = yield from rig.travel(q, at, pose)
+        rig.begin()
+        q = yield from rig.sweep(q, pose, size, *SLOW)
+        at = pose
+    return q
+
+
+def _identify(
+    rig: Rig, q: Array, poses: int | ArrayLike, numbers: tuple[float, float, float]
+) -> Steps[Identification]:
+    span, amplitude, limit_error = numbers
+    start = q
+    size, q = yield from wide_enough(rig, q, amplitude)
+    route = pose_list(rig, rig.inside(start, size), poses, span, size)
+    q = yield from rig.travel(q, start, route[-1])
+    q = yield from statics(rig, q, route[::-1], size)
+    home = route[0]
+    for seconds, turns in PACES:
+        rig.begin()
+        q = yield from rig.sweep(q, home, size, seconds, turns)
+    rig.begin()
+    q = yield from rig.travel(q, home, home)
+
+    first = _fit(rig, Beliefs(limit=limit_error))
+    table = rig.kp, rig.friction
+    rig.kp = np.clip(first.value["kp"], 0.3 * rig.kp, 3.0 * rig.kp)
+    rig.friction = np.maximum(first.value["friction"], 0.0)
+    rig.carried = held(rig, home, first) - np.asarray(rig.model.gravity(home))
+    for joint in range(rig.n):
+        for pace in PUSHES:
+            rig.begin(joint)
+            q = yield from rig.push(q, home, joint, float(size[joint]), pace)
+            rig.begin()
+            q = yield from rig.travel(q, home, home)
+    jumps = []
+    for joint in range(rig.n):
+        jumps.append(rig.begin())
+        q = yield from rig.steps(q, home, joint, float(size[joint]), JUMPS)
+    rig.kp, rig.friction = table
+    return conclude(rig, home, jumps, limit_error)
+
+
+def conclude(rig: Rig, home: Array, jumps: list[Record], limit_error: float) -> Identification:
+    """All fits over all records."""
+    free = _fit(rig, Beliefs(limit=limit_error, load=0.3))
+    by_load = free.value["load"] + free.value["motor"]
+    shown = by_load > 3.0 * np.hypot(free.sigma["load"], free.sigma["motor"])
+    solution = _fit(rig, Beliefs(limit=limit_error, load=np.where(shown, 0.3, 0.0)))
+    late: Delay = fit_delay(rig, jumps, solution, held(rig, home, solution))
+    return Identification.of(rig, home, solution, late)
+
+
+def held(rig: Rig, q: Array, solution: Solution) -> Array:
+    """Torques that hold the arm with the payload found (n,) [N·m]."""
+    return bare_gravity(rig.model, q) + payload_rows(rig.model, q) @ solution.payload
+
+
+def _fit(rig: Rig, beliefs: Beliefs) -> Solution:
+    rows = [slide for record in rig.records for slide in slides(rig, record)]
+    if not rows:
+        raise pliant.ServoError(
+            "no joint ever moved steadily: raise amplitude, or look whether the servos are enabled"
+        )
+    return solve(rig, rows, beliefs)

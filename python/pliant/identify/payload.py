@@ -1,0 +1,106 @@
+"""What the tool carries, from the leads that hold the arm in several poses."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+from pliant.identify.found import PayloadEstimate
+from pliant.identify.guided import statics, wide_enough
+from pliant.identify.poses import pose_list
+from pliant.identify.regress import Beliefs, solve
+from pliant.identify.rig import Rig
+from pliant.identify.seam import Procedure, drive
+from pliant.identify.slides import slides
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Controller
+    from pliant.identify.seam import Arm, Steps, Tick
+
+    Array = NDArray[np.float64]
+
+#: Standard deviation of a stiffness, as a share: where the table says it is known, and elsewhere.
+KNOWN, UNKNOWN = 0.05, 0.3
+
+
+def payload(
+    arm: Arm,
+    controller: Controller,
+    *,
+    poses: int | ArrayLike = 5,
+    span: float = 0.3,
+    amplitude: float = 0.05,
+    loop: Iterable[Tick] | None = None,
+) -> PayloadEstimate:
+    """Weigh what the tool carries, and tell the controller if there is something.
+
+    Every pose is approached from both sides by a slow swing, so that friction and delay cancel; a
+    few seconds per pose. Nobody may touch the arm.
+
+    Args:
+        arm: The arm, at rest; simulated or connected and enabled.
+        controller: Gets `set_payload` with what was found; its payload replaces that of the model.
+        poses: How many poses to choose within `span`, or postures (K, n) [rad].
+        span: How far chosen poses may be from the present one, per joint [rad].
+        amplitude: Swing about each pose [rad], before what friction takes.
+        loop: Ticks of a loop of one's own; None for one at the right rate.
+
+    Raises:
+        ConfigError: The controller has no servos.
+        LimitError: The motion would leave the position limits, or the servos cannot hold what was
+            found. ServoError: A joint does not follow; the arm is left holding.
+    """
+    return drive(
+        arm,
+        weighing(controller, poses=poses, span=span, amplitude=amplitude),
+        loop,
+        rate=controller.settings.rate,
+    )
+
+
+def weighing(
+    controller: Controller,
+    *,
+    poses: int | ArrayLike = 5,
+    span: float = 0.3,
+    amplitude: float = 0.05,
+) -> Procedure[PayloadEstimate]:
+    """The procedure of `payload`, for a loop of one's own."""
+    servos = controller.servos
+    if servos is None:
+        raise pliant.ConfigError(
+            "weighing needs to know the servos: Controller(model, settings, servos=…)"
+        )
+    rig = Rig(controller.model, servos, 1.0 / controller.settings.rate)
+    return Procedure(lambda q: _weigh(rig, controller, q, poses, (span, amplitude)))
+
+
+def _weigh(
+    rig: Rig,
+    controller: Controller,
+    q: Array,
+    poses: int | ArrayLike,
+    numbers: tuple[float, float],
+) -> Steps[PayloadEstimate]:
+    span, amplitude = numbers
+    start = q
+    size, q = yield from wide_enough(rig, q, amplitude)
+    route = pose_list(rig, rig.inside(start, size), poses, span, size)
+    rig.begin()
+    q = yield from rig.travel(q, start, route[-1])
+    q = yield from statics(rig, q, route[::-1], size)
+    rows = [slide for record in rig.records for slide in slides(rig, record)]
+    if not rows:
+        raise pliant.ServoError("no joint ever moved steadily: raise amplitude")
+    kp = KNOWN if rig.servos.kp_known else UNKNOWN
+    found = PayloadEstimate.of(solve(rig, rows, Beliefs(kp=kp)))
+    if found.found:
+        controller.set_payload(found.mass, found.com)
+    controller.reset(q)
+    return found

@@ -1,0 +1,107 @@
+"""Poses that tell stiffness, payload and friction apart, chosen near the present one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import ConfigError, ShapeError
+from pliant.identify.rig import ROOM
+from pliant.identify.slides import bare_gravity, payload_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant.identify.rig import Rig
+
+    Array = NDArray[np.float64]
+
+#: Candidates drawn, and the share of the usable torque that holding one of them may ask for.
+DRAWN, HOLDING = 200, 0.6
+#: How far the tool may come below where it stands at first [m].
+DROP = 0.05
+
+
+def pose_list(rig: Rig, q: Array, poses: int | ArrayLike, span: float, size: Array) -> list[Array]:
+    """The poses to visit, the present one first unless they are given.
+
+    Args:
+        rig: The arm.
+        q: Where it stands (n,) [rad].
+        poses: Postures (K, n) [rad], or how many to choose.
+        span: How far a joint may go from q for a chosen one [rad].
+        size: Swing about each pose (n,) [rad], inside the position limits.
+
+    Raises:
+        LimitError: A pose and its swing leave the position limits.
+        ShapeError: Postures of another length.
+        ConfigError: No pose at all.
+    """
+    if isinstance(poses, (int, np.integer)):
+        if poses < 1:
+            raise ConfigError(f"poses must be at least 1, got {poses}")
+        rig.check(q - size, q + size)
+        return choose(rig, q, int(poses), span, size)
+    given = np.atleast_2d(np.asarray(poses, dtype=np.float64))
+    if given.ndim != 2 or given.shape[1] != rig.n or not len(given):
+        raise ShapeError(f"poses have shape {given.shape}; expected (K, {rig.n})")
+    for pose in given:
+        rig.check(pose - size, pose + size)
+    return list(given)
+
+
+def choose(rig: Rig, q: Array, count: int, span: float, size: Array) -> list[Array]:
+    """`count` poses within ±span of q that together tell most, q first.
+
+    One by one, the candidate is added that raises the determinant of the information on stiffness
+    and payload most. Candidates that lower the tool by more than `DROP`, or ask for more than
+    `HOLDING` of a servo, are left out.
+    """
+    model, rng = rig.model, np.random.default_rng(0)
+    low = np.maximum(q - span, model.lower + ROOM + size)
+    high = np.minimum(q + span, model.upper - ROOM - size)
+    height = _height(rig, q)
+    candidates = [
+        pose
+        for pose in rng.uniform(np.minimum(low, q), np.maximum(high, q), (DRAWN, rig.n))
+        if _height(rig, pose) > height - DROP
+        and (np.abs(model.gravity(pose)) < HOLDING * rig.torque).all()
+    ]
+    chosen = [q]
+    information = np.eye(rig.n + 4) + _information(rig, q)
+    pieces = [_information(rig, pose) for pose in candidates]
+    for _ in range(min(count - 1, len(candidates))):
+        gains = [np.linalg.slogdet(information + piece)[1] for piece in pieces]
+        best = int(np.argmax(gains))
+        chosen.append(candidates[best])
+        information = information + pieces[best]
+    return _ordered(chosen)
+
+
+def _height(rig: Rig, q: Array) -> float:
+    """How far the tool is against gravity [m]."""
+    down = np.asarray(rig.model.gravity_vector)
+    size = float(np.linalg.norm(down))
+    tool = rig.model.forward_kinematics(q)[:3, 3]
+    return float(-tool @ down / size) if size > 0.0 else 0.0
+
+
+def _information(rig: Rig, q: Array) -> Array:
+    """Information of one pose on the shares of k_p (n) and φ in kg and 0.1 kg m (4)."""
+    gravity, rows = bare_gravity(rig.model, q), payload_rows(rig.model, q)
+    design = np.hstack([np.diag(gravity), -rows * np.array([1.0, 0.1, 0.1, 0.1])])
+    design /= (0.04 * rig.friction + 1e-3 * rig.torque)[:, None]
+    out: Array = design.T @ design
+    return out
+
+
+def _ordered(poses: Sequence[Array]) -> list[Array]:
+    """The same poses along a short way: always on to the nearest."""
+    rest, path = list(poses[1:]), [poses[0]]
+    while rest:
+        near = int(np.argmin([np.abs(pose - path[-1]).max() for pose in rest]))
+        path.append(rest.pop(near))
+    return path

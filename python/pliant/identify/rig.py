@@ -1,0 +1,278 @@
+"""Safe motions of an arm in joint space, and a record of what was sent and what came back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import ConfigError, LimitError, ServoError
+from pliant.identify.seam import Order
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Model, Servos
+
+    Array = NDArray[np.float64]
+    Moving = Generator[Order, Array, Array]
+
+#: Peak speed of a joint on its way from one pose to the next [rad/s].
+TRAVEL_SPEED = 0.4
+#: Share of a sweep's period in which it turns around.
+CORNER = 0.2
+#: Lag behind the plan at which something must be holding a joint [rad].
+HELD = 0.2
+#: Spring that keeps a joint driven by its limit near the plan, as a share of k_p.
+SPRING = 0.15
+#: How far at least its goal is ahead [rad].
+AHEAD = 0.05
+#: Time for a jump of the goal to die out [s].
+STEP_TIME = 0.5
+#: Room kept to the position limits [rad].
+ROOM = 0.02
+
+
+@dataclass
+class Record:
+    """Ticks of one motion.
+
+    The goal of row k was sent when q of row k had been read, so that it is in force until the next.
+
+    Attributes:
+        q: Positions read (N, n) [rad].
+        goal: Goals sent, on the grid of counts (N, n) [rad].
+        limit: Torque limits sent (N, n) [N·m].
+        speed: Speed that was meant (N, n) [rad/s].
+        driven: Joint that its limit drove, -1 where none was.
+    """
+
+    q: list[Array] = field(default_factory=list)
+    goal: list[Array] = field(default_factory=list)
+    limit: list[Array] = field(default_factory=list)
+    speed: list[Array] = field(default_factory=list)
+    driven: int = -1
+
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """Positions, goals, limits and speeds, (N, n) each."""
+        return np.array(self.q), np.array(self.goal), np.array(self.limit), np.array(self.speed)
+
+
+class Rig:
+    """An arm as its table has it, moved slowly and with bounded torque.
+
+    Args:
+        model: The arm.
+        servos: What is believed of its servos.
+        period: Control period [s].
+        torque_share: Torque allowed on top of gravity, as a share of the usable torque.
+        doubt: Factor by which a stiffness may be smaller than believed.
+
+    Attributes:
+        carried: Torque beside the model's that has been found to act at the pose (n,) [N·m].
+        records: What was done, motion by motion.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        servos: Servos,
+        period: float,
+        *,
+        torque_share: float = 0.6,
+        doubt: float = 1.3,
+    ) -> None:
+        if not 0.0 < torque_share <= 1.0:
+            raise LimitError(f"torque_share must be in (0, 1], got {torque_share:g}")
+        if not 1e-3 <= period <= 0.1:
+            raise LimitError(f"period must be in [0.001, 0.1] s, got {period:g}")
+        n = self.n = model.n
+        self.model, self.servos, self.period = model, servos, period
+        spread = [
+            np.broadcast_to(np.asarray(value), n).astype(np.float64)
+            for value in (
+                servos.kp,
+                servos.friction,
+                servos.torque,
+                servos.count,
+                servos.damping,
+                servos.kv,
+            )
+        ]
+        self.kp, self.friction, self.torque, self.count, self.damping, self.kv = spread
+        if servos.kind == "duty" and servos.no_load_speed is not None:
+            self.back_emf: Array = self.torque / np.asarray(servos.no_load_speed)
+        else:
+            self.back_emf = np.zeros(n)
+        self._share, self.doubt = torque_share, doubt
+        self._grid = np.where(self.count > 0.0, self.count, 1.0)
+        self.carried: Array = np.zeros(n)
+        self.records: list[Record] = []
+
+    def begin(self, driven: int = -1) -> Record:
+        """Start a record; everything sent from now on goes there."""
+        self.records.append(Record(driven=driven))
+        return self.records[-1]
+
+    def lead(self, q: ArrayLike) -> Array:
+        """How far goals must lead to carry the arm at q, as believed (n,) [rad]."""
+        return (np.asarray(self.model.gravity(q)) + self.carried) / self.kp
+
+    def limits(self, q: ArrayLike) -> Array:
+        """Torque limits that carry the arm at q and leave `torque_share` (n,) [N·m]."""
+        wanted = 1.3 * np.abs(self.model.gravity(q) + self.carried) + self._share * self.torque
+        out: Array = np.minimum(self.torque, wanted)
+        return out
+
+    def inside(self, q: Array, size: Array) -> Array:
+        """The pose nearest to q about which a swing of ±size fits into the position limits.
+
+        Raises:
+            LimitError: It fits nowhere.
+        """
+        room = ROOM + size
+        low, high = self.model.lower + room, self.model.upper - room
+        if (low > high).any():
+            middle = 0.5 * (np.asarray(self.model.lower) + self.model.upper)
+            self.check(middle - size, middle + size)
+        out: Array = np.clip(q, low, high)
+        return out
+
+    def check(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Refuse a range [rad] that comes too near to a position limit.
+
+        Raises:
+            LimitError: Names the joint, the range and its limits.
+        """
+        low, high = np.asarray(low), np.asarray(high)
+        bad = (low < self.model.lower + ROOM) | (high > self.model.upper - ROOM)
+        for i in np.flatnonzero(bad):
+            raise LimitError(
+                f"joint {self.model.joint_names[i]} would move in {low[i]:.3f}…{high[i]:.3f} rad; "
+                f"its limits are {self.model.lower[i]:.3f}…{self.model.upper[i]:.3f} rad, less "
+                f"{ROOM:g} rad: start farther inside or give other poses"
+            )
+
+    def send(self, q: Array, goal: Array, limit: Array, speed: Array) -> Moving:
+        """One tick: send, record, and return the next positions."""
+        goal = np.where(self.count > 0.0, np.round(goal / self._grid) * self._grid, goal)
+        record = self.records[-1]
+        for rows, value in (
+            (record.q, q),
+            (record.goal, goal),
+            (record.limit, limit),
+            (record.speed, speed),
+        ):
+            rows.append(value)
+        return (yield Order(goal, limit))
+
+    def follow(self, q: Array, path: Array, speed: Array) -> Moving:
+        """Go along positions (N, n) [rad] with planned speeds (N, n) [rad/s]."""
+        for planned, rate in zip(path, speed, strict=True):
+            late = np.abs(planned - q)
+            worst = int(np.argmax(late - self.slack))
+            if late[worst] > self.slack[worst] + HELD:
+                yield from self.hold(q)
+                raise ServoError(
+                    f"joint {self.model.joint_names[worst]} stays {late[worst]:.2f} rad behind: "
+                    "something holds it, or its servo is much weaker than its table"
+                )
+            q = yield from self.send(q, planned + self.lead(planned), self.limits(planned), rate)
+        return q
+
+    def hold(self, q: Array) -> Moving:
+        """Stay where the arm is."""
+        return (yield from self.send(q, q + self.lead(q), self.limits(q), np.zeros(self.n)))
+
+    @property
+    def slack(self) -> Array:
+        """Lag that friction and gravity errors may cause (n,) [rad]."""
+        return (8.0 * self.friction + 0.5 * self.torque) / self.kp
+
+    def travel(self, q: Array, start: Array, end: Array) -> Moving:
+        """Go from a planned pose to another one and come to rest."""
+        seconds = max(0.5 * np.pi * np.abs(end - start).max() / TRAVEL_SPEED, self.period)
+        count = max(int(np.ceil(seconds / self.period)), 1)
+        phase = np.arange(1, count + 1) / count
+        share = 0.5 - 0.5 * np.cos(np.pi * phase)
+        path = start + share[:, None] * (end - start)
+        rest = np.repeat(end[None], round(0.4 / self.period), axis=0)
+        path = np.concatenate([path, rest])
+        return (yield from self.follow(q, path, np.zeros_like(path)))
+
+    def sweep(self, q: Array, pose: Array, size: Array, seconds: float, turns: float) -> Moving:
+        """Swing all joints about a pose by ±size (n,) [rad] with constant speed between turns."""
+        time = np.arange(1, round(turns * seconds / self.period) + 1) * self.period
+        wave, slope = triangle(time / seconds)
+        path = pose + wave[:, None] * size
+        return (yield from self.follow(q, path, slope[:, None] * size / seconds))
+
+    def push(
+        self, q: Array, pose: Array, joint: int, size: float, pace: tuple[float, float]
+    ) -> Moving:
+        """Swing one joint by the torque of its limit alone; the others hold the pose.
+
+        The goal stays far ahead, so that the servo gives exactly its limit: gravity, friction and
+        damping as believed, and a soft spring toward the plan that makes up for wrong beliefs. The
+        pace is a period [s] and a number of swings.
+        """
+        seconds, turns = pace
+        time = np.arange(1, round(turns * seconds / self.period) + 1) * self.period
+        wave, slope = triangle(time / seconds)
+        spring = SPRING * self.kp[joint]
+        viscous = self.damping[joint] + self.back_emf[joint]
+        most = self.limits(pose)[joint]
+        for w, rate in zip(wave, slope * size / seconds, strict=True):
+            planned = pose[joint] + w * size
+            if abs(pose[joint] - q[joint]) > size + HELD:
+                yield from self.hold(q)
+                raise ServoError(
+                    f"joint {self.model.joint_names[joint]} has left its range of ±{size:.2f} rad "
+                    f"by {abs(pose[joint] - q[joint]) - size:.2f} rad: something pushes it, or its "
+                    "load is far from what the swings have told"
+                )
+            torque = float(self.model.gravity(q)[joint] + self.carried[joint])
+            torque += np.tanh(rate / 0.02) * self.friction[joint] + viscous * rate
+            torque += spring * (planned - q[joint])
+            torque = min(max(torque, -most), most)
+            goal, limit = pose + self.lead(pose), self.limits(pose)
+            goal[joint] = q[joint] + np.sign(torque) * (4.0 * abs(torque) / self.kp[joint] + AHEAD)
+            limit[joint] = abs(torque)
+            speed = np.zeros(self.n)
+            speed[joint] = rate
+            q = yield from self.send(q, goal, limit, speed)
+        return q
+
+    def steps(self, q: Array, pose: Array, joint: int, size: float, count: int) -> Moving:
+        """Let the goal of one joint jump to and fro, `count` times, with time to settle."""
+        rest = round(STEP_TIME / self.period)
+        for k in range(count):
+            target = pose.copy()
+            target[joint] += (0.5 - (k + 1) % 2) * 2.0 * size if k < count - 1 else 0.0
+            for _ in range(rest):
+                q = yield from self.send(
+                    q, target + self.lead(pose), self.limits(pose), np.zeros(self.n)
+                )
+        return q
+
+
+def triangle(phase: ArrayLike) -> tuple[Array, Array]:
+    """A triangle wave of period 1 with rounded corners, and its slope, from 0 upward.
+
+    The speed is constant but for `CORNER` of the period around each turn.
+    """
+    phase = np.asarray(phase, dtype=np.float64)
+    grid = np.linspace(0.0, 1.0, 2001)
+    distance = np.abs((grid - 0.25 + 0.25) % 0.5 - 0.25)  # to the next turn, in periods
+    speed = np.clip(distance / (0.5 * CORNER), 0.0, 1.0)
+    sign = np.where((grid > 0.25) & (grid < 0.75), -1.0, 1.0)
+    slope = sign * speed
+    wave = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(grid))])
+    top = wave.max()
+    if top <= 0.0:
+        raise ConfigError("a triangle needs a phase")
+    cycle = phase % 1.0
+    return np.interp(cycle, grid, wave / top), np.interp(cycle, grid, slope / top)

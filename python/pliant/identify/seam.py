@@ -1,0 +1,179 @@
+"""Where a procedure meets an arm: positions in, goals and torque limits out, one tick at a time.
+
+A procedure is a generator, made for the first positions, that yields what to send and receives the
+next positions. `Procedure` turns it into `step(q) -> Order`, which any loop can call; `drive` runs
+it to its end on a connected arm or on a simulated one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from pliant import ConfigError, ServoError, ShapeError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Order:
+    """What the servos get in one tick; named like the fields of `pliant.Command`.
+
+    Attributes:
+        goal: Joint goals (n,) [rad].
+        torque_limit: Torque limits (n,) [N·m].
+    """
+
+    goal: NDArray[np.float64]
+    torque_limit: NDArray[np.float64]
+
+
+#: A generator that yields orders, receives positions (n,), and returns its result.
+Steps = Generator[Order, "NDArray[np.float64]", T]
+
+
+class Arm(Protocol):
+    """What a procedure needs of an arm, simulated or real."""
+
+    def read(self) -> Any:
+        """Return a state with positions `q` (n,)."""
+
+    def write(self, goal: Any, limit: Any) -> None:
+        """Send goals [rad] and torque limits [N·m]."""
+
+
+class Tick(Protocol):
+    """One turn of a loop that waits by itself."""
+
+    @property
+    def q(self) -> Array:
+        """Positions (n,) [rad]."""
+
+    def write(self, command: Order) -> Any:
+        """Send an order."""
+
+
+class Procedure(Generic[T]):
+    """A guided procedure, run from the inside of any loop.
+
+    Args:
+        start: Makes the generator for the first positions (n,) [rad].
+
+    Attributes:
+        done: Whether it has ended; the last order then goes on holding the arm.
+
+    Example:
+        >>> for tick in pliant.Loop(arm, controller):
+        ...     tick.write(procedure.step(tick.q))
+        ...     if procedure.done:
+        ...         break
+        >>> procedure.result
+    """
+
+    def __init__(self, start: Callable[[Array], Steps[T]]) -> None:
+        self._start = start
+        self._steps: Steps[T] | None = None
+        self._order: Order | None = None
+        self._result: list[T] = []
+        self.done = False
+
+    def step(self, q: ArrayLike) -> Order:
+        """Return what to send for the positions q (n,) [rad]; the last order once done.
+
+        Raises:
+            ShapeError, ServoError: q cannot be used; the procedure's own finding. It has then put
+                back what it had changed.
+        """
+        q = np.array(q, dtype=np.float64)
+        if q.ndim != 1 or not np.isfinite(q).all():
+            raise ShapeError(f"q must be n finite positions [rad], got {q!r}")
+        try:
+            if self._steps is None:
+                self._steps = self._start(q)
+                self._order = next(self._steps)
+            elif not self.done:
+                self._order = self._steps.send(q)
+        except StopIteration as end:
+            self.done = True
+            self._result = [end.value]
+        if self._order is None:
+            raise ServoError("the procedure ended before it gave an order")
+        return self._order
+
+    def close(self) -> None:
+        """End it early: whatever it had changed is put back."""
+        if self._steps is not None:
+            self._steps.close()
+        self.done = True
+
+    @property
+    def result(self) -> T:
+        """What it found.
+
+        Raises:
+            ConfigError: It has not ended yet.
+        """
+        if not self._result:
+            raise ConfigError("this procedure has no result yet: call step(q) until it is done")
+        return self._result[0]
+
+
+def drive(
+    arm: Arm,
+    procedure: Procedure[T],
+    loop: Iterable[Tick] | None = None,
+    *,
+    rate: float | None = None,
+) -> T:
+    """Run a procedure to its end and return what it found.
+
+    Args:
+        arm: Anything with `read` and `write`.
+        procedure: What to do.
+        loop: Ticks that wait by themselves; None: an arm with `advance()`, as the simulated one, is
+            advanced, any other runs in a `pliant.Loop`.
+        rate: Of that loop [Hz]; None for the arm's.
+
+    Raises:
+        ServoError: The loop ended first. Also whatever the procedure or the loop raises.
+    """
+    try:
+        for tick in _ticks(arm, rate) if loop is None else loop:
+            order = procedure.step(tick.q)
+            tick.write(order)
+            if procedure.done:
+                return procedure.result
+    finally:
+        procedure.close()
+    raise ServoError("the loop ended before the procedure did")
+
+
+@dataclass(frozen=True)
+class _Turn:
+    q: NDArray[np.float64]
+    arm: Arm
+
+    def write(self, command: Order) -> None:
+        self.arm.write(command.goal, command.torque_limit)
+
+
+def _ticks(arm: Any, rate: float | None) -> Iterator[Tick]:
+    """Ticks of an arm whose time passes in `advance()`, or by itself."""
+    if hasattr(arm, "advance"):
+        while True:
+            yield _Turn(np.asarray(arm.read().q), arm)
+            arm.advance()
+    else:
+        from pliant.loop import Loop
+
+        yield from Loop(arm, rate=rate)

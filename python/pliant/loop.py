@@ -1,0 +1,263 @@
+"""The control loop: absolute deadlines, honest times, and no lunge after a silence."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from pliant import ConfigError, ServoError, ServoFault, ServoTimeout
+from pliant.arm.lateness import Lateness
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from numpy.typing import NDArray
+
+    from pliant.arm import Arm, State
+
+    Array = NDArray[np.float64]
+
+#: After a gap this long between two steps a controller starts anew from where the arm is [s].
+RESTART = 0.25
+#: A command made from positions older than this many periods, and this long [s], is not sent.
+STALE_PERIODS, STALE = 5.0, 0.1
+#: Slew of a step that lets a controller's first goal carry the weight [s].
+PRIME = 0.1
+#: Ticks over which the delay is averaged, and the change that is passed on [s], [1].
+AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
+
+
+class Commanded(Protocol):
+    """What a controller hands to the servos."""
+
+    @property
+    def goal(self) -> Array:
+        """Joint goals (n,) [rad]."""
+
+    @property
+    def torque_limit(self) -> Array:
+        """Torque limits (n,) [N·m]."""
+
+
+class Tick:
+    """One turn of the loop.
+
+    Attributes:
+        q: Joint positions (n,) [rad], new in this tick.
+        dt: Time since the positions of the last tick were sampled [s].
+        state: All that was read.
+        time: When the tick began, on the arm's clock [s].
+        index: Count of ticks before it.
+    """
+
+    __slots__ = ("_loop", "answered", "dt", "index", "q", "state", "time")
+
+    def __init__(self, loop: Loop, state: State, dt: float, time: float, index: int) -> None:
+        """Made by `Loop`."""
+        self._loop, self.state, self.q, self.dt = loop, state, state.q, dt
+        self.time, self.index, self.answered = time, index, False
+
+    def write(
+        self, command: Commanded, extra: Mapping[str, tuple[float, float]] | None = None
+    ) -> bool:
+        """Send a command; goal and limits stay as they are where it cannot be sent.
+
+        A command that is not finite, or made from positions of more than five periods ago, is
+        counted and not sent.
+
+        Args:
+            command: Goals and limits; a `pliant.Command`.
+            extra: Goal [rad] and limit [N·m] of joints off the chain by name.
+
+        Returns:
+            Whether it was sent.
+
+        Raises:
+            ShapeError, ConfigError, LimitError: A command of another arm, or a negative limit.
+            ServoError: Torque is off, or the connection is gone.
+        """
+        self.answered = self._loop._write(self, command, extra)
+        return self.answered
+
+    def hold(self) -> None:
+        """Keep goal and limits on purpose, for as long as it is said at every tick."""
+        self.answered = True
+
+
+class Loop:
+    """Turns of a control loop over an enabled arm.
+
+    A tick is given out only with new positions of all joints. Goals and limits stay as they are
+    while positions do not arrive, while commands are missing or not finite, and while the program
+    does not come back; after `arm.hold_for` of that the loop raises, and the arm's `with` lowers
+    it. A controller that had to wait more than 0.25 s is reset to where the arm is, and limits rise
+    again within 0.5 s. The program must leave the loop for the arm to be lowered: one that never
+    comes back leaves the servos with their last goal and limit.
+
+    Args:
+        arm: The arm, enabled.
+        controller: What makes the commands; its delay is set from measurements, and it is reset
+            when it must start anew. None: nothing to set or reset.
+        rate: Ticks per second [Hz]; None: the controller's, or the arm's.
+        duration: Ends the loop [s]; None: never.
+        stall: Longest time that one turn of the program may take [s]; None: `arm.hold_for`.
+
+    Attributes:
+        period: [s].
+        lateness: Histogram of how late ticks began.
+        missed: Deadlines that were skipped because a turn took too long.
+        stale: Ticks without new positions of all joints.
+        refused: Commands that were not sent.
+        restarts: How often the controller started anew.
+        delay: Measured, from positions to the arrival of the goal [s].
+
+    Raises:
+        ConfigError: The rate does not fit.
+        ServoTimeout: While looping: positions, commands or the program did not come.
+        ServoFault: While looping: a servo reports a fault, or is too hot.
+
+    Example:
+        >>> with pliant.connect("sim:arm7") as arm:
+        ...     ctl = pliant.Controller(arm.model, settings, arm.servos)
+        ...     for tick in pliant.Loop(arm, ctl, rate=100.0):
+        ...         tick.write(ctl.step(tick.q, target, dt=tick.dt))
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        controller: Any | None = None,
+        *,
+        rate: float | None = None,
+        duration: float | None = None,
+        stall: float | None = None,
+    ) -> None:
+        """Check that it can run."""
+        wanted = getattr(getattr(controller, "settings", None), "rate", arm.rate)
+        rate = float(wanted if rate is None else rate)
+        if not 0.0 < rate < math.inf:
+            raise ConfigError(f"rate must be above 0 Hz, got {rate!r}")
+        self.period = 1.0 / rate
+        grain = getattr(arm.clock, "period", None)
+        if grain is not None and not _divides(grain, self.period):
+            raise ConfigError(
+                f"the simulated arm runs at {1.0 / grain:g} Hz and cannot run {rate:g} "
+                f"ticks per second: connect(..., rate={rate:g})"
+            )
+        self._arm, self._controller, self._duration = arm, controller, duration
+        self._stall = arm.hold_for if stall is None else float(stall)
+        self.lateness = Lateness()
+        self.missed = self.stale = self.refused = self.restarts = 0
+        self.delay: float | None = None
+        self._told: float | None = None
+        self._delays: list[float] = []
+
+    def __iter__(self) -> Iterator[Tick]:
+        """Wait, read, give out a tick; again."""
+        arm, clock = self._arm, self._arm.clock
+        if not arm.enabled:
+            raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
+        begin = deadline = clock.now()
+        last: float | None = None
+        commanded, index = begin, 0
+        while self._duration is None or deadline - begin < self._duration - 1e-9:
+            clock.wait_until(deadline)
+            now = clock.now()
+            self.lateness.add(now - deadline)
+            state = arm.read()
+            if state.faults:
+                raise ServoFault("; ".join(state.faults))
+            if state.fresh:
+                if last is None or state.time - last > RESTART:
+                    self._restart(state.q, first=last is None)
+                    last = None
+                dt = self.period if last is None else max(state.time - last, 0.1 * self.period)
+                last = state.time
+                tick = Tick(self, state, dt, now, index)
+                yield tick
+                index += 1
+                done = clock.now()
+                if done - now > self._stall:
+                    raise ServoTimeout(
+                        f"the program did not come back for {done - now:.2f} s (stall allows "
+                        f"{self._stall:g} s); the servos held meanwhile"
+                    )
+                commanded = now if tick.answered else commanded
+                if now - commanded > arm.hold_for:
+                    raise ServoTimeout(
+                        f"no command could be sent for {now - commanded:.2f} s: every tick needs "
+                        "tick.write(command) with finite numbers, or tick.hold()"
+                    )
+            else:
+                self.stale += 1
+                self._wait_no_longer_than(state, arm.hold_for)
+                commanded = now
+            deadline += self.period
+            late = clock.now() - deadline
+            if late > 0.0:
+                skipped = math.ceil(late / self.period - 1e-9)
+                self.missed += skipped
+                deadline += skipped * self.period
+
+    def _wait_no_longer_than(self, state: State, most: float) -> None:
+        """Raise where positions have not come for too long."""
+        if state.age.max() > most:
+            names = [
+                name
+                for name, age in zip(self._arm.model.joint_names, state.age, strict=True)
+                if age > most
+            ]
+            joints = "any joint" if len(names) == state.q.size else ", ".join(names)
+            raise ServoTimeout(
+                f"no position of {joints} for {state.age.max():.2f} s: look at the cable to it, at "
+                "those before it, and at its power"
+            )
+
+    def _restart(self, q: Array, *, first: bool) -> None:
+        """Let the controller begin at q (n,) [rad], and its first goal carry the weight."""
+        controller = self._controller
+        if not first:
+            self.restarts += 1
+            self._arm.ease()
+        if controller is None:
+            return
+        controller.reset(q)
+        if hasattr(controller, "model"):
+            # Goals slew from q: one long step in place takes up the weight before anything is sent.
+            controller.step(q, controller.model.forward_kinematics(q), dt=PRIME)
+
+    def _write(
+        self, tick: Tick, command: Commanded, extra: Mapping[str, tuple[float, float]] | None
+    ) -> bool:
+        """Send a command, or count it."""
+        clock = self._arm.clock
+        goal, limit = np.asarray(command.goal), np.asarray(command.torque_limit)
+        old = clock.now() - tick.time > max(STALE_PERIODS * self.period, STALE)
+        if old or not (np.isfinite(goal).all() and np.isfinite(limit).all()):
+            self.refused += 1
+            return False
+        self._arm.write(goal, limit, extra)
+        self._measure(clock.now() - tick.state.time)
+        return True
+
+    def _measure(self, delay: float) -> None:
+        """Average the delay; tell the controller when it has changed."""
+        self._delays.append(delay + getattr(self._arm.drive, "latency", 0.0))
+        if len(self._delays) < AVERAGE:
+            return
+        self.delay = float(np.median(self._delays))
+        self._delays.clear()
+        told = self._told
+        if told is None or abs(self.delay - told) > max(CHANGE, CHANGE_SHARE * told):
+            self._told = self.delay
+            tell = getattr(self._controller, "set_delay", None)
+            if tell is not None:
+                tell(self.delay)
+
+
+def _divides(grain: float, period: float) -> bool:
+    """Whether a period is a whole number of grains."""
+    ratio = period / grain
+    return ratio > 0.5 and abs(ratio - round(ratio)) < 1e-6

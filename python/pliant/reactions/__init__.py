@@ -1,0 +1,47 @@
+"""What an arm does when it is touched: conditions over measures, and actions that follow.
+
+    >>> from pliant.reactions import Deviation, Force, Reaction, Retract, Watch
+    >>> bumped = Force("z", above=9.0).lasting(0.05) & ~Deviation("xy", above=0.02)
+    >>> watch = Watch(controller, [Reaction(bumped, Retract(0.05))])
+    >>> for tick in loop:
+    ...     command = controller.step(tick.q, watch.update(tick.q, target))
+
+`update` comes before the step of its tick: it returns the target that the step shall have.
+"""
+
+from pliant.reactions.actions import Action, Call, Follow, Hold, Retract, Running, Stop, Yield
+from pliant.reactions.conditions import (
+    Condition,
+    Deviation,
+    Elapsed,
+    Evidence,
+    Force,
+    Saturated,
+    Speed,
+    Touched,
+)
+from pliant.reactions.moment import Moment
+from pliant.reactions.watch import Noted, Reaction, Watch
+
+__all__ = [
+    "Action",
+    "Call",
+    "Condition",
+    "Deviation",
+    "Elapsed",
+    "Evidence",
+    "Follow",
+    "Force",
+    "Hold",
+    "Moment",
+    "Noted",
+    "Reaction",
+    "Retract",
+    "Running",
+    "Saturated",
+    "Speed",
+    "Stop",
+    "Touched",
+    "Watch",
+    "Yield",
+]

@@ -1,0 +1,94 @@
+"""One tick as conditions and actions see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One tick.
+
+    Attributes:
+        controller: Whose arm it is.
+        time: Since the watch began [s].
+        dt: Since the last tick [s].
+        q: Measured joint positions (n,) [rad].
+        tool: Measured pose of the tool (4, 4).
+        wanted: Pose (4, 4) that the caller wants.
+        felt: What pushes at the tool; None where no condition asks for it.
+        guard: Share of the uncertainty that a force must exceed to count.
+    """
+
+    controller: pliant.Controller
+    time: float
+    dt: float
+    q: Array
+    tool: Array
+    wanted: Array
+    felt: pliant.WrenchEstimate | None
+    guard: float = 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the task's axes."""
+        return self.controller.settings.task.names
+
+    @property
+    def deviation(self) -> Array:
+        """Target minus actual (k,) [m, rad] at the last step, task frame."""
+        return self.controller.deviation
+
+    @property
+    def speed(self) -> Array:
+        """Velocity of the tool (k,) [m/s, rad/s] along the task's axes."""
+        velocity = self.controller.velocity if self.felt is None else self.felt.velocity
+        moved: Array = self.controller.task_jacobian @ velocity
+        return moved
+
+    def force(self) -> pliant.WrenchEstimate:
+        """What pushes at the tool.
+
+        Raises:
+            ConfigError: The watch does not feel.
+        """
+        if self.felt is None:
+            raise pliant.ConfigError("this watch feels no force: give it contact=Contact(...)")
+        return self.felt
+
+    @property
+    def base_from_task(self) -> Array:
+        """Axes of the task (3, 3) as columns, in the base."""
+        frame = self.controller.settings.task.frame
+        if isinstance(frame, str):
+            return self.tool[:3, :3] if frame == "tool" else np.eye(3)
+        return frame
+
+
+def indices(axes: str, names: Sequence[str] = AXES) -> tuple[int, ...]:
+    """Places of an axis key's axes among `names`.
+
+    Raises:
+        ConfigError: The key is not understood, or an axis is not among the names.
+    """
+    wanted = pliant.Task(axes).names
+    absent = [name for name in wanted if name not in names]
+    if absent:
+        raise pliant.ConfigError(
+            f"axes {', '.join(absent)} are not of this task; it has {' '.join(names)}"
+        )
+    return tuple(list(names).index(name) for name in wanted)

@@ -1,0 +1,295 @@
+"""The watch: judges all reactions once per tick and puts at most one in force."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+import pliant
+from pliant.reactions.actions import Action, Running, Stop
+from pliant.reactions.conditions import Condition, Judge
+from pliant.reactions.moment import Moment
+from pliant.reactions.poses import toward
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """When something holds, do something.
+
+    Attributes:
+        when: Condition; begins the actions when it begins to hold.
+        then: One action or several, in the order in which they change the target.
+        until: Ends them; by default they end when the condition has not held for `clear`, and
+            `Retract` and `Stop` only by `Watch.resume()`.
+        clear: See `until` [s].
+    """
+
+    when: Condition
+    then: Action | Sequence[Action]
+    until: Condition | None = None
+    clear: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Check the parts once."""
+        if not self.actions or not all(isinstance(one, Action) for one in self.actions):
+            raise pliant.ConfigError("Reaction.then is an action, or several in a list")
+        if self.until is not None and any(isinstance(one, Stop) for one in self.actions):
+            raise pliant.ConfigError("a Stop ends by Watch.resume() alone; use Hold with until")
+        if not (np.isfinite(self.clear) and self.clear >= 0.0):
+            raise pliant.ConfigError(f"Reaction.clear must be at least 0 s, got {self.clear!r}")
+
+    @property
+    def actions(self) -> tuple[Action, ...]:
+        """The actions."""
+        return (self.then,) if isinstance(self.then, Action) else tuple(self.then)
+
+    @property
+    def momentary(self) -> bool:
+        """Whether nothing stays in force."""
+        return all(one.momentary for one in self.actions)
+
+    @property
+    def feels(self) -> bool:
+        """Whether a part of it asks for a force."""
+        ends = self.until is not None and self.until.feels
+        return self.when.feels or ends or any(action.feels for action in self.actions)
+
+
+@dataclass(frozen=True)
+class Noted:
+    """A line of the watch's log.
+
+    Attributes:
+        time: Since the watch began [s].
+        what: `began`, `ended` or `called`.
+        reaction: Which.
+        felt: What pushed at the tool then.
+    """
+
+    time: float
+    what: Literal["began", "ended", "called"]
+    reaction: Reaction
+    felt: pliant.WrenchEstimate | None
+
+
+class _InForce:
+    """A reaction in force."""
+
+    def __init__(self, index: int, reaction: Reaction, now: Moment) -> None:
+        self.index, self.reaction = index, reaction
+        self._running: list[Running] = [action.begin(now) for action in reaction.actions]
+        self._latched = any(action.latched for action in reaction.actions)
+        self._until = None if reaction.until is None else reaction.until.judge()
+        self._quiet = 0.0
+
+    def target(self, now: Moment) -> Array:
+        """The caller's target, changed by one action after the other."""
+        pose = now.wanted
+        for running in self._running:
+            pose = running.target(now, pose)
+        return pose
+
+    def over(self, now: Moment, holds: bool) -> bool:
+        """Whether it ends with this tick."""
+        if self._until is not None:
+            return self._until(now)
+        if self._latched:
+            return False
+        said = [answer for one in self._running if (answer := one.over(now)) is not None]
+        if said:
+            return all(said)
+        self._quiet = 0.0 if holds else self._quiet + now.dt
+        return self._quiet > self.reaction.clear
+
+    def end(self, now: Moment) -> None:
+        """Undo, last action first."""
+        for running in reversed(self._running):
+            running.end(now)
+
+
+class Watch:
+    """Reactions of one controller; `update` once per tick, before its `step`.
+
+    The first reaction in the list matters most: it takes over from later ones. A reaction begins
+    when its condition begins to hold, and again only after the condition has not held. After the
+    end of one the target goes back to the caller's at `resume_speed`, never at once.
+
+    Args:
+        controller: Whose target and settings are changed.
+        reactions: In order of importance.
+        contact: What feels; None: one with its defaults, where a reaction asks for a force.
+        resume_speed: How fast the target goes back [m/s], [rad/s].
+
+    Attributes:
+        log: The last thousand beginnings, ends and calls.
+
+    Raises:
+        LimitError: A threshold below the uncertainty.
+        ConfigError: Axes or joints that are not there, settings that do not go together.
+    """
+
+    def __init__(
+        self,
+        controller: pliant.Controller,
+        reactions: Sequence[Reaction],
+        *,
+        contact: pliant.Contact | None = None,
+        resume_speed: tuple[float, float] = (0.1, 0.5),
+    ) -> None:
+        self.controller, self.reactions = controller, tuple(reactions)
+        if contact is None and any(reaction.feels for reaction in self.reactions):
+            contact = pliant.Contact(controller)
+        if contact is not None and contact.controller is not controller:
+            raise pliant.ConfigError("contact is another controller's: make it of this one")
+        if not (min(resume_speed) > 0.0 and np.isfinite(resume_speed).all()):
+            raise pliant.ConfigError(f"resume_speed is two numbers > 0, got {resume_speed!r}")
+        self.contact, self._resume_speed = contact, resume_speed
+        for reaction in self.reactions:
+            reaction.when.check(contact, controller)
+            if reaction.until is not None:
+                reaction.until.check(contact, controller)
+            for action in reaction.actions:
+                action.check(controller)
+        self.log: deque[Noted] = deque(maxlen=1000)
+        self._in_force: _InForce | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew: no reaction in force, times at zero; a tare of the contact stays.
+
+        Call it with the controller's `reset`. Settings that a `Yield` had changed stay changed:
+        call `resume` and `update` before, or `controller.update`.
+        """
+        self._judges: list[Judge] = [reaction.when.judge() for reaction in self.reactions]
+        self._armed = [True] * len(self.reactions)
+        self._in_force, self._resuming, self._ending = None, False, False
+        self._out: Array | None = None
+        self._time = -1.0
+        self.log.clear()
+        if self.contact is not None:
+            self.contact.reset()
+
+    @property
+    def active(self) -> Reaction | None:
+        """The reaction in force."""
+        return None if self._in_force is None else self._in_force.reaction
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a `Stop` is in force."""
+        active = self.active
+        return active is not None and any(isinstance(one, Stop) for one in active.actions)
+
+    @property
+    def resuming(self) -> bool:
+        """Whether the target is on its way back to the caller's."""
+        return self._resuming
+
+    @property
+    def felt(self) -> pliant.WrenchEstimate | None:
+        """What pushed at the tool at the last tick; None where nothing is felt."""
+        return None if self.contact is None else self.contact.estimate
+
+    def resume(self) -> None:
+        """End the reaction in force with the next update."""
+        self._ending = self._in_force is not None
+
+    def update(
+        self,
+        q: ArrayLike,
+        target: Any,
+        *,
+        dt: float | None = None,
+        load: ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        sent: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> Any:
+        """Judge one tick.
+
+        Args:
+            q: Measured joint positions (n,) [rad].
+            target: As `Controller.step` takes it.
+            dt: Since the last tick [s]; None: 1 / settings.rate.
+            load: As `Contact.update` takes it.
+            current: As `Contact.update` takes it.
+            sent: As `Contact.update` takes it.
+
+        Returns:
+            The target for the step: the caller's own object while nothing is in force.
+
+        Raises:
+            ShapeError, LimitError, ConfigError: An input that cannot be used; nothing has changed.
+            Exception: What a called function raises.
+        """
+        now = self._look(q, target, dt, load, current, sent)
+        holds = [judge(now) for judge in self._judges]
+        self._finish(now, holds)
+        self._start(now, holds)
+        if self._in_force is not None:
+            self._out = self._in_force.target(now)
+            return self._out
+        if self._resuming and self._out is not None:
+            way, angle = (speed * now.dt for speed in self._resume_speed)
+            self._out = toward(self._out, now.wanted, way, angle)
+            self._resuming = self._out is not now.wanted
+            return self._out if self._resuming else target
+        return target
+
+    def _look(self, q: Any, target: Any, dt: float | None, *measured: Any) -> Moment:
+        """What this tick is like."""
+        controller = self.controller
+        wanted = pliant.as_pose(target).matrix
+        tool = controller.model.forward_kinematics(q)
+        felt, guard = None, 1.0
+        if self.contact is not None:
+            load, current, sent = measured
+            felt = self.contact.update(q, dt=dt, load=load, current=current, sent=sent)
+            guard = self.contact.guard
+        step = 1.0 / controller.settings.rate if dt is None else dt
+        self._time = 0.0 if self._time < 0.0 else self._time + step
+        reading = np.asarray(q, dtype=np.float64)
+        return Moment(controller, self._time, step, reading, tool, wanted, felt, guard)
+
+    def _finish(self, now: Moment, holds: list[bool]) -> None:
+        """End the reaction in force where it is over."""
+        running = self._in_force
+        if running is not None and (self._ending or running.over(now, holds[running.index])):
+            self._end(now, running)
+            self._resuming = True
+        self._ending = False
+
+    def _start(self, now: Moment, holds: list[bool]) -> None:
+        """Begin what begins to hold."""
+        for index, reaction in enumerate(self.reactions):
+            if not holds[index]:
+                self._armed[index] = True
+            elif self._armed[index] and reaction.momentary:
+                self._armed[index] = False
+                self.log.append(Noted(now.time, "called", reaction, now.felt))
+                for action in reaction.actions:
+                    action.begin(now)
+            elif self._armed[index] and (self._in_force is None or index < self._in_force.index):
+                self._armed[index] = False
+                if self._in_force is not None:
+                    self._end(now, self._in_force)
+                self._in_force = _InForce(index, reaction, now)
+                self._resuming = False
+                self.log.append(Noted(now.time, "began", reaction, now.felt))
+
+    def _end(self, now: Moment, running: _InForce) -> None:
+        self._in_force = None
+        running.end(now)
+        self.log.append(Noted(now.time, "ended", running.reaction, now.felt))
+
+    def __repr__(self) -> str:
+        active = "nothing in force" if self.active is None else f"in force: {self.active!r}"
+        return f"<Watch: {len(self.reactions)} reactions, {active}>"

@@ -1,0 +1,33 @@
+"""Servo buses: tables, units, transport, guard, and all servos of an arm as one chain.
+
+Needs the extra ``servo`` only where a serial port is opened.
+"""
+
+from __future__ import annotations
+
+from pliant.arm.drive import Health, Sample
+from pliant.servo.chain import ServoChain
+from pliant.servo.models import ServoModel, find, names
+from pliant.servo.spec import ServoSpec
+from pliant.servo.table import servos_of
+from pliant.servo.transport import BusError, RustypotTransport, Transport, serial_ports
+from pliant.servo.units import Units
+from pliant.servo.wire import wire_bytes, wire_time
+
+__all__ = [
+    "BusError",
+    "Health",
+    "RustypotTransport",
+    "Sample",
+    "ServoChain",
+    "ServoModel",
+    "ServoSpec",
+    "Transport",
+    "Units",
+    "find",
+    "names",
+    "serial_ports",
+    "servos_of",
+    "wire_bytes",
+    "wire_time",
+]

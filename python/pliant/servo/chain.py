@@ -1,0 +1,397 @@
+"""All servos of an arm, on one port or several, in SI units."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import ConfigError, ServoError, ShapeError
+from pliant.arm.drive import Clock, Health, Sample
+from pliant.servo import enable as enabling
+from pliant.servo.device import Device
+from pliant.servo.identify import Found, identify
+from pliant.servo.port import Port
+from pliant.servo.rota import Rota
+from pliant.servo.sample import align_twins, gather
+from pliant.servo.spec import ServoSpec, check_specs
+from pliant.servo.table import servos
+from pliant.servo.transport import BusError, RustypotTransport
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Servos
+    from pliant.servo.guard import Counters
+    from pliant.servo.models.row import Protocol as Wire
+    from pliant.servo.transport import Transport
+
+    Array = NDArray[np.float64]
+
+#: A reading may take this many periods, or patiences, before nothing is tried again.
+BUDGET = 3.0
+
+
+class ServoChain:
+    """Reads and writes all servos of an arm: goals in rad, torque limits in N·m.
+
+    It knows units and its bus, and nothing of kinematics, gravity or policy. Limits are clamped to
+    what each servo says it takes, goals to the joint's range; goals go to enabled joints only;
+    EEPROM is never written.
+
+    Args:
+        specs: One per joint, grippers included; vectors have their order.
+        baudrate: Bits per second, for all ports or by port.
+        rate: Control rate [Hz], from which timeouts and the time for retries follow.
+        patience: Least time to wait for an answer [s]; more on a computer that is busy elsewhere.
+        speed: Fastest motion of every joint [rad/s] as the servo's own cap; None for the no-load
+            speed.
+        transport: ``(port, baudrate, protocol) -> Transport`` instead of rustypot.
+        clock: The time that samples carry, and an arm over this chain lives in; default the
+            machine's.
+
+    Attributes:
+        names: Joint names.
+        specs: The joints.
+        found: How the servos introduced themselves at open.
+
+    Raises:
+        ConfigError: The specs contradict each other.
+
+    Example:
+        >>> chain = ServoChain([ServoSpec(name="pan", model="STS3215-7.4V", id=1, port="COM3")])
+        >>> chain.open()
+        >>> chain.enable(chain.read().position, [0.5])
+        >>> chain.write([0.1], [0.5])
+    """
+
+    def __init__(
+        self,
+        specs: Iterable[ServoSpec],
+        *,
+        baudrate: int | Mapping[str, int] = 1_000_000,
+        rate: float = 100.0,
+        patience: float = 0.010,
+        speed: float | None = None,
+        transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
+        clock: Clock | None = None,
+    ) -> None:
+        """Check the specs; nothing is opened yet."""
+        self.specs = check_specs(specs)
+        self.names = tuple(spec.name for spec in self.specs)
+        self.n = len(self.specs)
+        if not rate > 0.0:
+            raise ConfigError(f"rate must be above 0 Hz, got {rate!r}")
+        ports = dict.fromkeys(spec.port for spec in self.specs)
+        rates = dict.fromkeys(ports, baudrate) if isinstance(baudrate, int) else dict(baudrate)
+        if missing := ports.keys() - rates.keys():
+            raise ConfigError(f"no baud rate for {', '.join(sorted(missing))}")
+        self._baudrate, self._cycle, self._speed = rates, 1.0 / rate, speed
+        self._patience = float(patience)
+        self._budget = max(BUDGET * self._cycle, BUDGET * self._patience)
+        self._transport, self.clock = transport, clock
+        self._start()
+        self._port_of: dict[int, Port] = {}
+        self._ports: list[Port] = []
+        self._pool: ThreadPoolExecutor | None = None
+        self._watchdog = 0.0
+        self.found: tuple[Found, ...] = ()
+
+    # Opening and closing.
+
+    def open(self) -> None:
+        """Open the ports, identify every servo, and read all joints once.
+
+        Raises:
+            ServoError: What is wrong, and what to do; the ports are closed again.
+        """
+        if self._ports:
+            return
+        self._start()
+        try:
+            for path in dict.fromkeys(spec.port for spec in self.specs):
+                self._open_port(path)
+            self.found = self.identify()
+            if len(self._ports) > 1:
+                self._pool = ThreadPoolExecutor(len(self._ports), "pliant-bus")
+            self._first_look()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Let go of the ports; the servos keep their last goal and limit."""
+        for port in self._ports:
+            port.close()
+        self._ports, self._port_of = [], {}
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def __enter__(self) -> ServoChain:
+        """Open."""
+        self.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close; torque stays as it is."""
+        self.close()
+
+    def identify(self) -> tuple[Found, ...]:
+        """Read who is there, check it, and take over ceilings, limits and gains.
+
+        Raises:
+            ServoError: A servo is missing, another one, or not fit to be driven.
+        """
+        self._check_open()
+        wrong: list[str] = []
+        found: list[Found] = []
+        for port in self._ports:
+            try:
+                found += identify(port)
+            except ServoError as error:
+                wrong.append(str(error))
+        if wrong:
+            raise ServoError("\n".join(wrong))
+        order = {name: i for i, name in enumerate(self.names)}
+        return tuple(sorted(found, key=lambda f: order[f.joint]))
+
+    # What the servos are.
+
+    @property
+    def servos(self) -> Servos:
+        """The servos as a controller takes them: gains as read, torque at the ceilings as read."""
+        first = [joint[0] for joint in self._joints]
+        ceilings = [min(device.ceiling for device in joint) for joint in self._joints]
+        return servos([d.units for d in first], [d.gain for d in first], ceilings)
+
+    @property
+    def overload(self) -> Array:
+        """Share of the usable torque above which a servo protects itself (n,), ∞ where it does not.
+
+        On Feetech the Overload Torque as read, of the full torque.
+        """
+        shares = []
+        for first, *_ in self._joints:
+            share = float("inf") if first.overload is None else first.overload
+            shares.append(share * first.units.full / max(first.ceiling, 1))
+        return np.array(shares)
+
+    @property
+    def stall_current(self) -> Array:
+        """Current at the stall torque (n,) [A], NaN where the maker gives none."""
+        return np.array([s.row.stall_current * len(s.servos) for s in self.specs])
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """What has happened since open, all ports together.
+
+        As `pliant.servo.guard.Counters`, and `mismatches`: limits that read back other than
+        written.
+        """
+        total = {"mismatches": sum(device.mismatches for device in self._devices)}
+        for counters in self._counters:
+            for name, value in asdict(counters).items():
+                total[name] = total.get(name, 0) + value
+        return total
+
+    @property
+    def enabled(self) -> NDArray[np.bool_]:
+        """Which joints have torque on: enabled here, or found so at open (n,)."""
+        return np.array([all(d.enabled or d.torque_on for d in joint) for joint in self._joints])
+
+    # The cycle.
+
+    def read(self) -> Sample:
+        """Read all joints; who did not answer is not ok and keeps its last position.
+
+        Raises:
+            ServoError: A port is gone.
+        """
+        self._check_open()
+        budget = self._budget
+        if self._pool is None:
+            taken = [port.read(budget) for port in self._ports]
+        else:
+            taken = list(self._pool.map(lambda port: port.read(budget), self._ports))
+        answered = {
+            (port.path, number)
+            for port, ids in zip(self._ports, taken, strict=True)
+            for number in ids
+        }
+        return gather(self._joints, answered)
+
+    def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
+        """Send goal and limit of all enabled joints, in one packet per port and kind of servo.
+
+        Args:
+            goal: Joint goals (n,) [rad]; clamped to the joint's range.
+            limit: Torque limits (n,) [N·m], at least 0; rounded down to the register, clamped to
+                the servo's ceiling.
+            velocity: Fastest motion (n,) [rad/s] > 0, as the servo's own cap; default the chain's.
+
+        Raises:
+            ShapeError, ConfigError: A vector is not (n,), not finite or negative. Nothing is sent.
+            ServoError: A port is gone. A packet that is lost otherwise is counted, and the goal
+                and limit before it stay in force.
+        """
+        self._check_open()
+        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit")
+        if np.any(limit < 0.0):
+            i = int(np.argmin(limit))
+            raise ConfigError(f"limit of {self.names[i]} is {limit[i]:g} N·m, at least 0 is needed")
+        cap = self._cap(velocity)
+        packets: dict[int, list[tuple[Device, int, int, int]]] = {}
+        for i, joint in enumerate(self._joints):
+            for device in joint:
+                if device.enabled:
+                    packets.setdefault(id(self._port_of[id(device)]), []).append(
+                        (
+                            device,
+                            device.goal_counts(goal[i]),
+                            device.limit_register(limit[i]),
+                            device.units.speed_register(cap[i]),
+                        )
+                    )
+        for port in self._ports:
+            if id(port) in packets:
+                try:
+                    port.write(packets[id(port)])
+                except BusError as error:
+                    if error.reason == "gone":
+                        raise
+                    # Counted; what was written last stays in force.
+
+    def slow(self) -> Health | None:
+        """One step of the rota: voltage, temperature, faults and limit of one joint.
+
+        Call it once per cycle, after `read` and `write`.
+
+        Raises:
+            ServoError: A port is gone.
+        """
+        self._check_open()
+        return self._rota.step(self._port_of)
+
+    # Torque on and off.
+
+    def enable(self, goal: ArrayLike, limit: ArrayLike) -> None:
+        """Switch torque on: limit, then goal = present position, then torque, then a look.
+
+        A joint whose torque is on already is taken over without switching it off, with `goal`.
+
+        Args:
+            goal: Where the joints are believed to be (n,) [rad].
+            limit: Torque limits to start with (n,) [N·m].
+
+        Raises:
+            ShapeError, ConfigError: As `write`.
+            ServoError: A servo has a fault, a joint is elsewhere than `goal` says, moved or did not
+                obey. Torque is then as it was before.
+        """
+        self._check_open()
+        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit")
+        if np.any(limit < 0.0):
+            raise ConfigError(f"limit must be at least 0 N·m, got {limit.min():g}")
+        cap = self._cap(None)
+        enabling.enable(self._devices, self._port_of, goal, limit, cap)
+        if self._watchdog:
+            self.watchdog(self._watchdog)
+
+    def disable(self, names: Sequence[str] | None = None) -> None:
+        """Switch torque off, of all joints by default; all are tried even where one fails.
+
+        Raises:
+            ServoError: Who did not confirm.
+        """
+        self._check_open()
+        enabling.disable(self._chosen(names), self._port_of)
+
+    def reboot(self, name: str) -> None:
+        """Restart the servos of a joint, which clears latched faults; its torque is then off.
+
+        Raises:
+            ServoError: Its family cannot, or it did not come back.
+        """
+        self._check_open()
+        enabling.reboot(self._chosen([name]), self._port_of)
+
+    def watchdog(self, seconds: float) -> None:
+        """Let servos that can (Protocol 2.0) stop by themselves after this silence; 0 for never.
+
+        Raises:
+            ServoError: A servo did not confirm.
+        """
+        self._check_open()
+        self._watchdog = seconds
+        enabling.watchdog(self._devices, self._port_of, seconds)
+
+    # Inside.
+
+    def _start(self) -> None:
+        """Know nothing of the servos yet."""
+        #: The servos of each joint, the first one first.
+        self._joints = [
+            [Device(spec, i, number, sign) for number, sign in spec.servos]
+            for i, spec in enumerate(self.specs)
+        ]
+        self._devices = [device for joint in self._joints for device in joint]
+        self._rota = Rota(self._joints)
+        self._counters: list[Counters] = []
+
+    def _open_port(self, path: str) -> None:
+        devices = [device for device in self._devices if device.spec.port == path]
+        port = Port(
+            path,
+            devices,
+            baudrate=self._baudrate[path],
+            cycle=self._cycle,
+            patience=self._patience,
+            open_transport=self._transport,
+            clock=time.perf_counter if self.clock is None else self.clock.now,
+        )
+        self._ports.append(port)
+        self._counters.append(port.guard.counters)
+        self._port_of.update({id(device): port for device in devices})
+
+    def _first_look(self) -> None:
+        """Read all joints once; twins take their zero from the first servo of their joint."""
+        for device in self._devices:
+            port = self._port_of[id(device)]
+            port.guard.begin()
+            device.accept(port.guard.read_in_turn(device.id, device.family.read))
+        align_twins(self._joints)
+
+    def _cap(self, velocity: ArrayLike | None) -> Array:
+        if velocity is None:
+            speeds = [joint[0].units.no_load_speed for joint in self._joints]
+            return np.array(speeds if self._speed is None else [self._speed] * self.n)
+        cap = self._vector(velocity, "velocity")
+        if np.any(cap < 0.0):
+            raise ConfigError(f"velocity must be at least 0 rad/s, got {cap.min():g}")
+        return cap
+
+    def _chosen(self, names: Sequence[str] | None) -> list[Device]:
+        if names is None:
+            return self._devices
+        unknown = [name for name in names if name not in self.names]
+        if unknown:
+            raise ConfigError(f"no joint {unknown[0]!r}; there are: {', '.join(self.names)}")
+        return [device for device in self._devices if device.spec.name in names]
+
+    def _vector(self, value: ArrayLike, name: str) -> Array:
+        array = np.array(value, dtype=np.float64)
+        if array.shape != (self.n,):
+            raise ShapeError(f"{name} has shape {array.shape}, expected ({self.n},)")
+        if not np.isfinite(array).all():
+            raise ConfigError(f"{name} is not finite: {array.tolist()}")
+        return array
+
+    def _check_open(self) -> None:
+        if not self._ports:
+            raise ServoError("the chain is not open: call open() first")

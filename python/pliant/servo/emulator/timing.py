@@ -1,0 +1,59 @@
+"""When bytes reach the host: the wire, the servos' delays, the USB adapter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pliant import ConfigError
+
+#: Payload of one packet of a full-speed FTDI adapter [bytes].
+USB_PACKET = 62
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """What takes time; by default nothing does.
+
+    Attributes:
+        wire: Whether bytes take ten bits each at the port's speed, and servos their return delay.
+        turnaround: A servo's own pause before it answers, beyond its return delay [s].
+        usb_latency: Latency timer of the adapter [s]: a short answer waits for it. An FTDI adapter
+            has 0.016 unless told 0.001; 0 is an adapter without one.
+    """
+
+    wire: bool = False
+    turnaround: float = 30e-6
+    usb_latency: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        for name in ("turnaround", "usb_latency"):
+            value = getattr(self, name)
+            if not 0.0 <= value < 1.0:
+                raise ConfigError(f"Timing.{name} must be in [0, 1) s, got {value!r}")
+
+    @property
+    def off(self) -> bool:
+        """Whether nothing takes time."""
+        return not self.wire and self.usb_latency == 0.0
+
+    def span(self, length: int, baud: int) -> float:
+        """Return how long so many bytes take on the wire [s]."""
+        return 10.0 * length / baud if self.wire else 0.0
+
+    def deliveries(self, packets: list[tuple[float, float, bytes]]) -> list[tuple[float, bytes]]:
+        """Turn (first byte, last byte, bytes) on the wire into (time, bytes) at the host."""
+        if self.usb_latency == 0.0:
+            return [(end, data) for _, end, data in packets]
+        arrivals = [
+            (begin + (end - begin) * (k + 1) / len(data), byte)
+            for begin, end, data in packets
+            for k, byte in enumerate(data)
+        ]
+        out: list[tuple[float, bytes]] = []
+        for start in range(0, len(arrivals), USB_PACKET):
+            part = arrivals[start : start + USB_PACKET]
+            full = len(part) == USB_PACKET
+            when = part[-1][0] if full else max(part[-1][0], part[0][0] + self.usb_latency)
+            out.append((when, bytes(byte for _, byte in part)))
+        return out

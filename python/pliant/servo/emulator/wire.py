@@ -1,0 +1,154 @@
+"""Packets on the wire: checksum, CRC, byte stuffing, and the cutting of a byte stream into frames.
+
+Written from the makers' protocol pages and shared with no driver, so that it can judge one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Protocol = Literal[1, 2]
+
+BROADCAST = 0xFE
+STATUS = 0x55
+HEADER_1 = b"\xff\xff"
+HEADER_2 = b"\xff\xff\xfd\x00"
+#: Longest frame of Protocol 2.0 that a servo takes [bytes after the length field].
+LONGEST = 2048
+
+_POLYNOMIAL = 0x8005
+
+
+def _crc_row(byte: int) -> int:
+    crc = byte << 8
+    for _ in range(8):
+        crc = (crc << 1) ^ (_POLYNOMIAL if crc & 0x8000 else 0)
+    return crc & 0xFFFF
+
+
+_CRC_TABLE = [_crc_row(byte) for byte in range(256)]
+
+
+def crc16(data: bytes, crc: int = 0) -> int:
+    """CRC-16 of Protocol 2.0: polynomial 0x8005, start 0, no reflection.
+
+    Args:
+        data: The bytes.
+        crc: Value to continue from.
+
+    Returns:
+        The remainder, 16 bits.
+    """
+    for byte in data:
+        crc = ((crc << 8) & 0xFF00) ^ _CRC_TABLE[(crc >> 8) ^ byte]
+    return crc
+
+
+def checksum(body: bytes) -> int:
+    """Checksum of Protocol 1.0 and Feetech: the inverted low byte of the sum, from id on."""
+    return ~sum(body) & 0xFF
+
+
+def stuff(body: bytes) -> bytes:
+    """Add the byte that keeps the header pattern out of instruction and parameters."""
+    return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+
+
+def unstuff(body: bytes) -> bytes:
+    """Take out what `stuff` added."""
+    return body.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+
+
+def packet_1(id: int, code: int, params: bytes = b"") -> bytes:
+    """Return a packet of Protocol 1.0 or Feetech; `code` is the instruction or the error byte."""
+    body = bytes((id, len(params) + 2, code)) + params
+    return HEADER_1 + body + bytes((checksum(body),))
+
+
+def packet_2(id: int, instruction: int, params: bytes = b"") -> bytes:
+    """Return a packet of Protocol 2.0, stuffed."""
+    body = stuff(bytes((instruction,)) + params)
+    head = HEADER_2 + bytes((id,)) + (len(body) + 2).to_bytes(2, "little") + body
+    return head + crc16(head).to_bytes(2, "little")
+
+
+def status_2(id: int, error: int, data: bytes = b"") -> bytes:
+    """Return a status packet of Protocol 2.0."""
+    return packet_2(id, STATUS, bytes((error,)) + data)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One packet from the host.
+
+    Attributes:
+        protocol: 1 (Dynamixel 1.0 and Feetech) or 2.
+        id: Whom it is for.
+        instruction: The instruction byte.
+        params: Parameters, unstuffed.
+        ok: Whether checksum or CRC fit.
+        raw: All bytes of it.
+    """
+
+    protocol: Protocol
+    id: int
+    instruction: int
+    params: bytes
+    ok: bool
+    raw: bytes
+
+
+class Framer:
+    """Cuts what arrives into frames; bytes that belong to none are dropped, as a servo does."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def reset(self) -> None:
+        """Forget an unfinished frame."""
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Return the frames completed by these bytes."""
+        buffer, at = self._rest + data, 0
+        frames: list[Frame] = []
+        while True:
+            at = buffer.find(HEADER_1, at)
+            if at < 0:
+                self._rest = buffer[-1:] if buffer.endswith(b"\xff") else b""
+                return frames
+            if buffer.startswith(b"\xff\xff\xff", at):
+                at += 1
+                continue
+            length = self._length(buffer, at)
+            if length is None or at + length > len(buffer):
+                self._rest = buffer[at:]
+                return frames
+            if length == 0:
+                at += 1
+                continue
+            frames.append(_frame(buffer[at : at + length]))
+            at += length
+
+    @staticmethod
+    def _length(buffer: bytes, at: int) -> int | None:
+        """Bytes of the frame that starts here; None when too little has come, 0 for no frame."""
+        have = len(buffer) - at
+        if have < 4:
+            return None
+        if buffer[at + 2] == 0xFD:
+            if buffer[at + 3] != 0x00:
+                return 0
+            if have < 7:
+                return None
+            length = int.from_bytes(buffer[at + 5 : at + 7], "little")
+            return 7 + length if 3 <= length <= LONGEST else 0
+        return 4 + buffer[at + 3] if buffer[at + 3] >= 2 else 0
+
+
+def _frame(raw: bytes) -> Frame:
+    if raw.startswith(HEADER_2):
+        ok = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
+        return Frame(2, raw[4], raw[7], unstuff(raw[7:-2])[1:], ok, raw)
+    return Frame(1, raw[2], raw[4], raw[5:-1], checksum(raw[2:-1]) == raw[-1], raw)

@@ -1,0 +1,264 @@
+"""What is asked of every servo at open, before anything is sent that could move it.
+
+Everything here reads. What it finds wrong it says with the remedy; only `pliant setup` writes
+EEPROM.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from pliant import ServoError
+from pliant.servo import status as words
+from pliant.servo.models import by_number
+from pliant.servo.transport import BusError
+from pliant.servo.wire import TURN
+
+if TYPE_CHECKING:
+    from pliant.servo.device import Device
+    from pliant.servo.guard import Guard, Reply
+    from pliant.servo.port import Port
+
+#: Ids that are tried when one is missing, to say what is there instead.
+NEARBY = 20
+OVERLOAD_BIT = 5
+SPEED_UNIT_BIT = 2  # of Feetech's Phase: set for 1 step/s
+
+
+@dataclass(frozen=True)
+class Found:
+    """A servo as it introduced itself.
+
+    Attributes:
+        joint: Joint name.
+        id: Id on the bus.
+        model: Model by the table.
+        firmware: Firmware number; Feetech's as major + 256 · minor.
+        voltage: Supply voltage [V].
+        temperature: [°C].
+        return_delay: Return delay [s].
+        torque_on: Whether its torque was on already.
+        notes: What is not wrong but worth knowing, in sentences with the remedy.
+    """
+
+    joint: str
+    id: int
+    model: str
+    firmware: int
+    voltage: float
+    temperature: float
+    return_delay: float
+    torque_on: bool
+    notes: tuple[str, ...] = ()
+
+
+class Image:
+    """Registers of one servo as read at one time.
+
+    Attributes:
+        replies: The answers they came in.
+    """
+
+    def __init__(self, device: Device, *replies: Reply) -> None:
+        """Keep the blocks."""
+        self._family, self.replies = device.family, replies
+
+    @property
+    def time(self) -> float:
+        """When the first block was asked for [s]."""
+        return self.replies[0].time
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._family.registers
+
+    def __getitem__(self, name: str) -> int:
+        """Value of a field by name."""
+        address = self._family.registers[name].address
+        for reply in self.replies:
+            if reply.block.address <= address < reply.block.address + reply.block.size:
+                return self._family.decode(reply.block, reply.data, name)
+        raise KeyError(name)
+
+
+def read_image(guard: Guard, device: Device, *names: str) -> Image:
+    """Read registers of a servo by name, all by default.
+
+    Raises:
+        BusError: It did not answer.
+    """
+    blocks = device.family.blocks(*names)
+    return Image(device, *(guard.read(device.id, block) for block in blocks))
+
+
+def identify(port: Port) -> tuple[Found, ...]:
+    """Read every servo of a port, check it, and take over what its registers say.
+
+    Raises:
+        ServoError: A servo is missing or another one, is set up in a way that cannot be driven, or
+            its supply does not fit. All that is wrong is said at once.
+    """
+    port.guard.begin()
+    port.guard.find_absent({device.id for device in port.devices}, port.highest)
+    images: list[tuple[Device, Image]] = []
+    missing: list[Device] = []
+    wrong: list[str] = []
+    for device in port.devices:
+        try:
+            image = read_image(port.guard, device)
+        except BusError as error:
+            if error.reason == "gone":
+                raise
+            if error.reason == "timeout":
+                missing.append(device)
+            else:
+                wrong.append(
+                    f"{device.name}: {error}. Two servos on one id look like this: connect them "
+                    "one by one and give each its own id with `pliant setup`"
+                )
+            continue
+        images.append((device, image))
+    if missing:
+        wrong.insert(0, _missing(port, missing))
+    found = []
+    for device, image in images:
+        faults = _check(device, image)
+        wrong += [f"{device.name} (id {device.id} on {port.path}): {text}" for text in faults]
+        if not faults:
+            try:
+                found.append(_take(device, image))
+            except ServoError as error:
+                wrong.append(str(error))
+    if wrong:
+        raise ServoError("\n".join(wrong))
+    port.guard.turn = TURN + max(one.return_delay for one in found)
+    if port.latency is not None and port.latency > 0.001:
+        note = (
+            f"the latency timer of {port.path} is {port.latency * 1e3:.0f} ms, which every answer "
+            "waits for: set it to 1 ms (docs/troubleshooting.md)"
+        )
+        found = [replace(one, notes=(*one.notes, note)) for one in found]
+    return tuple(found)
+
+
+def _missing(port: Port, missing: list[Device]) -> str:
+    """Who does not answer, and who does."""
+    expected = {device.id for device in port.devices}
+    gone = {device.id for device in missing}
+    nearby = [i for i in range(NEARBY + 1) if i not in expected and port.guard.ping(i)]
+    names = ", ".join(f"{device.name} (id {device.id})" for device in missing)
+    answering = sorted(expected - gone | set(nearby))
+    if not answering:
+        return (
+            f"no servo answers on {port.path}: is the servos' power on, is it the right port, and "
+            "is the baud rate theirs? `pliant scan` tries all of them"
+        )
+    return (
+        f"no answer on {port.path} from {names}; ids that answer: "
+        f"{', '.join(map(str, answering))}. The servos behind a loose plug are silent too; an id "
+        "that should not be there is one to be set with `pliant setup`"
+    )
+
+
+def _check(device: Device, image: Image) -> list[str]:
+    """Everything about one servo that forbids to drive it."""
+    row = device.row
+    number = image["model"]
+    if number != row.number:
+        known = by_number(number)
+        said = " or ".join(r.name for r in known) if known else f"model number {number}"
+        return [f"it is {said}, the configuration says {row.name} ({row.number})"]
+    wrong = _check_mode(device, image)
+    if image["return_level"] < (1 if device.family.status == "feetech" else 2):
+        wrong.append("it does not acknowledge writes; set its Status Return Level with setup")
+    volts = image["voltage"] / 10.0
+    low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
+    low, high = max(low, row.voltage[0] - 0.5), min(high, row.voltage[1] + 0.5)
+    if not low <= volts <= high:
+        wrong.append(
+            f"its supply is {volts:.1f} V and {row.name} takes {low:g} to {high:g} V: wrong "
+            "supply, or another variant than the configuration says"
+        )
+    return wrong
+
+
+def _check_mode(device: Device, image: Image) -> list[str]:
+    """Operating and drive modes that cannot be driven."""
+    wrong = []
+    family = device.family
+    if family.status == "p2":
+        modes = (5,) if device.row.kind == "current" else (3, 4)
+        if image["mode"] not in modes:
+            wrong.append(
+                f"operating mode {image['mode']}, needed is {' or '.join(map(str, modes))}: "
+                "`pliant setup` changes it"
+            )
+        for bit, text in (
+            (1, "follows another servo"),
+            (2, "has a time-based profile"),
+            (3, "switches its torque on by a goal"),
+        ):
+            if image["drive_mode"] & 1 << bit:
+                wrong.append(f"its Drive Mode {text} (bit {bit}): clear it with `pliant setup`")
+        shadow = image["shadow_id"]
+        if shadow <= 252:
+            wrong.append(
+                f"it obeys id {shadow} as well (Secondary ID): clear that with `pliant setup` and "
+                "name it as the joint's twin"
+            )
+    elif family.status == "feetech":
+        if image["mode"] != 0:
+            wrong.append(f"operating mode {image['mode']}, needed is 0: `pliant setup` changes it")
+    else:
+        if image["position_min"] == image["position_max"]:
+            wrong.append(
+                "its angle limits are equal, which is wheel or multi-turn mode: set them with "
+                "`pliant setup`"
+            )
+        if "drive_mode" in image and image["drive_mode"] & 2:
+            wrong.append("it is the slave of a dual joint: make it a twin, with `pliant setup`")
+    return wrong
+
+
+def _take(device: Device, image: Image) -> Found:
+    """Take over ceilings, limits and gain, and say what is worth knowing."""
+    row, family = device.row, device.family
+    device.ceiling = min(image[family.ceiling], device.units.full)
+    device.gain = image["gain"]
+    device.torque_on = bool(image["torque_enable"])
+    device.set_voltage(image["voltage"] / 10.0)
+    device.temperature = float(image["temperature"])
+    device.multi_turn = family.multi_turn or (family.status == "p2" and image["mode"] == 4)
+    low, high = image["position_min"], image["position_max"]
+    own = not device.multi_turn and low < high
+    device.low, device.high = (low, high) if own else (0, row.counts)
+    device.set_range()
+    if "overload_torque" in image:
+        device.overload = image["overload_torque"] / 100.0
+    if "hardware_error" in image:
+        device.hardware = words.hardware(image["hardware_error"])
+    notes = []
+    if family.status != "feetech" and image["shutdown"] & 1 << OVERLOAD_BIT:
+        notes.append(
+            "it shuts off on overload, and a compliant arm sits at its limit by design: "
+            "`pliant setup` offers to clear bit 5 of Shutdown"
+        )
+    if "phase" in image and not image["phase"] & 1 << SPEED_UNIT_BIT:
+        notes.append("its speed registers count in 50 steps/s (Phase, bit 2): speed caps are void")
+    delay = image["return_delay"] * 2e-6
+    if delay > 20e-6 and family.status != "feetech":
+        notes.append(f"it waits {delay * 1e6:.0f} µs before each answer; `pliant setup` sets 0")
+    if device.ceiling < device.units.full and family.status != "p2":
+        share = device.ceiling / device.units.full
+        notes.append(f"its Max Torque is set to {share:.0%}, which is the ceiling of its limits")
+    return Found(
+        device.spec.name,
+        device.id,
+        row.name,
+        image["firmware"],
+        device.voltage or 0.0,
+        device.temperature,
+        delay,
+        device.torque_on,
+        tuple(notes),
+    )

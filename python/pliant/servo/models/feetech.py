@@ -1,0 +1,131 @@
+"""Feetech STS3215 in its variants.
+
+Memory table: Feetech's sheet as huggingface/lerobot quotes it. Duty per radian: oscilloscope,
+Rhoban/bam (7.4 V variant). Stall torque and speed of the 1:191 and 1:147 gears are those of 1:345
+scaled by the ratio. All variants answer with the same model number: which one it is, the user says.
+"""
+
+from __future__ import annotations
+
+from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel
+
+STS = Family(
+    name="STS3215",
+    protocol="p1",
+    status="feetech",
+    registers={
+        "firmware": Register(0, 2),
+        "model": Register(3, 2),
+        "id": Register(5, 1),
+        "baud": Register(6, 1),
+        "return_delay": Register(7, 1),
+        "return_level": Register(8, 1),
+        "position_min": Register(9, 2),
+        "position_max": Register(11, 2),
+        "temperature_limit": Register(13, 1),
+        "voltage_max": Register(14, 1),
+        "voltage_min": Register(15, 1),
+        "max_torque": Register(16, 2),
+        "phase": Register(18, 1),
+        "shutdown": Register(19, 1),
+        "gain": Register(21, 1),
+        "mode": Register(33, 1),
+        "protective_torque": Register(34, 1),
+        "protection_time": Register(35, 1),
+        "overload_torque": Register(36, 1),
+        "torque_enable": Register(40, 1),
+        "lock": Register(55, 1),
+        "goal": Register(42, 2, "bit15"),
+        "goal_time": Register(44, 2),
+        "speed_cap": Register(46, 2, "bit15"),
+        "limit": Register(48, 2),
+        "position": Register(56, 2, "bit15"),
+        "speed": Register(58, 2, "bit15"),
+        "load": Register(60, 2, "bit10"),
+        "voltage": Register(62, 1),
+        "temperature": Register(63, 1),
+        "condition": Register(65, 1),
+        "current": Register(69, 2, "bit15"),
+    },
+    # From 55 the EEPROM lock comes along, which only serves to make the length another one.
+    read=(Block(56, 15), Block(55, 16)),
+    write=(("goal", "goal_time", "speed_cap", "limit"),),
+    sync_read=True,
+    full_duty=1000,
+    full_load=1000,
+    speed_max=3400,
+    ceiling="max_torque",
+)
+
+KG_CM = 0.0980665  # [N·m]
+
+
+#: Identified at 1:345 and 7.4 V.
+GEARS = Mechanics(friction=0.052, damping=0.059, armature=0.028)
+
+
+def _geared(ratio: float) -> Mechanics:
+    """Friction goes with the ratio, rotor inertia and damping with its square."""
+    r = ratio / 345
+    return Mechanics(
+        friction=GEARS.friction * r,
+        damping=GEARS.damping * r * r,
+        armature=GEARS.armature * r * r,
+        identified=False,
+    )
+
+
+def _sts3215(  # noqa: PLR0917 -- a row of a table
+    name: str,
+    alias: str,
+    stall: tuple[float, float],
+    speed: float,
+    voltage: tuple[float, float],
+    mechanics: Mechanics,
+) -> ServoModel:
+    """One variant; stall is (voltage, torque), the speed is at that voltage [rpm]."""
+    return ServoModel(
+        name=name,
+        number=777,
+        family=STS,
+        kind="duty",
+        resolution=4096,
+        counts=4095,
+        stall=(stall,),
+        no_load=((stall[0], speed),),
+        gain=0.166,
+        gain_default=32,
+        speed_unit=60 / 4096,
+        current_unit=0.0065,
+        rated=stall[0],
+        voltage=voltage,
+        temperature=70,
+        shutdown=44,
+        overload=0.80,
+        mechanics=mechanics,
+        aliases=(alias,),
+    )
+
+
+_LOW = (4.0, 8.4)
+_STALL = 19.5 * KG_CM  # at 7.4 V and 1:345
+MODELS = (
+    _sts3215("STS3215-7.4V", "STS3215-C001", (7.4, _STALL), 52.0, _LOW, GEARS),
+    _sts3215("STS3215-12V", "STS3215-C018", (12.0, 30.0 * KG_CM), 45.0, (6.0, 12.6), _geared(345)),
+    _sts3215(
+        "STS3215-7.4V-191",
+        "STS3215-C044",
+        (7.4, _STALL * 191 / 345),
+        52.0 * 345 / 191,
+        _LOW,
+        _geared(191),
+    ),
+    _sts3215(
+        "STS3215-7.4V-147",
+        "STS3215-C046",
+        (7.4, _STALL * 147 / 345),
+        52.0 * 345 / 147,
+        _LOW,
+        _geared(147),
+    ),
+)

@@ -1,0 +1,148 @@
+"""Dynamixel with Protocol 1.0: EX-106+, RX-64, MX-28, MX-64, MX-106.
+
+Control tables and data: ROBOTIS e-Manual. Duty per radian of the MX: oscilloscope, Rhoban/bam.
+"""
+
+from __future__ import annotations
+
+from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel, scaled
+
+_COMMON = {
+    "model": Register(0, 2),
+    "firmware": Register(2, 1),
+    "id": Register(3, 1),
+    "baud": Register(4, 1),
+    "return_delay": Register(5, 1),
+    "position_min": Register(6, 2),
+    "position_max": Register(8, 2),
+    "temperature_limit": Register(11, 1),
+    "voltage_min": Register(12, 1),
+    "voltage_max": Register(13, 1),
+    "max_torque": Register(14, 2),
+    "return_level": Register(16, 1),
+    "shutdown": Register(18, 1),
+    "torque_enable": Register(24, 1),
+    "goal": Register(30, 2),
+    "speed_cap": Register(32, 2),
+    "limit": Register(34, 2),
+    "position": Register(36, 2),
+    "speed": Register(38, 2, "bit10"),
+    "load": Register(40, 2, "bit10"),
+    "voltage": Register(42, 1),
+    "temperature": Register(43, 1),
+}
+
+
+def _family(name: str, **own: Register) -> Family:
+    return Family(
+        name=name,
+        protocol="p1",
+        status="p1",
+        registers={**_COMMON, **own},
+        # The longer one brings the torque limit back as well.
+        read=(Block(36, 8), Block(34, 10)),
+        write=(("goal", "speed_cap", "limit"),),
+        sync_read=False,
+        full_duty=1023,
+        full_load=1023,
+        speed_max=1023,
+        ceiling="max_torque",
+    )
+
+
+# Register 28 is the clockwise compliance slope of EX and RX and the P gain of the MX.
+PLAIN = _family("EX, RX, MX", gain=Register(28, 1))
+DUAL = _family("EX-106+, MX-106", gain=Register(28, 1), drive_mode=Register(10, 1))
+
+MODELS = (
+    ServoModel(
+        name="EX-106+",
+        number=107,
+        family=DUAL,
+        kind="duty",
+        resolution=4096 * 360 / 250.92,
+        counts=4095,
+        stall=((18.5, 10.9),),
+        no_load=((18.5, 91.0),),
+        gain=0.0,
+        gain_default=32,
+        speed_unit=0.111,
+        rated=14.8,
+        voltage=(12.0, 18.5),
+        temperature=80,
+        shutdown=36,
+        mechanics=scaled(8.7),
+    ),
+    ServoModel(
+        name="RX-64",
+        number=64,
+        family=PLAIN,
+        kind="duty",
+        resolution=1023 * 360 / 300,
+        counts=1023,
+        stall=((18.5, 5.3),),
+        no_load=((18.5, 64.0),),
+        gain=0.0,
+        gain_default=32,
+        speed_unit=0.111,
+        rated=14.8,
+        voltage=(12.0, 18.5),
+        temperature=80,
+        shutdown=36,
+        mechanics=scaled(4.2),
+    ),
+    ServoModel(
+        name="MX-28",
+        number=29,
+        family=PLAIN,
+        kind="duty",
+        resolution=4096,
+        counts=4095,
+        stall=((11.1, 2.3), (12.0, 2.5), (14.8, 3.1)),
+        no_load=((11.1, 50.0), (12.0, 55.0), (14.8, 67.0)),
+        gain=0.158,
+        gain_default=32,
+        speed_unit=0.114,
+        rated=12.0,
+        voltage=(10.0, 14.8),
+        temperature=80,
+        shutdown=36,
+        mechanics=scaled(2.5),
+    ),
+    ServoModel(
+        name="MX-64",
+        number=310,
+        family=PLAIN,
+        kind="duty",
+        resolution=4096,
+        counts=4095,
+        stall=((11.1, 5.5), (12.0, 6.0), (14.8, 7.3)),
+        no_load=((11.1, 58.0), (12.0, 63.0), (14.8, 78.0)),
+        gain=0.158,
+        gain_default=32,
+        speed_unit=0.114,
+        rated=12.0,
+        voltage=(10.0, 14.8),
+        temperature=80,
+        shutdown=36,
+        mechanics=Mechanics(friction=0.090, damping=0.012, armature=0.012),
+    ),
+    ServoModel(
+        name="MX-106",
+        number=320,
+        family=DUAL,
+        kind="duty",
+        resolution=4096,
+        counts=4095,
+        stall=((11.1, 8.0), (12.0, 8.4), (14.8, 10.0)),
+        no_load=((11.1, 41.0), (12.0, 45.0), (14.8, 55.0)),
+        gain=0.158,
+        gain_default=32,
+        speed_unit=0.114,
+        rated=12.0,
+        voltage=(10.0, 14.8),
+        temperature=80,
+        shutdown=36,
+        mechanics=Mechanics(friction=0.104, damping=0.035, armature=0.027),
+    ),
+)

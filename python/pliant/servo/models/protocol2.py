@@ -1,0 +1,246 @@
+"""Dynamixel with Protocol 2.0: the X series and the MX with 2.0 firmware.
+
+Control tables and data: ROBOTIS e-Manual. Duty per radian: K_P = P/128 PWM counts per position
+count, 885 counts being 100 %; the XL330's has been measured at 0.00246 (Rhoban/bam), which stays
+open. A current-limited servo in mode 5 follows `pliant.servo.units` instead.
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel, scaled
+
+_COMMON = {
+    "model": Register(0, 2),
+    "firmware": Register(6, 1),
+    "id": Register(7, 1),
+    "baud": Register(8, 1),
+    "return_delay": Register(9, 1),
+    "drive_mode": Register(10, 1),
+    "mode": Register(11, 1),
+    "shadow_id": Register(12, 1),
+    "homing_offset": Register(20, 4, "twos"),
+    "temperature_limit": Register(31, 1),
+    "voltage_max": Register(32, 2),
+    "voltage_min": Register(34, 2),
+    "pwm_limit": Register(36, 2),
+    "position_max": Register(48, 4, "twos"),
+    "position_min": Register(52, 4, "twos"),
+    "shutdown": Register(63, 1),
+    "torque_enable": Register(64, 1),
+    "return_level": Register(68, 1),
+    "hardware_error": Register(70, 1),
+    "gain": Register(84, 2),
+    "watchdog": Register(98, 1),
+    "goal_velocity": Register(104, 4, "twos"),
+    "acceleration_cap": Register(108, 4),
+    "speed_cap": Register(112, 4),
+    "goal": Register(116, 4, "twos"),
+    "pwm": Register(124, 2, "twos"),
+    "speed": Register(128, 4, "twos"),
+    "position": Register(132, 4, "twos"),
+    "voltage": Register(144, 2),
+    "temperature": Register(146, 1),
+}
+
+CURRENT = Family(
+    name="X, current-limited",
+    protocol="p2",
+    status="p2",
+    registers={
+        **_COMMON,
+        "current_limit": Register(38, 2),
+        "limit": Register(102, 2, "twos"),
+        "current": Register(126, 2, "twos"),
+    },
+    read=(Block(126, 10), Block(124, 12)),
+    write=(("limit", "goal_velocity", "acceleration_cap", "speed_cap", "goal"),),
+    sync_read=True,
+    full_duty=885,
+    full_load=1000,
+    speed_max=32767,
+    ceiling="current_limit",
+    multi_turn=True,
+)
+DUTY = Family(
+    name="X, duty-limited",
+    protocol="p2",
+    status="p2",
+    registers={
+        **_COMMON,
+        "limit": Register(100, 2, "twos"),
+        "load": Register(126, 2, "twos"),
+    },
+    read=(Block(126, 10), Block(124, 12)),
+    # 102 is not in their tables, and a packet across it would be refused: two packets.
+    write=(("limit",), ("speed_cap", "goal")),
+    sync_read=True,
+    full_duty=885,
+    full_load=1000,
+    speed_max=32767,
+    ceiling="pwm_limit",
+)
+
+DUTY_PER_RADIAN = 4096 / (2 * pi) / 128 / 885
+
+
+# Rows of a table read better without the names of their columns.
+def _current(  # noqa: PLR0917
+    name: str,
+    number: int,
+    unit: float,
+    most: int,
+    rated: tuple[float, float, float],
+    stall: tuple[tuple[float, float], ...],
+    no_load: tuple[tuple[float, float], ...],
+    gain: int,
+    voltage: tuple[float, float],
+    temperature: int = 80,
+    shutdown: int = 52,
+    mechanics: Mechanics | None = None,
+) -> ServoModel:
+    """A servo with current limit; `rated` is (voltage, stall torque, stall current)."""
+    return ServoModel(
+        name=name,
+        number=number,
+        family=CURRENT,
+        kind="current",
+        resolution=4096,
+        counts=4095,
+        stall=stall,
+        no_load=no_load,
+        gain=DUTY_PER_RADIAN,
+        gain_default=gain,
+        speed_unit=0.229,
+        current_unit=unit,
+        current_max=most,
+        stall_current=rated[2],
+        rated=rated[0],
+        voltage=voltage,
+        temperature=temperature,
+        shutdown=shutdown,
+        mechanics=mechanics or scaled(rated[1]),
+    )
+
+
+def _duty(  # noqa: PLR0917
+    name: str,
+    number: int,
+    rated: tuple[float, float],
+    stall: tuple[tuple[float, float], ...],
+    no_load: tuple[tuple[float, float], ...],
+    gain: int,
+    voltage: tuple[float, float],
+    temperature: int,
+) -> ServoModel:
+    """A servo whose only limiter is the PWM; `rated` is (voltage, stall torque)."""
+    return ServoModel(
+        name=name,
+        number=number,
+        family=DUTY,
+        kind="duty",
+        resolution=4096,
+        counts=4095,
+        stall=stall,
+        no_load=no_load,
+        gain=DUTY_PER_RADIAN,
+        gain_default=gain,
+        speed_unit=0.229,
+        rated=rated[0],
+        voltage=voltage,
+        temperature=temperature,
+        shutdown=52,
+        mechanics=scaled(rated[1]),
+    )
+
+
+def _at(*pairs: float) -> tuple[tuple[float, float], ...]:
+    """Voltage, value, voltage, value, ... as pairs."""
+    return tuple(zip(pairs[::2], pairs[1::2], strict=True))
+
+
+_12V = (10.0, 14.8)
+MODELS = (
+    _current(
+        "XL330-M077", 1190, 0.001, 1750, (5.0, 0.215, 1.47),
+        _at(3.7, 0.18, 5.0, 0.215, 6.0, 0.228), _at(3.7, 278, 5.0, 383, 6.0, 456),
+        400, (3.7, 6.0), 70, 53,
+    ),
+    _current(
+        "XL330-M288", 1200, 0.001, 1750, (5.0, 0.52, 1.47),
+        _at(3.7, 0.42, 5.0, 0.52, 6.0, 0.60), _at(3.7, 76, 5.0, 103, 6.0, 123),
+        400, (3.7, 6.0), 70, 53, Mechanics(friction=0.013, damping=0.0037, armature=0.0018),
+    ),
+    _current(
+        "XC330-T181", 1210, 0.001, 910, (11.1, 0.76, 0.80),
+        _at(9.0, 0.65, 11.1, 0.76, 12.0, 0.80), _at(9.0, 83, 11.1, 104, 12.0, 113),
+        900, (6.5, 12.0), 70, 53,
+    ),
+    _current(
+        "XC330-T288", 1220, 0.001, 910, (11.1, 0.92, 0.80),
+        _at(9.0, 0.76, 11.1, 0.92, 12.0, 1.00), _at(9.0, 52, 11.1, 65, 12.0, 71),
+        900, (6.5, 12.0), 70, 53,
+    ),
+    _current(
+        "XM430-W210", 1030, 0.00269, 1193, (12.0, 3.0, 2.3),
+        _at(11.1, 2.7, 12.0, 3.0, 14.8, 3.7), _at(11.1, 70, 12.0, 77, 14.8, 95), 800, _12V,
+    ),
+    _current(
+        "XM430-W350", 1020, 0.00269, 1193, (12.0, 4.1, 2.3),
+        _at(11.1, 3.8, 12.0, 4.1, 14.8, 4.8), _at(11.1, 43, 12.0, 46, 14.8, 57), 800, _12V,
+    ),
+    _current(
+        "XM540-W150", 1130, 0.00269, 2047, (12.0, 7.3, 4.4),
+        _at(11.1, 6.9, 12.0, 7.3, 14.8, 8.9), _at(11.1, 50, 12.0, 53, 14.8, 66), 800, _12V,
+    ),
+    _current(
+        "XM540-W270", 1120, 0.00269, 2047, (12.0, 10.6, 4.4),
+        _at(11.1, 10.0, 12.0, 10.6, 14.8, 12.9), _at(11.1, 28, 12.0, 30, 14.8, 37), 800, _12V,
+    ),
+    _current(
+        "XH430-W210", 1010, 0.00269, 648, (12.0, 2.5, 1.3),
+        _at(11.1, 2.2, 12.0, 2.5, 14.8, 3.1), _at(11.1, 46, 12.0, 50, 14.8, 62), 900, _12V,
+    ),
+    _current(
+        "XH430-W350", 1000, 0.00269, 648, (12.0, 3.4, 1.3),
+        _at(11.1, 3.1, 12.0, 3.4, 14.8, 4.2), _at(11.1, 27, 12.0, 30, 14.8, 37), 900, _12V,
+    ),
+    _current(
+        "XH540-W150", 1110, 0.00269, 2047, (12.0, 7.1, 4.9),
+        _at(11.1, 6.6, 12.0, 7.1, 14.8, 8.5), _at(11.1, 66, 12.0, 70, 14.8, 86), 800, _12V,
+    ),
+    _current(
+        "XH540-W270", 1100, 0.00269, 2047, (12.0, 9.9, 4.9),
+        _at(11.1, 9.2, 12.0, 9.9, 14.8, 11.7), _at(11.1, 36, 12.0, 39, 14.8, 46), 800, _12V,
+    ),
+    _current(
+        "MX-64(2.0)", 311, 0.00336, 1941, (12.0, 6.0, 4.1),
+        _at(11.1, 5.5, 12.0, 6.0, 14.8, 7.3), _at(11.1, 58, 12.0, 63, 14.8, 78), 850, _12V,
+        mechanics=Mechanics(friction=0.090, damping=0.012, armature=0.012),
+    ),
+    _current(
+        "MX-106(2.0)", 321, 0.00336, 2047, (12.0, 8.4, 5.2),
+        _at(11.1, 8.0, 12.0, 8.4, 14.8, 10.0), _at(11.1, 41, 12.0, 45, 14.8, 55), 850, _12V,
+        mechanics=Mechanics(friction=0.104, damping=0.035, armature=0.027),
+    ),
+    _duty(
+        "MX-28(2.0)", 30, (12.0, 2.5),
+        _at(11.1, 2.3, 12.0, 2.5, 14.8, 3.1), _at(11.1, 50, 12.0, 55, 14.8, 67), 850, _12V, 80,
+    ),
+    _duty(
+        "XL430-W250", 1060, (11.1, 1.4),
+        _at(9.0, 1.0, 11.1, 1.4, 12.0, 1.5), _at(9.0, 47, 11.1, 57, 12.0, 61), 640,
+        (6.5, 12.0), 72,
+    ),
+    _duty(
+        "XC430-W150", 1070, (12.0, 1.6),
+        _at(9.0, 1.2, 11.1, 1.4, 12.0, 1.6), _at(9.0, 80, 11.1, 99, 12.0, 106), 800,
+        (6.5, 14.8), 80,
+    ),
+    _duty(
+        "XC430-W240", 1080, (12.0, 1.9),
+        _at(9.0, 1.4, 11.1, 1.7, 12.0, 1.9), _at(9.0, 52, 11.1, 65, 12.0, 70), 800,
+        (6.5, 14.8), 80,
+    ),
+)  # fmt: skip

@@ -1,0 +1,67 @@
+"""From the readings of servos to those of joints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant.arm.drive import Sample
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pliant.servo.device import Device
+
+#: Twins that disagree by more than this work against each other [rad].
+TWINS_APART = 0.1
+
+
+def align_twins(joints: Sequence[Sequence[Device]]) -> None:
+    """Give the second servo of a joint the zero that its first one implies: the joint couples them.
+
+    Raises:
+        ServoError: The joint's range then crosses its seam.
+    """
+    for first, *twins in joints:
+        for twin in twins:
+            if first.position is not None and twin.position is not None:
+                q = first.angle(first.position)
+                zero = twin.position - twin.units.sign * q / twin.units.count
+                twin.units = replace(twin.units, zero=zero)
+                twin.set_range()
+
+
+def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -> Sample:
+    """One reading of all joints.
+
+    Args:
+        joints: Servos of each joint, the first one first.
+        answered: Port and id of the servos that answered in this reading.
+    """
+    rows = []
+    for joint in joints:
+        first = joint[0]
+        angles = [d.angle(d.position) for d in joint if d.position is not None]
+        apart = max(angles) - min(angles) if angles else 0.0
+        first.fault(
+            "twins",
+            apart > TWINS_APART,
+            f"its two servos disagree by {apart:.2f} rad and work against each other",
+        )
+        amps = np.nan
+        if first.current is not None and first.row.current_unit:
+            amps = first.row.current_unit * sum(abs(d.current or 0) for d in joint)
+        rows.append(
+            (
+                angles[0] if angles else np.nan,
+                all((d.spec.port, d.id) in answered for d in joint),
+                min(d.time for d in joint),
+                first.units.velocity(first.speed),
+                sum(d.torque for d in joint) / len(joint),
+                amps,
+            )
+        )
+    position, ok, times, velocity, load, current = (np.array(c) for c in zip(*rows, strict=True))
+    return Sample(position, ok, times, velocity, load, current)

@@ -1,0 +1,174 @@
+"""What a servo's EEPROM should say, what it says, and the way from one to the other.
+
+The only place that writes EEPROM. Torque is off meanwhile, every register is read back, and what
+stood there before is returned, so that it can be put back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pliant import ServoError
+from pliant.servo.models import by_number
+from pliant.servo.transport import BusError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from pliant.servo.models import Family, ServoModel
+    from pliant.servo.transport import Transport
+
+OVERLOAD_BIT = 5
+#: Operating modes: current-based position, position.
+CURRENT_POSITION, POSITION = 5, 3
+#: Secondary ID that means none.
+NO_SHADOW = 255
+#: Bits of the Drive Mode that are not wanted: follower, time-based profile, torque on by goal.
+UNWANTED = 0b1110
+
+
+@dataclass(frozen=True)
+class Change:
+    """One register that should be another.
+
+    Attributes:
+        joint: Joint name.
+        id: Servo id.
+        register: Field name.
+        old, new: Its value, and what it should be.
+        why: In a sentence.
+    """
+
+    joint: str
+    id: int
+    register: str
+    old: int
+    new: int
+    why: str
+
+
+def changes(
+    io: Transport, joint: str, id: int, row: ServoModel, *, overload: bool = True
+) -> list[Change]:
+    """What should change on one servo.
+
+    Args:
+        io: The open port.
+        joint: Its joint, for the words.
+        id: Its id.
+        row: Its model.
+        overload: Whether the overload bit of Shutdown is to be cleared.
+
+    Raises:
+        ServoError: It does not answer, or is another model.
+    """
+    family = row.family
+    number = read(io, id, family, "model")
+    if number != row.number:
+        known = " or ".join(r.name for r in by_number(number)) or f"model number {number}"
+        raise ServoError(f"{joint} (id {id}) is {known}, the configuration says {row.name}")
+    wanted = _wanted(io, id, row, overload)
+    out = []
+    for register, (new, why) in wanted.items():
+        old = read(io, id, family, register)
+        if old != new:
+            out.append(Change(joint, id, register, old, new, why))
+    return out
+
+
+def _wanted(io: Transport, id: int, row: ServoModel, overload: bool) -> dict[str, tuple[int, str]]:
+    """Values by register, and why."""
+    family = row.family
+    out: dict[str, tuple[int, str]] = {}
+    if family.status != "feetech":
+        out["return_delay"] = (0, "answers at once: the loop is up to four times as fast")
+        out["return_level"] = (2, "acknowledges writes")
+        if overload:
+            mask = read(io, id, family, "shutdown") & ~(1 << OVERLOAD_BIT)
+            why = "a compliant arm sits at its limit; with this bit the servo drops the arm for it"
+            out["shutdown"] = (mask, why)
+    if family.status == "p2":
+        mode = CURRENT_POSITION if row.kind == "current" else POSITION
+        out["mode"] = (mode, "position control whose torque the limit bounds")
+        drive = read(io, id, family, "drive_mode") & ~UNWANTED
+        out["drive_mode"] = (drive, "follows goals of its own, at once, with torque as told")
+        out["shadow_id"] = (NO_SHADOW, "obeys its own id only")
+    elif family.status == "feetech":
+        out["mode"] = (0, "position control")
+    return out
+
+
+def apply(io: Transport, family: Family, wanted: Sequence[Change]) -> None:
+    """Write the changes of one servo: torque off, write, read back.
+
+    Raises:
+        ServoError: Its torque is on, or a register did not take the value; those before it did.
+    """
+    if not wanted:
+        return
+    first = wanted[0]
+    if read(io, first.id, family, "torque_enable"):
+        raise ServoError(
+            f"the torque of {first.joint} (id {first.id}) is on: EEPROM is locked, and the arm may "
+            "be holding itself up. Lower it first (`pliant run … ` and Ctrl-C), then try again"
+        )
+    _lock(io, first.id, family, locked=False)
+    try:
+        for change in wanted:
+            _write(io, change.id, family, change.register, change.new)
+            if (found := read(io, change.id, family, change.register)) != change.new:
+                raise ServoError(
+                    f"{change.joint} (id {change.id}): {change.register} reads {found} after "
+                    f"{change.new} was written"
+                )
+    finally:
+        _lock(io, first.id, family, locked=True)
+
+
+def restore(changes: Iterable[Change]) -> list[Change]:
+    """The changes that undo these."""
+    return [Change(c.joint, c.id, c.register, c.new, c.old, "as it was before") for c in changes]
+
+
+def rename(io: Transport, row: ServoModel, old: int, new: int, taken: Mapping[int, str]) -> None:
+    """Give a servo another id.
+
+    Raises:
+        ServoError: The new id is taken, or the servo did not take it.
+    """
+    if new in taken or io.ping(new):
+        raise ServoError(f"id {new} is taken by {taken.get(new, 'a servo on this port')}")
+    family = row.family
+    if read(io, old, family, "torque_enable"):
+        raise ServoError(f"the torque of id {old} is on: switch it off first")
+    _lock(io, old, family, locked=False)
+    _write(io, old, family, "id", new)
+    if not io.ping(new):
+        raise ServoError(f"nobody answers to id {new} after id {old} was to take it")
+    _lock(io, new, family, locked=True)
+
+
+def read(io: Transport, id: int, family: Family, name: str) -> int:
+    """Value of a register.
+
+    Raises:
+        ServoError: No answer.
+    """
+    register = family.registers[name]
+    try:
+        data, _ = io.read(id, register.address, register.size)
+    except BusError as error:
+        raise ServoError(f"{error}: is it powered, is its id as configured?") from error
+    return register.decode(data)
+
+
+def _write(io: Transport, id: int, family: Family, name: str, value: int) -> None:
+    register = family.registers[name]
+    io.write(id, register.address, register.encode(value))
+
+
+def _lock(io: Transport, id: int, family: Family, *, locked: bool) -> None:
+    """Feetech keeps EEPROM writes only while unlocked; Dynamixel's lock is its torque."""
+    if "lock" in family.registers:
+        _write(io, id, family, "lock", int(locked))

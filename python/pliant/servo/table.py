@@ -1,0 +1,107 @@
+"""`pliant.Servos` from servo models and gain registers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+from pliant import ConfigError
+from pliant.servo.spec import ServoSpec
+from pliant.servo.units import Units
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+
+def servos_of(
+    models: Sequence[str],
+    *,
+    voltage: float | None = None,
+    gains: Sequence[int | None] | None = None,
+) -> pliant.Servos:
+    """What the controller believes about servos of these models, one per joint.
+
+    Args:
+        models: Servo models base to tip, as `pliant.servo.names()` lists them.
+        voltage: Supply voltage [V]; default each model's rated one.
+        gains: Gain registers; None where the maker's setting stands.
+
+    Returns:
+        Servos with k_p from the gain register, usable torque, friction, damping, count and no-load
+        speed from the tables. ``kp_known`` is False: the sources of k_p differ by up to two.
+
+    Raises:
+        ConfigError: A model is not known, the voltage is outside its range, or the gains are not
+            one per model.
+    """
+    if isinstance(models, str):
+        raise ConfigError(f"models is a list, one per joint: [{models!r}]")
+    given = [None] * len(models) if gains is None else list(gains)
+    if len(given) != len(models):
+        raise ConfigError(f"{len(given)} gains for {len(models)} servos: one each, or None")
+    specs = [ServoSpec(name=f"joint {i}", model=m, id=i + 1, port="") for i, m in enumerate(models)]
+    units = []
+    for spec in specs:
+        low, high = spec.row.voltage
+        if voltage is not None and not low <= voltage <= high:
+            raise ConfigError(
+                f"{spec.row.name} takes {low:g} to {high:g} V, got {voltage:g} V; "
+                "on several supplies build the arm's servos per joint"
+            )
+        units.append(Units.of(spec, voltage))
+    registers = [
+        unit.row.gain_default if gain is None else gain
+        for unit, gain in zip(units, given, strict=True)
+    ]
+    return servos(units, registers, [unit.full for unit in units])
+
+
+def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]) -> pliant.Servos:
+    """Servos of joints at their present voltage, gains and ceilings.
+
+    What was identified on the arm (`ServoSpec.kp`, `friction`, `damping`) stands in place of the
+    table's; k_p counts as known where that is so for every joint.
+
+    A chain that mixes duty and current limits is of kind `current`, with the back-EMF of its duty
+    joints, ``τ_stall / ω_0``, counted into their damping.
+
+    Args:
+        units: Conversions of each joint.
+        gains: Gain registers.
+        ceilings: Largest value of each limit register.
+    """
+    torque = np.array([u.usable(c) for u, c in zip(units, ceilings, strict=True)])
+    speed = np.array([unit.no_load_speed for unit in units])
+    # Friction and damping pass the gear like torque, damping and inertia once more with the speed.
+    passes = np.array([unit.spec.gear * len(unit.spec.servos) for unit in units])
+    gears = np.array([unit.spec.gear for unit in units])
+    damping = np.array([unit.row.mechanics.damping for unit in units]) * passes * gears
+    duty = np.array([unit.row.kind == "duty" for unit in units])
+    pure = bool(duty.all())
+    if not pure:
+        stall = np.array([unit.usable(unit.full) for unit in units])
+        damping = damping + np.where(duty, stall / speed, 0.0)
+    friction = np.array([unit.row.mechanics.friction for unit in units]) * passes
+    stiffness = np.array([u.stiffness(g) for u, g in zip(units, gains, strict=True)])
+    return pliant.Servos(
+        kp=_identified(stiffness, [unit.spec.kp for unit in units]),
+        torque=torque,
+        friction=_identified(friction, [unit.spec.friction for unit in units]),
+        damping=_identified(damping, [unit.spec.damping for unit in units]),
+        armature=np.array([unit.row.mechanics.armature for unit in units]) * passes * gears,
+        count=[unit.count for unit in units],
+        kind="duty" if pure else "current",
+        no_load_speed=speed if pure else None,
+        kp_known=all(unit.spec.kp is not None for unit in units),
+    )
+
+
+def _identified(table: Array, own: Sequence[float | None]) -> Array:
+    """The table's values, with those that were found on the arm in their place."""
+    return np.array([t if o is None else o for t, o in zip(table, own, strict=True)])

@@ -1,0 +1,97 @@
+//! Touch and stop: two thresholds per axis, with hysteresis and a shortest time.
+
+use crate::{AxisVec, MAX_AXES};
+
+/// One kind of event on every axis.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Events {
+    /// Thresholds [N, N·m]; ∞ where there is none.
+    thresholds: AxisVec,
+    /// Share by which a force must fall below its threshold.
+    hysteresis: f64,
+    /// How long a change must last [s].
+    min_time: f64,
+    /// Share of the uncertainty to which a threshold below it is raised.
+    guard: f64,
+    /// For how long each axis has contradicted its state [s].
+    against: AxisVec,
+    on: [bool; MAX_AXES],
+}
+
+impl Events {
+    pub(super) fn new(thresholds: &[Option<f64>; MAX_AXES], hysteresis: f64, min_time: f64, guard: f64) -> Self {
+        let thresholds = thresholds.map(|threshold| threshold.unwrap_or(f64::INFINITY));
+        Self { thresholds, hysteresis, min_time, guard, against: [f64::NEG_INFINITY; MAX_AXES], on: [false; MAX_AXES] }
+    }
+
+    pub(super) fn reset(&mut self) {
+        (self.against, self.on) = ([f64::NEG_INFINITY; MAX_AXES], [false; MAX_AXES]);
+    }
+
+    /// Which events are on after `dt` [s] with this force and uncertainty.
+    ///
+    /// An event begins once the force has been above `max(threshold, guard · uncertainty)` for the shortest time, the first
+    /// reading not counted, and ends once it has been below `(1 − hysteresis)` times that for as long.
+    pub(super) fn update(&mut self, force: &AxisVec, uncertainty: &AxisVec, dt: f64) -> [bool; MAX_AXES] {
+        for axis in 0..MAX_AXES {
+            let threshold = self.thresholds[axis].max(self.guard * uncertainty[axis]);
+            let size = force[axis].abs();
+            let contradicts = if self.on[axis] { size < (1.0 - self.hysteresis) * threshold } else { size > threshold };
+            // The first reading beyond a threshold has lasted for no time yet.
+            self.against[axis] = if contradicts { self.against[axis].max(-dt) + dt } else { -dt };
+            if contradicts && self.against[axis] >= self.min_time - 1e-9 {
+                self.on[axis] = !self.on[axis];
+                self.against[axis] = -dt;
+            }
+        }
+        self.on
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn events(guard: f64) -> Events {
+        Events::new(&[Some(10.0); MAX_AXES], 0.3, 0.02, guard)
+    }
+
+    fn feel(events: &mut Events, force: f64, uncertainty: f64) -> bool {
+        events.update(&[force; MAX_AXES], &[uncertainty; MAX_AXES], 0.01)[0]
+    }
+
+    #[test]
+    fn an_event_needs_its_time_and_its_hysteresis() {
+        let mut z = events(1.0);
+        assert!(!feel(&mut z, -11.0, 1.0) && !feel(&mut z, -11.0, 1.0));
+        assert!(feel(&mut z, -11.0, 1.0), "after 20 ms");
+        assert!(feel(&mut z, -8.0, 1.0), "above seven tenths it stays");
+        (0..2).for_each(|_| assert!(feel(&mut z, -6.0, 1.0)));
+        assert!(!feel(&mut z, -6.0, 1.0));
+    }
+
+    #[test]
+    fn one_reading_below_starts_the_time_anew() {
+        let mut z = events(1.0);
+        for _ in 0..10 {
+            assert!(!feel(&mut z, 11.0, 1.0) && !feel(&mut z, 11.0, 1.0) && !feel(&mut z, 9.0, 1.0));
+        }
+    }
+
+    #[test]
+    fn a_threshold_is_never_below_the_uncertainty_unless_taken_by_name() {
+        let (mut guarded, mut bare) = (events(1.0), events(0.0));
+        for _ in 0..10 {
+            assert!(!feel(&mut guarded, 11.0, 12.0));
+        }
+        (0..2).for_each(|_| assert!(!feel(&mut bare, 11.0, 12.0)));
+        assert!(feel(&mut bare, 11.0, 12.0));
+    }
+
+    #[test]
+    fn no_time_means_at_once() {
+        let mut z = Events::new(&[Some(10.0); MAX_AXES], 0.3, 0.0, 1.0);
+        assert!(feel(&mut z, 10.5, 1.0) && !feel(&mut z, 1.0, 1.0));
+        assert!(!feel(&mut z, f64::NAN, 1.0));
+    }
+}

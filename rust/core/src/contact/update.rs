@@ -1,0 +1,374 @@
+//! One reading: residual, low-pass, wrench, events; and what an arm at rest can tell.
+
+use super::residual::{Balance, Errors, Noise};
+use super::wrench::Estimator;
+use super::{Contact, ContactInput, HISTORY, Memory, Sent, Tare, WrenchEstimate};
+use crate::controller::Controller;
+use crate::error::{Error, Result};
+use crate::kinematics::Frames;
+use crate::law::feedforward::{SPEED_BOUND, VelocityFilter};
+use crate::pose::COORDINATE_BOUND;
+use crate::task::axes::AXIS_NAMES;
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows, survey};
+
+/// Largest torque or current that is taken for a real one.
+const LOAD_BOUND: f64 = 1e6;
+
+/// Shortest and longest time between two readings [s].
+const PERIODS: [f64; 2] = [1e-6, 10.0];
+
+/// Standard deviation of a reading that is rounded to counts and flickers by one of them half the time [counts].
+const READING_NOISE: f64 = 0.76;
+
+/// Standard deviations that count as the worst of noise.
+const SIGMAS: f64 = 3.0;
+
+/// Every how many of the survey's poses the uncertainty is looked at.
+const EVERY: usize = 8;
+
+/// The arm at one reading.
+struct Seen {
+    /// Rows of the axes looked at, in the task frame.
+    rows: Rows,
+    base_from_task: [[f64; 3]; 3],
+    gravity: JointVec,
+    /// Torques that hold a mass at the tool [N·m/kg].
+    payload: JointVec,
+    frames: Frames,
+}
+
+/// How the joints move.
+#[derive(Default)]
+struct Motion {
+    /// Position in the middle between the last two readings: what the servos' mean torque goes by.
+    middle: JointVec,
+    velocity: JointVec,
+    velocity_error: JointVec,
+    /// Behind the low-pass of the residual.
+    acceleration: JointVec,
+    noise: Noise,
+}
+
+impl Contact {
+    /// Takes one reading `q` (n) [rad]: before the controller's step of the same tick, so that the servos still follow
+    /// its last command.
+    ///
+    /// Allocates nothing. Until a command that was in force is known, and no load is given, nothing is felt: force 0,
+    /// uncertainty ∞.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] or [`Error::Limit`] for an input that cannot be used, [`Error::Config`] for a current without
+    /// torque constants; the estimate is then as before.
+    pub fn update(&mut self, controller: &Controller, q: &[f64], input: &ContactInput<'_>) -> Result<&WrenchEstimate> {
+        let q = controller.positions("q", q)?;
+        let dt = input.dt.unwrap_or(1.0 / controller.settings().rate);
+        if !(dt > 0.0 && dt <= PERIODS[1]) {
+            return Err(Error::limit("dt [s]", dt, format!("(0, {}]", PERIODS[1])));
+        }
+        let dq = input.dq.map(|dq| controller.joints("dq", dq, SPEED_BOUND)).transpose()?;
+        let measured = self.measured(controller, input)?;
+        let sent = sent(controller, input)?;
+        let dt = dt.max(PERIODS[0]);
+
+        let mut memory = self.memory;
+        if let Some(sent) = sent {
+            memory.newest = (memory.newest + 1) % HISTORY;
+            memory.sent[memory.newest % HISTORY] = sent;
+            memory.count = (memory.count + 1).min(HISTORY);
+        }
+        let motion = self.motion(controller, &q, dq.as_ref(), dt, &mut memory);
+        let (torque, saturated) = match (measured, memory.in_force(controller.delay(), dt)) {
+            (Some(load), _) => (load, [false; MAX_JOINTS]),
+            (None, Some(sent)) => self.joints.given(&sent.goal, &sent.limit, &motion.middle, &motion.velocity),
+            (None, None) => {
+                memory.estimate = WrenchEstimate { velocity: motion.velocity, ..WrenchEstimate::empty(self.joints.n) };
+                self.memory = memory;
+                return Ok(&self.memory.estimate);
+            }
+        };
+        let seen = self.look(controller, &q);
+        let mut mass = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+        controller.model().chain().mass_matrix(&seen.frames, &controller.masses, &mut mass);
+        let balance = Balance {
+            joints: &self.joints,
+            given: &torque,
+            measured: measured.is_some(),
+            saturated: &saturated,
+            gravity: &seen.gravity,
+            mass: &mass,
+            velocity: &motion.velocity,
+            velocity_error: &motion.velocity_error,
+            acceleration: &motion.acceleration,
+            noise: &motion.noise,
+        };
+        let errors = Errors {
+            given: if measured.is_some() { self.options.load_error } else { self.errors.given },
+            ..self.errors
+        };
+        let resistance = balance.resistance_error(&errors);
+        let (own, moving) = (balance.held(), balance.resisted());
+        let open = self.open(&errors, &resistance, &torque, &seen.gravity);
+        // Velocities lag behind positions: what does not depend on them waits, so that all parts speak of one instant.
+        let wait = if memory.warm && dq.is_none() { dt / (controller.settings().velocity_filter + dt) } else { 1.0 };
+        let share = if memory.warm { dt / (self.options.filter + dt) } else { 1.0 };
+        for i in 0..self.joints.n {
+            memory.held[i] += wait * (own[i] - memory.held[i]);
+            memory.low_passed[i] += share * (memory.held[i] + moving[i] - memory.low_passed[i]);
+            memory.uncertainty[i] += share * (open[i] - memory.uncertainty[i]);
+        }
+        // The low-pass of an acceleration is the velocity less its own low-pass: nothing is differentiated twice.
+        let accelerating = balance.accelerating();
+        (0..self.joints.n).for_each(|i| memory.residual[i] = memory.low_passed[i] + accelerating[i]);
+        memory.warm = true;
+        memory.here = Tare {
+            residual: memory.residual,
+            given: torque,
+            gravity: seen.gravity,
+            hidden: resistance,
+            payload: seen.payload,
+        };
+        let mut estimate = self.wrench(&seen, &memory.residual, &memory.uncertainty, &balance);
+        (estimate.torque, estimate.velocity, estimate.saturated) = (torque, motion.velocity, saturated);
+        estimate.touch = memory.touch.update(&estimate.force, &estimate.uncertainty, dt);
+        estimate.stop = memory.stop.update(&estimate.force, &estimate.uncertainty, dt);
+        if !estimate.force_base.iter().all(|x| x.is_finite()) {
+            return Err(Error::config("contact", "the estimate is not finite for this q, load and servo table"));
+        }
+        memory.estimate = estimate;
+        self.memory = memory;
+        Ok(&self.memory.estimate)
+    }
+
+    /// How far an estimate can be off for the arm at rest in `q` (n) [rad], holding its own weight: (6,) [N, N·m], task
+    /// frame; ∞ along axes that are not looked at.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] or [`Error::Limit`] for `q`.
+    pub fn uncertainty_at(&self, controller: &Controller, q: &[f64]) -> Result<AxisVec> {
+        let q = controller.positions("q", q)?;
+        Ok(self.at_rest(controller, &q))
+    }
+
+    /// The median of [`Contact::uncertainty_at`] over poses all over the arm's joint space.
+    pub fn typical_uncertainty(&self, controller: &Controller) -> AxisVec {
+        let found: Vec<AxisVec> =
+            survey::poses(controller.model()).step_by(EVERY).map(|q| self.at_rest(controller, &q)).collect();
+        let mut out = [f64::INFINITY; MAX_AXES];
+        for &axis in &self.axes {
+            out[axis] = survey::median(&mut found.iter().map(|bound| bound[axis]).collect::<Vec<_>>());
+        }
+        out
+    }
+
+    /// Refuses thresholds that this arm cannot tell from its own friction in the median of some poses.
+    pub(super) fn check_thresholds(&self, controller: &Controller) -> Result<()> {
+        let (options, asked) = (&self.options, |thresholds: &[Option<f64>]| thresholds.iter().any(Option::is_some));
+        if options.accept_thresholds || !(asked(&options.touch) || asked(&options.stop)) {
+            return Ok(());
+        }
+        let typical = self.typical_uncertainty(controller);
+        for (name, thresholds) in [("touch", &options.touch), ("stop", &options.stop)] {
+            for (axis, threshold) in thresholds.iter().enumerate() {
+                let Some(value) = *threshold else { continue };
+                if !self.axes.contains(&axis) {
+                    let message = "has a threshold but is not among the axes looked at: give axes, or leave it out";
+                    return Err(Error::config(format!("{name}.{}", AXIS_NAMES[axis]), message));
+                }
+                let least = options.guard() * typical[axis];
+                if value < least {
+                    let unit = if axis < 3 { "N" } else { "N·m" };
+                    return Err(Error::limit(
+                        format!("{name}.{} [{unit}]", AXIS_NAMES[axis]),
+                        value,
+                        format!(
+                            "[{least:.3}, ∞): below it this arm, at rest in the median pose, cannot tell a contact from \
+                             friction, k_p and gravity; raise it, say how well the arm is known (kp_error, \
+                             friction_error, gravity_error), lower guard, or take it by name: accept=(\"thresholds\",)"
+                        ),
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn at_rest(&self, controller: &Controller, q: &JointVec) -> AxisVec {
+        let (seen, zero) = (self.look(controller, q), [0.0; MAX_JOINTS]);
+        let mass = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+        let balance = Balance {
+            joints: &self.joints,
+            given: &seen.gravity,
+            measured: false,
+            saturated: &[false; MAX_JOINTS],
+            gravity: &seen.gravity,
+            mass: &mass,
+            velocity: &zero,
+            velocity_error: &zero,
+            acceleration: &zero,
+            noise: &Noise { reading: self.reading_noise(controller.settings().rate.recip()), ..Noise::default() },
+        };
+        let resistance = balance.resistance_error(&self.errors);
+        let open = self.open(&self.errors, &resistance, &seen.gravity, &seen.gravity);
+        self.wrench(&seen, &zero, &open, &balance).uncertainty
+    }
+
+    /// Torques from a measured load or current.
+    fn measured(&self, controller: &Controller, input: &ContactInput<'_>) -> Result<Option<JointVec>> {
+        if let Some(load) = input.load {
+            return controller.joints("load [N·m]", load, LOAD_BOUND).map(Some);
+        }
+        let Some(current) = input.current else { return Ok(None) };
+        let mut load = controller.joints("current [A]", current, LOAD_BOUND)?;
+        let Some(constants) = &self.constants else {
+            return Err(Error::config(
+                "torque_constant",
+                "a current needs the torque per ampere of each joint [N·m/A]",
+            ));
+        };
+        load.iter_mut().zip(constants).for_each(|(value, constant)| *value *= constant);
+        Ok(Some(load))
+    }
+
+    /// How the joints move, by readings alone unless `dq` is given.
+    fn motion(
+        &self,
+        controller: &Controller,
+        q: &JointVec,
+        dq: Option<&JointVec>,
+        dt: f64,
+        memory: &mut Memory,
+    ) -> Motion {
+        let filter = controller.settings().velocity_filter;
+        if !memory.started {
+            (memory.filter, memory.before) = (VelocityFilter::new(q), *q);
+            (memory.slow, memory.started) = (dq.copied().unwrap_or_default(), true);
+        }
+        match dq {
+            Some(dq) => memory.filter.set(q, dq),
+            None => memory.filter.update(q, &self.joints.count, filter, dt, self.joints.n),
+        }
+        let velocity = memory.filter.velocity;
+        let mut motion = Motion { velocity, ..Motion::default() };
+        motion.noise.reading = self.reading_noise(dt);
+        let (span, share) = (self.options.filter + dt, dt / (filter + dt));
+        for i in 0..self.joints.n {
+            motion.middle[i] = 0.5 * (memory.before[i] + q[i]);
+            motion.acceleration[i] = (velocity[i] - memory.slow[i]) / span;
+            memory.slow[i] += dt * motion.acceleration[i];
+            if dq.is_none() {
+                let count = self.joints.count[i];
+                motion.velocity_error[i] = count / (filter + dt) + filter * motion.acceleration[i].abs();
+                // Differences of noisy readings behind one pole; within the play of a count nothing moves.
+                let toggling = READING_NOISE * count * share / dt * (2.0 / (2.0 - share)).sqrt();
+                motion.noise.velocity[i] = toggling.min(velocity[i].abs());
+                motion.noise.acceleration[i] = motion.noise.velocity[i] / span;
+            }
+        }
+        memory.before = *q;
+        motion
+    }
+
+    /// Noise of the mean of two readings behind the low-pass [rad].
+    fn reading_noise(&self, dt: f64) -> JointVec {
+        let share = dt / (self.options.filter + dt);
+        let passed = READING_NOISE * (0.5 * (share / (2.0 - share)).max(0.0)).sqrt();
+        self.joints.count.map(|count| passed * count)
+    }
+
+    fn look(&self, controller: &Controller, q: &JointVec) -> Seen {
+        let chain = controller.model().chain();
+        let mut frames = Frames::default();
+        let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
+        let (mut gravity, mut payload) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        chain.forward(q, &mut frames);
+        chain.jacobian(&frames, &mut world);
+        chain.gravity(&frames, &controller.masses, controller.gravity, &mut gravity);
+        let base_from_task = crate::task::base_from_task(&controller.plan.frame, &frames.tool);
+        for (row, g) in world.iter().zip(controller.gravity) {
+            for i in 0..self.joints.n {
+                payload[i] -= row[i] * g;
+            }
+        }
+        let rows = crate::task::rows(&world, &base_from_task, &self.axes, self.joints.n);
+        Seen { rows, base_from_task, gravity, payload, frames }
+    }
+
+    /// What is open of a residual beside the tool's load [N·m]; the errors that a tare took out count from there.
+    fn open(&self, errors: &Errors, resistance: &JointVec, torque: &JointVec, gravity: &JointVec) -> JointVec {
+        let mut out = [0.0; MAX_JOINTS];
+        for i in 0..self.joints.n {
+            let given = errors.given * (torque[i] - self.tare.given[i]).abs();
+            let weight = errors.gravity * (gravity[i] - self.tare.gravity[i]).abs();
+            out[i] = resistance[i] + self.tare.hidden[i] + given + weight;
+        }
+        out
+    }
+
+    /// The wrench of a residual, less the tare, in task and base axes.
+    fn wrench(
+        &self,
+        seen: &Seen,
+        residual: &JointVec,
+        uncertainty: &JointVec,
+        balance: &Balance<'_>,
+    ) -> WrenchEstimate {
+        let (k, n) = (self.axes.len(), self.joints.n);
+        let (mut felt, mut payload) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        for i in 0..n {
+            felt[i] = residual[i] - self.tare.residual[i];
+            payload[i] = self.options.payload_error * (seen.payload[i] - self.tare.payload[i]);
+        }
+        // Errors that stay add up at their worst, noise by its squares, three standard deviations of it.
+        let (own, shared) = (balance.own_noise(), balance.shared_noise());
+        let mut total = *uncertainty;
+        for i in 0..n {
+            total[i] += SIGMAS * (own[i] * own[i] + shared[i].iter().map(|x| x * x).sum::<f64>()).sqrt();
+        }
+        let estimator = Estimator::new(&seen.rows, &total, &self.most, k, n);
+        let (force, mut bound) = (estimator.apply(&felt), estimator.bound(uncertainty));
+        bound.iter_mut().zip(estimator.noise(&own, &shared)).for_each(|(bound, noise)| *bound += SIGMAS * noise);
+        // The load's error is one number for all joints: it does not add up joint by joint.
+        bound.iter_mut().zip(estimator.apply(&payload)).for_each(|(bound, load)| *bound += load.abs());
+        let evidence = (0..n).fold(0.0_f64, |most, i| most.max((felt[i].abs() - payload[i].abs()) / total[i]));
+        let mut out =
+            WrenchEstimate { torque_residual: felt, torque_uncertainty: total, evidence, ..WrenchEstimate::empty(n) };
+        for (r, &axis) in self.axes.iter().enumerate() {
+            (out.force[axis], out.uncertainty[axis]) = (force[r], bound[r]);
+        }
+        for axis in 0..MAX_AXES {
+            let (block, row) = (axis / 3 * 3, axis % 3);
+            out.uncertainty_base[axis] = 0.0;
+            for column in 0..3 {
+                let turn = seen.base_from_task[row][column];
+                if turn.abs() > 1e-12 {
+                    out.force_base[axis] += turn * out.force[block + column];
+                    out.uncertainty_base[axis] += turn.abs() * out.uncertainty[block + column];
+                }
+            }
+        }
+        out
+    }
+}
+
+impl Memory {
+    /// The command that the servos followed when a reading was taken that is in hand now, `None` if it is not known.
+    fn in_force(&self, delay: f64, dt: f64) -> Option<Sent> {
+        let mut ago = 0;
+        let mut passed = 0.5 * dt;
+        while passed < delay && ago < HISTORY {
+            passed += dt;
+            ago += 1;
+        }
+        (ago < self.count).then(|| self.sent[(self.newest + HISTORY - ago) % HISTORY])
+    }
+}
+
+/// The newest command, `None` before the first.
+fn sent(controller: &Controller, input: &ContactInput<'_>) -> Result<Option<Sent>> {
+    if let Some([goal, limit]) = input.sent {
+        let goal = controller.joints("goal", goal, COORDINATE_BOUND)?;
+        let limit = controller.joints("torque_limit", limit, LOAD_BOUND)?;
+        return Ok(Some(Sent { goal, limit }));
+    }
+    Ok(controller.memory.limit.map(|limit| Sent { goal: controller.memory.goal, limit }))
+}

@@ -1,0 +1,139 @@
+//! From residual joint torques to a wrench and its bound.
+
+use crate::kinematics::JointMatrix;
+use crate::law::inverse::{Cholesky, weighted_gram};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
+
+/// Linear estimate `F = G r` of `r = JᵀF + ε`, `|ε_i| ≤ u_i`, `|F_k| ≤ most_k`.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Estimator {
+    /// `G = (J W Jᵀ + P⁻¹)⁻¹ J W` with `W = diag(1/u²)`, `P = diag(most²)`: k × n.
+    gain: Rows,
+    /// `|G Jᵀ − I| most`: what the estimator itself leaves out, all of `most` where nothing is observable.
+    blind: AxisVec,
+    k: usize,
+    n: usize,
+}
+
+impl Estimator {
+    /// For `k` rows of `n` joints; every entry of `uncertainty` and `most` is positive.
+    #[inline]
+    pub(super) fn new(rows: &Rows, uncertainty: &JointVec, most: &AxisVec, k: usize, n: usize) -> Self {
+        let (k, n) = (k.min(MAX_AXES), n.min(MAX_JOINTS));
+        let mut weight = [0.0; MAX_JOINTS];
+        for i in 0..n {
+            weight[i] = 1.0 / (uncertainty[i] * uncertainty[i]);
+        }
+        let mut m = weighted_gram(rows, &weight, k, n);
+        for r in 0..k {
+            m[r][r] += 1.0 / (most[r] * most[r]);
+        }
+        let mut weighted = *rows;
+        for row in weighted.iter_mut().take(k) {
+            for (value, weight) in row.iter_mut().zip(weight) {
+                *value *= weight;
+            }
+        }
+        let factor = Cholesky::new(&m, k);
+        let gain = factor.solve_rows(&weighted, n);
+        let mut blind = [0.0; MAX_AXES];
+        for c in 0..k {
+            // G Jᵀ − I = −(J W Jᵀ + P⁻¹)⁻¹ P⁻¹, without the cancellation.
+            let mut prior = [0.0; MAX_AXES];
+            prior[c] = 1.0 / (most[c] * most[c]);
+            let column = factor.solve(&prior);
+            for r in 0..k {
+                blind[r] += column[r].abs() * most[c];
+            }
+        }
+        Self { gain, blind, k, n }
+    }
+
+    /// `G v`.
+    #[inline]
+    pub(super) fn apply(&self, v: &JointVec) -> AxisVec {
+        let mut out = [0.0; MAX_AXES];
+        for r in 0..self.k {
+            for i in 0..self.n {
+                out[r] += self.gain[r][i] * v[i];
+            }
+        }
+        out
+    }
+
+    /// Standard deviations of `G ε`: `own` noise of each joint, and `shared` of column j in all joints.
+    #[inline]
+    pub(super) fn noise(&self, own: &JointVec, shared: &JointMatrix) -> AxisVec {
+        let mut out = [0.0; MAX_AXES];
+        for r in 0..self.k {
+            let (mut squares, mut columns) = (0.0, [0.0; MAX_JOINTS]);
+            for i in 0..self.n {
+                squares += (self.gain[r][i] * own[i]).powi(2);
+                for j in 0..MAX_JOINTS {
+                    columns[j] += self.gain[r][i] * shared[i][j];
+                }
+            }
+            out[r] = (squares + columns.iter().map(|x| x * x).sum::<f64>()).sqrt();
+        }
+        out
+    }
+
+    /// `|G| u + |G Jᵀ − I| most`: how far off the estimate can be.
+    #[inline]
+    pub(super) fn bound(&self, uncertainty: &JointVec) -> AxisVec {
+        let mut out = self.blind;
+        for r in 0..self.k {
+            for i in 0..self.n {
+                out[r] += self.gain[r][i].abs() * uncertainty[i];
+            }
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows(seed: f64) -> Rows {
+        let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+        for (r, row) in rows.iter_mut().enumerate() {
+            for (i, value) in row.iter_mut().enumerate().take(7) {
+                *value = ((r * 7 + i) as f64 * seed).sin();
+            }
+        }
+        rows
+    }
+
+    const MOST: AxisVec = [100.0, 100.0, 100.0, 20.0, 20.0, 20.0];
+
+    #[test]
+    fn an_estimate_is_never_farther_off_than_its_bound() {
+        for seed in 1..200 {
+            let rows = rows(0.37 + f64::from(seed) * 0.071);
+            let noise = |i: usize| (((i + 1) as f64 * 12.9898 + f64::from(seed)).sin() * 43_758.545_3).fract();
+            let (mut u, mut r) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+            let truth: AxisVec = std::array::from_fn(|k| MOST[k] * noise(k));
+            for i in 0..7 {
+                u[i] = 0.01 + noise(i + 10).abs();
+                r[i] = (0..6).map(|k| rows[k][i] * truth[k]).sum::<f64>() + u[i] * noise(i + 20).signum();
+            }
+            let estimator = Estimator::new(&rows, &u, &MOST, 6, 7);
+            let (found, bound) = (estimator.apply(&r), estimator.bound(&u));
+            for k in 0..6 {
+                assert!((found[k] - truth[k]).abs() <= bound[k] * (1.0 + 1e-9) + 1e-9, "{k} {found:?} {truth:?}");
+                assert!(bound[k].is_finite());
+            }
+        }
+    }
+
+    #[test]
+    fn what_no_joint_feels_is_uncertain_by_all_there_can_be() {
+        let mut rows = rows(0.7);
+        rows[2] = [0.0; MAX_JOINTS];
+        let estimator = Estimator::new(&rows, &[0.1; MAX_JOINTS], &MOST, 6, 7);
+        assert!((estimator.bound(&[0.1; MAX_JOINTS])[2] - 100.0).abs() < 1e-9);
+        assert!(estimator.apply(&[1.0; MAX_JOINTS])[2].abs() < 1e-12, "and nothing is felt there");
+        assert!(estimator.bound(&[0.1; MAX_JOINTS])[0] < 50.0, "the others are not touched by it");
+    }
+}

@@ -1,0 +1,260 @@
+//! `Contact` and `WrenchEstimate`.
+
+use numpy::PyArray1;
+use pliant_core::task::axes::{AXIS_NAMES, parse_axes};
+use pliant_core::{Contact as CoreContact, ContactInput, ContactOptions, JointVec, WrenchEstimate as CoreEstimate};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+use crate::controller::Controller;
+use crate::convert::new_array;
+use crate::error::{OrRaise, config, wrong_type};
+use crate::read::{joints, number, vector};
+
+/// Risk that is taken by name.
+const THRESHOLDS: &str = "thresholds";
+
+/// What pushes at the tool, and how sure that is.
+#[pyclass(module = "pliant", frozen, eq)]
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct WrenchEstimate(CoreEstimate);
+
+/// Attributes from fields of the core's estimate.
+macro_rules! attributes {
+    (axes: $($axis:ident),*; joints: $($joint:ident),*; flags: $($flag:ident),*;) => {
+        #[pymethods]
+        impl WrenchEstimate {
+            $(#[getter]
+            fn $axis<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+                new_array(py, &[self.0.$axis.len()], &self.0.$axis)
+            })*
+
+            $(#[getter]
+            fn $joint<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+                new_array(py, &[self.0.n], &self.0.$joint)
+            })*
+
+            $(#[getter]
+            fn $flag<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+                PyArray1::from_slice(py, &self.0.$flag).into_any()
+            })*
+
+            #[getter]
+            fn evidence(&self) -> f64 {
+                self.0.evidence
+            }
+
+            #[getter]
+            fn saturated<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+                PyArray1::from_slice(py, &self.0.saturated[..self.0.n]).into_any()
+            }
+
+            fn __str__(&self) -> String {
+                let felt = AXIS_NAMES.iter().enumerate().filter(|(axis, _)| self.0.uncertainty[*axis].is_finite());
+                let texts: Vec<String> = felt
+                    .map(|(axis, name)| {
+                        let unit = if axis < 3 { "N" } else { "N·m" };
+                        format!("{name} {:+.1} ± {:.1} {unit}", self.0.force[axis], self.0.uncertainty[axis])
+                    })
+                    .collect();
+                if texts.is_empty() { "nothing known yet".into() } else { texts.join(", ") }
+            }
+
+            fn __repr__(&self) -> String {
+                format!("<WrenchEstimate: {}>", self.__str__())
+            }
+        }
+    };
+}
+
+attributes! {
+    axes: force, uncertainty, force_base, uncertainty_base;
+    joints: torque_residual, torque_uncertainty, torque, velocity;
+    flags: touch, stop;
+}
+
+/// Feels contacts of one arm through its position servos.
+#[pyclass(module = "pliant")]
+pub(crate) struct Contact {
+    core: CoreContact,
+    controller: Py<Controller>,
+    n: usize,
+}
+
+fn part(values: Option<&JointVec>, n: usize) -> Option<&[f64]> {
+    values.map(|values| &values[..n])
+}
+
+/// Numbers by axis key, e.g. `{"xyz": 8.0, "yaw": 1.0}`.
+fn thresholds(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<[Option<f64>; 6]> {
+    let mut out = [None; 6];
+    let Some(value) = value else { return Ok(out) };
+    let expected = "a mapping from axes to thresholds [N, N·m], e.g. {\"xyz\": 8.0}";
+    let mapping = value.cast::<PyDict>().map_err(|_| wrong_type(name, expected, value))?;
+    for (key, threshold) in mapping {
+        let text: String = key.extract().map_err(|_| wrong_type(name, expected, value))?;
+        let threshold = number(&threshold).ok_or_else(|| wrong_type(name, expected, value))?;
+        for (axis, on) in parse_axes(name, &text).or_raise()?.into_iter().enumerate() {
+            if on && out[axis].replace(threshold).is_some() {
+                return Err(config(name, format!("{} is named twice", AXIS_NAMES[axis])));
+            }
+        }
+    }
+    Ok(out)
+}
+
+#[pymethods]
+impl Contact {
+    #[new]
+    #[pyo3(signature = (
+        controller, *, axes = None, filter = 0.04, friction_error = 0.3, kp_error = None, gravity_error = 0.05,
+        payload_error = 0.0, inertia_error = 0.3, load_error = 0.2, torque_constant = None, most = (100.0, 20.0),
+        touch = None, stop = None, hysteresis = 0.3, min_time = 0.02, guard = 1.0, accept = Vec::new()
+    ))]
+    #[pyo3(text_signature = "(controller, *, axes=None, filter=0.04, friction_error=0.3, kp_error=None, \
+        gravity_error=0.05, payload_error=0.0, inertia_error=0.3, load_error=0.2, torque_constant=None, \
+        most=(100.0, 20.0), touch=None, stop=None, hysteresis=0.3, min_time=0.02, guard=1.0, accept=())")]
+    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    fn new(
+        py: Python<'_>,
+        controller: Py<Controller>,
+        axes: Option<&str>,
+        filter: f64,
+        friction_error: f64,
+        kp_error: Option<f64>,
+        gravity_error: f64,
+        payload_error: f64,
+        inertia_error: f64,
+        load_error: f64,
+        torque_constant: Option<&Bound<'_, PyAny>>,
+        most: (f64, f64),
+        touch: Option<&Bound<'_, PyAny>>,
+        stop: Option<&Bound<'_, PyAny>>,
+        hysteresis: f64,
+        min_time: f64,
+        guard: f64,
+        accept: Vec<String>,
+    ) -> PyResult<Self> {
+        if let Some(unknown) = accept.iter().find(|risk| *risk != THRESHOLDS) {
+            return Err(config(
+                "accept",
+                format!("'{unknown}' is no risk of a contact estimate; there is '{THRESHOLDS}'"),
+            ));
+        }
+        let options = ContactOptions {
+            axes: axes.map(|text| parse_axes("axes", text)).transpose().or_raise()?,
+            filter,
+            friction_error,
+            kp_error,
+            gravity_error,
+            payload_error,
+            inertia_error,
+            load_error,
+            torque_constant: torque_constant.map(|values| vector("torque_constant", values)).transpose()?,
+            most: most.into(),
+            touch: thresholds("touch", touch)?,
+            stop: thresholds("stop", stop)?,
+            hysteresis,
+            min_time,
+            guard,
+            accept_thresholds: !accept.is_empty(),
+        };
+        let (core, n) = {
+            let borrowed = controller.borrow(py);
+            (CoreContact::new(&borrowed.core, options).or_raise()?, borrowed.core.model().n())
+        };
+        Ok(Self { core, controller, n })
+    }
+
+    #[pyo3(signature = (q, *, dt = None, dq = None, load = None, current = None, sent = None))]
+    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    fn update(
+        &mut self,
+        py: Python<'_>,
+        q: &Bound<'_, PyAny>,
+        dt: Option<f64>,
+        dq: Option<&Bound<'_, PyAny>>,
+        load: Option<&Bound<'_, PyAny>>,
+        current: Option<&Bound<'_, PyAny>>,
+        sent: Option<(Bound<'_, PyAny>, Bound<'_, PyAny>)>,
+    ) -> PyResult<WrenchEstimate> {
+        let n = self.n;
+        let read = |name: &str, value: Option<&Bound<'_, PyAny>>| value.map(|value| joints(name, value, n)).transpose();
+        let q = joints("q", q, n)?;
+        let (dq, load, current) = (read("dq", dq)?, read("load", load)?, read("current", current)?);
+        let sent = match &sent {
+            Some((goal, limit)) => Some([joints("goal", goal, n)?, joints("torque_limit", limit, n)?]),
+            None => None,
+        };
+        let input = ContactInput {
+            dt,
+            dq: part(dq.as_ref(), n),
+            load: part(load.as_ref(), n),
+            current: part(current.as_ref(), n),
+            sent: sent.as_ref().map(|[goal, limit]| [&goal[..n], &limit[..n]]),
+        };
+        let controller = self.controller.borrow(py);
+        self.core.update(&controller.core, &q[..n], &input).or_raise().map(|felt| WrenchEstimate(*felt))
+    }
+
+    fn uncertainty_at<'py>(&self, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        let py = q.py();
+        let at = joints("q", q, self.n)?;
+        let bound = self.core.uncertainty_at(&self.controller.borrow(py).core, &at[..self.n]).or_raise()?;
+        Ok(new_array(py, &[bound.len()], &bound))
+    }
+
+    fn typical_uncertainty<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        let bound = self.core.typical_uncertainty(&self.controller.borrow(py).core);
+        new_array(py, &[bound.len()], &bound)
+    }
+
+    fn reset(&mut self) {
+        self.core.reset();
+    }
+
+    fn tare(&mut self) -> PyResult<()> {
+        self.core.tare().or_raise()
+    }
+
+    fn clear_tare(&mut self) {
+        self.core.clear_tare();
+    }
+
+    #[getter]
+    fn tared(&self) -> bool {
+        self.core.is_tared()
+    }
+
+    #[getter]
+    fn estimate(&self) -> WrenchEstimate {
+        WrenchEstimate(*self.core.estimate())
+    }
+
+    #[getter]
+    fn guard(&self) -> f64 {
+        let options = self.core.options();
+        if options.accept_thresholds { 0.0 } else { options.guard }
+    }
+
+    #[getter]
+    fn latency(&self, py: Python<'_>) -> f64 {
+        self.core.latency(&self.controller.borrow(py).core)
+    }
+
+    #[getter]
+    fn axes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(py, self.core.axes())
+    }
+
+    #[getter]
+    fn controller(&self, py: Python<'_>) -> Py<Controller> {
+        self.controller.clone_ref(py)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<Contact: axes {}; {}>", self.core.axes().join(" "), WrenchEstimate(*self.core.estimate()).__str__())
+    }
+}

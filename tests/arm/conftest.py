@@ -1,0 +1,77 @@
+"""An arm on the simulator, and a drive that writes down what it is asked."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="the arm's tests run on the simulator: extra sim")
+
+import pliant
+from pliant.arm import Arm
+from pliant.arm.simulated import SimDrive
+from pliant.sim import Plant
+
+#: A grasp pose of arm7, tool at (0.38, 0, -0.28).
+GRASP = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
+
+
+class Scribe(SimDrive):
+    """A simulated arm that keeps a diary."""
+
+    def __init__(self, plant):
+        super().__init__(plant)
+        self.diary = []
+        self.silent = set()
+        self.broken = False
+
+    def read(self):
+        if self.broken:
+            raise pliant.ServoError("unplugged")
+        sample = super().read()
+        lost = np.isin(self.names, list(self.silent))
+        sample.position[lost] = np.nan
+        sample.ok[lost] = False
+        return sample
+
+    def write(self, goal, limit):
+        if self.broken:
+            raise pliant.ServoError("unplugged")
+        self.diary.append(("write", goal.copy(), limit.copy()))
+        super().write(goal, limit)
+
+    def enable(self, goal, limit):
+        self.diary.append(("enable", goal.copy(), limit.copy()))
+        super().enable(goal, limit)
+
+    def disable(self, names):
+        self.diary.append(("disable", tuple(names), None))
+        super().disable(names)
+
+    def watchdog(self, seconds):
+        self.diary.append(("watchdog", seconds, None))
+
+    def verbs(self):
+        """What was asked, repetitions left out."""
+        found = []
+        for verb, *_ in self.diary:
+            if not found or found[-1] != verb:
+                found.append(verb)
+        return found
+
+
+@pytest.fixture
+def grasp():
+    return GRASP.copy()
+
+
+@pytest.fixture
+def make():
+    """Make an arm in a posture, with options of the plant and of the arm."""
+
+    def build(q=GRASP, robot="arm7", plant=None, **options):
+        model = pliant.robots.load(robot)
+        simulated = Plant(model, **{"dt": 0.002, **(plant or {})})
+        if q is not None:
+            simulated.reset(q)
+        return Arm(model, Scribe(simulated), **{"signals": False, **options})
+
+    return build

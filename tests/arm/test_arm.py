@@ -1,0 +1,227 @@
+"""The life of an arm: order of what is sent, exits, joints off the chain, errors."""
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant.arm import Arm, Jaw
+from pliant.arm.simulated import SimDrive
+from pliant.sim import Plant
+
+
+def test_order_from_torque_on_to_torque_off(make, grasp):
+    arm = make()
+    with arm:
+        assert arm.enabled
+    assert arm.drive.verbs() == ["enable", "write", "watchdog", "write", "disable", "write"]
+    _, goal, limit = arm.drive.diary[0]
+    gravity, kp = arm.model.gravity(grasp), np.asarray(arm.servos.kp)
+    # The first order carries the weight of an arm that holds itself up, and little more.
+    assert goal == pytest.approx(grasp + gravity / kp)
+    assert limit == pytest.approx(1.1 * np.abs(gravity) + 2 * np.asarray(arm.servos.friction))
+    assert not arm.enabled
+    assert not arm.drive.enabled.any()
+
+
+def test_an_arm_without_torque_gets_goals_where_its_joints_are(make, grasp):
+    arm = make()
+    arm.drive.disable(arm.drive.names)
+    q = arm.read().q
+    arm.enable()
+    assert arm.drive.diary[-1][0] == "watchdog"
+    _, goal, _ = next(entry for entry in arm.drive.diary if entry[0] == "enable")
+    assert goal == pytest.approx(q)
+    arm.limp()
+
+
+def test_taking_over_does_not_let_the_tool_dip(make):
+    arm = make(plant={"delay": (1, 1)})
+    height = arm.drive.plant.tool[2, 3]
+    arm.enable()
+    assert abs(arm.drive.plant.tool[2, 3] - height) < 1e-3
+    arm.hold()
+
+
+def test_limits_rise_and_never_exceed_what_was_asked(make):
+    arm = make()
+    arm.enable()
+    q, torque = arm.read().q, np.asarray(arm.servos.torque)
+    arm.write(q, torque)
+    first = arm.drive.diary[-1][2]
+    assert np.all(first < 0.6 * torque)
+    arm.clock.wait_until(arm.clock.now() + 0.6)
+    arm.read()
+    arm.write(q, torque)
+    assert arm.drive.diary[-1][2] == pytest.approx(torque)
+    arm.write(q, 0.0 * torque)
+    assert arm.drive.diary[-1][2] == pytest.approx(0.0 * torque)
+    arm.hold()
+
+
+def test_goals_stay_within_position_limits_and_what_the_weight_needs(make):
+    with make() as arm:
+        arm.read()
+        arm.write(np.full(7, 50.0), np.zeros(7))
+        lead = np.abs(arm.model.gravity(arm.read().q)) / np.asarray(arm.servos.kp)
+        assert np.all(arm.drive.diary[-1][1] <= arm.model.upper + lead + 1e-9)
+        assert np.all(arm.drive.diary[-1][1] >= arm.model.upper - 1e-9)
+        arm.hold()
+
+
+def test_what_cannot_be_sent_is_not(make, grasp):
+    arm = make()
+    with pytest.raises(pliant.ServoError, match="torque is off"):
+        arm.write(grasp)
+    with arm:
+        before = len(arm.drive.diary)
+        for goal, limit, error in (
+            (np.full(7, np.nan), None, pliant.LimitError),
+            (grasp[:3], None, pliant.ShapeError),
+            (grasp, -np.ones(7), pliant.LimitError),
+            (grasp, np.full(7, np.inf), pliant.LimitError),
+        ):
+            with pytest.raises(error):
+                arm.write(goal, limit)
+        with pytest.raises(pliant.ConfigError, match="no joint 'claw' off the chain"):
+            arm.write(grasp, None, {"claw": (0.0, 1.0)})
+        assert len(arm.drive.diary) == before
+        arm.hold()
+
+
+def test_an_exception_lowers_and_stays_the_error(make):
+    arm = make()
+    with pytest.raises(ZeroDivisionError), arm:
+        _ = 1 / 0
+    assert not arm.enabled
+    assert arm.drive.plant.tool[2, 3] < -0.6
+    assert np.abs(arm.drive.plant.dq).max() < 0.1
+
+
+def test_hold_leaves_torque_on(make, grasp):
+    with make() as arm:
+        arm.hold()
+    assert arm.drive.enabled.all()
+    assert "disable" not in arm.drive.verbs()
+    arm.drive.clock.wait_until(arm.clock.now() + 2.0)
+    assert np.abs(arm.drive.plant.q - grasp).max() < 0.01
+    with make(exit="hold") as arm:
+        pass
+    assert arm.drive.enabled.all()
+
+
+def test_limp_is_torque_off_at_once(make):
+    with make() as arm:
+        before = arm.clock.now()
+        arm.limp()
+        assert arm.clock.now() == before
+    assert not arm.drive.enabled.any()
+
+
+def test_park_needs_a_pose_and_goes_there(make):
+    arm = make()
+    with arm:
+        with pytest.raises(pliant.ConfigError, match="no pose to park in"):
+            arm.park()
+        with pytest.raises(pliant.LimitError):
+            arm.park(np.full(7, np.nan))
+        assert arm.enabled
+        pose = np.array((-0.3, -0.1, 0.0, -0.9, 0.0, 0.0, 0.0))
+        nearest = []
+        arm.drive.clock.on_tick = lambda: nearest.append(np.abs(arm.drive.plant.q - pose).max())
+        arm.park(pose)
+    assert min(nearest) < 0.1
+
+
+def test_a_bus_that_is_gone_ends_the_descent_with_advice(make):
+    arm = make()
+    with pytest.raises(pliant.ServoError, match="support the arm"), arm:
+        arm.drive.broken = True
+    arm = make()
+
+    def fail():
+        with arm:
+            arm.drive.broken = True
+            raise KeyError("first")
+
+    with pytest.raises(KeyError) as caught:
+        fail()
+    assert "while the arm was being lowered" in caught.value.__notes__[0]
+
+
+def test_joints_that_do_not_answer_are_named_before_torque_goes_on(make):
+    arm = make()
+    arm.drive.silent = {"wrist_pitch"}
+    with pytest.raises(pliant.ServoTimeout, match="no answer from wrist_pitch"):
+        arm.enable()
+    assert arm.drive.diary == []
+    assert not arm.enabled
+
+
+def test_readings_that_cannot_be_true_grow_old(make):
+    arm = make()
+    arm.enable()
+    first = arm.read()
+    arm.drive.silent = {"elbow_pitch"}
+    arm.clock.wait_until(arm.clock.now() + 0.1)
+    state = arm.read()
+    assert not state.fresh
+    assert state.age[3] == pytest.approx(0.1)
+    assert state.q[3] == first.q[3]
+    arm.drive.silent = set()
+    assert arm.read().fresh
+    arm.drive.plant.mj_data.qpos[3] += 1.2
+    arm.clock.wait_until(arm.clock.now() + 0.01)
+    assert not arm.read().fresh
+    assert arm.counters["jumps"] > 0
+    arm.hold()
+
+
+def test_a_gripper_holds_on_while_the_arm_comes_down(make):
+    arm = make(q=None, robot="so101", grippers={"gripper": Jaw(lever=0.05)})
+    with arm:
+        gripper = arm.gripper
+        assert gripper.limit == pytest.approx(0.3 * gripper.largest)
+        gripper.open()
+        arm.clock.wait_until(arm.clock.now() + 1.0)
+        arm.read()
+        assert gripper.width == pytest.approx(0.1 * np.sin(1.7 / 2), rel=0.1)
+        gripper.close(force=2.0)
+        assert arm.drive.diary[-1][2][5] == pytest.approx(0.1)  # [N·m] of 2 N at 50 mm
+        with pytest.raises(pliant.ConfigError, match="force must be between 0 and"):
+            gripper.close(force=1e3)
+        with pytest.raises(pliant.ConfigError, match="not finite"):
+            gripper.go(np.nan)
+        arm.write(arm.read().q, None, {"gripper": (0.2, 0.05)})
+        assert arm.drive.diary[-1][2][5] == pytest.approx(0.05)
+    orders = [(goal[5], limit[5]) for verb, goal, limit in arm.drive.diary if verb == "write"]
+    assert set(orders[-20:-1]) == {(0.2, 0.05)}
+
+
+def test_an_arm_says_what_does_not_fit(make):
+    model = pliant.robots.arm7()
+    drive = SimDrive(Plant(pliant.robots.so101()))
+    with pytest.raises(pliant.ConfigError, match="no servo is named shoulder_pitch"):
+        Arm(model, drive)
+    with pytest.raises(pliant.ConfigError, match="no joint 'claw' off the chain"):
+        make(grippers={"claw": Jaw()})
+    with pytest.raises(pliant.ConfigError, match="exit must be"):
+        make(exit="limp")
+    with pytest.raises(pliant.ConfigError, match="needs one joint off the chain"):
+        _ = make().gripper
+
+
+def test_connect_by_name_and_by_parts():
+    arm = pliant.connect("sim:so101", rate=200.0, rest=np.zeros(5))
+    assert (arm.model.n, arm.rate, arm.clock.period) == (5, 200.0, 0.005)
+    assert pliant.connect({"kind": "sim", "robot": "koch"}).model.n == 5
+    assert pliant.connect("so101", backend="sim", rate=50.0).rate == 50.0
+    assert pliant.connect(arm.model, arm.drive).drive is arm.drive
+    for wrong, message in (
+        (lambda: pliant.connect({"kind": "bus"}), "no arm of kind 'bus'"),
+        (lambda: pliant.connect("arm.toml"), "no file arm.toml"),
+        (lambda: pliant.connect("sim:arm9"), "no built-in arm 'arm9'"),
+        (lambda: pliant.connect(arm.model), "needs the drive"),
+        (lambda: pliant.connect("sim", arm.drive), "goes with a model"),
+    ):
+        with pytest.raises(pliant.ConfigError, match=message):
+            wrong()

@@ -1,0 +1,181 @@
+"""The loop: times, silences, commands that do not come, and no lunge after any of them."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant.arm.lateness import Lateness
+from pliant.experiments.mishaps import MISHAPS, suffer
+
+
+@pytest.fixture
+def running(make, grasp):
+    """An enabled arm in its grasp pose with a controller, and the target that is there."""
+    arm = make(plant={"delay": (1, 1)})
+    controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
+    arm.enable()
+    yield arm, controller, arm.model.forward_kinematics(grasp)
+    arm.hold()
+
+
+def test_a_tick_per_period_with_its_time_and_delay(running):
+    arm, controller, target = running
+    loop = pliant.Loop(arm, controller, rate=100.0, duration=1.0)
+    times = []
+    for tick in loop:
+        tick.write(controller.step(tick.q, target, dt=tick.dt))
+        times.append((tick.time, tick.dt, tick.index))
+    when, dt, index = np.array(times).T
+    assert np.diff(when) == pytest.approx(0.01)
+    assert dt == pytest.approx(0.01)
+    assert list(index) == list(range(100))
+    assert loop.delay == pytest.approx(0.02)
+    assert (loop.missed, loop.stale, loop.refused, loop.restarts) == (0, 0, 0, 0)
+    assert len(loop.lateness) == 100
+
+
+def test_the_first_goal_carries_the_weight(running):
+    arm, controller, target = running
+    height = []
+    for tick in pliant.Loop(arm, controller, duration=0.5):
+        tick.write(controller.step(tick.q, target, dt=tick.dt))
+        height.append(arm.drive.plant.tool[2, 3])
+    assert np.ptp(height) < 1e-4
+
+
+def test_deadlines_that_were_missed_are_skipped_not_caught_up(running):
+    arm, controller, target = running
+    loop = pliant.Loop(arm, controller, duration=0.5)
+    when = []
+    for tick in loop:
+        if tick.index == 10:
+            arm.clock.wait_until(arm.clock.now() + 0.034)
+        tick.write(controller.step(tick.q, target, dt=tick.dt))
+        when.append(tick.time)
+    gaps = np.diff(when)
+    assert loop.missed == 3
+    assert gaps.max() == pytest.approx(0.04)
+    assert np.sort(gaps)[:-1] == pytest.approx(0.01)
+
+
+def test_a_command_from_old_positions_is_not_sent(running):
+    arm, controller, target = running
+    loop = pliant.Loop(arm, controller, duration=0.5)
+    for tick in loop:
+        command = controller.step(tick.q, target, dt=tick.dt)
+        if tick.index == 10:
+            arm.clock.wait_until(arm.clock.now() + 0.3)
+            sent = len(arm.drive.diary)
+            assert not tick.write(command)
+            assert len(arm.drive.diary) == sent
+            tick.hold()
+        else:
+            assert tick.write(command)
+    assert (loop.refused, loop.restarts) == (1, 1)
+
+
+def test_commands_that_are_not_finite_hold_for_a_while_then_end_the_loop(running):
+    arm, controller, _ = running
+
+    class Bad:
+        goal = np.full(7, np.nan)
+        torque_limit = np.ones(7)
+
+    ticks = []
+
+    def loop():
+        for tick in pliant.Loop(arm, controller):
+            tick.write(Bad)
+            ticks.append(tick.time)
+
+    with pytest.raises(pliant.ServoTimeout, match=r"no command could be sent for 0.5"):
+        loop()
+    assert ticks[-1] - ticks[0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_loop_needs_torque_and_a_rate_that_fits(make):
+    arm = make()
+    with pytest.raises(pliant.ServoError, match="torque is off"):
+        next(iter(pliant.Loop(arm)))
+    with pytest.raises(pliant.ConfigError, match="rate=150"):
+        pliant.Loop(arm, rate=150.0)
+    with pytest.raises(pliant.ConfigError, match="above 0 Hz"):
+        pliant.Loop(arm, rate=0.0)
+
+
+def test_leaving_the_loop_lowers(make):
+    with make() as arm:
+        for tick in pliant.Loop(arm):
+            tick.hold()
+            if tick.index == 3:
+                break
+    assert not arm.enabled
+    assert arm.drive.plant.tool[2, 3] < -0.6
+
+
+def test_other_threads_run_while_the_loop_waits():
+    arm = pliant.connect("sim:koch", real_time=True, signals=False)
+    arm.enable()
+    count, stop = [0], threading.Event()
+
+    def work():
+        while not stop.is_set():
+            count[0] += 1
+            time.sleep(1e-4)
+
+    worker = threading.Thread(target=work)
+    worker.start()
+    ticks = sum(1 for tick in pliant.Loop(arm, duration=0.3) if not tick.hold())
+    stop.set()
+    worker.join()
+    arm.hold()
+    assert ticks > 0
+    assert count[0] > ticks
+
+
+def test_lateness_is_bounded_and_right_within_a_bin():
+    late = Lateness()
+    size = late.counts.nbytes
+    for value in np.linspace(0.0, 1e-3, 10_001):
+        late.add(value)
+    late.add(100.0)
+    late.add(-1.0)
+    assert late.counts.nbytes == size
+    assert late.percentile(50.0) == pytest.approx(0.5e-3, rel=0.13)
+    assert late.percentile(99.0) == pytest.approx(0.99e-3, rel=0.13)
+    assert late.percentile(100.0) == late.largest == 100.0
+    assert Lateness().percentile(50.0) == 0.0
+
+
+#: What becomes of the arm, and the highest speeds before and during the descent [m/s].
+EXPECTED = {
+    "Ctrl-C, or any exception": ("is lowered", 0.01, 0.18),
+    "the program stalls for 1 s": ("is lowered", 0.01, 0.18),
+    "the same, `Loop(stall=2.0)`": ("goes on", 0.01, 0.18),
+    "target NaN for 1 s, caught: `tick.hold()`": ("goes on", 0.01, 0.18),
+    "no command for 1 s": ("is lowered", 0.01, 0.18),
+    "no positions for 0.3 s": ("goes on", 0.01, 0.18),
+    "no positions for 1 s": ("is lowered", 0.01, 0.18),
+    "no positions any more": ("is lowered", 0.01, 0.40),
+    "elbow does not answer any more": ("is lowered", 0.01, 0.20),
+}
+
+
+#: These always run.
+SHORT = {"the same, `Loop(stall=2.0)`", "no positions for 1 s", "elbow does not answer any more"}
+
+
+@pytest.mark.parametrize(
+    "title", [pytest.param(t, marks=() if t in SHORT else pytest.mark.full) for t in EXPECTED]
+)
+def test_nothing_that_goes_wrong_drops_the_arm(title):
+    mishap = next(m for m in MISHAPS if m.title == title)
+    outcome, meanwhile, descent = EXPECTED[title]
+    got = suffer(mishap)
+    assert got.outcome == outcome, got.reason
+    assert got.speed < meanwhile
+    assert got.drop < 1e-3
+    assert got.descent < descent

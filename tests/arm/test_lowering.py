@@ -1,0 +1,123 @@
+"""Bringing an arm down: bands of speed and force, and what happens when positions go missing."""
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant.arm import Lowering
+from pliant.experiments.lifecycle import LOAD, lower, postures
+
+#: A posture stretched forward.
+STRETCHED = np.array([-1.3, -0.1, 0.0, -0.2, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("stretched", [False, True])
+def test_hangs_without_having_been_dropped(grasp, stretched):
+    run = lower(STRETCHED) if stretched else lower(grasp, load=LOAD)
+    assert run.speed < 0.18
+    assert run.after < 0.1
+
+
+def test_comes_to_rest_on_a_table_with_a_load_nobody_knows_of(grasp):
+    run = lower(grasp, load=LOAD, over_table=True, ticks=1)
+    assert run.speed < 0.18
+    assert run.force < 15.0
+    assert run.after < 0.2
+
+
+def test_servos_that_are_stiffer_than_believed(grasp):
+    assert lower(grasp, kp_scale=1.25).speed < 0.18
+
+
+@pytest.mark.parametrize("robot", ["so101", "koch"])
+def test_small_arms(robot):
+    for q in postures(1, robot=robot, load=0.05, seed=3):
+        assert lower(q, robot=robot).speed < 0.18
+
+
+def test_goes_to_a_rest_pose_first(make):
+    rest = np.array((-0.4, -0.1, 0.0, -0.8, 0.0, 0.0, 0.0))
+    arm = make(rest=rest)
+    nearest = []
+    with arm:
+        arm.drive.clock.on_tick = lambda: nearest.append(np.abs(arm.drive.plant.q - rest).max())
+    assert min(nearest) < 0.1
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("options", [{}, {"load": LOAD}, {"load": LOAD, "ticks": 1}])
+def test_ten_poses_over_a_table(options):
+    runs = [lower(q, over_table=True, **options) for q in postures(10)]
+    assert max(run.speed for run in runs) < (0.2 if "ticks" in options else 0.18)
+    # Where more than that rests on the table, nobody can press with less.
+    assert max(run.force - max(run.resting, 15.0) for run in runs) < 2.0
+
+
+@pytest.fixture
+def model():
+    return pliant.robots.arm7()
+
+
+def descend(model, grasp, reading, ticks=400, dt=0.01):
+    """Orders for an arm that stands still, with what is read at each tick."""
+    lowering = Lowering(model, model.servos, grasp)
+    orders = []
+    for tick in range(ticks):
+        order = lowering.step(reading(tick), dt)
+        if order is None:
+            break
+        orders.append((lowering.phase, *order))
+    return lowering, orders
+
+
+def test_positions_that_never_come_leave_an_open_ramp_from_the_weight(model, grasp):
+    lowering, orders = descend(model, grasp, lambda tick: np.full(7, np.nan))
+    assert lowering.phase == "done"
+    assert 3.0 < 0.01 * len(orders) < 3.5
+    blind = [(goal, limit) for phase, goal, limit in orders if phase == "blind"]
+    assert np.all(blind[0][1] <= 1.1 * np.abs(model.gravity(grasp)))
+    assert np.all(np.diff([limit.sum() for _, limit in blind]) <= 1e-12)
+
+
+def test_every_order_is_finite_whatever_is_read(model, grasp):
+    rng = np.random.default_rng(0)
+    hostile = np.array([np.nan, np.inf, -np.inf, 1e300, 0.0])
+
+    def reading(tick):
+        q = grasp + 0.01 * rng.standard_normal(7)
+        bad = rng.random(7) < 0.3
+        q[bad] = rng.choice(hostile[:3], bad.sum())
+        return q
+
+    _, orders = descend(model, grasp, reading, ticks=3000)
+    for _, goal, limit in orders:
+        assert np.isfinite(goal).all()
+        assert np.isfinite(limit).all()
+        assert np.all((limit >= 0.0) & (limit <= np.asarray(model.servos.torque) + 1e-12))
+
+
+def test_a_joint_that_is_lost_keeps_its_goal_while_the_others_go_down(model, grasp):
+    def reading(tick):
+        q = grasp.copy()
+        q[3] = np.nan
+        return q
+
+    _, orders = descend(model, grasp, reading, ticks=60)
+    goals = np.array([goal for _, goal, _ in orders])
+    assert np.ptp(goals[25:, 3]) == 0.0
+    assert np.ptp(goals[25:, 0]) > 0.0
+
+
+def test_limits_carry_the_weight_until_the_arm_is_still(model, grasp):
+    _, orders = descend(model, grasp, lambda tick: grasp, ticks=40)
+    for phase, _, limit in orders:
+        assert phase == "down"
+        assert np.all(limit >= 1.1 * np.abs(model.gravity(grasp)) - 1e-12)
+
+
+def test_a_stall_of_the_lowering_itself_moves_the_goal_no_further_than_a_tick(model, grasp):
+    lowering = Lowering(model, model.servos, grasp)
+    for _ in range(50):
+        first, _ = lowering.step(grasp, 0.01)
+    second, _ = lowering.step(grasp, 5.0)
+    assert np.abs(second - first).max() < 0.05

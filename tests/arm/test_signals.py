@@ -1,0 +1,110 @@
+"""Ctrl-C, SIGTERM, the end of the interpreter: each in a process of its own, on the simulator."""
+
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+
+import pytest
+
+pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extra sim")
+
+import pliant
+
+BEGIN = """
+import os, signal, sys, pliant
+def report():
+    plant = arm.drive.plant
+    print(f"{arm.enabled} {arm.drive.enabled.any()} {plant.tool[2, 3] < start - 0.02}", flush=True)
+arm = pliant.connect("sim:koch")
+start = arm.drive.plant.tool[2, 3]
+"""
+
+
+def run(program):
+    return subprocess.run(
+        [sys.executable, "-c", BEGIN + textwrap.dedent(program)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_lowers_the_arm_and_the_handlers_come_back(name):
+    done = run(f"""
+        before = signal.getsignal(signal.{name})
+        try:
+            with arm:
+                for tick in pliant.Loop(arm):
+                    tick.hold()
+                    if tick.index == 5:
+                        os.kill(os.getpid(), signal.{name})
+        finally:
+            report()
+            print(signal.getsignal(signal.{name}) is before, flush=True)
+    """)
+    assert done.stdout.split() == ["False", "False", "True", "True"], done.stderr
+    expected = -signal.SIGINT if name == "SIGINT" else 128 + signal.SIGTERM
+    assert done.returncode in {expected, 130}
+
+
+def test_a_second_signal_holds_and_leaves_at_once():
+    done = run("""
+        def again():
+            os.kill(os.getpid(), signal.SIGINT)
+        try:
+            with arm:
+                arm.drive.clock.on_tick = again
+                os.kill(os.getpid(), signal.SIGINT)
+        finally:
+            report()
+    """)
+    assert done.stdout.split()[:2] == ["False", "True"], done.stderr
+    assert done.returncode == 130
+
+
+def test_a_signal_during_the_descent_waits_for_the_ground():
+    done = run("""
+        def once():
+            arm.drive.clock.on_tick = None
+            os.kill(os.getpid(), signal.SIGTERM)
+        try:
+            with arm:
+                arm.drive.clock.on_tick = None
+                arm.drive.clock.wait_until(1.0)
+                arm.drive.clock.on_tick = once
+        finally:
+            report()
+    """)
+    assert done.stdout.split() == ["False", "False", "True"], done.stderr
+    assert "once more" in done.stderr
+    assert done.returncode == 128 + signal.SIGTERM
+
+
+def test_the_end_of_the_program_lowers():
+    done = run("""
+        import atexit
+        atexit.register(report)
+        arm.enable()
+    """)
+    assert done.stdout.split() == ["False", "False", "True"], done.stderr
+    assert done.returncode == 0
+
+
+def test_other_threads_are_told_that_signals_do_nothing():
+    arm = pliant.connect("sim:koch")
+    found = []
+
+    def work():
+        with pytest.warns(RuntimeWarning, match="outside the main thread"):
+            arm.enable()
+        arm.hold()
+        found.append(True)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [True]

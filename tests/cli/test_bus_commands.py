@@ -1,0 +1,146 @@
+import json
+
+import pytest
+
+from pliant.cli import main
+from pliant.cli.targets import Target, open_targets
+from pliant.servo.emulator import Device, Emulator
+
+rustypot = pytest.importorskip("rustypot")
+
+TOML = """
+robot.builtin = "koch"
+[[port]]
+path = "{port}"
+[servo]
+shoulder_pan = {{ model = "XM430-W350", id = 1 }}
+shoulder_lift = {{ model = "XM430-W350", id = 2, twin = {{ id = 3 }} }}
+elbow_flex = {{ model = "XL430-W250", id = 4 }}
+wrist_flex = {{ model = "XL430-W250", id = 5 }}
+wrist_roll = {{ model = "XL430-W250", id = 6 }}
+"""
+MODELS = ("XM430-W350",) * 3 + ("XL430-W250",) * 3
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """Factory-fresh servos on an emulated bus, and the file that describes them."""
+    devices = [Device(model, id=i) for i, model in enumerate(MODELS, 1)]
+    with Emulator(devices) as bus:
+        file = tmp_path / "arm.toml"
+        file.write_text(TOML.format(port=bus.port))
+        yield bus, file
+
+
+def test_scan_names_every_servo(arm, capsys):
+    bus, _ = arm
+    assert main(["scan", "--port", bus.port, "--baud", "1000000"]) == 0
+    out = capsys.readouterr().out
+    assert out.count("XM430-W350") == 3
+    assert out.count("XL430-W250") == 3
+    assert not bus.log.eeprom_writes()
+
+
+def test_scan_without_servos_says_what_to_look_at(arm, capsys):
+    bus, _ = arm
+    assert main(["scan", "--port", bus.port, "--baud", "57600"]) == 2
+    assert "power" in capsys.readouterr().err
+
+
+def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
+    bus, file = arm
+    backup = tmp_path / "old.json"
+    flags = ["setup", str(file), "--backup", str(backup)]
+    monkeypatch.setattr("builtins.input", lambda *_: "n")
+    assert main(flags) == 2
+    assert not bus.log.eeprom_writes()
+    assert not backup.exists()
+
+    assert main([*flags, "--yes"]) == 0
+    written = {(w.id, w.address) for w in bus.log.eeprom_writes()}
+    assert {(i, 9) for i in range(1, 7)} <= written, "return delay of every servo"
+    assert {(i, 11) for i in (1, 2, 3)} <= written, "operating mode of the current-limited"
+    old = json.loads(backup.read_text())
+    shutdown = next(c for c in old if c["register"] == "shutdown")
+    assert shutdown["old"] & 32
+    assert not shutdown["new"] & 32
+    assert main(["setup", str(file)]) == 0
+    assert "nothing to change" in capsys.readouterr().out
+
+    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 0
+    assert main([*flags, "--yes"]) == 2, "the first backup is not overwritten"
+
+
+def test_setup_leaves_servos_with_torque_alone(arm, capsys):
+    bus, file = arm
+    host = rustypot.Xl430PyController(bus.port, 1_000_000, 0.2)
+    host.write_raw_data_with_error(2, 64, [1])
+    host.close()
+    before = len(bus.log.eeprom_writes())
+    assert main(["setup", str(file), "--yes", "--backup", str(file.with_suffix(".json"))]) == 2
+    assert "torque of shoulder_lift" in capsys.readouterr().err
+    assert all(w.id != 2 for w in bus.log.eeprom_writes()[before:])
+
+
+def test_doctor_finds_what_setup_mends(arm, capsys):
+    bus, file = arm
+    assert main(["doctor", str(file)]) == 2
+    out = capsys.readouterr().out
+    assert "operating mode 3, needed is 5" in out
+    assert main(["setup", str(file), "--yes", "--backup", str(file.with_suffix(".json"))]) == 0
+    capsys.readouterr()
+    main(["doctor", str(file)])
+    out = capsys.readouterr().out
+    assert "operating mode" not in out
+    assert "6 answer" in out
+    bus.supply(24.0)
+    assert main(["doctor", str(file)]) == 2
+    assert "24.0 V" in capsys.readouterr().out
+
+
+def test_run_on_the_simulator_lowers_the_arm(capsys):
+    assert main(["run", "koch", "--backend", "sim", "--soft", "y", "--duration", "1"]) == 0
+    assert "100 ticks" in capsys.readouterr().out
+
+
+def test_run_follows_a_file(tmp_path, capsys):
+    file = tmp_path / "targets.jsonl"
+    file.write_text('{"q": [0.1, 0, 0, 0, 0]}\n' * 50)
+    assert main(["run", "so101", "--backend", "sim", "--targets", str(file), "--quiet"]) == 0
+    assert "51 ticks" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("{", "is no JSON"),
+        ("[1]", "an object of"),
+        ('{"pos": [1, 2, 3]}', "an object of"),
+        ('{"position": [1, 2]}', "3 numbers"),
+        ('{"position": [1, 2, NaN]}', "not finite"),
+        ('{"position": [1, 2, true]}', "3 numbers"),
+        ('{"q": [1], "position": [1, 2, 3]}', "q, or position"),
+        ('{"wxyz": [1, 0, 0, 0], "xyzw": [0, 0, 0, 1]}', "one quaternion"),
+    ],
+)
+def test_targets_that_are_none(line, said, tmp_path, capsys):
+    file = tmp_path / "bad.jsonl"
+    file.write_text(f'{{"position": [0.2, 0, 0.2]}}\n{line}\n')
+    assert main(["run", "so101", "--backend", "sim", "--targets", str(file)]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "line 2" in error
+
+
+def test_datagrams_come_from_this_machine_only():
+    import socket
+
+    with open_targets("udp:20177") as source:
+        assert source.latest() is None
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for text in (b"nonsense", b'{"position": [1, 2, 3]}'):
+                sender.sendto(text, ("127.0.0.1", 20177))
+        for _ in range(100):
+            if (target := source.latest()) is not None:
+                break
+        assert target == Target(position=(1.0, 2.0, 3.0))

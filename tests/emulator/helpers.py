@@ -1,0 +1,87 @@
+"""Requests written out by hand, so that tests do not lean on the emulator's own packets."""
+
+from __future__ import annotations
+
+import os
+import termios
+import time
+import tty
+
+from pliant.servo.emulator import Device, Line
+
+BAUD = 1_000_000
+
+
+def wire(*devices, **options):
+    """Servos on a bare line."""
+    return Line([device.build(BAUD) for device in devices], **options)
+
+
+def one(model, **registers):
+    """One servo with id 1 on a bare line, and that servo."""
+    line = wire(Device(model, 1, **registers))
+    return line, line.servos[0]
+
+
+def p1(id, instruction, *params):
+    body = [id, len(params) + 2, instruction, *params]
+    return bytes([0xFF, 0xFF, *body, ~sum(body) & 0xFF])
+
+
+def ask(line, request):
+    """All bytes that come back at once."""
+    return b"".join(d.data for d in line.feed(request, BAUD) if d.after is not None)
+
+
+def write1(line, address, *data, id=1):
+    """Error byte of a write under Protocol 1.0."""
+    return ask(line, p1(id, 3, address, *data))[4]
+
+
+def read1(line, address, length, id=1):
+    """Error byte and data of a read under Protocol 1.0."""
+    answer = ask(line, p1(id, 2, address, length))
+    return answer[4], answer[5:-1]
+
+
+def pass_time(servo, seconds, dt=0.01):
+    """Let a servo look at itself without any physics."""
+    for _ in range(round(seconds / dt)):
+        servo.now += dt
+        servo.update(dt)
+
+
+def two(value):
+    return value & 0xFF, value >> 8 & 0xFF
+
+
+def four(value):
+    return tuple(value >> 8 * k & 0xFF for k in range(4))
+
+
+class Host:
+    """The barest serial client: raw bytes, a deadline."""
+
+    def __init__(self, path, speed=termios.B1000000):
+        self.fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(self.fd)
+        settings = termios.tcgetattr(self.fd)
+        settings[4] = settings[5] = speed
+        termios.tcsetattr(self.fd, termios.TCSANOW, settings)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        os.close(self.fd)
+
+    def ask(self, request, length, patience=2.0):
+        """Write, and read so many bytes or until patience ends."""
+        os.write(self.fd, request)
+        answer, end = b"", time.monotonic() + patience
+        while len(answer) < length and time.monotonic() < end:
+            try:
+                answer += os.read(self.fd, 4096)
+            except BlockingIOError:
+                time.sleep(0.0005)
+        return answer

@@ -1,0 +1,52 @@
+"""An emulator in a process of its own."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from emulator.helpers import Host, p1, two
+
+from pliant import ConfigError, ServoError
+from pliant.servo.emulator import Device, Emulator, Remote
+
+
+@pytest.fixture(scope="module")
+def remote():
+    with Remote(Emulator, [Device("STS3215", 1)], clock="steps") as made:
+        yield made
+
+
+def test_answers_and_takes_orders(remote):
+    with Host(remote.port) as host:
+        os.write(host.fd, p1(0xFE, 3, 48, *two(321)))
+        remote.call("advance", 0.05)
+    assert remote.call("time") == pytest.approx(0.05)
+    (write,) = remote.call("log.writes", "torque_limit")
+    assert write.values == {"torque_limit": 321}
+
+
+def test_errors_come_back(remote):
+    with pytest.raises(ConfigError, match="no fault 'x'"):
+        remote.call("faults.inject", "x")
+    with pytest.raises(ServoError, match="AttributeError"):
+        remote.call("nothing")
+
+
+def test_a_factory_that_fails_says_why():
+    with pytest.raises(ConfigError, match="at least one"):
+        Remote(Emulator, [])
+
+
+def test_killed_it_hangs_up():
+    made = Remote(Emulator, [Device("STS3215", 1)])
+    folder = Path(made.port).parent
+    with Host(made.port) as host:
+        made.kill()
+        with pytest.raises(OSError, match="Input/output"):
+            os.write(host.fd, b"x")
+    with pytest.raises(ServoError, match="gone"):
+        made.call("time")
+    made.stop()
+    assert not folder.exists()

@@ -1,0 +1,116 @@
+"""The whole stack down to bytes on physics: controller, chain, driver wheel, servos, arm."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="the arm needs the extra sim")
+pytest.importorskip("rustypot", reason="the bus needs the extra servo")
+
+import pliant
+from pliant.servo import ServoChain, ServoSpec
+from pliant.servo.emulator import Faults, Mount, emulate
+
+TICK = 0.01
+
+
+def so101():
+    """An SO-101: duty-limited servos, axes x y z."""
+    axes = {"y": pliant.Axis(soft=1.0, firm=3.0, d_minus=0.01, d_plus=0.1, eta=0.9)}
+    return (
+        pliant.robots.so101(),
+        ["STS3215-7.4V"] * 5,
+        {"p_coefficient": 16},
+        np.array([0.1, 0.2, 0.4, 0.3, 0.1]),
+        pliant.Settings(task=pliant.Task(axes="xyz"), axes=axes),
+    )
+
+
+def arm7():
+    """Seven current-limited servos, all six axes."""
+    axes = {"y": pliant.Axis(soft=4.0, firm=15.0, d_minus=0.01, d_plus=0.1, eta=0.9)}
+    return (
+        pliant.robots.arm7(),
+        ["XM540-W270"] * 4 + ["XM430-W350"] * 3,
+        {"operating_mode": 5, "return_delay_time": 0, "shutdown": 20},
+        np.array([-0.13, -0.6, 0.72, -1.74, 0.93, 0.68, -0.17]),
+        pliant.Settings(axes=axes),
+    )
+
+
+class Steps:
+    """The emulator's time, which passes when somebody waits."""
+
+    def __init__(self, bus):
+        self._bus = bus
+
+    def now(self):
+        return self._bus.time
+
+    def wait_until(self, deadline):
+        self._bus.advance(max(0.0, deadline - self._bus.time))
+
+
+@pytest.mark.parametrize("build", [so101, arm7])
+@pytest.mark.parametrize("share", [0.0, 0.01])
+def test_limits_reach_the_motors_and_the_arm_stays(build, share):
+    model, types, registers, pose, settings = build()
+    names = list(model.joint_names)
+    mounts = [
+        Mount(joint=name, model=kind, id=id, registers=registers)
+        for id, (name, kind) in enumerate(zip(names, types, strict=True), 1)
+    ]
+    with emulate(model, mounts, pose, clock="steps", faults=Faults(seed=5)) as bus:
+        specs = [
+            ServoSpec(
+                name=mount.joint,
+                model=mount.model,
+                id=mount.id,
+                port=bus.port,
+                lower=float(low),
+                upper=float(high),
+            )
+            for mount, low, high in zip(mounts, model.lower, model.upper, strict=True)
+        ]
+        chain = ServoChain(specs, rate=1.0 / TICK, patience=0.3, clock=Steps(bus))
+        try:
+            run(bus, chain, model, settings, share)
+        finally:
+            chain.close()
+
+
+def run(bus, chain, model, settings, share):
+    chain.open()
+    pose = bus.plant.q
+    ceiling = np.asarray(chain.servos.torque)
+    chain.enable(chain.read().position, 0.9 * ceiling)
+    controller = pliant.Controller(model, settings, chain.servos)
+    target = model.forward_kinematics(pose)
+    controller.reset(chain.read().position)
+    bus.faults.by_chance(lose=share / 3, corrupt=share / 3, deaf=share / 3)
+    bus.log.clear()
+    q, missed = pose, 0
+    for _ in range(200):
+        sample = chain.read()
+        missed += not sample.ok.all()
+        q = np.where(sample.ok, sample.position, q)
+        command = controller.step(q, target)
+        before = bus.log.count
+        chain.write(command.goal, command.torque_limit)
+        bus.advance(TICK)
+        struck = any(t.faults for t in list(bus.log)[-(bus.log.count - before) :])
+        drives = [servo.drive() for servo in bus.servos]
+        if not struck:
+            # One count of the register, and 0.2 % between the two tables' stall torques.
+            room = 0.002 * ceiling + ceiling / 500.0
+            assert np.all(np.abs([d.ceiling for d in drives] - command.torque_limit) <= room)
+        assert np.all([d.ceiling for d in drives] <= ceiling * 1.001)
+    away = np.linalg.norm(bus.plant.tool[:3, 3] - target[:3, 3])
+    # What the gears' dry friction holds on to.
+    stiction = [servo.model.motor.friction for servo in bus.servos] / np.asarray(chain.servos.kp)
+    assert away < 1.5 * np.abs(model.jacobian(pose)[:3] @ np.diag(stiction)).sum(axis=1).max()
+    assert missed <= 200 * share
+    assert not bus.log.eeprom_writes()
+    assert not bus.log.goals_while_disabled()
+    assert (bus.log.faulty > 0) == (share > 0.0)

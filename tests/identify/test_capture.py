@@ -1,0 +1,68 @@
+"""Guided capture of the gravity offset."""
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant import identify
+from pliant.sim import Plant
+
+COUNT = np.deg2rad(0.088)
+FOLLOWING = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, eta=0.999)}, accept=("eta",))
+
+
+def standing(arm, q, **options):
+    plant = Plant(arm, count=COUNT, **options)
+    plant.reset(q)
+    return plant, pliant.Controller(arm, FOLLOWING, arm.servos.replace(count=COUNT))
+
+
+@pytest.mark.parametrize("kp", [0.5, 0.8, 1.25, 2.0])
+def test_an_arm_that_would_walk_stays_after_the_capture(arm, grasp, kp):
+    plant, controller = standing(arm, grasp, kp_scale=kp)
+    found = identify.capture(plant, controller)
+    assert found.stays, str(found)
+    assert found.drift < 2e-3  # (.0007)
+    assert controller.settings == FOLLOWING
+    heavy = np.abs(found.gravity) > 1.0
+    assert np.abs(found.stiffness[heavy] / (kp * found.believed[heavy]) - 1.0).max() < 0.3
+    assert sum("captured" in text for text in found.sentences()) == found.captured.sum()
+
+
+def test_a_wrong_payload_is_said_to_be_clipped(arm, grasp):
+    plant, controller = standing(arm, grasp, payload=(1.2, (0.0, 0.0, 0.0)), kp_scale=0.4)
+    found = identify.capture(plant, controller, check=0.0)
+    assert found.clipped.any()
+    assert not found.stays
+    assert any("clipped" in text and "wrong payload" in text for text in found.sentences())
+
+
+def test_settings_come_back_after_an_exception(arm, grasp):
+    plant, controller = standing(arm, grasp)
+    procedure = identify.capturing(controller)
+    for _ in range(5):
+        plant.write(procedure.step(plant.read().q).goal)
+        plant.advance()
+    assert controller.settings.integrate == 4.0
+    assert controller.settings.friction_share == controller.settings.damping_share == 0.0
+    with pytest.raises(pliant.ShapeError):
+        procedure.step(np.full(7, np.nan))
+    with pytest.raises(pliant.PliantError):
+        procedure.step(np.zeros(3))  # another arm's positions
+    assert controller.settings == FOLLOWING
+
+
+def test_it_runs_on_a_connected_arm():
+    with pliant.connect("sim:arm7") as connected:
+        controller = pliant.Controller(connected.model, pliant.Settings.soft("y"))
+        found = identify.capture(connected, controller, seconds=1.0, check=0.5)
+        assert found.captured.sum() >= 3
+        assert found.drift < 2e-3
+
+
+def test_numbers_out_of_range_are_refused(arm):
+    controller = pliant.Controller(arm)
+    with pytest.raises(pliant.LimitError, match="seconds"):
+        identify.capturing(controller, seconds=0.2)
+    bare = pliant.Controller(arm, pliant.Settings.paper())
+    assert bare.servos is not None  # built-in arms carry theirs

@@ -1,0 +1,58 @@
+"""Float mode: still when nobody touches, light when somebody does, whatever k_p is."""
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant.experiments.floating import floated
+
+
+@pytest.mark.parametrize(
+    ("arm", "pose", "kp"), [("arm7", 1, 0.5), ("arm7", 2, 2.0), ("so101", 0, 1.0)]
+)
+def test_an_arm_that_nobody_touches_stays_and_can_be_led(arm, pose, kp):
+    seen = floated(arm, pose, kp)
+    assert seen.idle < 2e-3
+    assert seen.force < (12.0 if arm == "arm7" else 2.0)
+    assert seen.led > 0.04
+    assert seen.later < 4e-3
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kp", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("arm", ["arm7", "so101", "koch"])
+def test_nineteen_of_twenty_poses_stay(arm, kp):
+    idle = np.array([floated(arm, pose, kp).idle for pose in range(20)])
+    assert np.median(idle) < 1.2e-3
+    assert (idle < 2e-3).mean() >= (0.95 if arm == "arm7" else 0.75)
+
+
+def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):
+    """Between two rests nothing is integrated: the goal is one number."""
+    floating = pliant.Float(arm)
+    orders = []
+    for _ in range(3000):
+        orders.append(floating.step(grasp))
+        if floating.ready and len(orders) > 2000:
+            break
+    assert floating.ready
+    goals = np.array([floating.step(grasp).goal for _ in range(100)])
+    assert np.ptp(goals, axis=0).max() == 0.0
+
+
+def test_a_known_stiffness_is_believed_and_an_unknown_one_not(arm):
+    known = pliant.Float(arm, arm.servos.replace(kp_known=True)).stiffness
+    open_ = pliant.Float(arm, arm.servos.replace(kp_known=False)).stiffness
+    assert (known[1] / known[0]).max() == pytest.approx(1.21)
+    assert (open_[1] / open_[0]).min() > 4.0
+
+
+def test_what_cannot_be_used_is_refused(arm, grasp):
+    with pytest.raises(pliant.LimitError, match="rate"):
+        pliant.Float(arm, rate=1.0)
+    floating = pliant.Float(arm)
+    with pytest.raises(pliant.ShapeError):
+        floating.step(grasp[:3])
+    with pytest.raises(pliant.ShapeError):
+        floating.step(np.full(7, np.nan))
+    assert not floating.ready

@@ -1,0 +1,107 @@
+"""An arm identifies itself: found against true, and what a right table is worth."""
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant import identify, robots
+from pliant.experiments import identification as experiment
+from pliant.sim import Plant
+
+#: Largest errors: k_p of joints with and without gravity, friction, damping [1]; delay [s].
+BANDS = (0.06, 0.12, 0.22, 0.25, 2.5e-3)  # (.044, .081, .18, .20, .0019)
+
+
+def assert_right(one):
+    loaded, light, friction, damping, delay = BANDS
+    allowed = np.where(one.loaded, loaded, light)
+    assert (np.abs(one.kp - 1.0) < allowed).all(), one.kp
+    assert np.abs(one.friction - 1.0).max() < friction, one.friction
+    assert np.abs(one.damping - 1.0).max() < damping, one.damping
+    assert abs(one.delay) < delay
+    assert abs(one.mass_bars) < 3.0
+    assert abs(one.mass) < 0.15 * experiment.LIFTS[one.arm]
+
+
+@pytest.mark.parametrize(
+    ("arm", "case"), [("arm7", "2 ticks of delay"), ("so101", "payload"), ("koch", "k_p × 0.8")]
+)
+def test_an_arm_finds_its_servos_payload_and_delay(arm, case):
+    assert_right(experiment.identified(arm, case))
+
+
+#: Real gears are no dry friction with a constant share of the load: reported, held to less.
+OTHERS = [case for case in experiment.CASES if case != "gears as they are"]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("case", OTHERS)
+@pytest.mark.parametrize("arm", ["arm7", "so101", "koch"])
+def test_every_disturbance_is_found(arm, case):
+    assert_right(experiment.identified(arm, case))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("arm", ["so101", "koch"])
+def test_real_gears_of_small_arms_show_their_load(arm):
+    one = experiment.identified(arm, "gears as they are")
+    assert np.abs(one.kp - 1.0).max() < 0.08
+    assert np.abs(one.friction - 1.0).max() < 0.2
+    assert one.found.load.max() > 0.3  # STS3215: 0.245 + 0.142 of the load, at rest
+
+
+@pytest.mark.full
+def test_an_identified_table_brings_drag_and_door_back_to_nominal():
+    (_, wrong), (_, found), (_, known) = experiment.rows()
+    for figure, nominal in known.items():
+        if "angle" not in figure:
+            assert found[figure] <= 1.15 * nominal + 0.1, figure
+    assert wrong["15 N hand: force [N]"] > 1.5 * found["15 N hand: force [N]"]
+
+
+@pytest.fixture(scope="module")
+def found():
+    return experiment.identified("so101", "as the table").found
+
+
+def test_the_result_makes_a_controller(found):
+    model = robots.so101()
+    controller = found.controller(model, pliant.Settings(task="xyz"))
+    assert controller.servos == found.servos
+    text = str(found)
+    assert text.count("k_p") >= 5
+    assert "loop delay" in text
+
+
+def test_bad_arguments_are_refused_before_anything_moves():
+    model = robots.so101()
+    plant = Plant(model)
+    plant.reset(model.upper - 1e-3)
+    outside = np.tile(model.upper, (3, 1))
+    with pytest.raises(pliant.LimitError, match="amplitude"):
+        identify.run(plant, model, amplitude=2.0)
+    with pytest.raises(pliant.LimitError, match="torque_share"):
+        identify.identification(model, torque_share=0.0)
+    plant.reset(experiment.STARTS["so101"])
+    with pytest.raises(pliant.LimitError, match="shoulder_pan would move"):
+        identify.run(plant, model, poses=outside)
+    bare = pliant.Model.from_urdf_str(BARE, base="a", tip="b")
+    with pytest.raises(pliant.ConfigError, match="servo table"):
+        identify.identification(bare)
+
+
+BARE = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def test_an_arm_that_is_held_is_left_holding():
+    """A limit far below what gravity asks stands for a hand that holds the arm down."""
+    model = robots.arm7()
+    plant = Plant(model, payload=(1.5, (0.0, 0.0, 0.0)))
+    plant.reset(experiment.STARTS["arm7"])
+    with pytest.raises(pliant.ServoError, match=r"behind|left its range"):
+        identify.run(plant, model, model.servos.replace(torque=3.0))
+    sent = plant._bus.sent
+    assert np.abs(sent.goal - plant.q).max() < 0.2  # near where it is, not the plan

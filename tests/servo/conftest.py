@@ -1,0 +1,162 @@
+"""A bus in memory with a clock of its own, and chains on emulated servos behind real bytes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
+
+from pliant.servo import BusError, ServoChain, ServoSpec
+from pliant.servo.emulator import Device, Emulator
+
+
+class FakeBus:
+    """Servos as byte arrays; failures and answers from the past by order.
+
+    `plan` has one entry per request to come: None, a `BusError`, or "stale" (the answer of the last
+    request comes now). `late` bytes on the line keep that many drain pings from being silent.
+    """
+
+    def __init__(self, ids):
+        self.memory = {i: bytearray(256) for i in ids}
+        self.plan, self.calls = [], []
+        self.now, self.timeout, self.late = 0.0, 0.0, 0
+        self._before = None
+
+    def clock(self):
+        return self.now
+
+    def _request(self, name, *arguments):
+        self.calls.append((name, *arguments))
+        self.now += 0.0005
+        failure = self.plan.pop(0) if self.plan else None
+        if isinstance(failure, BusError):
+            self.now += self.timeout if failure.reason == "timeout" else 0.0
+            raise failure
+        return failure == "stale"
+
+    def read(self, id, address, size):
+        is_stale = self._request("read", id, address, size)
+        answer = (bytes(self.memory[id][address : address + size]), 0)
+        out, self._before = (self._before if is_stale else answer), answer
+        return out
+
+    def write(self, id, address, data):
+        self._request("write", id, address, data)
+        self.memory[id][address : address + len(data)] = data
+        return 0
+
+    def sync_read(self, ids, address, size):
+        is_stale = self._request("sync_read", tuple(ids), address, size)
+        answer = [(bytes(self.memory[i][address : address + size]), 0) for i in ids]
+        out, self._before = (self._before if is_stale else answer), answer
+        return out
+
+    def sync_write(self, ids, address, data):
+        self._request("sync_write", tuple(ids), address, tuple(data))
+        for i, item in zip(ids, data, strict=True):
+            self.memory[i][address : address + len(item)] = item
+
+    def ping(self, id):
+        self.calls.append(("ping", id))
+        if id in self.memory:
+            return True
+        if self.late > 0:
+            self.late -= 1
+            self.now += self.timeout / 4
+        else:
+            self.now += self.timeout
+        return False
+
+    def reboot(self, id):
+        self._request("reboot", id)
+
+    def set_timeout(self, seconds):
+        self.timeout = seconds
+
+    def close(self):
+        self.calls.append(("close",))
+
+
+class StepClock:
+    """The emulator's time, which passes when somebody waits."""
+
+    def __init__(self, bus):
+        self._bus = bus
+
+    def now(self):
+        return self._bus.time
+
+    def wait_until(self, deadline):
+        if deadline > self._bus.time:
+            self._bus.advance(deadline - self._bus.time)
+
+
+@pytest.fixture
+def step_clock():
+    return StepClock
+
+
+@pytest.fixture
+def fake_bus():
+    return FakeBus
+
+
+#: One joint each of every family: emulated device, spec, and the range its goals may have.
+JOINTS = {
+    "sts": ("STS3215", "STS3215-7.4V", {}),
+    "xm": ("XM430-W350", "XM430-W350", {"operating_mode": 5, "return_delay_time": 0}),
+    "xl430": ("XL430-W250", "XL430-W250", {"return_delay_time": 0}),
+    "ex": ("EX-106+", "EX-106+", {"return_delay_time": 0}),
+    "rx": ("RX-64", "RX-64", {"return_delay_time": 0}),
+    "mx": ("MX-64", "MX-64", {"return_delay_time": 0}),
+}
+
+
+def devices(kind, n, port="main"):
+    model, _, registers = JOINTS[kind]
+    return [Device(model, id=i + 1, port=port, **registers) for i in range(n)]
+
+
+@pytest.fixture
+def emulated():
+    """Open a chain of n emulated servos of one kind: `with emulated("sts", 3) as (bus, chain)`."""
+    from contextlib import contextmanager
+
+    @contextmanager
+    def start(kind, n, *, is_open=True, spec=None, **options):
+        rate = options.pop("rate", 100.0)
+        with Emulator(devices(kind, n), **options) as bus:
+            specs = [
+                ServoSpec(
+                    name=f"joint{i}",
+                    model=JOINTS[kind][1],
+                    id=i + 1,
+                    port=bus.port,
+                    **{"lower": -1.0, "upper": 1.0, **(spec or {})},
+                )
+                for i in range(n)
+            ]
+            clock = StepClock(bus) if options.get("clock") == "steps" else None
+            chain = ServoChain(specs, rate=rate, patience=0.1, clock=clock)
+            try:
+                if is_open:
+                    chain.open()
+                yield bus, chain
+            finally:
+                chain.close()
+
+    return start
+
+
+@pytest.fixture
+def enabled():
+    """Enable a chain where it stands, with a share of its usable torque."""
+
+    def switch_on(chain, share=0.5):
+        limit = share * chain.servos.torque
+        chain.enable(chain.read().position, limit)
+        return np.array(limit)
+
+    return switch_on

@@ -1,0 +1,221 @@
+"""A chain over a pseudo-terminal: every family, torque on and off, units, order on the wire."""
+
+import numpy as np
+import pytest
+
+from pliant import ConfigError, ServoError, ShapeError
+from pliant.servo import ServoChain, ServoSpec
+from pliant.servo.emulator import Device, Emulator
+
+KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
+
+
+def settle(bus, chain, goal, limit, seconds=1.0):
+    for _ in range(10):
+        chain.read()
+        chain.write(goal, limit)
+        bus.advance(seconds / 10)
+    return chain.read()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_goals_arrive_in_radians(emulated, enabled, kind):
+    with emulated(kind, 3, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        goal = np.array([0.3, -0.2, 0.1])
+        sample = settle(bus, chain, goal, limit)
+        middle = 512 if kind == "rx" else 2048
+        for i, servo in enumerate(bus.servos):
+            truth = servo.shaft.angle - middle * servo.model.count
+            assert sample.position[i] == pytest.approx(truth, abs=1.5 * servo.model.count)
+        # Gear friction stops a servo short of its goal by no more than friction / k_p.
+        assert sample.position == pytest.approx(goal, abs=0.06)
+        assert sample.ok.all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_limits_on_the_wire_are_what_was_asked(emulated, enabled, kind):
+    with emulated(kind, 2, clock="steps") as (bus, chain):
+        enabled(chain)
+        most = chain.servos.torque
+        for share in (0.0, 0.013, 0.37, 1.0, 7.0):
+            chain.write([0.0, 0.0], share * most)
+            chain.read()
+            bus.sync()
+            for i, servo in enumerate(bus.servos):
+                asked = min(share, 1.0) * most[i]
+                name = {"sts": "torque_limit", "xm": "goal_current", "xl430": "goal_pwm"}
+                register = servo.get(name.get(kind, "torque_limit"))
+                full = {"sts": 1000, "xm": 1193, "xl430": 885}.get(kind, 1023)
+                unit = 4.1 / 2.3 * 0.00269 if kind == "xm" else most[i] / full
+                assert register <= full
+                assert asked - 1.001 * unit <= register * unit <= asked * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_order_on_the_wire_is_limit_goal_torque(emulated, enabled, kind):
+    with emulated(kind, 2, clock="steps") as (bus, chain):
+        enabled(chain)
+        chain.read()
+        for number in (1, 2):
+            assert bus.log.order(number)[:3] == ["limit", "goal", "torque on"]
+        assert bus.log.eeprom_writes() == []
+        assert not bus.log.writes(refused=True)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_goal_while_disabled(emulated, enabled, kind):
+    with emulated(kind, 2, clock="steps") as (bus, chain):
+        chain.write([0.5, 0.5], [1.0, 1.0])
+        chain.read()
+        assert bus.log.writes() == []
+        enabled(chain)
+        chain.disable(["joint0"])
+        chain.read()
+        bus.log.clear()
+        chain.write([0.2, 0.2], [0.5, 0.5])
+        chain.read()
+        assert {write.id for write in bus.log.writes()} == {2}
+        assert chain.enabled.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_goal_and_limit_travel_in_one_packet(emulated, enabled, kind):
+    with emulated(kind, 3, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        chain.read()
+        bus.log.clear()
+        chain.write(np.full(3, 0.1), limit)
+        chain.read()
+        writing = [t for t in bus.log if t.writes]
+        assert len(writing) == (2 if kind == "xl430" else 1)
+        assert all(len(t.writes) == 3 for t in writing)
+        assert "goal_position" not in (writing[0].writes[0].values if len(writing) > 1 else ())
+
+
+def test_a_torque_that_is_on_already_is_taken_over(emulated, enabled):
+    with emulated("sts", 1, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        settle(bus, chain, [0.4], limit)
+        chain.close()
+        bus.log.clear()
+        chain.open()
+        assert chain.found[0].torque_on
+        assert chain.enabled.all()
+        chain.enable([0.4], limit)
+        chain.read()
+        assert "torque off" not in bus.log.order(1)
+        assert chain.read().position[0] == pytest.approx(0.4, abs=0.05)
+
+
+def test_limits_of_the_joint_bound_its_goals(emulated, enabled):
+    for kind in ("sts", "xm"):
+        with emulated(kind, 1, clock="steps", spec={"lower": -0.3, "upper": 0.2}) as (bus, chain):
+            limit = enabled(chain)
+            assert settle(bus, chain, [5.0], limit).position[0] < 0.25
+            assert settle(bus, chain, [-5.0], limit).position[0] > -0.35
+
+
+def test_sign_gear_and_zero(emulated, enabled):
+    spec = {"sign": -1, "gear": 2.0, "zero": 1500.0}
+    with emulated("sts", 1, clock="steps", spec=spec) as (bus, chain):
+        servo = bus.servos[0]
+        raw = servo.shaft.angle / servo.model.count
+        expected = -(raw - 1500.0) * servo.model.count / 2.0
+        assert chain.read().position[0] == pytest.approx(expected, abs=2e-3)
+        limit = enabled(chain)
+        moved = settle(bus, chain, [expected + 0.2], limit)
+        assert servo.shaft.angle / servo.model.count < raw - 200
+        assert moved.position[0] == pytest.approx(expected + 0.2, abs=0.05)
+
+
+@pytest.mark.parametrize("bad", [[np.nan], [np.inf], [0.1, 0.2], [-1.0]])
+def test_bad_input_sends_nothing(emulated, enabled, bad):
+    with emulated("sts", 1, clock="steps") as (bus, chain):
+        enabled(chain)
+        chain.read()
+        before = bus.log.count
+        with pytest.raises((ConfigError, ShapeError)):
+            chain.write([0.0], bad)
+        with pytest.raises((ConfigError, ShapeError)):
+            chain.enable([0.0], bad)
+        assert bus.log.count == before
+
+
+def test_torque_and_speed_are_reported(emulated, enabled):
+    with emulated("xm", 1, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        bus.servos[0].load.torque = -1.0
+        sample = settle(bus, chain, [0.0], limit, seconds=2.0)
+        assert sample.load[0] == pytest.approx(1.0, abs=0.25)
+        assert sample.current[0] == pytest.approx(sample.load[0] / 1.78, rel=0.02)
+        chain.write([0.8], limit)
+        bus.advance(0.15)
+        assert chain.read().velocity[0] > 0.3
+
+
+def test_a_speed_cap_slows_the_joint(emulated, enabled):
+    with emulated("sts", 1, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        chain.write([0.8], limit, velocity=[0.2])
+        bus.advance(1.0)
+        assert chain.read().position[0] == pytest.approx(0.2, abs=0.06)
+
+
+def test_families_share_a_port_and_ports_an_arm(enabled, step_clock):
+    parts = [
+        Device("MX-64", id=1, return_delay_time=0),
+        Device("STS3215", id=2),
+        Device("XM540-W270", id=1, port="b", operating_mode=5, return_delay_time=0),
+        Device("XM540-W270", id=2, port="b", operating_mode=5, return_delay_time=0),
+    ]
+    with Emulator(parts, clock="steps") as bus:
+        one, two = bus.ports["main"], bus.ports["b"]
+        bounds = {"lower": -1.0, "upper": 1.0}
+        specs = [
+            ServoSpec(name="pan", model="MX-64", id=1, port=one, **bounds),
+            ServoSpec(name="lift", model="XM540-W270", id=1, port=two, twin=(2, -1), **bounds),
+            ServoSpec(name="wrist", model="STS3215-7.4V", id=2, port=one, **bounds),
+        ]
+        with ServoChain(specs, patience=0.1, clock=step_clock(bus)) as chain:
+            limit = enabled(chain)
+            goal = np.array([0.2, 0.3, -0.1])
+            sample = settle(bus, chain, goal, limit)
+            assert sample.position == pytest.approx(goal, abs=0.05)
+            first, second = bus.servos[2], bus.servos[3]
+            assert first.shaft.angle + second.shaft.angle == pytest.approx(2 * np.pi, abs=0.02)
+            assert chain.servos.kind == "current"
+            assert chain.servos.torque[1] == pytest.approx(21.2)
+
+
+def test_protocols_1_and_2_on_one_port_are_refused():
+    specs = [
+        ServoSpec(name="pan", model="MX-64", id=1, port="/dev/ttyUSB0"),
+        ServoSpec(name="lift", model="XM430-W350", id=2, port="/dev/ttyUSB0"),
+    ]
+    with pytest.raises(ConfigError, match=r"pan on Protocol 1\.0 and lift on Protocol 2\.0"):
+        ServoChain(specs)
+
+
+def test_names_and_ids_are_unique():
+    spec = ServoSpec(name="pan", model="MX-64", id=1, port="p")
+    with pytest.raises(ConfigError, match="two joints are named 'pan'"):
+        ServoChain([spec, spec])
+    other = ServoSpec(name="lift", model="MX-64", id=2, port="p", twin=(1, 1))
+    with pytest.raises(ConfigError, match="pan and lift both have id 1"):
+        ServoChain([spec, other])
+    with pytest.raises(ConfigError, match="no baud rate for p"):
+        ServoChain([spec], baudrate={"q": 57_600})
+    with pytest.raises(ConfigError, match="rate must be above 0"):
+        ServoChain([spec], rate=0.0)
+    with pytest.raises(ConfigError, match="at least one"):
+        ServoChain([])
+
+
+def test_a_chain_that_is_not_open_says_so():
+    chain = ServoChain([ServoSpec(name="pan", model="MX-64", id=1, port="p")])
+    for call in (chain.read, chain.slow, chain.identify, chain.disable):
+        with pytest.raises(ServoError, match="not open"):
+            call()
+    with pytest.raises(ConfigError, match="no joint 'lift'; there are: pan"):
+        chain._chosen(["lift"])

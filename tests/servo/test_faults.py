@@ -1,0 +1,275 @@
+"""Faults on the bus and in the servos: nothing stale, partial results, sentences, no lunge."""
+
+import numpy as np
+import pytest
+
+from pliant import ServoError, ServoFault
+from pliant.servo import BusError
+
+PROTOCOLS = ["sts", "xm", "mx"]
+
+
+def sweep(bus, chain, limit, ticks, *, speed=1.0):
+    """Move all joints; yield each sample with where the shafts stood as it was taken."""
+    for k in range(ticks):
+        truth = np.array([servo.shaft.angle for servo in bus.servos])
+        sample = chain.read()
+        angle = truth - 2048 * bus.servos[0].model.count
+        yield sample, angle
+        goal = 0.8 * np.sin(0.01 * k * speed * np.arange(1, chain.n + 1))
+        chain.write(goal, limit)
+        chain.slow()
+        bus.advance(0.01)
+
+
+@pytest.mark.parametrize("fault", ["lose", "corrupt", "truncate", "wrong_id", "noise", "deaf"])
+@pytest.mark.parametrize("kind", PROTOCOLS)
+def test_one_fault_costs_a_retry_and_no_sample(emulated, enabled, kind, fault):
+    with emulated(kind, 3, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        for _ in sweep(bus, chain, limit, 20):
+            pass
+        bus.faults.inject(fault, 2)
+        truth = np.array([servo.shaft.angle for servo in bus.servos])
+        sample = chain.read()
+        assert sample.ok.all()
+        angle = truth - 2048 * bus.servos[0].model.count
+        assert sample.position == pytest.approx(angle, abs=0.003)
+        counters = chain.counters
+        assert counters["retries"] >= 1
+        assert counters["drains"] >= 1
+        assert counters["timeouts"] + counters["corrupt"] >= 1
+
+
+@pytest.mark.parametrize("kind", PROTOCOLS)
+def test_late_answers_are_never_taken_for_new_ones(emulated, enabled, kind):
+    with emulated(kind, 3, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        worst, good = 0.0, 0
+        for k, (sample, truth) in enumerate(sweep(bus, chain, limit, 60)):
+            if sample.ok.any():
+                worst = max(worst, np.abs(sample.position - truth)[sample.ok].max())
+                good += 1
+            if k % 4 == 1:
+                bus.faults.inject("late", 1 + k % 3, count=1 + k % 2)
+        # A sample from one tick before would be off by up to 0.8 * 3 * 0.01 = 0.024 rad.
+        assert worst < 0.003
+        assert good > 40
+        assert chain.counters["timeouts"] > 5
+
+
+@pytest.mark.parametrize("kind", PROTOCOLS)
+def test_a_dead_servo_does_not_silence_the_others(emulated, enabled, kind):
+    with emulated(kind, 4, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        for _ in sweep(bus, chain, limit, 5):
+            pass
+        bus.unplug(2)
+        others = np.array([True, False, True, True])
+        seen = [sample.ok for sample, _ in sweep(bus, chain, limit, 12)]
+        assert all((ok == others).all() for ok in seen)
+        bus.plug(2)
+        bus.advance(0.5)
+        seen = [sample.ok for sample, _ in sweep(bus, chain, limit, 12)]
+        assert seen[-1].all()
+
+
+def test_a_dead_servo_is_not_asked_in_every_cycle(emulated, enabled):
+    with emulated("sts", 3, clock="steps") as (bus, chain):
+        enabled(chain)
+        bus.unplug(3)
+        for _ in range(3):
+            chain.read()
+        before = chain.counters["timeouts"]
+        for _ in range(16):
+            chain.read()
+        assert chain.counters["timeouts"] - before <= 3
+
+
+def test_a_servo_that_lost_its_torque_is_noticed(emulated, enabled):
+    for kind in PROTOCOLS:
+        with emulated(kind, 2, clock="steps") as (bus, chain):
+            enabled(chain)
+            bus.reboot(1)
+            bus.advance(0.5)
+            found = []
+            for _ in range(30):
+                chain.read()
+                found += getattr(chain.slow(), "faults", ())
+            assert any("joint0: its torque went off by itself" in text for text in found)
+            assert not any("joint1" in text for text in found)
+
+
+def test_overload_comes_as_a_sentence(emulated, enabled):
+    for kind in PROTOCOLS:
+        with emulated(kind, 2, clock="steps") as (bus, chain):
+            limit = enabled(chain)
+            bus.trip(2, "overload")
+            found = []
+            for _ in range(4):
+                chain.read()
+                found += getattr(chain.slow(), "faults", ())
+            assert any("joint1: overload" in text for text in found), kind
+            chain.write([0.0, 0.0], limit)
+
+
+def test_a_latched_servo_is_not_enabled_and_reboot_clears_it(emulated, enabled):
+    with emulated("xm", 1, clock="steps") as (bus, chain):
+        enabled(chain)
+        bus.trip(1, "overload")
+        chain.read()
+        with pytest.raises(ServoFault, match=r"reboot\('joint0'\) clears it"):
+            enabled(chain)
+    with emulated("xm", 1) as (bus, chain):  # a servo takes real time to boot
+        enabled(chain)
+        bus.trip(1, "overload")
+        chain.reboot("joint0")
+        assert not chain.enabled.any()
+        enabled(chain)
+        assert chain.enabled.all()
+
+
+def test_protocol_1_has_no_reboot(emulated):
+    refused = pytest.raises(ServoError, match="MX-64 has no reboot")
+    with emulated("mx", 1, clock="steps") as (_, chain), refused:
+        chain.reboot("joint0")
+
+
+def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
+    with emulated("sts", 2, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        bus.stick(1, "torque_limit", 1000)
+        found = []
+        for _ in range(8):
+            chain.read()
+            chain.write([0.0, 0.0], limit / 2)
+            found += getattr(chain.slow(), "faults", ())
+        assert any("torque limit reads 1.91 N·m, written was 0.48 N·m" in text for text in found)
+        assert chain.counters["mismatches"] >= 2
+        with pytest.raises(ServoError, match="did not take the torque limit"):
+            enabled(chain)
+
+
+def test_a_pulled_adapter_ends_reading_and_writing_at_once(emulated, enabled):
+    with emulated("sts", 2) as (bus, chain):
+        limit = enabled(chain)
+        bus.pull()
+        with pytest.raises(BusError, match="is gone"):
+            chain.read()
+        with pytest.raises(BusError, match="is gone"):
+            chain.write([0.0, 0.0], limit)
+        chain.close()
+        with pytest.raises(ServoError, match="there is no port"):
+            chain.open()
+        bus.put_back()
+        chain.open()
+        assert chain.read().ok.all()
+
+
+def test_a_joint_that_would_jump_is_not_believed(emulated, enabled):
+    with emulated("sts", 1, clock="steps") as (bus, chain):
+        enabled(chain)
+        bus.advance(0.01)
+        before = chain.read().position[0]
+        bus.stick(1, "present_position", 3000)
+        bus.advance(0.01)
+        sample = chain.read()
+        assert not sample.ok[0]
+        assert sample.position[0] == before
+        assert chain.counters["stale"] == 1
+        # If it stays there, it is there.
+        bus.advance(2.0)
+        assert chain.read().ok[0]
+
+
+def test_the_watchdog_trips_is_reported_and_cleared(emulated, enabled):
+    with emulated("xm", 2, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        chain.watchdog(0.1)
+        for _ in sweep(bus, chain, limit, 5):
+            pass
+        bus.advance(0.5)
+        found = []
+        for _ in range(12):
+            chain.read()
+            found += getattr(chain.slow(), "faults", ())
+        assert any("watchdog has tripped" in text for text in found)
+        enabled(chain)
+        chain.write([0.1, 0.1], limit)
+        bus.advance(0.05)
+        chain.read()
+        assert bus.servos[0].get("bus_watchdog") == 5
+        assert bus.servos[0].get("goal_position") > 2048
+
+
+def test_disable_reaches_all_although_one_is_silent(emulated, enabled):
+    with emulated("sts", 3, clock="steps") as (bus, chain):
+        enabled(chain)
+        bus.faults.inject("deaf", 1, count=99)
+        with pytest.raises(ServoError, match="torque may still be on: joint0"):
+            chain.disable()
+        assert [s.get("torque_enable") for s in bus.servos] == [1, 0, 0]
+
+
+def test_enable_undoes_itself_when_one_servo_does_not_obey(emulated, enabled):
+    with emulated("sts", 3, clock="steps") as (bus, chain):
+        bus.stick(3, "torque_enable", 0)
+        with pytest.raises(ServoError, match="did not switch its torque on"):
+            enabled(chain)
+        assert [s.get("torque_enable") for s in bus.servos[:2]] == [0, 0]
+        assert not chain.enabled.any()
+
+
+def test_enable_wants_to_know_where_the_joint_is(emulated):
+    with emulated("sts", 1, clock="steps") as (bus, chain):
+        chain.read()
+        with pytest.raises(ServoError, match=r"is at 0\.00 rad and not at 0\.70"):
+            chain.enable([0.7], [1.0])
+        assert not bus.log.writes()
+
+
+def test_a_servo_outside_its_range_is_not_switched_on(emulated):
+    spec = {"lower": 0.3, "upper": 0.9}
+    with emulated("sts", 1, clock="steps", spec=spec) as (bus, chain):
+        with pytest.raises(ServoError, match="would jump there: move it by hand"):
+            chain.enable(chain.read().position, [1.0])
+        assert not bus.log.writes()
+
+
+def test_positions_go_on_across_the_seam(emulated, enabled):
+    # A multi-turn servo with its zero near the seam, 96 counts before the turn is full.
+    spec = {"zero": 4000.0, "lower": -1.0, "upper": 1.0}
+    with emulated("xm", 1, clock="steps", spec=spec) as (bus, chain):
+        bus.servos[0].shaft.angle = 3900 * bus.servos[0].model.count
+        chain.close()
+        chain.open()
+        limit = enabled(chain)
+        for _ in range(30):
+            chain.read()
+            chain.write([0.5], limit)
+            bus.advance(0.05)
+        sample = chain.read()
+        assert sample.position[0] == pytest.approx(0.5, abs=0.05)
+        assert bus.servos[0].shaft.angle / bus.servos[0].model.count > 4200
+        # After a reboot the servo counts from within one turn again; the joint has not moved.
+        bus.reboot(1)
+        bus.advance(0.5)
+        chain.read()
+        assert chain.read().position[0] == pytest.approx(sample.position[0], abs=0.01)
+
+
+def test_chance_faults_never_give_a_stale_sample(emulated, enabled):
+    from pliant.servo.emulator import Faults
+
+    faults = Faults(seed=3)
+    with emulated("sts", 6, clock="steps", faults=faults) as (bus, chain):
+        limit = enabled(chain)
+        noisy = Faults(seed=3, lose=0.01, corrupt=0.02, late=0.03, noise=0.01, truncate=0.01)
+        faults._shares = noisy._shares
+        answered = 0
+        for sample, truth in sweep(bus, chain, limit, 150):
+            error = np.abs(sample.position - truth)[sample.ok]
+            answered += sample.ok.sum()
+            assert error.size == 0 or error.max() < 0.003
+        assert answered > 0.98 * 150 * 6
+        assert chain.counters["retries"] > 5

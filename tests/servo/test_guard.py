@@ -1,0 +1,166 @@
+"""The guard against a scripted bus: drains, one retry, no stale answer, nothing after time."""
+
+import pytest
+
+from pliant.servo import BusError
+from pliant.servo.guard import Guard
+from pliant.servo.models import Block
+
+SHORT, LONG = Block(56, 15), Block(55, 16)
+
+
+def guarded(bus, **options):
+    options = {"baudrate": 1_000_000, "absent": 200, **options}
+    return Guard(bus, "p1", clock=bus.clock, **options)
+
+
+def failure(reason, id=None):
+    return BusError("failed on purpose", reason, id)
+
+
+def requests(bus):
+    return [call for call in bus.calls if call[0] != "ping"]
+
+
+def test_a_good_answer_costs_one_request(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    bus.memory[1][56] = 7
+    assert guard.read(1, SHORT).data[0] == 7
+    assert bus.calls == [("read", 1, 56, 15)]
+    assert guard.counters.transactions == 1
+
+
+def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    bus.plan = [failure("timeout", 1)]
+    bus.late = 3
+    assert guard.read(1, SHORT).status == 0
+    # Three pings came back early because bytes were still arriving; the fourth heard nothing.
+    assert [call[0] for call in bus.calls] == ["read", *["ping"] * 4, "read"]
+    assert all(call[1] == 200 for call in bus.calls if call[0] == "ping")
+    counters = guard.counters
+    assert (counters.retries, counters.timeouts, counters.drains) == (1, 1, 1)
+
+
+def test_two_failures_are_reported(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    bus.plan = [failure("timeout"), failure("corrupt")]
+    guard.begin(1.0)
+    with pytest.raises(BusError) as caught:
+        guard.read(1, SHORT)
+    assert caught.value.reason == "corrupt"
+    assert len(requests(bus)) == 2
+    assert (guard.counters.timeouts, guard.counters.corrupt) == (1, 1)
+
+
+def test_nothing_is_asked_before_a_noisy_line_is_silent(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    bus.plan, bus.late = [failure("timeout")], 10**6
+    guard.begin(0.03)
+    with pytest.raises(BusError):
+        guard.read(1, SHORT)
+    sent = len(requests(bus))
+    guard.begin(0.03)
+    with pytest.raises(BusError) as caught:
+        guard.read(1, SHORT)
+    assert caught.value.reason == "late"
+    assert len(requests(bus)) == sent == 1
+    bus.late = 0
+    guard.begin(0.03)
+    assert guard.read(1, SHORT).status == 0
+
+
+def test_an_answer_of_the_last_request_is_kept_out(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    bus.memory[1][56] = 1
+    guard.read_in_turn(1, (SHORT, LONG))
+    bus.memory[1][56] = 2
+    bus.plan = ["stale"]
+    reply = guard.read_in_turn(1, (SHORT, LONG))
+    assert reply.data[56 - reply.block.address] == 2
+    assert guard.counters.stale == 1
+
+
+def test_a_stale_sync_read_is_kept_out(fake_bus):
+    bus = fake_bus([1, 2])
+    guard = guarded(bus)
+    guard.sync_read([1, 2], (SHORT, LONG))
+    bus.plan = ["stale"]
+    with pytest.raises(BusError) as caught:
+        guard.sync_read([1, 2], (SHORT, LONG))
+    assert caught.value.reason == "stale"
+
+
+def test_no_retry_that_could_not_be_answered_in_time(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    bus.plan = [failure("timeout")]
+    guard.begin(0.016)  # 10 ms are lost, 3 ms are drained, 10 ms more would be needed
+    with pytest.raises(BusError):
+        guard.read(1, SHORT)
+    assert len(requests(bus)) == 1
+    assert bus.now < 0.016
+
+
+def test_a_port_that_is_gone_is_asked_nothing_more(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    bus.plan = [failure("gone")]
+    for _ in range(2):
+        with pytest.raises(BusError) as caught:
+            guard.read(1, SHORT)
+        assert caught.value.reason == "gone"
+    assert len(bus.calls) == 1
+
+
+def test_a_refused_read_is_not_mistaken_for_a_stale_one(fake_bus):
+    bus = fake_bus([1])
+    bus.read = lambda *_: (b"", 0x07)
+    guard = guarded(bus)
+    with pytest.raises(BusError) as caught:
+        guard.read(1, SHORT)
+    assert caught.value.reason == "refused"
+
+
+def test_drains_listen_behind_an_id_that_nobody_has(fake_bus):
+    bus = fake_bus([253, 252, 1])
+    guard = guarded(bus, absent=0)
+    guard.find_absent({1}, 253)
+    bus.calls.clear()
+    bus.plan = [failure("timeout")]
+    guard.read(1, SHORT)
+    assert ("ping", 251) in bus.calls
+
+
+def test_timeouts_follow_the_wire(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus, baudrate=57_600, cycle=0.1)
+    guard.begin(1.0)
+    guard.read(1, SHORT)
+    # 8 + 21 bytes at 57600 baud are 5.0 ms: twice that, twice the latency of 1 ms, and 5 ms.
+    assert bus.timeout == pytest.approx(0.0171, abs=2e-4)
+
+
+def test_without_a_cycle_there_is_no_hurry(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    bus.plan = [failure("timeout"), failure("timeout")]
+    assert guard.read(1, SHORT).status == 0
+    assert guard.counters.retries == 2
+    assert bus.now > 0.1
+
+
+def test_a_write_goes_out_although_the_line_is_not_silent(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    guard.begin(0.01)
+    bus.plan = [failure("timeout")]
+    with pytest.raises(BusError):
+        guard.read(1, SHORT)
+    guard.sync_write([1], 42, [b"abcdefgh"])
+    assert bus.memory[1][42:50] == b"abcdefgh"

@@ -1,0 +1,146 @@
+"""What is wrong is said when the chain opens, with what to do about it."""
+
+import pytest
+
+from pliant import ServoError
+from pliant.servo import ServoChain, ServoSpec
+from pliant.servo.emulator import Device, Emulator
+
+
+def opened(bus, *specs, **options):
+    specs = [ServoSpec(port=bus.port, **spec) for spec in specs]
+    with ServoChain(specs, patience=0.03, **options) as chain:
+        return chain
+
+
+def complaint(parts, *specs, **options):
+    with Emulator(parts, clock="steps", **options) as bus:
+        with pytest.raises(ServoError) as caught:
+            opened(bus, *specs)
+        assert not bus.log.writes()
+    return str(caught.value)
+
+
+PAN = {"name": "pan", "model": "STS3215-7.4V", "id": 1, "lower": -1.0, "upper": 1.0}
+LIFT = {**PAN, "name": "lift", "id": 2}
+ELBOW = {"name": "elbow", "model": "XM430-W350", "id": 3, "lower": -1.0, "upper": 1.0}
+
+
+def test_a_missing_servo_is_named_with_those_that_answer():
+    text = complaint([Device("STS3215", id=1), Device("STS3215", id=7)], PAN, LIFT)
+    assert "lift (id 2)" in text
+    assert "ids that answer: 1, 7" in text
+
+
+def test_nobody_at_all_points_to_power_port_and_baud():
+    text = complaint([Device("STS3215", id=1, baud_rate=3)], PAN)
+    assert "no servo answers" in text
+    assert "baud" in text
+
+
+def test_another_model_is_named():
+    text = complaint([Device("MX-28", id=1)], {**PAN, "model": "MX-64"})
+    assert "it is MX-28, the configuration says MX-64 (310)" in text
+
+
+def test_all_complaints_come_at_once():
+    parts = [
+        Device("XM430-W350", id=3),
+        Device("XM430-W350", id=4, operating_mode=5, drive_mode=0b1000),
+    ]
+    text = complaint(parts, ELBOW, {**ELBOW, "name": "wrist", "id": 4})
+    assert "elbow (id 3" in text
+    assert "operating mode 3, needed is 5" in text
+    assert "wrist (id 4" in text
+    assert "switches its torque on by a goal" in text
+
+
+def test_a_shadow_id_is_refused():
+    part = Device("XM430-W350", id=3, operating_mode=5, secondary_id=4)
+    assert "obeys id 4 as well" in complaint([part], ELBOW)
+
+
+def test_a_wrong_supply_is_refused():
+    with Emulator([Device("STS3215-7.4V", id=1, max_voltage_limit=140)], clock="steps") as bus:
+        bus.supply(12.0)
+        with pytest.raises(ServoError, match=r"12\.0 V and STS3215-7\.4V takes"):
+            opened(bus, PAN)
+
+
+def test_a_range_across_the_seam_is_refused():
+    text = complaint([Device("STS3215", id=1)], {**PAN, "zero": 100.0})
+    assert "across the seam" in text
+    assert "mount the horn" in text
+
+
+def test_wheel_mode_is_refused():
+    spec = {**PAN, "model": "RX-64"}
+    text = complaint([Device("RX-64", id=1, ccw_angle_limit=0)], spec)
+    assert "wheel" in text
+
+
+def test_two_servos_on_one_id():
+    parts = [Device("STS3215", id=1, angle=1.0), Device("STS3215", id=1, angle=2.0)]
+    text = complaint(parts, PAN)
+    assert "pan" in text
+    assert "Two servos on one id" in text
+
+
+def test_a_port_that_is_not_there():
+    chain = ServoChain([ServoSpec(port="/dev/ttyNOWHERE", **PAN)])
+    with pytest.raises(ServoError, match="there is no port /dev/ttyNOWHERE; there are:"):
+        chain.open()
+
+
+def test_a_port_that_is_taken():
+    with Emulator([Device("STS3215", id=1)], clock="steps") as bus:
+        spec = ServoSpec(port=bus.port, **PAN)
+        refused = pytest.raises(ServoError, match="in use by another program")
+        with ServoChain([spec], patience=0.03), refused:
+            ServoChain([spec], patience=0.03).open()
+
+
+def test_ceilings_and_gains_are_the_servos_own():
+    parts = [Device("STS3215", id=1, max_torque_limit=500, p_coefficient=16, overload_torque=25)]
+    with Emulator(parts, clock="steps") as bus:
+        chain = opened(bus, PAN)
+        # The chain is closed again; what it learned stays.
+        assert chain.servos.torque[0] == pytest.approx(1.91 / 2, rel=0.01)
+        assert chain.servos.kp[0] == pytest.approx(5.1, rel=0.01)
+        assert chain.overload[0] == pytest.approx(0.5)
+        assert "Max Torque is set to 50%" in chain.found[0].notes[0]
+
+
+def test_notes_say_what_setup_would_change():
+    with Emulator([Device("XM430-W350", id=3, operating_mode=5)], clock="steps") as bus:
+        chain = opened(bus, ELBOW)
+    notes = " ".join(chain.found[0].notes)
+    assert "clear bit 5 of Shutdown" in notes
+    assert "500 µs" in notes
+
+
+def test_a_speed_unit_that_is_not_ours_is_noted():
+    with Emulator([Device("STS3215", id=1, phase=0b1000)], clock="steps") as bus:
+        assert "speed caps are void" in opened(bus, PAN).found[0].notes[0]
+
+
+def test_the_extra_is_named_where_it_is_missing(monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "rustypot", None)
+    chain = ServoChain([ServoSpec(port="p", **PAN)])
+    with pytest.raises(ImportError, match=r'pip install "pliant\[servo\]"'):
+        chain.open()
+
+
+def test_another_transport_can_be_passed_in(fake_bus):
+    opened_with = []
+
+    def fake(port, baudrate, protocol):
+        opened_with.append((port, baudrate, protocol))
+        return fake_bus([1])
+
+    chain = ServoChain([ServoSpec(port="p", **PAN)], transport=fake, baudrate=57_600)
+    with pytest.raises(ServoError, match="model number 0"):
+        chain.open()
+    assert opened_with == [("p", 57_600, "p1")]

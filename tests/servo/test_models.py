@@ -1,0 +1,155 @@
+"""Tables: complete, consistent, and the same as the emulator's, which were typed independently."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pliant import ConfigError, Servos
+from pliant.servo import ServoSpec, Units, find, names
+from pliant.servo.emulator import MODELS as EMULATED
+from pliant.servo.models import by_number
+
+ALL = names()
+#: Our name of a register, and the emulator's, by family; where they are the same, none.
+NAMES = {
+    "model": "model_number",
+    "firmware": {"dxl1": "firmware_version", "x": "firmware_version", "sts": "firmware_major"},
+    "return_delay": "return_delay_time",
+    "return_level": {"sts": "response_level", "": "status_return_level"},
+    "position_min": {"dxl1": "cw_angle_limit", "": "min_position_limit"},
+    "position_max": {"dxl1": "ccw_angle_limit", "": "max_position_limit"},
+    "temperature_limit": "temperature_limit",
+    "voltage_min": "min_voltage_limit",
+    "voltage_max": "max_voltage_limit",
+    "max_torque": {"sts": "max_torque_limit", "dxl1": "max_torque"},
+    "shutdown": {"sts": "unloading_condition", "": "shutdown"},
+    "goal": "goal_position",
+    "speed_cap": {"dxl1": "moving_speed", "sts": "goal_velocity", "x": "profile_velocity"},
+    "position": "present_position",
+    "speed": {"dxl1": "present_speed", "": "present_velocity"},
+    "voltage": {"x": "present_input_voltage", "": "present_voltage"},
+    "temperature": "present_temperature",
+    "load": "present_load",
+    "current": "present_current",
+    "mode": "operating_mode",
+    "gain": {"sts": "p_coefficient", "x": "position_p_gain"},
+    "hardware_error": "hardware_error_status",
+    "watchdog": "bus_watchdog",
+    "torque_enable": "torque_enable",
+    "overload_torque": "overload_torque",
+    "drive_mode": "drive_mode",
+    "current_limit": "current_limit",
+    "pwm_limit": "pwm_limit",
+    "limit": {"sts": "torque_limit", "dxl1": "torque_limit"},
+    "goal_velocity": "goal_velocity",
+}
+TWINS = {"STS3215-7.4V-191": "STS3215-C044", "STS3215-7.4V-147": "STS3215-C046"}
+
+
+def emulated(name):
+    return EMULATED[TWINS.get(name, name)]
+
+
+def test_the_models_asked_for_are_there():
+    assert {"EX-106+", "RX-64", "MX-28", "MX-64", "MX-106", "STS3215-7.4V", "STS3215-12V"} <= {*ALL}
+    assert set(map(emulated, ALL)) == set(EMULATED.values())
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_two_independent_tables_agree(name):
+    ours, theirs = find(name), emulated(name)
+    compared = 0
+    for field, alias in NAMES.items():
+        other = alias if isinstance(alias, str) else alias.get(theirs.family, alias.get(""))
+        if field not in ours.family.registers or other is None:
+            continue
+        register, twin = ours.family.registers[field], theirs.table[other]
+        # Feetech's firmware is major and minor in one here.
+        twin_size = 2 if name.startswith("STS") and field == "firmware" else twin.size
+        assert (register.address, register.size) == (twin.address, twin_size), field
+        compared += 1
+    assert compared >= 18
+    assert ours.number == theirs.number
+    assert 2 * np.pi / ours.resolution == pytest.approx(theirs.count, rel=1e-3)
+    assert ours.counts == theirs.top
+    assert ours.current_unit == pytest.approx(theirs.unit) or ours.kind == "duty"
+    units = Units.of(ServoSpec(name="j", model=name, id=1, port="p"), theirs.motor.volts)
+    assert units.usable(units.full) == pytest.approx(theirs.motor.stall, rel=0.01)
+    assert units.no_load_speed == pytest.approx(theirs.motor.speed, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_blocks_hold_what_the_cycle_needs(name):
+    family = find(name).family
+    for block in family.read:
+        end = block.address + block.size
+        load = "load" if "load" in family.registers else "current"
+        for field in ("position", "speed", load):
+            register = family.registers[field]
+            assert block.address <= register.address
+            assert register.address + register.size <= end
+    assert family.read[0].size != family.read[1].size
+    # Goal and limit travel in one packet without a gap, and none of it is EEPROM.
+    written = [field for packet in family.write for field in packet]
+    assert {"goal", "limit", "speed_cap"} <= {*written}
+    assert all(
+        family.registers[f].address > family.registers["torque_enable"].address for f in written
+    )
+    for packet in family.write:
+        spans = [family.registers[field] for field in packet]
+        for before, after in pairwise(spans):
+            assert before.address + before.size == after.address
+    assert "limit" in family.write[0]
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_every_row_gives_servos(name):
+    servos = Servos.of([name])
+    assert servos.torque[0] > 0
+    assert servos.kp[0] > 0
+    assert servos.friction[0] < 0.1 * servos.torque[0]
+    assert servos.kind == find(name).kind
+
+
+def test_unknown_models_are_answered_with_near_ones():
+    with pytest.raises(ConfigError, match="did you mean: XM430-W350"):
+        find("XM430W350")
+    with pytest.raises(ConfigError, match=r"STS3215-7\.4V"):
+        find("STS3215")
+    with pytest.raises(ConfigError, match="there are: STS3215"):
+        find("?")
+    assert find("sts3215-c018") is find("STS3215-12V")
+
+
+def test_variants_share_a_model_number():
+    assert len(by_number(777)) == 4
+    assert by_number(12345) == ()
+
+
+def test_servos_of_names_the_voltage_and_counts_the_gains():
+    with pytest.raises(ConfigError, match=r"XL430-W250 takes 6\.5 to 12 V, got 24 V"):
+        Servos.of(["XL430-W250"], voltage=24.0)
+    with pytest.raises(ConfigError, match="1 gains for 2 servos"):
+        Servos.of(["RX-64", "RX-64"], gains=[32])
+    with pytest.raises(ConfigError, match="a list"):
+        Servos.of("RX-64")
+
+
+def test_stiffness_follows_the_gain_register():
+    soft, stiff = Servos.of(["STS3215-7.4V"] * 2, gains=[16, 32]).kp
+    assert soft == pytest.approx(5.1, rel=0.01)
+    assert stiff == pytest.approx(2 * soft)
+    # A slope is an error: twice as long, half as stiff. RX-64 at 18.5 V, slope 32: 32 N·m/rad.
+    assert Servos.of(["RX-64"], voltage=18.5).kp[0] == pytest.approx(32, rel=0.02)
+    assert Servos.of(["RX-64"], voltage=18.5, gains=[64]).kp[0] == pytest.approx(16, rel=0.02)
+    assert Servos.of(["XM430-W350"], voltage=12.0).kp[0] == pytest.approx(19.5, rel=0.01)
+
+
+def test_a_mixed_chain_counts_back_emf_as_damping():
+    alone = Servos.of(["XL430-W250"])
+    mixed = Servos.of(["XL430-W250", "XL330-M288"])
+    assert alone.kind == "duty"
+    assert mixed.kind == "current"
+    back_emf = alone.torque[0] / alone.no_load_speed[0]
+    assert mixed.damping[0] == pytest.approx(alone.damping[0] + back_emf)

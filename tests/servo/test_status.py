@@ -1,0 +1,31 @@
+"""Status bytes in sentences: what refuses, and what merely states a condition."""
+
+from pliant.servo import find
+from pliant.servo.status import conditions, hardware, refusal
+
+STS, P1, X = (find(name).family for name in ("STS3215-7.4V", "RX-64", "XM430-W350"))
+
+
+def test_feetech_bits_are_conditions_and_never_refusals():
+    for status in range(256):
+        assert refusal(STS, status) is None
+    assert "overload" in conditions(STS, 0x20)[0]
+    assert conditions(STS, 0) == ()
+
+
+def test_protocol_1_tells_refusals_from_conditions():
+    assert "out of range" in refusal(P1, 1 << 3)
+    assert "checksum" in refusal(P1, 1 << 4)
+    assert refusal(P1, 1 << 5) is None
+    overload = conditions(P1, 1 << 5 | 1 << 3)
+    assert len(overload) == 1
+    assert "pliant setup" in overload[0]
+
+
+def test_protocol_2_has_a_number_and_an_alert():
+    assert "locked while torque is on" in refusal(X, 0x07)
+    assert "above the servo's own limit" in refusal(X, 0x86)
+    assert refusal(X, 0x80) is None
+    assert conditions(X, 0x80)
+    assert conditions(X, 0x07) == ()
+    assert [text[:8] for text in hardware(1 << 5 | 1 << 2)] == ["too hot:", "overload"]

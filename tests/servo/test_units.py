@@ -1,0 +1,149 @@
+"""Conversions there and back, for every model, voltage, gear, sign and torque."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pliant import ConfigError
+from pliant.servo import ServoSpec, Units, find, names
+
+specs = st.builds(
+    ServoSpec,
+    name=st.just("joint"),
+    model=st.sampled_from(names()),
+    id=st.just(1),
+    port=st.just("port"),
+    sign=st.sampled_from([-1, 1]),
+    zero=st.one_of(st.none(), st.floats(0, 4095)),
+    gear=st.floats(0.2, 5.0),
+    twin=st.sampled_from([None, (2, 1), (2, -1)]),
+    torque_offset=st.floats(0.0, 0.3),
+)
+
+
+@st.composite
+def joints(draw):
+    spec = draw(specs)
+    low, high = spec.row.voltage
+    return Units.of(spec, draw(st.floats(low, high)))
+
+
+@given(joints(), st.floats(0.0, 40.0), st.integers(0, 2047))
+def test_a_limit_is_never_more_than_asked_and_within_one_count(units, torque, ceiling):
+    register = units.register(torque, ceiling)
+    assert 0 <= register <= min(ceiling, units.full)
+    given_torque = units.torque(register)
+    assert given_torque <= torque * (1 + 1e-9) + 1e-9
+    if register < min(ceiling, units.full) and torque > 0:
+        assert torque - given_torque <= units.torque_per_unit * (1 + 1e-9) + 1e-9
+
+
+@given(joints(), st.integers(0, 2047))
+def test_a_register_comes_back_as_itself(units, register):
+    register = min(register, units.full)
+    if units.torque(register) > 0.0:
+        assert units.register(units.torque(register)) == register
+
+
+@given(joints(), st.integers(0, 4095))
+def test_counts_come_back_as_themselves(units, counts):
+    assert units.counts(units.angle(counts)) == counts
+
+
+@given(joints(), st.floats(-3.0, 3.0))
+def test_an_angle_comes_back_within_half_a_count(units, angle):
+    assert abs(units.angle(units.counts(angle)) - angle) <= 0.5 * units.count * (1 + 1e-9)
+
+
+@given(joints())
+def test_a_rising_angle_is_rising_counts_by_the_sign(units):
+    step = units.counts(0.5) - units.counts(-0.5)
+    assert math.copysign(1, step) == units.spec.sign
+
+
+@given(joints(), st.floats(0.05, 20.0))
+def test_a_speed_cap_is_never_faster_than_asked(units, speed):
+    register = units.speed_register(speed)
+    assert register >= 1  # 0 is "as fast as it can"
+    slowest = abs(units.velocity(1))
+    assert abs(units.velocity(register)) <= max(speed, slowest) * (1 + 1e-9)
+
+
+@given(joints(), st.integers(1, 254))
+def test_stiffness_is_positive_and_goes_with_the_gain(units, gain):
+    assert units.stiffness(gain) > 0
+    ratio = units.stiffness(2 * gain) / units.stiffness(gain)
+    assert ratio == pytest.approx(0.5 if units.row.gain == 0.0 else 2.0)
+
+
+def joint(model, **options):
+    return Units.of(ServoSpec(name="j", model=model, id=1, port="p", **options))
+
+
+def test_a_gear_turns_slower_and_pushes_harder():
+    plain, geared = joint("MX-64"), joint("MX-64", gear=2.0)
+    assert geared.usable(1023) == pytest.approx(2 * plain.usable(1023))
+    assert geared.count == pytest.approx(plain.count / 2)
+    assert geared.no_load_speed == pytest.approx(plain.no_load_speed / 2)
+    assert geared.stiffness(32) == pytest.approx(4 * plain.stiffness(32))
+
+
+def test_twins_share_the_torque():
+    plain, twins = joint("XM540-W270"), joint("XM540-W270", twin=(2, -1))
+    assert twins.usable(2047) == pytest.approx(2 * plain.usable(2047))
+    assert twins.register(4.0) == plain.register(2.0)
+
+
+def test_a_duty_follows_the_voltage_and_a_current_does_not():
+    for model, ratio in (("RX-64", 0.8), ("XM430-W350", 1.0)):
+        spec = ServoSpec(name="j", model=model, id=1, port="p")
+        high = spec.row.rated
+        at_high, at_low = Units.of(spec, high), Units.of(spec, 0.8 * high)
+        assert at_low.torque_per_unit == pytest.approx(ratio * at_high.torque_per_unit, rel=0.02)
+
+
+def test_numbers_per_count_of_the_makers_data():
+    spec = ServoSpec(name="j", model="EX-106+", id=1, port="p")
+    assert Units.of(spec, 18.5).torque_per_unit == pytest.approx(0.0107, rel=0.01)
+    assert Units.of(spec, 14.8).torque_per_unit == pytest.approx(0.0085, rel=0.01)
+    assert joint("XM430-W350").torque_per_unit == pytest.approx(0.0048, rel=0.01)
+    assert joint("XM540-W270").torque_per_unit == pytest.approx(0.0065, rel=0.01)
+    assert joint("STS3215-12V").torque_per_unit == pytest.approx(2.94 / 1000, rel=0.01)
+    assert joint("XL430-W250").torque_per_unit == pytest.approx(0.0016, rel=0.02)
+
+
+def test_stall_torque_can_be_the_users():
+    quoted = joint("EX-106+", stall=10.0)
+    assert quoted.usable(1023) == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"id": 254}, "id 254 is outside 0..253"),
+        ({"model": "XM430-W350", "id": 253}, r"outside 0\.\.252"),
+        ({"sign": 0}, "sign is"),
+        ({"gear": 0.0}, "gear must be above 0"),
+        ({"zero": math.nan}, "zero is a count"),
+        ({"lower": 1.0, "upper": -1.0}, "lower must be below upper"),
+        ({"twin": (1, 1)}, "the twin has the id"),
+        ({"stall": -1.0}, "stall must be above 0"),
+        ({"torque_offset": -1.0}, "torque_offset"),
+        ({"model": "MX-65"}, "did you mean"),
+    ],
+)
+def test_a_spec_says_what_is_wrong(change, match):
+    with pytest.raises(ConfigError, match=match):
+        ServoSpec(**{"name": "j", "model": "MX-64", "id": 1, "port": "p", **change})
+
+
+def test_signs_of_registers():
+    register = find("MX-64").family.registers["speed"]
+    assert register.decode(register.encode(-5)) == -5
+    assert register.encode(-5) == (1024 + 5).to_bytes(2, "little")
+    twos = find("XM430-W350").family.registers["position"]
+    assert twos.decode(twos.encode(-4096)) == -4096
+    sts = find("STS3215-7.4V").family.registers["goal"]
+    assert sts.encode(-1) == b"\x01\x80"
