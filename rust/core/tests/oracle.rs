@@ -156,7 +156,6 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
             oracle.delay = delay;
         }
         let command = *controller.step(&q, &target, &input).unwrap();
-        let record = controller.record();
         let mut twin = oracle.clone();
         let want = oracle.step(&q, &target, &input, controller.sigma());
         let judge = Judge {

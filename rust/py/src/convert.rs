@@ -137,6 +137,7 @@ pub(crate) fn view<'a>(array: &'a Bound<'_, PyAny>, columns: usize) -> Option<&'
 /// The numbers of a plain, writable array of this shape, to be written; `None` for any other object.
 ///
 /// As [`view`]; whoever calls makes sure that no two of them, and no `view`, are of the same memory.
+#[expect(clippy::mut_from_ref, reason = "the memory is the array's, not the reference's")]
 pub(crate) fn view_mut<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a mut [f64]> {
     let fields = structure(array, shape, WRITABLE)?;
     // SAFETY: as in `view`.

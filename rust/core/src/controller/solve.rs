@@ -37,6 +37,7 @@ pub(super) struct Solution {
 /// Solves for the goals; `memory` gets the new γ and singular vectors, `free` the task rows without the columns of locked
 /// joints, if there are any. `k` and `n` are those of [`Tick`].
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "everything that the lines before came to")]
 pub(super) fn solve(
     plan: &Plan,
     settings: &Settings,

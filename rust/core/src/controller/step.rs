@@ -92,7 +92,7 @@ impl Controller {
         }
         let done = self.read(input).and_then(|input| {
             let instructions = self.instructions;
-            if instructions.run(self.cycle(q, target, &input)) {
+            if instructions.run_single(self.cycle(q, target, &input)) {
                 Ok(())
             } else {
                 Err(Error::config(
@@ -151,7 +151,7 @@ impl Kernel for Cycle<'_> {
     #[inline(always)]
     fn run<M: Machine>(mut self) -> bool {
         // Loops over a constant number of joints become straight vector code.
-        if self.plan.n <= 8 { self.tick::<M>(8) } else { self.tick::<M>(MAX_JOINTS) }
+        if self.plan.n <= 8 { self.tick::<M>(8) } else { self.tick::<M>(self.plan.n) }
     }
 }
 

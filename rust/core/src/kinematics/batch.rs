@@ -33,7 +33,7 @@ impl Model {
         check("jacobians", jacobians, count * jacobian)?;
         let chain = self.chain();
         self.pieces(q, [(poses, pose), (jacobians, jacobian)], |q, [poses, jacobians]| {
-            Instructions::chosen().run(Poses { chain, q, reference, poses, jacobians });
+            Instructions::chosen().run(PosePiece { chain, q, reference, poses, jacobians });
         })
     }
 
@@ -46,12 +46,16 @@ impl Model {
         check("torques", torques, count * n)?;
         let (chain, masses, gravity) = (self.chain(), self.chain().masses(self.payload()), self.gravity_vector());
         self.pieces(q, [(torques, n), (&mut [], 0)], |q, [torques, _]| {
-            Instructions::chosen().run(Torques { chain, masses: &masses, gravity: &gravity, q, torques });
+            Instructions::chosen().run(GravityPiece { chain, masses: &masses, gravity: &gravity, q, torques });
         })
     }
 
     fn count(&self, q: &[f64]) -> Result<usize> {
-        if q.len() % self.n() == 0 { Ok(q.len() / self.n()) } else { Err(Error::length("Q", q.len(), self.n())) }
+        if q.len().is_multiple_of(self.n()) {
+            Ok(q.len() / self.n())
+        } else {
+            Err(Error::length("Q", q.len(), self.n()))
+        }
     }
 
     /// Checks and works through all configurations, piece by piece, each with its part of the results.
@@ -138,7 +142,7 @@ fn scatter<A: Wide>(numbers: &[A::Real], size: usize, out: &mut [f64]) {
 }
 
 /// Poses and Jacobians of a piece.
-struct Poses<'a> {
+struct PosePiece<'a> {
     chain: &'a Chain,
     q: &'a [f64],
     reference: Reference,
@@ -146,7 +150,7 @@ struct Poses<'a> {
     jacobians: &'a mut [f64],
 }
 
-impl Kernel for Poses<'_> {
+impl Kernel for PosePiece<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -187,7 +191,7 @@ impl Kernel for Poses<'_> {
 }
 
 /// Holding torques of a piece.
-struct Torques<'a> {
+struct GravityPiece<'a> {
     chain: &'a Chain,
     masses: &'a Masses,
     gravity: &'a [f64; 3],
@@ -195,7 +199,7 @@ struct Torques<'a> {
     torques: &'a mut [f64],
 }
 
-impl Kernel for Torques<'_> {
+impl Kernel for GravityPiece<'_> {
     type Output = ();
 
     #[inline(always)]

@@ -38,7 +38,8 @@ impl Model {
     /// [`Error::Shape`] for a wrong length, [`Error::Limit`] for an entry that is not finite or beyond 1e6. Position
     /// limits are not enforced: a real arm may stand a little outside of them.
     pub fn forward_kinematics(&self, q: &[f64]) -> Result<Pose> {
-        Ok(self.frames_at(q)?.tool)
+        let q = self.joint_vector(q)?;
+        Ok(Instructions::chosen().run_single(Forward { chain: self.chain(), q: &q }))
     }
 
     /// Geometric Jacobian (6×n) at the tool, linear rows first.
@@ -65,7 +66,7 @@ impl Model {
     /// As [`Model::forward_kinematics`].
     pub fn kinematics_into(&self, q: &[f64], reference: Reference, rows: &mut Rows) -> Result<Pose> {
         let q = self.joint_vector(q)?;
-        Ok(Instructions::chosen().run(Kinematics { chain: self.chain(), q: &q, reference, rows }))
+        Ok(Instructions::chosen().run_single(Kinematics { chain: self.chain(), q: &q, reference, rows }))
     }
 
     /// Torques (`n`) [N·m or N] that hold the arm and its payload at rest at `q`.
@@ -73,10 +74,14 @@ impl Model {
     /// # Errors
     /// As [`Model::forward_kinematics`].
     pub fn gravity(&self, q: &[f64]) -> Result<DVector<f64>> {
-        let frames = self.frames_at(q)?;
-        let masses = self.chain().masses(self.payload());
-        let mut torque = [0.0; MAX_JOINTS];
-        self.chain().gravity(&frames, &masses, self.gravity_vector(), &mut torque);
+        let (q, masses) = (self.joint_vector(q)?, self.chain().masses(self.payload()));
+        let gravity = self.gravity_vector();
+        let torque = Instructions::chosen().run_single(Statics {
+            chain: self.chain(),
+            masses: &masses,
+            gravity: &gravity,
+            q: &q,
+        });
         Ok(DVector::from_fn(self.n(), |i, _| torque[i]))
     }
 
@@ -102,12 +107,40 @@ impl Model {
         }
         Ok(out)
     }
+}
 
-    fn frames_at(&self, q: &[f64]) -> Result<Frames> {
-        let q = self.joint_vector(q)?;
-        let mut frames = Frames::default();
-        self.chain().forward(&q, &mut frames);
-        Ok(frames)
+/// Pose of the tool at one configuration.
+struct Forward<'a> {
+    chain: &'a Chain,
+    q: &'a JointVec,
+}
+
+impl Kernel for Forward<'_> {
+    type Output = Pose;
+
+    #[inline(always)]
+    fn run<M: Machine>(self) -> Pose {
+        self.chain.walk::<M::One>(&self.chain.motions::<M::One>(self.q, self.chain.path), &mut ())
+    }
+}
+
+/// Holding torques at one configuration.
+struct Statics<'a> {
+    chain: &'a Chain,
+    masses: &'a Masses,
+    gravity: &'a [f64; 3],
+    q: &'a JointVec,
+}
+
+impl Kernel for Statics<'_> {
+    type Output = JointVec;
+
+    #[inline(always)]
+    fn run<M: Machine>(self) -> JointVec {
+        let (mut frames, mut torque) = (Frames::default(), [0.0; MAX_JOINTS]);
+        self.chain.forward_by::<M::One>(self.q, &mut frames);
+        self.chain.gravity_by::<M::One>(&frames, self.masses, self.gravity, &mut torque);
+        torque
     }
 }
 

@@ -58,7 +58,7 @@ fn take_trace(m: &mut Square, k: usize) -> f64 {
 fn squared(m: &Square, k: usize) -> Square {
     let mut out = [[0.0; MAX_AXES]; MAX_AXES];
     for r in 0..k {
-        for c in 0..r + 1 {
+        for c in 0..=r {
             let mut sum = 0.0;
             for inner in 0..k {
                 sum += m[r][inner] * m[c][inner];

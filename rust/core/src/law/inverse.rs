@@ -46,7 +46,7 @@ pub(crate) fn weighted_gram(rows: &Rows, d: &[f64; MAX_JOINTS], k: usize, n: usi
             for i in 0..n.min(MAX_JOINTS) {
                 scaled[i] = rows[r][i] * d[i];
             }
-            for c in 0..r + 1 {
+            for c in 0..=r {
                 let sum = product(&scaled, &rows[c], n);
                 (out[r][c], out[c][r]) = (sum, sum);
             }

@@ -104,7 +104,7 @@ impl Tick<'_> {
         let (plan, k, n) = (self.plan, self.k, self.n);
         let space = match plan.projector {
             Projector::Paper => NullSpace::new(self.rows, &plan.joint_weight, self.damping, k, n),
-            Projector::Exact => match self.condition.factor {
+            Projector::Exact => match &self.condition.factor {
                 // With joints that count alike and μ = 0 it is the matrix whose singular values were followed.
                 Some(factor) if plan.law.by_force() && self.condition.mu_squared <= 0.0 => {
                     NullSpace::of(self.scaled_rows, &plan.joint_weight, factor, k, n)

@@ -40,13 +40,13 @@ impl<'a> NullSpace<'a> {
         for r in 0..k.min(MAX_AXES) {
             gram[r][r] += added[r];
         }
-        Self::of(rows, weight, Cholesky::new(&gram, k), k, n)
+        Self::of(rows, weight, &Cholesky::new(&gram, k), k, n)
     }
 
     /// The same of a matrix that is factored already.
     #[inline(always)]
-    pub(crate) fn of(rows: &'a Rows, weight: &'a JointVec, factor: Cholesky, k: usize, n: usize) -> Self {
-        Self { rows, weight, factor, k, n, empty: k > n }
+    pub(crate) fn of(rows: &'a Rows, weight: &'a JointVec, factor: &Cholesky, k: usize, n: usize) -> Self {
+        Self { rows, weight, factor: *factor, k, n, empty: k > n }
     }
 
     /// The same, if `k` and `n` are larger than the task and the arm.

@@ -91,7 +91,7 @@ impl Instructions {
         all
     }
 
-    /// The set in use: the fastest one, or the one that `PLIANT_INSTRUCTIONS` names if this processor has it.
+    /// The set in use: the widest one, or the one that `PLIANT_INSTRUCTIONS` names if this processor has it.
     pub fn chosen() -> Self {
         static CHOSEN: OnceLock<Instructions> = OnceLock::new();
         *CHOSEN.get_or_init(|| {
@@ -110,6 +110,20 @@ impl Instructions {
             Set::Avx2 => "avx2",
             #[cfg(target_arch = "x86_64")]
             Set::Avx512 => "avx512",
+        }
+    }
+
+    /// Does the work of single configurations: as [`Instructions::run`], but never wider than AVX2.
+    ///
+    /// Arrays of seven or eight numbers gain nothing from wider registers (kinematics even lose a tenth), and a third copy
+    /// of the control step would be a third of the wheel.
+    #[inline]
+    pub(crate) fn run_single<K: Kernel>(self, kernel: K) -> K::Output {
+        match self.0 {
+            Set::Baseline => kernel.run::<Baseline>(),
+            // SAFETY: as in `run`; whoever has AVX-512 has AVX2, see `available`.
+            #[cfg(target_arch = "x86_64")]
+            Set::Avx2 | Set::Avx512 => unsafe { avx2(kernel) },
         }
     }
 

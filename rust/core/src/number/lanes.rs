@@ -19,7 +19,7 @@ macro_rules! by_lane {
             #[inline(always)]
             fn $method(mut self, other: Self) -> Self {
                 for i in 0..LANES {
-                    self.0[i] = self.0[i] $op other.0[i];
+                    self.0[i] $op other.0[i];
                 }
                 self
             }
@@ -27,10 +27,10 @@ macro_rules! by_lane {
     };
 }
 
-by_lane!(Add, add, +);
-by_lane!(Sub, sub, -);
-by_lane!(Mul, mul, *);
-by_lane!(Div, div, /);
+by_lane!(Add, add, +=);
+by_lane!(Sub, sub, -=);
+by_lane!(Mul, mul, *=);
+by_lane!(Div, div, /=);
 
 impl Neg for Array {
     type Output = Self;
@@ -99,7 +99,7 @@ mod x86 {
     #[allow(clippy::wildcard_imports, reason = "the names of instructions are unmistakable")]
     use std::arch::x86_64::*;
 
-    use super::*;
+    use super::{Add, Arithmetic, Div, LANES, Mul, Neg, Sub, Wide};
 
     /// Eight numbers in two registers.
     #[derive(Debug, Clone, Copy)]

@@ -106,7 +106,7 @@ mod tests {
         type Output = [[(f64, f64); LANES]; 2];
 
         fn run<M: Machine>(self) -> Self::Output {
-            let one = self.0.map(|angle| sin_cos::<M::One>(angle));
+            let one = self.0.map(sin_cos::<M::One>);
             let (s, c) = sin_cos::<M::Eight>(M::Eight::load(self.0));
             let rows = M::Eight::transpose(&[s, c, s, c, s, c, s, c]);
             [one, rows.map(|row| (row[0], row[1]))]
