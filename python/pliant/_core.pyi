@@ -587,18 +587,36 @@ class Model:
         """
 
     def kinematics_batch(
-        self, Q: ArrayLike, reference: _Reference = "world_aligned"
+        self,
+        Q: ArrayLike,
+        reference: _Reference = "world_aligned",
+        out: tuple[_Array, _Array] | None = None,
     ) -> tuple[_Array, _Array]:
-        """Poses (N, 4, 4) and Jacobians (N, 6, n) of `Q` (N, n); other threads run meanwhile."""
+        """Poses (N, 4, 4) and Jacobians (N, 6, n) of `Q` (N, n).
 
-    def forward_kinematics_batch(self, Q: ArrayLike) -> _Array:
-        """Poses (N, 4, 4) of configurations `Q` (N, n)."""
+        Eight configurations at a time, large batches on every core; other Python threads run
+        meanwhile and must not write into the arrays. Each row has the bits of the single call.
 
-    def jacobian_batch(self, Q: ArrayLike, reference: _Reference = "world_aligned") -> _Array:
-        """Jacobians (N, 6, n) of configurations `Q` (N, n)."""
+        Args:
+            Q: Configurations (N, n) [rad or m]; a plain float64 array is read in place.
+            reference: Axes of the Jacobians' rows.
+            out: Arrays (N, 4, 4) and (N, 6, n) to write into: new memory costs up to a fifth.
 
-    def gravity_batch(self, Q: ArrayLike) -> _Array:
-        """Holding torques (N, n) of configurations `Q` (N, n)."""
+        Raises:
+            ShapeError, LimitError, TypeError, ValueError: An argument that cannot be used; `out`
+                may then hold anything.
+        """
+
+    def forward_kinematics_batch(self, Q: ArrayLike, out: _Array | None = None) -> _Array:
+        """Poses (N, 4, 4) of configurations `Q` (N, n), as `kinematics_batch`."""
+
+    def jacobian_batch(
+        self, Q: ArrayLike, reference: _Reference = "world_aligned", out: _Array | None = None
+    ) -> _Array:
+        """Jacobians (N, 6, n) of configurations `Q` (N, n), as `kinematics_batch`."""
+
+    def gravity_batch(self, Q: ArrayLike, out: _Array | None = None) -> _Array:
+        """Holding torques (N, n) of configurations `Q` (N, n), as `kinematics_batch`."""
 
 class _ServoFields(TypedDict, total=False):
     kp: ArrayLike
@@ -1582,6 +1600,15 @@ class Controller:
         """Factor <= 1 on K_x that the delay demands; law impedance: on the stiffness, last step."""
 
     @property
+    def instructions(self) -> str:
+        """Instructions that steps run on: ``"baseline"``, ``"avx2"`` or ``"avx512"``.
+
+        The widest that the processor has, or the set that the environment variable
+        ``PLIANT_INSTRUCTIONS`` names. Results differ between sets by rounding, below 1e-11 of
+        their size; on one set they repeat bit for bit.
+        """
+
+    @property
     def commands_made(self) -> int:
         """How many commands had to be allocated: stays at 3 in a loop that keeps none."""
 
@@ -1651,11 +1678,11 @@ class Controller:
 
     @property
     def sigma_min(self) -> float:
-        """Estimate of the smallest singular value."""
+        """Smallest singular value of the scaled rows; where a step needs none, found when read."""
 
     @property
     def sigma_max(self) -> float:
-        """Estimate of the largest singular value."""
+        """Largest singular value, as `sigma_min`."""
 
     @property
     def damping(self) -> float:

@@ -88,4 +88,12 @@ impl Error {
     pub(crate) fn config(key: impl Into<String>, message: impl Into<String>) -> Self {
         Self::Config { key: key.into(), message: message.into() }
     }
+
+    /// A bound that is broken in row `row` of a batch.
+    pub(crate) fn in_row(self, batch: &str, row: usize) -> Self {
+        match self {
+            Self::Limit { what, value, bound } => Self::Limit { what: format!("{batch}[{row}]: {what}"), value, bound },
+            other => other,
+        }
+    }
 }

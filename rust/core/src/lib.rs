@@ -50,6 +50,7 @@ mod halton;
 pub mod kinematics;
 pub mod law;
 pub mod model;
+mod number;
 mod plan;
 pub mod pose;
 mod pose_forms;
@@ -69,6 +70,7 @@ pub use functions::{
 };
 pub use kinematics::{Frames, IkOptions, IkReason, IkSolution, Masses, Reference};
 pub use model::{Model, ModelOptions, Payload};
+pub use number::Instructions;
 pub use pose::Pose;
 pub use report::{Check, Finding, Report};
 pub use servos::{ServoKind, Servos};

@@ -13,12 +13,14 @@ pub const COORDINATE_BOUND: f64 = 1e6;
 pub const ROTATION_TOLERANCE: f64 = 1e-4;
 
 /// Pose of the tool in the base, `base_from_tool`: rotation matrix (row-major) and position [m].
+///
+/// Of one configuration, or of as many as an `R` holds.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pose {
+pub struct Pose<R = f64> {
     /// Rotation matrix; `rotation[row][column]`.
-    pub rotation: [[f64; 3]; 3],
+    pub rotation: [[R; 3]; 3],
     /// Position [m].
-    pub position: [f64; 3],
+    pub position: [R; 3],
 }
 
 impl Pose {

@@ -251,7 +251,7 @@ fn more_axes_than_joints_need_a_length_and_it_weighs() {
         let left = |length: f64| {
             let mut controller = make(Some(length), damping).unwrap();
             let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
-            assert!(controller.record().sigma_min > 1e-3, "the smallest of the five");
+            assert!(controller.sigma()[0] > 1e-3, "the smallest of the five");
             let rows = controller.task_jacobian();
             let gravity = controller.record().gravity;
             let lead: Vec<f64> = (0..5).map(|i| command.goal()[i] - q[i] - gravity[i] / 5.1).collect();
@@ -297,7 +297,7 @@ fn worst_estimate(index: usize, axes: &str, path: impl Fn(f64) -> Vec<f64>, tick
         if controller.record().locked.contains(&true) {
             continue;
         }
-        let (got, want) = (controller.record().sigma_min, controller.singular_values().min());
+        let (got, want) = (controller.sigma()[0], controller.singular_values().min());
         if want > 0.1 * sigma_0 {
             relative = relative.max((got - want).abs() / want);
         }
@@ -335,7 +335,7 @@ fn sigma_is_right_at_once_after_a_reset() {
         let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
         controller.reset(&q).unwrap();
         controller.step(&q, &model.forward_kinematics(&q).unwrap(), &StepInput::default()).unwrap();
-        let (got, want) = (controller.record().sigma_min, controller.singular_values().min());
+        let (got, want) = (controller.sigma()[0], controller.singular_values().min());
         assert!((got - want).abs() < 0.01 * want, "{got} {want}");
     }
 }

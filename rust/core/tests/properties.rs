@@ -129,7 +129,7 @@ fn the_exact_projector_moves_no_task_axis() {
             controller.reset(&q).unwrap();
             let input = StepInput { gradient: Some(&gradient), ..StepInput::default() };
             let goal = controller.step(&q, &target, &input).unwrap().goal().to_vec();
-            if controller.record().sigma_min > 0.01 && !controller.record().locked.contains(&true) {
+            if controller.sigma()[0] > 0.01 && !controller.record().locked.contains(&true) {
                 let lead = DVector::from_fn(7, |i, _| goal[i] - q[i]);
                 assert!((controller.task_jacobian() * &lead).amax() < 1e-10);
                 let torque: f64 = (0..7).map(|i| [150.0, 60.0][usize::from(i > 3)] * lead[i].abs()).sum();

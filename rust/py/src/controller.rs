@@ -85,7 +85,7 @@ readings! {
     Controller {
         axes: deviation, adapted_deviation, dx, softness, compliance, holding_torque, wrench;
         joints: velocity, gravity, feed_forward, gradient;
-        numbers: sigma_min, sigma_max, damping, gamma;
+        numbers: damping, gamma;
         flags: saturated, locked;
         matrices: activation, responsibility, task_jacobian;
     }
@@ -244,6 +244,21 @@ readings! {
                 out.set_item(AXIS_NAMES[axis], Axis(filled).into_pyobject(py)?)?;
             }
             Ok(out)
+        }
+
+        #[getter]
+        fn sigma_min(&self) -> f64 {
+            self.core.sigma()[0]
+        }
+
+        #[getter]
+        fn sigma_max(&self) -> f64 {
+            self.core.sigma()[1]
+        }
+
+        #[getter]
+        fn instructions(&self) -> &'static str {
+            self.core.instructions().name()
         }
 
         #[getter]

@@ -35,9 +35,9 @@ pub(crate) fn initialise(py: Python<'_>) -> PyResult<()> {
     Ok(())
 }
 
-/// The structure of an exact `numpy.ndarray` of native float64 with this shape and at least these flags.
+/// The structure of an exact `numpy.ndarray` of native float64.
 #[inline]
-fn structure<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize], flags: i32) -> Option<&'a PyArrayObject_fields> {
+fn structure_of<'a>(array: &'a Bound<'_, PyAny>) -> Option<&'a PyArrayObject_fields> {
     let array_type = ARRAY_TYPE.get(array.py())?;
     if !std::ptr::eq(array.get_type_ptr().cast(), array_type.as_ptr()) {
         return None;
@@ -45,6 +45,15 @@ fn structure<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize], flags: i32) -> Op
     // SAFETY: the object is exactly an ndarray, whose layout is part of NumPy's stable C interface; it is alive as long
     // as the reference that `array` holds, and the interpreter lock keeps Python code from changing the structure.
     let fields = unsafe { &(*array.as_ptr().cast::<PyArrayObject>()).fields };
+    // SAFETY: every array has a descriptor; the fields read here are at the same place in all versions of NumPy.
+    let (type_number, order) = unsafe { ((*fields.descr).fields.type_num, (*fields.descr).fields.byteorder) };
+    (type_number == NPY_TYPES::NPY_DOUBLE as i32 && order.cast_unsigned() == NATIVE).then_some(fields)
+}
+
+/// The structure of such an array with this shape and at least these flags.
+#[inline]
+fn structure<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize], flags: i32) -> Option<&'a PyArrayObject_fields> {
+    let fields = structure_of(array)?;
     if fields.flags & flags != flags || usize::try_from(fields.nd) != Ok(shape.len()) {
         return None;
     }
@@ -55,9 +64,7 @@ fn structure<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize], flags: i32) -> Op
             return None;
         }
     }
-    // SAFETY: every array has a descriptor; the fields read here are at the same place in all versions of NumPy.
-    let (type_number, order) = unsafe { ((*fields.descr).fields.type_num, (*fields.descr).fields.byteorder) };
-    (type_number == NPY_TYPES::NPY_DOUBLE as i32 && order.cast_unsigned() == NATIVE).then_some(fields)
+    Some(fields)
 }
 
 /// Copies the numbers of a plain array of this shape; `false` and nothing done for any other object.
@@ -91,6 +98,64 @@ pub(crate) fn write(array: &Bound<'_, PyAny>, shape: &[usize], values: &[f64]) -
     true
 }
 
+/// Writes the first `width` numbers of each row into a plain, writable matrix; `false` and nothing done for any other.
+#[inline]
+pub(crate) fn write_rows<const R: usize, const C: usize>(
+    array: &Bound<'_, PyAny>,
+    width: usize,
+    rows: &[[f64; C]; R],
+) -> bool {
+    let width = width.min(C);
+    let Some(fields) = structure(array, &[R, width], WRITABLE) else { return false };
+    let data = fields.data.cast::<f64>();
+    for (r, row) in rows.iter().enumerate() {
+        // SAFETY: as in `write`; row `r` of the array begins at `r · width`.
+        unsafe { std::ptr::copy_nonoverlapping(row.as_ptr(), data.add(r * width), width) };
+    }
+    true
+}
+
+/// The numbers of a plain matrix of `columns`, without a copy; `None` for any other object.
+///
+/// Meant for batches, which other Python threads may run beside: as with NumPy's own functions, one that writes into the
+/// array meanwhile gets numbers computed from old and new ones.
+pub(crate) fn view<'a>(array: &'a Bound<'_, PyAny>, columns: usize) -> Option<&'a [f64]> {
+    let fields = structure_of(array)?;
+    if fields.flags & READABLE != READABLE || fields.nd != 2 {
+        return None;
+    }
+    // SAFETY: `dimensions` has `nd` entries, of which there are two.
+    let (rows, width) = unsafe { (*fields.dimensions, *fields.dimensions.add(1)) };
+    if usize::try_from(width) != Ok(columns) {
+        return None;
+    }
+    let count = usize::try_from(rows).ok()?.checked_mul(columns)?;
+    // SAFETY: the array is C-contiguous, aligned and holds `count` float64 values, as long as `array` is held.
+    Some(unsafe { std::slice::from_raw_parts(fields.data.cast::<f64>().cast_const(), count) })
+}
+
+/// The numbers of a plain, writable array of this shape, to be written; `None` for any other object.
+///
+/// As [`view`]; whoever calls makes sure that no two of them, and no `view`, are of the same memory.
+#[expect(clippy::mut_from_ref, reason = "the memory is the array's, not the reference's")]
+pub(crate) fn view_mut<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a mut [f64]> {
+    let fields = structure(array, shape, WRITABLE)?;
+    // SAFETY: as in `view`.
+    Some(unsafe { std::slice::from_raw_parts_mut(fields.data.cast::<f64>(), shape.iter().product()) })
+}
+
+/// Where the numbers of a plain array lie.
+pub(crate) fn memory(array: &Bound<'_, PyAny>) -> Option<std::ops::Range<usize>> {
+    let fields = structure_of(array)?;
+    let start = fields.data.addr();
+    let mut size = std::mem::size_of::<f64>();
+    for i in 0..usize::try_from(fields.nd).ok()? {
+        // SAFETY: `dimensions` has `nd` entries.
+        size *= usize::try_from(unsafe { *fields.dimensions.add(i) }).ok()?;
+    }
+    Some(start..start + size)
+}
+
 /// Writes numbers into a vector that nobody but one of our own objects can see; `false` and nothing done otherwise.
 ///
 /// Seen by others means: another reference (a view and a memoryview hold one), a weak reference, memory of someone else.
@@ -121,18 +186,9 @@ pub(crate) fn new_array<'py>(py: Python<'py>, shape: &[usize], values: &[f64]) -
     array.into_any()
 }
 
-/// A new array that `fill` writes while other Python threads run.
-pub(crate) fn filled<'py, E: Send>(
-    py: Python<'py>,
-    shape: &[usize],
-    fill: impl FnOnce(&mut [f64]) -> Result<(), E> + Send,
-) -> Result<Bound<'py, PyAny>, E> {
-    let array = PyArrayDyn::<f64>::zeros(py, shape, false);
-    let count = shape.iter().product();
-    // SAFETY: the array is new, so that nobody else can reach its memory; it is C-contiguous with `count` entries.
-    let values = unsafe { std::slice::from_raw_parts_mut(array.data(), count) };
-    py.detach(|| fill(values))?;
-    Ok(array.into_any())
+/// A new array of zeros.
+pub(crate) fn zeros<'py>(py: Python<'py>, shape: &[usize]) -> Bound<'py, PyAny> {
+    PyArrayDyn::<f64>::zeros(py, shape, false).into_any()
 }
 
 /// Makes an array read-only for Python.

@@ -1,16 +1,16 @@
 //! Pose, Jacobian and gravity of a model, one configuration or many.
 
-use pliant_core::{Frames, JointVec, MAX_AXES, MAX_JOINTS, Model as CoreModel, Pose, Reference};
+use std::borrow::Cow;
+
+use pliant_core::{JointVec, MAX_AXES, MAX_JOINTS, Model as CoreModel, Pose, Reference, Rows};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-use crate::convert::{filled, new_array, write};
-use crate::error::{OrRaise, shape, wrong_type};
+use crate::convert::{memory, view, view_mut, write, write_rows, zeros};
+use crate::error::{OrRaise, shape, tuple, wrong_type};
 use crate::pose::matrix;
 use crate::read::{joints, numbers};
-
-/// A Jacobian, row by row without gaps.
-type Flat = [f64; MAX_AXES * MAX_JOINTS];
 
 /// Joint positions, checked.
 pub(crate) fn positions(core: &CoreModel, q: &Bound<'_, PyAny>) -> PyResult<JointVec> {
@@ -18,24 +18,10 @@ pub(crate) fn positions(core: &CoreModel, q: &Bound<'_, PyAny>) -> PyResult<Join
     core.joint_vector(&joints("q", q, n)?[..n]).or_raise()
 }
 
-fn at(core: &CoreModel, q: &JointVec, reference: Reference) -> pliant_core::Result<(Pose, Flat)> {
+#[inline]
+fn at(core: &CoreModel, q: &Bound<'_, PyAny>, reference: Reference, rows: &mut Rows) -> PyResult<Pose> {
     let n = core.n();
-    let mut flat = [0.0; MAX_AXES * MAX_JOINTS];
-    if reference == Reference::Local {
-        let (pose, jacobian) = core.kinematics(&q[..n], reference)?;
-        for (row, to) in flat.chunks_exact_mut(n).take(MAX_AXES).enumerate() {
-            to.iter_mut().enumerate().for_each(|(i, value)| *value = jacobian[(row, i)]);
-        }
-        return Ok((pose, flat));
-    }
-    let mut frames = Frames::default();
-    let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
-    core.chain().forward(q, &mut frames);
-    core.chain().jacobian(&frames, &mut rows);
-    for (to, row) in flat.chunks_exact_mut(n).zip(&rows) {
-        to.copy_from_slice(&row[..n]);
-    }
-    Ok((frames.tool, flat))
+    core.kinematics_into(&joints("q", q, n)?[..n], reference, rows).or_raise()
 }
 
 /// Pose (4, 4) and Jacobian (6, n), new ones or into the caller's.
@@ -45,31 +31,39 @@ pub(crate) fn both<'py>(
     reference: Reference,
     out: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let py = q.py();
-    let (pose, jacobian) = at(core, &positions(core, q)?, reference).or_raise()?;
+    let (py, n) = (q.py(), core.n());
+    let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+    let pose = at(core, q, reference, &mut rows)?;
     let Some(out) = out else {
-        let pair = [matrix(py, &pose), new_array(py, &[6, core.n()], &jacobian)];
-        return Ok(PyTuple::new(py, pair)?.into_any());
+        let jacobian = zeros(py, &[6, n]);
+        write_rows(&jacobian, n, &rows);
+        return Ok(PyTuple::new(py, [matrix(py, &pose), jacobian])?.into_any());
     };
-    let expected = "a pair of arrays to write into";
-    let pair = out.cast::<PyTuple>().map_err(|_| wrong_type("out", expected, out))?;
-    let (first, second) = match pair.len() {
-        2 => (pair.get_item(0)?, pair.get_item(1)?),
-        _ => return Err(wrong_type("out", expected, out)),
-    };
-    into("out[0]", &first, &[4, 4], pose.to_rows().as_flattened())?;
-    into("out[1]", &second, &[6, core.n()], &jacobian)?;
+    let (first, second) = pair(out)?;
+    if !write(&first, &[4, 4], pose.to_rows().as_flattened()) {
+        return Err(unfit("out[0]", &first, &[4, 4]));
+    }
+    if !write_rows(&second, n, &rows) {
+        return Err(unfit("out[1]", &second, &[6, n]));
+    }
     Ok(out.clone())
 }
 
-fn into(name: &str, array: &Bound<'_, PyAny>, expected: &[usize], values: &[f64]) -> PyResult<()> {
-    if write(array, expected, values) {
-        return Ok(());
+/// Two arrays to write into.
+fn pair<'py>(out: &Bound<'py, PyAny>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+    match out.cast::<PyTuple>() {
+        Ok(pair) if pair.len() == 2 => Ok((pair.get_item(0)?, pair.get_item(1)?)),
+        _ => Err(wrong_type("out", "a pair of arrays to write into", out)),
     }
+}
+
+/// Why an array cannot be written into.
+#[cold]
+fn unfit(name: &str, array: &Bound<'_, PyAny>, expected: &[usize]) -> PyErr {
     let got: Option<Vec<usize>> = array.getattr("shape").and_then(|shape| shape.extract()).ok();
     match got {
-        Some(got) if got != expected => Err(shape(name, &got, crate::error::tuple(expected))),
-        _ => Err(wrong_type(name, "a writable float64 array in C order", array)),
+        Some(got) if got != expected => shape(name, &got, tuple(expected)),
+        _ => wrong_type(name, "a writable float64 array in C order", array),
     }
 }
 
@@ -79,64 +73,110 @@ pub(crate) fn jacobian<'py>(
     q: &Bound<'py, PyAny>,
     reference: Reference,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (_, jacobian) = at(core, &positions(core, q)?, reference).or_raise()?;
-    Ok(new_array(q.py(), &[6, core.n()], &jacobian))
+    let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+    at(core, q, reference, &mut rows)?;
+    let jacobian = zeros(q.py(), &[6, core.n()]);
+    write_rows(&jacobian, core.n(), &rows);
+    Ok(jacobian)
 }
 
-/// Configurations (N, n) of a batch.
-pub(crate) struct Batch {
+/// Configurations (N, n) of a batch: the caller's memory if it is a plain array, a copy of anything else.
+struct Batch<'a> {
     count: usize,
-    n: usize,
-    values: Vec<f64>,
+    values: Cow<'a, [f64]>,
 }
 
-impl Batch {
-    pub(crate) fn read(core: &CoreModel, q: &Bound<'_, PyAny>) -> PyResult<Self> {
+impl<'a> Batch<'a> {
+    fn read(core: &CoreModel, q: &'a Bound<'_, PyAny>, outs: &[&Bound<'_, PyAny>]) -> PyResult<Self> {
         let n = core.n();
+        let own = memory(q);
+        let shared = |out: &&Bound<'_, PyAny>| match (&own, memory(out)) {
+            (Some(q), Some(out)) => q.start < out.end && out.start < q.end,
+            _ => false,
+        };
+        if let Some(values) = view(q, n)
+            && !outs.iter().any(shared)
+        {
+            return Ok(Self { count: values.len() / n, values: Cow::Borrowed(values) });
+        }
         match numbers("Q", q)? {
-            (got, values) if got.len() == 2 && got[1] == n => Ok(Self { count: got[0], n, values }),
+            (got, values) if got.len() == 2 && got[1] == n => Ok(Self { count: got[0], values: Cow::Owned(values) }),
             (got, _) => Err(shape("Q", &got, format!("(N, {n})"))),
         }
     }
 
-    /// An array (N, …) whose parts `each` writes, other Python threads running.
-    pub(crate) fn map<'py>(
+    /// The caller's array, or a new one, of (N, …).
+    fn target<'py>(
         &self,
         py: Python<'py>,
-        core: &CoreModel,
+        name: &str,
+        out: Option<&Bound<'py, PyAny>>,
         part: &[usize],
-        each: impl Fn(&JointVec, &mut [f64]) -> pliant_core::Result<()> + Sync,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let size: usize = part.iter().product();
         let shape: Vec<usize> = std::iter::once(self.count).chain(part.iter().copied()).collect();
-        let done = filled(py, &shape, |out| {
-            for (row, (q, to)) in self.values.chunks_exact(self.n).zip(out.chunks_exact_mut(size)).enumerate() {
-                core.joint_vector(q).and_then(|q| each(&q, to)).map_err(|error| (row, error))?;
-            }
-            Ok(())
-        });
-        done.map_err(|(row, error)| in_row(error, row)).or_raise()
+        match out {
+            None => Ok(zeros(py, &shape)),
+            Some(out) if crate::convert::writable(out, &shape) => Ok(out.clone()),
+            Some(out) => Err(unfit(name, out, &shape)),
+        }
     }
 }
 
-/// The error of one configuration with its row.
-fn in_row(error: pliant_core::Error, row: usize) -> pliant_core::Error {
-    match error {
-        pliant_core::Error::Limit { what, value, bound } => {
-            pliant_core::Error::Limit { what: format!("Q[{row}]: {what}"), value, bound }
-        }
-        other => other,
+/// The memory of an array of (N, …) that [`Batch::target`] gave.
+fn target_of<'a>(array: &'a Bound<'_, PyAny>, count: usize, part: &[usize]) -> &'a mut [f64] {
+    let shape: Vec<usize> = std::iter::once(count).chain(part.iter().copied()).collect();
+    view_mut(array, &shape).unwrap_or_default()
+}
+
+/// Poses (N, 4, 4) and Jacobians (N, 6, n).
+pub(crate) fn both_batch<'py>(
+    core: &CoreModel,
+    q: &Bound<'py, PyAny>,
+    reference: Reference,
+    out: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+    let (py, n) = (q.py(), core.n());
+    let own = out.map(pair).transpose()?;
+    let outs: Vec<_> = own.iter().flat_map(|(first, second)| [first, second]).collect();
+    let batch = Batch::read(core, q, &outs)?;
+    let poses = batch.target(py, "out[0]", own.as_ref().map(|own| &own.0), &[4, 4])?;
+    let jacobians = batch.target(py, "out[1]", own.as_ref().map(|own| &own.1), &[6, n])?;
+    if let (Some(a), Some(b)) = (memory(&poses), memory(&jacobians))
+        && a.start < b.end
+        && b.start < a.end
+    {
+        return Err(PyValueError::new_err("out[0] and out[1] must not share memory"));
     }
+    let (to_poses, to_jacobians) =
+        (target_of(&poses, batch.count, &[4, 4]), target_of(&jacobians, batch.count, &[6, n]));
+    let values: &[f64] = &batch.values;
+    py.detach(|| core.kinematics_batch(values, reference, to_poses, to_jacobians)).or_raise()?;
+    Ok((poses, jacobians))
+}
+
+/// One array of (N, …) that the core fills while other Python threads run.
+fn one_batch<'py>(
+    core: &CoreModel,
+    q: &Bound<'py, PyAny>,
+    out: Option<&Bound<'py, PyAny>>,
+    part: &[usize],
+    fill: impl FnOnce(&[f64], &mut [f64]) -> pliant_core::Result<()> + Send,
+) -> PyResult<Bound<'py, PyAny>> {
+    let py = q.py();
+    let batch = Batch::read(core, q, &out.into_iter().collect::<Vec<_>>())?;
+    let array = batch.target(py, "out", out, part)?;
+    let (values, to): (&[f64], _) = (&batch.values, target_of(&array, batch.count, part));
+    py.detach(|| fill(values, to)).or_raise()?;
+    Ok(array)
 }
 
 /// Poses (N, 4, 4).
-pub(crate) fn poses<'py>(core: &CoreModel, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    Batch::read(core, q)?.map(q.py(), core, &[4, 4], |q, to| {
-        let mut frames = Frames::default();
-        core.chain().forward(q, &mut frames);
-        to.copy_from_slice(frames.tool.to_rows().as_flattened());
-        Ok(())
-    })
+pub(crate) fn poses<'py>(
+    core: &CoreModel,
+    q: &Bound<'py, PyAny>,
+    out: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    one_batch(core, q, out, &[4, 4], |q, to| core.kinematics_batch(q, Reference::WorldAligned, to, &mut []))
 }
 
 /// Jacobians (N, 6, n).
@@ -144,24 +184,16 @@ pub(crate) fn jacobians<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
     reference: Reference,
+    out: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let n = core.n();
-    Batch::read(core, q)?.map(q.py(), core, &[6, n], |q, to| {
-        let (_, flat) = at(core, q, reference)?;
-        to.copy_from_slice(&flat[..6 * n]);
-        Ok(())
-    })
+    one_batch(core, q, out, &[6, core.n()], |q, to| core.kinematics_batch(q, reference, &mut [], to))
 }
 
 /// Holding torques (N, n).
-pub(crate) fn gravities<'py>(core: &CoreModel, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    let n = core.n();
-    let masses = core.chain().masses(core.payload());
-    Batch::read(core, q)?.map(q.py(), core, &[n], |q, to| {
-        let (mut frames, mut torque) = (Frames::default(), [0.0; MAX_JOINTS]);
-        core.chain().forward(q, &mut frames);
-        core.chain().gravity(&frames, &masses, core.gravity_vector(), &mut torque);
-        to.copy_from_slice(&torque[..n]);
-        Ok(())
-    })
+pub(crate) fn gravities<'py>(
+    core: &CoreModel,
+    q: &Bound<'py, PyAny>,
+    out: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    one_batch(core, q, out, &[core.n()], |q, to| core.gravity_batch(q, to))
 }

@@ -215,30 +215,42 @@ impl Model {
         search(self, target, q0, axes, &options)
     }
 
-    #[pyo3(signature = (Q, reference = None), text_signature = "($self, Q, reference='world_aligned')")]
+    #[pyo3(signature = (Q, reference = None, out = None), text_signature = "($self, Q, reference='world_aligned', out=None)")]
     fn kinematics_batch<'py>(
         &self,
         Q: &Bound<'py, PyAny>,
         reference: Option<&Bound<'py, PyAny>>,
+        out: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-        Ok((kinematics::poses(&self.core, Q)?, kinematics::jacobians(&self.core, Q, axes_of(reference)?)?))
+        kinematics::both_batch(&self.core, Q, axes_of(reference)?, out)
     }
 
-    fn forward_kinematics_batch<'py>(&self, Q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-        kinematics::poses(&self.core, Q)
+    #[pyo3(signature = (Q, out = None))]
+    fn forward_kinematics_batch<'py>(
+        &self,
+        Q: &Bound<'py, PyAny>,
+        out: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        kinematics::poses(&self.core, Q, out)
     }
 
-    #[pyo3(signature = (Q, reference = None), text_signature = "($self, Q, reference='world_aligned')")]
+    #[pyo3(signature = (Q, reference = None, out = None), text_signature = "($self, Q, reference='world_aligned', out=None)")]
     fn jacobian_batch<'py>(
         &self,
         Q: &Bound<'py, PyAny>,
         reference: Option<&Bound<'py, PyAny>>,
+        out: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        kinematics::jacobians(&self.core, Q, axes_of(reference)?)
+        kinematics::jacobians(&self.core, Q, axes_of(reference)?, out)
     }
 
-    fn gravity_batch<'py>(&self, Q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-        kinematics::gravities(&self.core, Q)
+    #[pyo3(signature = (Q, out = None))]
+    fn gravity_batch<'py>(
+        &self,
+        Q: &Bound<'py, PyAny>,
+        out: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        kinematics::gravities(&self.core, Q, out)
     }
 
     fn __repr__(&self) -> String {

@@ -5,13 +5,27 @@ use crate::{JointVec, MAX_JOINTS, Rows};
 /// Factors in [0, 1], one per part, so that `|base + Σ f_p part_p| ≤ bound` for every joint.
 ///
 /// Parts give way in their order: the second is scaled only when the first, gone altogether, was not enough.
-#[inline]
+#[inline(always)]
 pub(crate) fn scale_to_fit<const P: usize>(
     base: &JointVec,
     parts: [&JointVec; P],
     bound: &JointVec,
     n: usize,
 ) -> [f64; P] {
+    // Nearly always everything fits: that is found out without a branch per joint.
+    let mut beyond = false;
+    for i in 0..n.min(MAX_JOINTS) {
+        let mut all = base[i];
+        for part in parts {
+            all += part[i];
+        }
+        beyond |= all.abs() > bound[i];
+    }
+    if beyond { shrink(base, parts, bound, n) } else { [1.0; P] }
+}
+
+#[inline(never)]
+fn shrink<const P: usize>(base: &JointVec, parts: [&JointVec; P], bound: &JointVec, n: usize) -> [f64; P] {
     let mut factors = [1.0; P];
     for p in 0..P {
         let mut least: f64 = 1.0;
@@ -51,7 +65,7 @@ const STOP_WIDTH: f64 = 0.02;
 ///
 /// It may pass the limit, for a joint at its stop could not exert a torque otherwise; but nothing is to push the joint
 /// itself farther out. `slope` is by how much it shrinks per rad at most: a stop stiffer than that rings with the delay.
-#[inline]
+#[inline(always)]
 pub(crate) fn fade_beyond(lead: f64, q: f64, lower: f64, upper: f64, slope: f64) -> f64 {
     let beyond = at_least(if lead > 0.0 { q - upper } else { lower - q }, 0.0);
     let size = lead.abs();
@@ -62,7 +76,7 @@ pub(crate) fn fade_beyond(lead: f64, q: f64, lower: f64, upper: f64, slope: f64)
 ///
 /// Returns whether a joint was added to `locked`. A locked joint keeps the lead it still has and the others take over what
 /// it cannot do, so that the rest of the task stays right; it is not unlocked within a tick.
-#[inline]
+#[inline(always)]
 pub(crate) fn lock(
     goal: &JointVec,
     without_lead: &JointVec,
@@ -87,36 +101,41 @@ pub(crate) fn lock(
 ///
 /// A goal that starts outside them walks back in; it does not jump.
 /// A `to` that is not a number stays one (`f64::max` would drop it), so that the step can refuse to send it.
-#[inline]
+#[inline(always)]
 pub(crate) fn slew(from: f64, to: f64, step: f64, lower: f64, upper: f64) -> f64 {
     at_most(at_least(at_most(at_least(to, lower), upper), from - step), from + step)
 }
 
 /// The larger of two numbers; NaN where `value` is.
-#[inline]
+#[inline(always)]
 pub(crate) fn at_least(value: f64, bound: f64) -> f64 {
     if value < bound { bound } else { value }
 }
 
 /// The smaller of two numbers; NaN where `value` is.
-#[inline]
+#[inline(always)]
 pub(crate) fn at_most(value: f64, bound: f64) -> f64 {
     if value > bound { bound } else { value }
 }
 
 /// `value` within ± `most`; NaN where `value` is, and no panic where `most` is.
-#[inline]
+#[inline(always)]
 pub(crate) fn clip(value: f64, most: f64) -> f64 {
     at_most(at_least(value, -most), most)
 }
 
 /// Joint speeds [rad/s] that keep the tool within its `[linear, angular]` speed by one joint alone, and the joint's own.
-#[inline]
+#[inline(always)]
 pub(crate) fn register_speed(world: &Rows, tool: [f64; 2], joint: &JointVec, n: usize) -> JointVec {
     let mut out = *joint;
     for i in 0..n.min(MAX_JOINTS) {
-        let size = |from: usize| (from..from + 3).map(|r| world[r][i] * world[r][i]).sum::<f64>().sqrt();
-        out[i] = joint[i].min(tool[0] / size(0).max(1e-9)).min(tool[1] / size(3).max(1e-9));
+        let squared = |from: usize| {
+            world[from][i] * world[from][i]
+                + world[from + 1][i] * world[from + 1][i]
+                + world[from + 2][i] * world[from + 2][i]
+        };
+        let most = |speed: f64, squared: f64| speed / at_least(squared.sqrt(), 1e-9);
+        out[i] = at_most(at_most(joint[i], most(tool[0], squared(0))), most(tool[1], squared(3)));
     }
     out
 }

@@ -45,12 +45,12 @@ impl Addition<'_> {
         for (r, row) in compliance.iter_mut().enumerate().take(k) {
             row[r] += self.damping[r] / servos.kp_mean;
         }
-        let mut wrench = Cholesky::new(&compliance, k).solve(&times(self.rows, stored, k));
+        let mut wrench = Cholesky::new(&compliance, k).solve(&times(self.rows, stored, k, n));
         for (r, row) in plan.rows.iter().enumerate().take(k) {
             let most = if by_force { row.hold } else { f64::INFINITY };
             wrench[r] -= (1.0 - self.softness[r]) * wrench[r].clamp(-most, most);
         }
-        let torque = transpose_times(self.rows, &wrench, k);
+        let torque = transpose_times(self.rows, &wrench, k, n);
         (0..n).for_each(|i| stored[i] -= servos.compliance[i] * torque[i]);
     }
 }

@@ -22,7 +22,7 @@ pub(crate) struct Load<'a> {
 
 impl Load<'_> {
     /// Line 12: what the law wants at this tick, at least gravity, plus a margin.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn demand(&self, n: usize) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..n.min(MAX_JOINTS) {
@@ -33,7 +33,7 @@ impl Load<'_> {
     }
 
     /// (11) with gravity: the budgets of law `paper` on top of what holds the arm.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn budget(&self, budget: &JointVec, n: usize) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..n.min(MAX_JOINTS) {
@@ -43,7 +43,7 @@ impl Load<'_> {
     }
 
     /// The sum over all axes of what each may ask for: `s_g |g| + Σ_j |J_ji| most_j + null_i + |ff|`.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn sum(&self, rows: &Rows, most: &AxisVec, null: &JointVec, k: usize, n: usize) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..n.min(MAX_JOINTS) {
@@ -58,7 +58,7 @@ impl Load<'_> {
 }
 
 /// The wrench within what its axes may ask for: ±(w F + (1 − w) hold).
-#[inline]
+#[inline(always)]
 pub(crate) fn within(wrench: &AxisVec, most: &AxisVec, k: usize) -> AxisVec {
     let mut out = [0.0; MAX_AXES];
     for r in 0..k.min(MAX_AXES) {
@@ -68,7 +68,7 @@ pub(crate) fn within(wrench: &AxisVec, most: &AxisVec, k: usize) -> AxisVec {
 }
 
 /// Floor, ceiling, and a slew that lets limits fall at once but rise within the stiffening time.
-#[inline]
+#[inline(always)]
 pub(crate) fn finish(
     wanted: &JointVec,
     before: Option<&JointVec>,

@@ -248,7 +248,7 @@ impl Contact {
         }
         match dq {
             Some(dq) => memory.filter.set(q, dq),
-            None => memory.filter.update(q, &self.joints.count, filter, dt),
+            None => memory.filter.update(q, &self.joints.count, filter, dt, self.joints.n),
         }
         let velocity = memory.filter.velocity;
         let mut motion = Motion { velocity, ..Motion::default() };
@@ -292,7 +292,7 @@ impl Contact {
                 payload[i] -= row[i] * g;
             }
         }
-        let rows = crate::task::rows(&world, &base_from_task, &self.axes);
+        let rows = crate::task::rows(&world, &base_from_task, &self.axes, self.joints.n);
         Seen { rows, base_from_task, gravity, payload, frames }
     }
 

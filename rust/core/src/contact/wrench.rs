@@ -35,7 +35,7 @@ impl Estimator {
             }
         }
         let factor = Cholesky::new(&m, k);
-        let gain = factor.solve_rows(&weighted);
+        let gain = factor.solve_rows(&weighted, n);
         let mut blind = [0.0; MAX_AXES];
         for c in 0..k {
             // G Jᵀ − I = −(J W Jᵀ + P⁻¹)⁻¹ P⁻¹, without the cancellation.

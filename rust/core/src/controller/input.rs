@@ -12,10 +12,6 @@ const SHORTEST_PERIOD: f64 = 1e-6;
 /// Longest time between two steps [s].
 const LONGEST_PERIOD: f64 = 10.0;
 
-/// How far a reading may lie beyond a joint's position limits [rad]: half a turn. Farther off it is in degrees, or of
-/// another robot.
-const BEYOND_LIMITS: f64 = std::f64::consts::PI;
-
 /// A step's input, read and checked.
 pub(super) struct Input {
     pub(super) dt: f64,
@@ -54,23 +50,33 @@ impl Controller {
     }
 
     /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
+    #[inline]
     pub(crate) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
+        let [least, most] = &self.plan.readable;
+        let mut out = [0.0; MAX_JOINTS];
+        let mut fine = values.len() == self.plan.n;
+        for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
+            fine &= value >= least[i] && value <= most[i];
+            *slot = value;
+        }
+        if fine { Ok(out) } else { self.explain(what, values) }
+    }
+
+    /// What is wrong with joint positions that cannot be.
+    #[cold]
+    fn explain(&self, what: &str, values: &[f64]) -> Result<JointVec> {
         let q = self.joints(what, values, COORDINATE_BOUND)?;
         for i in 0..self.plan.n {
             let (lower, upper) = (self.plan.lower[i], self.plan.upper[i]);
             let prismatic = self.model.prismatic().get(i).copied().unwrap_or(false);
-            let beyond = if prismatic { upper - lower } else { BEYOND_LIMITS };
-            if q[i] < lower - beyond || q[i] > upper + beyond {
+            let (least, most) = (self.plan.readable[0][i], self.plan.readable[1][i]);
+            if q[i] < least || q[i] > most {
                 let name = self.model.joint_names().get(i).map_or("", String::as_str);
                 let (unit, hint) = if prismatic { ("m", "; is it in mm?") } else { ("rad", "; is it in degrees?") };
                 return Err(Error::limit(
                     format!("{what}[{i}] ({name}) [{unit}]"),
                     q[i],
-                    format!(
-                        "[{:.3}, {:.3}], far beyond the limits [{lower}, {upper}] of this joint{hint}",
-                        lower - beyond,
-                        upper + beyond
-                    ),
+                    format!("[{least:.3}, {most:.3}], far beyond the limits [{lower}, {upper}] of this joint{hint}"),
                 ));
             }
         }

@@ -11,8 +11,9 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use crate::error::{Error, Result};
-use crate::kinematics::Masses;
+use crate::kinematics::{Frames, Masses};
 use crate::model::{Model, Payload};
+use crate::number::Instructions;
 use crate::plan::Plan;
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::servos::Servos;
@@ -22,6 +23,7 @@ use crate::{JointVec, MAX_JOINTS, survey};
 pub use record::Record;
 
 use memory::Memory;
+use step::Scratch;
 
 /// What the servos get: one entry per joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -80,6 +82,8 @@ pub struct Controller {
     pub(crate) memory: Memory,
     record: Record,
     command: Command,
+    instructions: Instructions,
+    scratch: Scratch,
 }
 
 impl Controller {
@@ -101,6 +105,8 @@ impl Controller {
             record: Record::empty(),
             command: Command { n: plan.n, goal: zero, torque_limit: zero, velocity: zero },
             captured: None,
+            instructions: Instructions::chosen(),
+            scratch: Scratch::new(),
             model,
             settings,
             servos,
@@ -149,6 +155,21 @@ impl Controller {
     /// Intermediates of the last step.
     pub fn record(&self) -> &Record {
         &self.record
+    }
+
+    /// Smallest and largest singular value of the last step's task rows, translations divided by the arm's length.
+    pub fn sigma(&self) -> [f64; 2] {
+        self.record.sigma(&self.plan)
+    }
+
+    /// The instructions that steps run on.
+    pub fn instructions(&self) -> Instructions {
+        self.instructions
+    }
+
+    /// Takes other instructions than [`Instructions::chosen`] did; results change by rounding.
+    pub fn set_instructions(&mut self, instructions: Instructions) {
+        self.instructions = instructions;
     }
 
     /// The last command; zeros before the first step.
@@ -207,6 +228,8 @@ impl Controller {
         if self.settings.integrate <= 0.0 {
             self.memory.integral = [0.0; MAX_JOINTS];
         }
+        // Rows that the new task has not got must be zero again.
+        self.scratch = Scratch::new();
         self.memory.singular = crate::law::singular::SingularValues::start();
         self.memory.cold = true;
         Ok(())
@@ -319,14 +342,14 @@ impl Controller {
     pub fn step_joints(&mut self, q: &[f64], q_target: &[f64], input: &StepInput<'_>) -> Result<&Command> {
         let q = self.positions("q", q)?;
         let wanted = self.positions("q_target", q_target)?;
-        let mut frames = crate::kinematics::Frames::default();
+        let mut frames = Frames::default();
         self.model.chain().forward(&wanted, &mut frames);
         self.advance(&q, &frames.tool, &StepInput { posture: Some(q_target), ..*input })
     }
 
     /// Torques that hold the arm at `q` with the present payload and gravity vector [N·m].
     fn holding_torques(&self, q: &JointVec) -> JointVec {
-        let mut frames = crate::kinematics::Frames::default();
+        let mut frames = Frames::default();
         let mut holding = [0.0; MAX_JOINTS];
         self.model.chain().forward(q, &mut frames);
         self.model.chain().gravity(&frames, &self.masses, self.gravity, &mut holding);

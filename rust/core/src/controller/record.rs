@@ -5,7 +5,6 @@ use nalgebra::{DMatrix, DVector};
 use crate::law::activation::{Activation, activation, null_column, product, responsibility};
 use crate::law::inverse::pseudo_inverse;
 use crate::law::nullspace::{NullSpace, fade_squared};
-use crate::law::singular::SingularValues;
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::Projector;
@@ -40,10 +39,9 @@ pub struct Record {
     pub gradient: JointVec,
     /// Task rows (k × n) in the task frame.
     pub rows: Rows,
-    /// Smallest singular value of the task rows, translations divided by the arm's length.
-    pub sigma_min: f64,
-    /// Largest singular value of the same rows.
-    pub sigma_max: f64,
+    /// Smallest and largest singular value of the task rows, translations divided by the arm's length; where a step
+    /// needs neither, they are found when asked for: [`Controller::sigma`](crate::Controller::sigma).
+    pub(crate) followed_sigma: Option<[f64; 2]>,
     /// Damping λ.
     pub damping: f64,
     /// γ: how much of feed-forward and prediction is used.
@@ -79,8 +77,7 @@ impl Record {
             feed_forward: [0.0; MAX_JOINTS],
             gradient: [0.0; MAX_JOINTS],
             rows: [[0.0; MAX_JOINTS]; MAX_AXES],
-            sigma_min: 0.0,
-            sigma_max: 0.0,
+            followed_sigma: Some([0.0; 2]),
             damping: 0.0,
             gamma: 1.0,
             factors: [1.0; 3],
@@ -90,6 +87,14 @@ impl Record {
             deviation_limited: [false; MAX_AXES],
             reference: Pose::IDENTITY,
         }
+    }
+
+    /// Smallest and largest singular value of the scaled task rows.
+    pub(crate) fn sigma(&self, plan: &Plan) -> [f64; 2] {
+        self.followed_sigma.unwrap_or_else(|| {
+            let all = self.singular_values(plan);
+            [all.min(), all.max()]
+        })
     }
 
     fn pseudo_inverse(&self, plan: &Plan) -> Rows {
@@ -105,8 +110,9 @@ impl Record {
                 NullSpace::new(&self.rows, &plan.joint_weight, &squared, plan.k, plan.n).matrix()
             }
             Projector::Exact => {
-                let scaled = plan.scale_rows(&self.rows);
-                let mu_squared = fade_squared(self.sigma_min, self.sigma_max);
+                let scaled = plan.scale_rows(&self.rows, plan.n);
+                let [smallest, largest] = self.sigma(plan);
+                let mu_squared = fade_squared(smallest, largest);
                 NullSpace::new(&scaled, &plan.joint_weight, &[mu_squared; MAX_AXES], plan.k, plan.n).matrix()
             }
         }
@@ -141,25 +147,7 @@ impl Record {
 
     /// All singular values of the scaled task rows, largest first (an SVD: off the hot path).
     pub(crate) fn singular_values(&self, plan: &Plan) -> DVector<f64> {
-        let scaled = plan.scale_rows(&self.rows);
+        let scaled = plan.scale_rows(&self.rows, plan.n);
         crate::law::svd::singular_values(&DMatrix::from_fn(plan.k, plan.n, |r, i| scaled[r][i]))
     }
-}
-
-/// Refreshes the estimates of the extreme singular values of scaled rows (k × n).
-#[inline]
-pub(crate) fn update_singular(values: &mut SingularValues, scaled: &Rows, k: usize, n: usize, iterations: usize) {
-    if k <= n {
-        let gram = crate::law::inverse::weighted_gram(scaled, &[1.0; MAX_JOINTS], k, n);
-        values.update(&gram, k, iterations);
-        return;
-    }
-    // Fewer joints than axes: JᵀJ has the same singular values and no zero among them by construction.
-    let mut gram = [[0.0; MAX_AXES]; MAX_AXES];
-    for (i, row) in gram.iter_mut().enumerate().take(n) {
-        for (j, value) in row.iter_mut().enumerate().take(n) {
-            *value = scaled.iter().map(|r| r[i] * r[j]).sum();
-        }
-    }
-    values.update(&gram, n, iterations);
 }

@@ -3,17 +3,17 @@
 use crate::command::goal::{fade_beyond, lock};
 use crate::controller::input::Input;
 use crate::controller::memory::Memory;
-use crate::controller::record::update_singular;
 use crate::controller::step::Seen;
-use crate::law::activation::Activation;
 use crate::law::feedforward::{Resistance, damping_squared, fade};
-use crate::law::inverse::times;
+use crate::law::inverse::{Cholesky, Square, times, weighted_gram};
+use crate::law::nullspace::fade_squared;
+use crate::law::singular::{Condition, SingularValues};
 use crate::law::takeover::Takeover;
 use crate::law::{Motion, Tick, motion, weighted_manipulability};
 use crate::plan::Plan;
 use crate::settings::{Law, Settings};
 use crate::task::wish::Wish;
-use crate::{AxisVec, JointVec, MAX_JOINTS, Rows};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Iterations that find the extreme singular vectors from nothing, and that follow them from tick to tick.
 const ITERATIONS: (usize, usize) = (30, 1);
@@ -22,42 +22,48 @@ const ITERATIONS: (usize, usize) = (30, 1);
 #[derive(Clone, Copy)]
 pub(super) struct Solution {
     pub(super) motion: Motion,
-    /// Only where the law makes its limits from it.
-    pub(super) shares: Option<Activation>,
-    /// Task rows, columns of locked joints zero.
-    pub(super) rows: Rows,
+    /// τ^q of (11) [N·m], only where the law makes its limits from it.
+    pub(super) budget: Option<JointVec>,
     pub(super) locked: [bool; MAX_JOINTS],
     /// Goals before the slew [rad]: what moves the arm within the position limits, what exerts a force beyond them too.
     pub(super) goal: JointVec,
     pub(super) gradient: JointVec,
     pub(super) feed_forward: JointVec,
-    /// λ².
-    pub(super) damping: f64,
+    pub(super) condition: Condition,
     /// λ² of each row.
     pub(super) row_damping: AxisVec,
 }
 
-/// Solves for the goals; `memory` gets the new γ and singular vectors.
+/// Solves for the goals; `memory` gets the new γ and singular vectors, `free` the task rows without the columns of locked
+/// joints, if there are any. `k` and `n` are those of [`Tick`].
+#[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "everything that the lines before came to")]
 pub(super) fn solve(
     plan: &Plan,
     settings: &Settings,
+    (k, n): (usize, usize),
     input: &Input,
     seen: &Seen,
     wish: &Wish,
     memory: &mut Memory,
+    free: &mut Rows,
 ) -> Solution {
-    let (k, n) = (plan.k, plan.n);
-    let scaled = plan.scale_rows(&seen.rows);
-    let damping = condition(plan, &scaled, memory);
-    let row_damping = plan.damping_scale.map(|scale| scale * damping);
-    let resistance = resist(plan, settings, memory);
-    let gradient = cost_gradient(plan, input, seen, &scaled, memory);
-    let (mut all_joints, shares) = motion(&Tick {
+    let scaled = plan.scale_rows(&seen.rows, n);
+    let condition = condition(plan, n, &scaled, memory);
+    let mut row_damping = [0.0; MAX_AXES];
+    for r in 0..k.min(MAX_AXES) {
+        row_damping[r] = plan.damping_scale[r] * condition.damping;
+    }
+    let resistance = resist(plan, settings, memory, n);
+    let gradient = cost_gradient(plan, n, input, seen, &scaled, condition.mu_squared);
+    let (mut all_joints, budget) = motion(&Tick {
         plan,
+        k,
+        n,
         horizon: settings.horizon,
         rows: &seen.rows,
         scaled_rows: &scaled,
-        singular: &memory.singular,
+        condition: &condition,
         damping: &row_damping,
         softness: &wish.softness,
         strength: &wish.strength,
@@ -87,20 +93,26 @@ pub(super) fn solve(
         carried[i] = seen.gravity_in_goal[i] + feed_forward[i] + kp * (memory.integral[i] + all_joints.force_lead[i]);
     }
     let (mut locked, mut fixed_lead) = ([false; MAX_JOINTS], [0.0; MAX_JOINTS]);
-    let (mut motion, mut rows) = (all_joints, seen.rows);
-    loop {
+    let mut others: Option<Motion> = None;
+    let goal = loop {
+        let motion = others.as_ref().unwrap_or(&all_joints);
         let mut goal = without_lead;
-        (0..n).for_each(|i| goal[i] += motion.lead[i] + motion.null[i]);
-        if !lock(&goal, &without_lead, &plan.lower, &plan.upper, &mut locked, &mut fixed_lead, n) {
-            (0..n).for_each(|i| goal[i] += beside[i]);
-            return Solution { motion, shares, rows, locked, goal, gradient, feed_forward, damping, row_damping };
-        }
-        let (mut cut, mut lead, mut torque) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         for i in 0..n {
+            goal[i] += motion.lead[i] + motion.null[i];
+        }
+        if !lock(&goal, &without_lead, &plan.lower, &plan.upper, &mut locked, &mut fixed_lead, n) {
+            for i in 0..n {
+                goal[i] += beside[i];
+            }
+            break goal;
+        }
+        *free = seen.rows;
+        let (mut cut, mut lead, mut torque) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        for i in 0..plan.n {
             let whole = all_joints.lead[i] + all_joints.null[i];
             if locked[i] {
                 cut[i] = whole - fixed_lead[i];
-                for row in &mut rows {
+                for row in &mut *free {
                     row[i] = 0.0;
                 }
             } else {
@@ -111,42 +123,92 @@ pub(super) fn solve(
         let takeover = Takeover {
             plan,
             horizon: settings.horizon,
-            rows: &rows,
-            lost: &times(&seen.rows, &cut, k),
+            rows: free,
+            lost: &times(&seen.rows, &cut, k, n),
             softness: &wish.softness,
             torque: &torque,
             lead: &lead,
         };
-        motion = all_joints.with(&locked, &fixed_lead, &takeover.addition());
+        others = Some(all_joints.with(&locked, &fixed_lead, &takeover.addition()));
+    };
+    if let Some(others) = others {
+        all_joints = others;
     }
+    Solution { motion: all_joints, budget, locked, goal, gradient, feed_forward, condition, row_damping }
 }
 
-/// Line 7: follows σ, sets γ, returns λ².
-fn condition(plan: &Plan, scaled: &Rows, memory: &mut Memory) -> f64 {
+/// Line 7: follows σ, sets γ, says λ².
+#[inline(always)]
+fn condition(plan: &Plan, n: usize, scaled: &Rows, memory: &mut Memory) -> Condition {
+    let limits = plan.damping;
+    if !plan.follows_sigma() {
+        memory.gamma = 1.0;
+        return Condition { damping: limits.lambda_0 * limits.lambda_0, mu_squared: 0.0, factor: None };
+    }
     let iterations = if memory.cold { ITERATIONS.0 } else { ITERATIONS.1 };
-    update_singular(&mut memory.singular, scaled, plan.k, plan.n, iterations);
     memory.cold = false;
-    let (sigma, damping) = (memory.singular.smallest, plan.damping);
-    memory.gamma = fade(sigma, damping.sigma_0);
-    damping_squared(sigma, damping.lambda_0, damping.sigma_0, damping.lambda_max)
+    let values = &mut memory.singular;
+    let ones = [1.0; MAX_JOINTS];
+    let factor = match plan.k {
+        MAX_AXES if plan.n >= MAX_AXES => {
+            let gram = weighted_gram(scaled, &ones, MAX_AXES, n);
+            let factor = Cholesky::new(&gram, MAX_AXES);
+            values.update(&gram, &factor, MAX_AXES, iterations);
+            Some(factor)
+        }
+        k if k <= plan.n => {
+            follow(values, &weighted_gram(scaled, &ones, k, n), k, iterations);
+            None
+        }
+        _ => {
+            follow(values, &joint_gram(scaled, plan.n), plan.n, iterations);
+            None
+        }
+    };
+    let sigma = values.smallest;
+    memory.gamma = fade(sigma, limits.sigma_0);
+    let mu_squared = fade_squared(sigma, values.largest);
+    let damping = damping_squared(sigma, limits.lambda_0, limits.sigma_0, limits.lambda_max);
+    Condition { damping, mu_squared, factor }
+}
+
+/// Follows the singular values of fewer rows than six.
+#[inline(never)]
+fn follow(values: &mut SingularValues, gram: &Square, k: usize, iterations: usize) {
+    values.update(gram, &Cholesky::new(gram, k), k, iterations);
+}
+
+/// `JᵀJ`, for fewer joints than axes: it has the same singular values and no zero among them by construction.
+fn joint_gram(scaled: &Rows, n: usize) -> Square {
+    let mut gram = [[0.0; MAX_AXES]; MAX_AXES];
+    for (i, row) in gram.iter_mut().enumerate().take(n) {
+        for (j, value) in row.iter_mut().enumerate().take(n) {
+            *value = scaled.iter().map(|r| r[i] * r[j]).sum();
+        }
+    }
+    gram
 }
 
 /// Line 10; law `paper` has no feed-forward.
-fn resist(plan: &Plan, settings: &Settings, memory: &Memory) -> Resistance {
+#[inline(always)]
+fn resist(plan: &Plan, settings: &Settings, memory: &Memory, n: usize) -> Resistance {
     if plan.law == Law::Paper {
         return Resistance::NONE;
     }
     let (v, shares) = (&memory.filter.velocity, (settings.friction_share, settings.damping_share));
-    Resistance::new(v, &plan.servos, shares, settings.friction_speed, memory.gamma, plan.n)
+    Resistance::new(v, &plan.servos, shares, settings.friction_speed, memory.gamma, n)
 }
 
 /// Gradient of the null-space cost, all its parts.
-fn cost_gradient(plan: &Plan, input: &Input, seen: &Seen, scaled: &Rows, memory: &Memory) -> JointVec {
-    let mut gradient = plan.cost.gradient(&seen.q, &input.rest, plan.n);
+#[inline(always)]
+fn cost_gradient(plan: &Plan, n: usize, input: &Input, seen: &Seen, scaled: &Rows, mu_squared: f64) -> JointVec {
+    let mut gradient = plan.cost.gradient(&seen.q, &input.rest, n);
     if plan.cost.manipulability > 0.0 {
-        let more = weighted_manipulability(plan, &seen.world, scaled, &seen.base_from_task, &memory.singular);
+        let more = weighted_manipulability(plan, &seen.world, scaled, &seen.base_from_task, mu_squared);
         (0..plan.n).for_each(|i| gradient[i] += more[i]);
     }
-    (0..plan.n).for_each(|i| gradient[i] += input.gradient[i]);
+    for i in 0..n {
+        gradient[i] += input.gradient[i];
+    }
     gradient
 }

@@ -9,11 +9,13 @@ use crate::controller::record::Record;
 use crate::controller::solve::{Solution, solve};
 use crate::controller::{Command, Controller, StepInput};
 use crate::error::{Error, Result};
-use crate::kinematics::Frames;
+use crate::kinematics::{Frames, Masses};
 use crate::law::inverse::transpose_times;
+use crate::model::Chain;
+use crate::number::{Kernel, Machine};
 use crate::plan::Plan;
 use crate::pose::Pose;
-use crate::settings::{Law, LimitRule};
+use crate::settings::{Law, LimitRule, Settings};
 use crate::task;
 use crate::task::deviation::{into_frame, out_of_frame, pose_error};
 use crate::task::deviation_limit::Pushed;
@@ -27,7 +29,36 @@ const LONGEST_SLEW: f64 = 0.1;
 /// Lead [rad] allowed under law `paper` where nothing is known of the servos.
 const LEAD_UNKNOWN: f64 = 0.3;
 
+/// What a step works in; nothing of it outlives the step.
+#[derive(Debug, Clone)]
+pub(super) struct Scratch {
+    frames: Frames,
+    seen: Seen,
+    /// Task rows, columns of locked joints zero.
+    free: Rows,
+}
+
+impl Scratch {
+    pub(super) fn new() -> Self {
+        let (rows, joints) = ([[0.0; MAX_JOINTS]; MAX_AXES], [0.0; MAX_JOINTS]);
+        let seen = Seen {
+            q: joints,
+            world: rows,
+            base_from_task: Pose::IDENTITY.rotation,
+            rows,
+            error: [0.0; MAX_AXES],
+            reference: Pose::IDENTITY,
+            limited: [false; MAX_AXES],
+            holding: joints,
+            gravity_in_goal: joints,
+            gravity_in_limit: joints,
+        };
+        Self { frames: Frames::default(), seen, free: rows }
+    }
+}
+
 /// Line 2: the arm at the predicted positions.
+#[derive(Debug, Clone)]
 pub(super) struct Seen {
     /// q̂ [rad].
     pub(super) q: JointVec,
@@ -38,7 +69,6 @@ pub(super) struct Seen {
     pub(super) rows: Rows,
     /// Deviation (6,) in the task frame.
     error: AxisVec,
-    tool: Pose,
     reference: Pose,
     /// Which of x, y, z, roll, pitch, yaw met its deviation limit.
     limited: [bool; MAX_AXES],
@@ -60,10 +90,10 @@ impl Controller {
         if !before.started {
             self.restart(q);
         }
-        let outcome = self.read(input).and_then(|input| {
-            let (command, record, memory) = self.compute(q, target, &input);
-            if command.goal.iter().chain(&command.torque_limit).all(|x| x.is_finite()) {
-                Ok((command, record, memory))
+        let done = self.read(input).and_then(|input| {
+            let instructions = self.instructions;
+            if instructions.run_single(self.cycle(q, target, &input)) {
+                Ok(())
             } else {
                 Err(Error::config(
                     "step",
@@ -71,144 +101,208 @@ impl Controller {
                 ))
             }
         });
-        match outcome {
-            Ok((command, record, memory)) => {
-                self.memory = memory;
-                self.record = record;
-                self.command = command;
-                Ok(&self.command)
-            }
-            Err(error) => {
-                self.memory = before;
-                Err(error)
-            }
+        if let Err(error) = done {
+            self.memory = before;
+            return Err(error);
         }
+        Ok(&self.command)
     }
 
-    /// Lines 1 to 12. Touches nothing: a result that cannot be sent is thrown away.
-    fn compute(&self, q: &JointVec, target: &Pose, input: &Input) -> (Command, Record, Memory) {
-        let (plan, settings) = (&self.plan, &self.settings);
-        let mut memory = self.memory;
-        let dt = input.dt.min(LONGEST_SLEW);
-
-        let predicted = self.predict(q, input, &mut memory);
-        let speed = settings.max_tool_speed;
-        let before = memory.governor.pose();
-        let reference = memory.governor.follow(target, speed, settings.max_tool_acceleration, dt);
-        let mut seen = self.look(&predicted, reference);
-        if !plan.deviation_limits.is_empty() {
-            limit_deviation(plan, &before, &mut seen, &mut memory.governor);
+    fn cycle<'a>(&'a mut self, q: &'a JointVec, target: &'a Pose, input: &'a Input) -> Cycle<'a> {
+        Cycle {
+            plan: &self.plan,
+            settings: &self.settings,
+            chain: self.model.chain(),
+            masses: &self.masses,
+            gravity: &self.gravity,
+            delay: self.delay,
+            q,
+            target,
+            input,
+            memory: &mut self.memory,
+            scratch: &mut self.scratch,
+            record: &mut self.record,
+            command: &mut self.command,
         }
-        let twist = input.twist.map_or([0.0; MAX_AXES], |twist| memory.governor.velocity(&twist, speed));
-        let wish = Wish::new(plan, settings, &seen.error, &into_frame(&seen.base_from_task, &twist));
-        let solution = solve(plan, settings, input, &seen, &wish, &mut memory);
-        let mut record = note(plan, &seen, &wish, &solution, &memory, settings.horizon);
+    }
+}
 
-        let wanted = self.wanted_limits(q, &seen, &wish, &solution, &record, &memory);
-        let rise = plan.rise.map(|per_second| per_second * dt);
-        let limit = finish(&wanted, memory.limit.as_ref(), &plan.floor, &plan.servos.torque, &rise, plan.n);
+/// One tick's work: what it reads, and what it changes.
+struct Cycle<'a> {
+    plan: &'a Plan,
+    settings: &'a Settings,
+    chain: &'a Chain,
+    masses: &'a Masses,
+    gravity: &'a [f64; 3],
+    delay: f64,
+    q: &'a JointVec,
+    target: &'a Pose,
+    input: &'a Input,
+    memory: &'a mut Memory,
+    scratch: &'a mut Scratch,
+    record: &'a mut Record,
+    command: &'a mut Command,
+}
+
+impl Kernel for Cycle<'_> {
+    /// Whether the command can be sent: record and command are the last tick's where it cannot, memory is spoilt.
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<M: Machine>(mut self) -> bool {
+        // Loops over a constant number of joints become straight vector code.
+        if self.plan.n <= 8 { self.tick::<M>(8) } else { self.tick::<M>(self.plan.n) }
+    }
+}
+
+impl Cycle<'_> {
+    /// Lines 1 to 12; `n` and the number of rows are constants where this is compiled, see [`crate::law::Tick`].
+    #[inline(always)]
+    fn tick<M: Machine>(&mut self, n: usize) -> bool {
+        let (plan, settings, k) = (self.plan, self.settings, MAX_AXES);
+        let dt = self.input.dt.min(LONGEST_SLEW);
+
+        let predicted = self.predict(n);
+        let speed = settings.max_tool_speed;
+        let before = self.memory.governor.pose();
+        let reference = self.memory.governor.follow(self.target, speed, settings.max_tool_acceleration, dt);
+        self.look::<M>(&predicted, reference, n);
+        let Scratch { frames, seen, free } = &mut *self.scratch;
+        if !plan.deviation_limits.is_empty() {
+            limit_deviation(plan, &before, &frames.tool, seen, &mut self.memory.governor);
+        }
+        let twist = match &self.input.twist {
+            Some(twist) => into_frame(&seen.base_from_task, &self.memory.governor.velocity(twist, speed)),
+            None => [0.0; MAX_AXES],
+        };
+        let wish = Wish::new(plan, settings, &seen.error, &twist);
+        let solution = solve(plan, settings, (k, n), self.input, seen, &wish, self.memory, free);
+        let mut wrench = [0.0; MAX_AXES];
+        for r in 0..k {
+            wrench[r] = solution.motion.wrench.soft[r] + solution.motion.wrench.stiff[r];
+        }
+
+        let wanted = self.wanted_limits(&wish, &solution, &wrench, n);
+        let mut rise = [0.0; MAX_JOINTS];
+        for i in 0..n {
+            rise[i] = plan.rise[i] * dt;
+        }
+        let limit = finish(&wanted, self.memory.limit.as_ref(), &plan.floor, &plan.servos.torque, &rise, n);
         let mut goal = solution.goal;
-        for i in 0..plan.n {
-            if plan.law == Law::Paper {
+        if plan.law == Law::Paper {
+            for i in 0..n {
                 let (lead, most) = (solution.motion.lead[i] + solution.motion.null[i], self.lead_limit(i, limit[i]));
                 goal[i] += clip(lead, most) - lead;
             }
+        }
+        let (mut saturated, mut finite, slack) = ([false; MAX_JOINTS], true, settings.goal_slew * dt);
+        for i in 0..n {
             let (lower, upper) = (plan.lower[i] - plan.beyond[i], plan.upper[i] + plan.beyond[i]);
-            goal[i] = slew(memory.goal[i], goal[i], settings.goal_slew * dt, lower, upper);
-            record.saturated[i] = limit[i] >= plan.servos.torque[i];
+            goal[i] = slew(self.memory.goal[i], goal[i], slack, lower, upper);
+        }
+        for i in 0..plan.n {
+            saturated[i] = limit[i] >= plan.servos.torque[i];
+            finite &= goal[i].is_finite() & limit[i].is_finite();
+        }
+        if !finite {
+            return false;
         }
         // A deviation that a limit keeps up is not to be worked off.
-        if settings.integrate > 0.0 && !seen.limited.contains(&true) {
-            let mut lead = solution.motion.lead;
-            (0..plan.n)
-                .for_each(|i| lead[i] = if solution.locked[i] { 0.0 } else { lead[i] + solution.motion.null[i] });
-            let addition = Addition {
-                lead: &lead,
-                share: settings.integrate * dt,
-                gravity: &seen.holding.map(|g| settings.gravity_scale * g),
-                softness: &wish.softness,
-                rows: &solution.rows,
-                damping: &solution.row_damping,
-            };
-            addition.store(&mut memory.integral, plan);
+        if settings.integrate > 0.0 && !self.scratch.seen.limited.contains(&true) {
+            self.integrate(dt, &wish, &solution);
         }
-        memory.goal = goal;
-        memory.limit = Some(limit);
-        let velocity = register_speed(&seen.world, speed, &plan.joint_speed, plan.n);
-        (Command { n: plan.n, goal, torque_limit: limit, velocity }, record, memory)
+        self.memory.goal = goal;
+        self.memory.limit = Some(limit);
+        let seen = &self.scratch.seen;
+        note(self.record, plan, seen, &wish, &solution, self.memory, settings.horizon, &wrench);
+        self.record.saturated = saturated;
+        self.command.goal = goal;
+        self.command.torque_limit = limit;
+        self.command.velocity = register_speed(&seen.world, speed, &plan.joint_speed, n);
+        true
+    }
+
+    /// What the stiff axes and the null space add to the stored lead.
+    fn integrate(&mut self, dt: f64, wish: &Wish, solution: &Solution) {
+        let Scratch { seen, free, .. } = &*self.scratch;
+        let mut lead = solution.motion.lead;
+        for i in 0..self.plan.n {
+            lead[i] = if solution.locked[i] { 0.0 } else { lead[i] + solution.motion.null[i] };
+        }
+        let addition = Addition {
+            lead: &lead,
+            share: self.settings.integrate * dt,
+            gravity: &seen.holding.map(|g| self.settings.gravity_scale * g),
+            softness: &wish.softness,
+            rows: if solution.locked.contains(&true) { free } else { &seen.rows },
+            damping: &solution.row_damping,
+        };
+        addition.store(&mut self.memory.integral, self.plan);
     }
 
     /// Line 1: filtered velocity, and the positions at which the goal will arrive.
-    fn predict(&self, q: &JointVec, input: &Input, memory: &mut Memory) -> JointVec {
-        match &input.dq {
-            Some(dq) => memory.filter.set(q, dq),
-            None => memory.filter.update(q, &self.plan.servos.count, self.settings.velocity_filter, input.dt),
+    #[inline(always)]
+    fn predict(&mut self, n: usize) -> JointVec {
+        let (plan, filter) = (self.plan, &mut self.memory.filter);
+        match &self.input.dq {
+            Some(dq) => filter.set(self.q, dq),
+            None => filter.update(self.q, &plan.servos.count, self.settings.velocity_filter, self.input.dt, n),
         }
-        let mut predicted = *q;
-        if self.plan.law.by_force() {
-            let ahead = memory.gamma * self.settings.prediction_share * self.delay;
-            (0..self.plan.n).for_each(|i| predicted[i] += ahead * memory.filter.velocity[i]);
+        let mut predicted = *self.q;
+        if plan.law.by_force() {
+            let ahead = self.memory.gamma * self.settings.prediction_share * self.delay;
+            for i in 0..n {
+                predicted[i] += ahead * filter.velocity[i];
+            }
         }
         predicted
     }
 
     /// Line 2: kinematics, gravity and deviation.
-    fn look(&self, q: &JointVec, reference: Pose) -> Seen {
-        let chain = self.model.chain();
-        let mut frames = Frames::default();
-        let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
-        let mut holding = [0.0; MAX_JOINTS];
-        chain.forward(q, &mut frames);
-        chain.jacobian(&frames, &mut world);
-        chain.gravity(&frames, &self.masses, self.gravity, &mut holding);
-        let base_from_task = task::base_from_task(&self.plan.frame, &frames.tool);
+    #[inline(always)]
+    fn look<M: Machine>(&mut self, q: &JointVec, reference: Pose, n: usize) {
+        let (chain, Scratch { frames, seen, .. }) = (self.chain, &mut *self.scratch);
+        chain.forward_by::<M::One>(q, frames);
+        chain.jacobian_by::<M::One>(frames, &mut seen.world);
+        chain.gravity_by::<M::One>(frames, self.masses, self.gravity, &mut seen.holding);
+        seen.q = *q;
+        seen.base_from_task = task::base_from_task(&self.plan.frame, &frames.tool);
+        task::rows_into(&seen.world, &seen.base_from_task, &self.plan.axes, n, &mut seen.rows);
+        seen.error = into_frame(&seen.base_from_task, &pose_error(&frames.tool, &reference));
+        seen.reference = reference;
+        seen.limited = [false; MAX_AXES];
         let gravity = self.settings.gravity;
-        let nothing = [0.0; MAX_JOINTS];
-        Seen {
-            q: *q,
-            rows: task::rows(&world, &base_from_task, &self.plan.axes),
-            error: into_frame(&base_from_task, &pose_error(&frames.tool, &reference)),
-            tool: frames.tool,
-            reference,
-            limited: [false; MAX_AXES],
-            gravity_in_goal: if gravity.in_goal() { holding } else { nothing },
-            gravity_in_limit: if gravity.in_limits() { holding } else { nothing },
-            holding,
-            world,
-            base_from_task,
+        let (in_goal, in_limits) = (f64::from(u8::from(gravity.in_goal())), f64::from(u8::from(gravity.in_limits())));
+        for i in 0..n {
+            seen.gravity_in_goal[i] = in_goal * seen.holding[i];
+            seen.gravity_in_limit[i] = in_limits * seen.holding[i];
         }
     }
 
     /// Line 12 before floor, ceiling and slew, or (11).
-    fn wanted_limits(
-        &self,
-        q: &JointVec,
-        seen: &Seen,
-        wish: &Wish,
-        solution: &Solution,
-        record: &Record,
-        memory: &Memory,
-    ) -> JointVec {
-        let (plan, k, n) = (&self.plan, self.plan.k, self.plan.n);
-        let (pull, mut offset) = (transpose_times(&seen.rows, &record.wrench, k), [0.0; MAX_JOINTS]);
+    #[inline(always)]
+    fn wanted_limits(&self, wish: &Wish, solution: &Solution, wrench: &AxisVec, n: usize) -> JointVec {
+        let (plan, k, motion, seen) = (self.plan, MAX_AXES, &solution.motion, &self.scratch.seen);
+        let (pull, mut offset) = (transpose_times(&seen.rows, wrench, k, n), [0.0; MAX_JOINTS]);
         for i in 0..n {
             // The null space, and what a position limit has taken of the joint's part of the wrench.
-            let lead = solution.motion.lead[i] + solution.motion.force_lead[i] + solution.motion.null[i]
-                - plan.servos.compliance[i] * pull[i];
-            offset[i] = plan.servos.kp[i] * (lead + memory.integral[i] + seen.q[i] - q[i]);
+            let lead = motion.lead[i] + motion.force_lead[i] + motion.null[i] - plan.servos.compliance[i] * pull[i];
+            offset[i] = plan.servos.kp[i] * (lead + self.memory.integral[i] + seen.q[i] - self.q[i]);
         }
         let load = Load {
             gravity: &seen.gravity_in_limit,
             feed_forward: &solution.feed_forward,
-            task: &transpose_times(&seen.rows, &within(&record.wrench, &wish.most, k), k),
+            task: &transpose_times(&seen.rows, &within(wrench, &wish.most, k), k, n),
             offset: &offset,
             gravity_scale: self.settings.gravity_scale,
             margin: &plan.margin,
         };
-        match (&solution.shares, plan.limits) {
-            (Some(shares), _) => load.budget(&shares.distribute(&wish.most, plan.null_torque, k), n),
+        match (&solution.budget, plan.limits) {
+            (Some(budget), _) => load.budget(budget, n),
             (None, LimitRule::Demand) => load.demand(n),
             (None, LimitRule::Sum) => {
+                let mut record = Record::empty();
+                note(&mut record, plan, seen, wish, solution, self.memory, self.settings.horizon, wrench);
                 let null = record.shares(plan).null.map(|share| share * plan.null_torque);
                 load.sum(&seen.rows, &wish.most, &null, k, n)
             }
@@ -216,8 +310,9 @@ impl Controller {
     }
 
     /// How far the goal of joint i may lead under law `paper` [rad]: what the limit can use and a little more.
+    #[inline(always)]
     fn lead_limit(&self, i: usize, limit: f64) -> f64 {
-        let plan = &self.plan;
+        let plan = self.plan;
         match self.settings.lead_limit {
             Some(lead) => lead,
             None if plan.servos.has_kp => (limit + plan.margin[i]) * plan.servos.compliance[i],
@@ -231,8 +326,8 @@ impl Controller {
 /// Kept out of the step, which mostly has no such axis.
 #[cold]
 #[inline(never)]
-fn limit_deviation(plan: &Plan, before: &Pose, seen: &mut Seen, governor: &mut Governor) {
-    let pushed = Pushed { tool: &seen.tool, base_from_task: &seen.base_from_task, before };
+fn limit_deviation(plan: &Plan, before: &Pose, tool: &Pose, seen: &mut Seen, governor: &mut Governor) {
+    let pushed = Pushed { tool, base_from_task: &seen.base_from_task, before };
     if let Some(kept) = pushed.keep(&plan.deviation_limits, &seen.reference) {
         let mut velocity = into_frame(&seen.base_from_task, &governor.own_velocity());
         for (value, met) in velocity.iter_mut().zip(kept.met) {
@@ -243,34 +338,43 @@ fn limit_deviation(plan: &Plan, before: &Pose, seen: &mut Seen, governor: &mut G
     }
 }
 
-fn note(plan: &Plan, seen: &Seen, wish: &Wish, solution: &Solution, memory: &Memory, horizon: f64) -> Record {
-    let mut wrench = solution.motion.wrench.soft;
-    for (value, stiff) in wrench.iter_mut().zip(solution.motion.wrench.stiff) {
-        *value += stiff;
+#[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "everything that a tick came to")]
+fn note(
+    record: &mut Record,
+    plan: &Plan,
+    seen: &Seen,
+    wish: &Wish,
+    solution: &Solution,
+    memory: &Memory,
+    horizon: f64,
+    wrench: &AxisVec,
+) {
+    let per_second = 1.0 / horizon;
+    for r in 0..MAX_AXES {
+        record.dx[r] = wish.bounded[r] * per_second;
     }
-    Record {
-        q: seen.q,
-        velocity: memory.filter.velocity,
-        deviation: wish.deviation,
-        adapted_deviation: wish.adapted,
-        dx: wish.bounded.map(|s| s / horizon),
-        softness: wish.softness,
-        compliance: wish.compliance,
-        holding_torque: wish.most,
-        wrench,
-        gravity: seen.holding,
-        feed_forward: solution.feed_forward,
-        gradient: solution.gradient,
-        rows: seen.rows,
-        sigma_min: memory.singular.smallest,
-        sigma_max: memory.singular.largest,
-        damping: solution.damping.sqrt(),
-        gamma: memory.gamma,
-        factors: solution.motion.factors,
-        gain_factor: solution.motion.gain_factor,
-        saturated: [false; MAX_JOINTS],
-        locked: solution.locked,
-        deviation_limited: std::array::from_fn(|r| plan.axes.get(r).is_some_and(|&axis| seen.limited[axis])),
-        reference: seen.reference,
+    record.deviation_limited = [false; MAX_AXES];
+    for (slot, &axis) in record.deviation_limited.iter_mut().zip(&plan.axes) {
+        *slot = seen.limited[axis];
     }
+    record.q = seen.q;
+    record.velocity = memory.filter.velocity;
+    record.deviation = wish.deviation;
+    record.adapted_deviation = wish.adapted;
+    record.softness = wish.softness;
+    record.compliance = wish.compliance;
+    record.holding_torque = wish.most;
+    record.wrench = *wrench;
+    record.gravity = seen.holding;
+    record.feed_forward = solution.feed_forward;
+    record.gradient = solution.gradient;
+    record.rows = seen.rows;
+    record.followed_sigma = plan.follows_sigma().then_some([memory.singular.smallest, memory.singular.largest]);
+    record.damping = solution.condition.damping.sqrt();
+    record.gamma = memory.gamma;
+    record.factors = solution.motion.factors;
+    record.gain_factor = solution.motion.gain_factor;
+    record.locked = solution.locked;
+    record.reference = seen.reference;
 }

@@ -169,7 +169,7 @@ pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Resul
         (0..k).for_each(|r| shares.task[r][i] = activation[(i, r)]);
         shares.null[i] = activation[(i, k)];
     }
-    Ok(DVector::from_column_slice(&shares.distribute(&budgets, all[k], k)[..n]))
+    Ok(DVector::from_column_slice(&shares.distribute(&budgets, all[k], k, n)[..n]))
 }
 
 /// The intermediate target of (12): `x_d + η (x − x_d)` on the compliant axes (x y z roll pitch yaw of the base).

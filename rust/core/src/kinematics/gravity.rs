@@ -1,8 +1,9 @@
 //! Joint torques that hold the arm against gravity.
 
 use super::forward::Frames;
-use super::spatial::{Vec3, add, cross, dot, rotate, sub};
+use super::spatial::{Vec3, add, cross, dot, place, scale, splat, sub};
 use crate::model::{Chain, Payload};
+use crate::number::{Arithmetic, Plain};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Mass [kg] and first moment (mass times centre of mass [kg·m]) of the rigid group that each joint carries.
@@ -22,10 +23,10 @@ impl Chain {
     pub fn masses(&self, payload: Option<&Payload>) -> Masses {
         let mut masses = Masses { mass: self.mass, moment: self.moment };
         if let (Some(payload), Some(last)) = (payload, self.path.checked_sub(1)) {
-            let centre = add(&self.tool.position, &rotate(&self.tool.rotation, &payload.com));
+            let centre = place::<Plain>(&self.tool.rotation, &payload.com, &self.tool.position);
             if let (Some(mass), Some(moment)) = (masses.mass.get_mut(last), masses.moment.get_mut(last)) {
                 *mass += payload.mass;
-                *moment = add(moment, &centre.map(|c| c * payload.mass));
+                *moment = add::<Plain>(moment, &scale::<Plain>(payload.mass, &centre));
             }
         }
         masses
@@ -36,48 +37,79 @@ impl Chain {
     /// The gradient of the potential energy `−Σ mᵢ g·cᵢ`: walking from the tips inwards, each joint sees the mass `M`
     /// and the first moment `S` of all that it carries: `τ = −g·(z × (S − M o))`, for a prismatic joint `−M g·z`.
     pub fn gravity(&self, frames: &Frames, masses: &Masses, g: [f64; 3], out: &mut JointVec) {
-        *out = [0.0; MAX_JOINTS];
+        self.gravity_by::<Plain>(frames, masses, &g, out);
+    }
+
+    /// [`Chain::gravity`] of one configuration or of eight.
+    #[inline(always)]
+    pub(crate) fn gravity_by<A: Arithmetic>(
+        &self,
+        frames: &Frames<A::Real>,
+        masses: &Masses,
+        g: &Vec3,
+        out: &mut [A::Real; MAX_JOINTS],
+    ) {
+        for value in out.iter_mut() {
+            *value = A::splat(0.0);
+        }
+        let g = splat::<A>(g);
+        let nothing = Load { mass: 0.0, moment: [A::splat(0.0); 3] };
+        let mut beyond = nothing;
+        if self.path == self.total {
+            for k in (0..self.path.min(MAX_JOINTS)).rev() {
+                beyond = self.hold::<A>(k, frames, masses, &g, &beyond, out);
+            }
+            return;
+        }
         // What joints beside the path hang on each joint.
-        let mut side = Load { mass: 0.0, moment: [0.0; 3] };
-        let mut sides = [side; MAX_JOINTS];
+        let mut sides = [nothing; MAX_JOINTS];
         for k in (self.path..self.total.min(MAX_JOINTS)).rev() {
-            let load = self.hold(k, frames, masses, g, sides[k], out);
+            let load = self.hold::<A>(k, frames, masses, &g, &sides[k], out);
             if let Some(parent) = sides.get_mut(self.parent[k]) {
-                parent.add(&load);
+                *parent = parent.with::<A>(&load);
             }
         }
         for k in (0..self.path.min(MAX_JOINTS)).rev() {
-            side.add(&sides[k]);
-            side = self.hold(k, frames, masses, g, side, out);
+            beyond = self.hold::<A>(k, frames, masses, &g, &beyond.with::<A>(&sides[k]), out);
         }
     }
 
     /// Adds what joint `k` must hold, given what hangs on its group; what then hangs on the joint before.
-    #[inline]
-    fn hold(&self, k: usize, frames: &Frames, masses: &Masses, g: Vec3, beyond: Load, out: &mut JointVec) -> Load {
+    #[inline(always)]
+    fn hold<A: Arithmetic>(
+        &self,
+        k: usize,
+        frames: &Frames<A::Real>,
+        masses: &Masses,
+        g: &Vec3<A::Real>,
+        beyond: &Load<A::Real>,
+        out: &mut [A::Real; MAX_JOINTS],
+    ) -> Load<A::Real> {
         let (axis, origin) = (&frames.axis[k], &frames.origin[k]);
-        let own = rotate(&frames.rotation[k], &masses.moment[k]);
+        let carried = place::<A>(&frames.rotation[k], &splat::<A>(&masses.moment[k]), &beyond.moment);
         // S − M o, where M o of the joint's own group cancels.
-        let arm = sub(&add(&own, &beyond.moment), &origin.map(|o| beyond.mass * o));
+        let arm = sub::<A>(&carried, &scale::<A>(A::splat(beyond.mass), origin));
+        let torque = dot::<A>(&arm, &cross::<A>(g, axis));
+        let slot = &mut out[self.driver[k] & (MAX_JOINTS - 1)];
+        *slot = A::fnma(A::splat(self.angle_per_q[k]), torque, *slot);
         let mass = masses.mass[k] + beyond.mass;
-        let torque = dot(&arm, &cross(&g, axis));
-        let force = mass * dot(axis, &g);
-        out[self.driver[k] & (MAX_JOINTS - 1)] -= self.angle_per_q[k] * torque + self.slide_per_q[k] * force;
-        Load { mass, moment: add(&add(&own, &beyond.moment), &origin.map(|o| masses.mass[k] * o)) }
+        if self.slides[k] {
+            *slot = A::fnma(A::splat(self.slide_per_q[k] * mass), dot::<A>(axis, g), *slot);
+        }
+        Load { mass, moment: add::<A>(&carried, &scale::<A>(A::splat(masses.mass[k]), origin)) }
     }
 }
 
 /// Mass [kg] and first moment [kg·m] in base axes of everything beyond a joint.
 #[derive(Clone, Copy)]
-struct Load {
+struct Load<R> {
     mass: f64,
-    moment: Vec3,
+    moment: Vec3<R>,
 }
 
-impl Load {
-    #[inline]
-    fn add(&mut self, other: &Self) {
-        self.mass += other.mass;
-        self.moment = add(&self.moment, &other.moment);
+impl<R: Copy> Load<R> {
+    #[inline(always)]
+    fn with<A: Arithmetic<Real = R>>(&self, other: &Self) -> Self {
+        Self { mass: self.mass + other.mass, moment: add::<A>(&self.moment, &other.moment) }
     }
 }

@@ -4,6 +4,7 @@ use super::forward::Frames;
 use super::gravity::Masses;
 use super::spatial::{Mat3, Vec3, add, cross, dot, rotate, sub};
 use crate::model::Chain;
+use crate::number::Plain;
 use crate::{JointVec, MAX_JOINTS};
 
 /// Symmetric matrix over the independent joints.
@@ -26,9 +27,9 @@ impl Beyond {
     #[inline]
     fn add(&mut self, other: &Self) {
         self.mass += other.mass;
-        self.first = add(&self.first, &other.first);
+        self.first = add::<Plain>(&self.first, &other.first);
         for (row, more) in self.second.iter_mut().zip(&other.second) {
-            *row = add(row, more);
+            *row = add::<Plain>(row, more);
         }
     }
 
@@ -36,16 +37,16 @@ impl Beyond {
     #[inline]
     fn turning(&self, axis: &Vec3, o: &Vec3) -> (Vec3, Vec3) {
         // Σ m z × (c − o), and Σ m c × (z × (c − o)) with c × (z × c) = (c·c) z − c (c·z).
-        let momentum = cross(axis, &sub(&self.first, &o.map(|x| self.mass * x)));
+        let momentum = cross::<Plain>(axis, &sub::<Plain>(&self.first, &o.map(|x| self.mass * x)));
         let trace = self.second[0][0] + self.second[1][1] + self.second[2][2];
-        let own = sub(&axis.map(|z| trace * z), &rotate(&self.second, axis));
-        (momentum, sub(&own, &cross(&self.first, &cross(axis, o))))
+        let own = sub::<Plain>(&axis.map(|z| trace * z), &rotate::<Plain>(&self.second, axis));
+        (momentum, sub::<Plain>(&own, &cross::<Plain>(&self.first, &cross::<Plain>(axis, o))))
     }
 
     /// The same of everything moving along an axis at 1 m/s.
     #[inline]
     fn sliding(&self, axis: &Vec3) -> (Vec3, Vec3) {
-        (axis.map(|z| self.mass * z), cross(&self.first, axis))
+        (axis.map(|z| self.mass * z), cross::<Plain>(&self.first, axis))
     }
 }
 
@@ -60,8 +61,8 @@ impl Chain {
         let mut groups = [Beyond::NOTHING; MAX_JOINTS];
         for k in 0..total {
             let (mass, origin) = (masses.mass[k], frames.origin[k]);
-            let moment = rotate(&frames.rotation[k], &masses.moment[k]);
-            let first = add(&moment, &origin.map(|o| mass * o));
+            let moment = rotate::<Plain>(&frames.rotation[k], &masses.moment[k]);
+            let first = add::<Plain>(&moment, &origin.map(|o| mass * o));
             if mass > 0.0 {
                 let second = [0, 1, 2].map(|r| first.map(|c| first[r] * c / mass));
                 groups[k] = Beyond { mass, first, second };
@@ -79,13 +80,13 @@ impl Chain {
             let (turn, slide) = (self.angle_per_q[j], self.slide_per_q[j]);
             let (axis, origin) = (&frames.axis[j], &frames.origin[j]);
             let (spun, pushed) = (beyond.turning(axis, origin), beyond.sliding(axis));
-            let momentum = add(&spun.0.map(|x| turn * x), &pushed.0.map(|x| slide * x));
-            let moment = add(&spun.1.map(|x| turn * x), &pushed.1.map(|x| slide * x));
+            let momentum = add::<Plain>(&spun.0.map(|x| turn * x), &pushed.0.map(|x| slide * x));
+            let moment = add::<Plain>(&spun.1.map(|x| turn * x), &pushed.1.map(|x| slide * x));
             let column = self.driver[j] & (MAX_JOINTS - 1);
             for i in 0..=j {
                 let (axis, origin) = (&frames.axis[i], &frames.origin[i]);
-                let torque = dot(axis, &sub(&moment, &cross(origin, &momentum)));
-                let entry = self.angle_per_q[i] * torque + self.slide_per_q[i] * dot(axis, &momentum);
+                let torque = dot::<Plain>(axis, &sub::<Plain>(&moment, &cross::<Plain>(origin, &momentum)));
+                let entry = self.angle_per_q[i] * torque + self.slide_per_q[i] * dot::<Plain>(axis, &momentum);
                 let row = self.driver[i] & (MAX_JOINTS - 1);
                 out[row][column] += entry;
                 if i != j {
@@ -112,8 +113,11 @@ mod tests {
             let mut frames = Frames::default();
             chain.forward(q, &mut frames);
             std::array::from_fn::<Vec3, 7, _>(|k| {
-                let moment = rotate(&frames.rotation[k], &masses.moment[k]);
-                add(&frames.origin[k], &moment.map(|x| if masses.mass[k] > 0.0 { x / masses.mass[k] } else { 0.0 }))
+                let moment = rotate::<Plain>(&frames.rotation[k], &masses.moment[k]);
+                add::<Plain>(
+                    &frames.origin[k],
+                    &moment.map(|x| if masses.mass[k] > 0.0 { x / masses.mass[k] } else { 0.0 }),
+                )
             })
         };
         let mut q = [0.0; MAX_JOINTS];
@@ -124,7 +128,7 @@ mod tests {
                 let (mut low, mut high) = (q, q);
                 (low[i], high[i]) = (q[i] - step, q[i] + step);
                 let (a, b) = (centres(&low), centres(&high));
-                std::array::from_fn(|k| sub(&b[k], &a[k]).map(|x| x / (2.0 * step)))
+                std::array::from_fn(|k| sub::<Plain>(&b[k], &a[k]).map(|x| x / (2.0 * step)))
             })
             .collect();
         let (mut frames, mut found) = (Frames::default(), [[0.0; MAX_JOINTS]; MAX_JOINTS]);
@@ -132,7 +136,7 @@ mod tests {
         chain.mass_matrix(&frames, &masses, &mut found);
         for i in 0..7 {
             for j in 0..7 {
-                let expected: f64 = (0..7).map(|k| masses.mass[k] * dot(&columns[i][k], &columns[j][k])).sum();
+                let expected: f64 = (0..7).map(|k| masses.mass[k] * dot::<Plain>(&columns[i][k], &columns[j][k])).sum();
                 assert!((found[i][j] - expected).abs() < 1e-8, "{i} {j}: {} {expected}", found[i][j]);
             }
         }

@@ -277,7 +277,11 @@ impl Search<'_> {
     fn why_not(&self, found: &Found) -> IkReason {
         let mut frames = Frames::default();
         self.model.chain().forward(&found.q, &mut frames);
-        let distance = nalgebra::Vector3::from(super::spatial::sub(&self.target.position, &frames.origin[0])).norm();
+        let distance = nalgebra::Vector3::from(super::spatial::sub::<crate::number::Plain>(
+            &self.target.position,
+            &frames.origin[0],
+        ))
+        .norm();
         let reach = self.model.reach();
         if self.options.axes[..3] == [true; 3] && distance > reach {
             return IkReason::OutOfReach { distance, reach };

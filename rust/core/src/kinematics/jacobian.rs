@@ -1,9 +1,24 @@
 //! Frames → geometric Jacobian.
 
-use super::forward::Frames;
-use super::spatial::{cross, sub};
+use super::forward::{Frames, Visitor};
+use super::spatial::{Mat3, Vec3, cross, rotate_back, sub};
 use crate::model::Chain;
-use crate::{MAX_JOINTS, Rows};
+use crate::number::{Arithmetic, Plain};
+use crate::pose::Pose;
+use crate::{MAX_AXES, MAX_JOINTS, Rows};
+
+/// Rows over the joints while the tool is not reached yet: axes in the angular ones, origins in the linear ones.
+struct Levers<'a, R>(&'a mut [[R; MAX_JOINTS]; MAX_AXES]);
+
+impl<R: Copy> Visitor<R> for Levers<'_, R> {
+    #[inline(always)]
+    fn joint(&mut self, k: usize, rotation: &Mat3<R>, origin: &Vec3<R>) {
+        for i in 0..3 {
+            self.0[i][k] = origin[i];
+            self.0[i + 3][k] = rotation[i][2];
+        }
+    }
+}
 
 impl Chain {
     /// Geometric Jacobian at the tool, base axes, linear rows first [m/rad, rad/rad; m/m, rad/m for prismatic joints].
@@ -11,17 +26,84 @@ impl Chain {
     /// A revolute joint at `o` with axis `z` moves the tool at `p` with `[z × (p − o); z]`, a prismatic one with
     /// `[z; 0]`. A joint that follows another adds its multiplier times that into its driver's column.
     pub fn jacobian(&self, frames: &Frames, rows: &mut Rows) {
-        *rows = [[0.0; MAX_JOINTS]; 6];
+        self.jacobian_by::<Plain>(frames, rows);
+    }
+
+    /// [`Chain::jacobian`] of one configuration or of eight.
+    #[inline(always)]
+    pub(crate) fn jacobian_by<A: Arithmetic>(
+        &self,
+        frames: &Frames<A::Real>,
+        rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES],
+    ) {
+        for row in rows.iter_mut() {
+            for i in 0..self.n.min(MAX_JOINTS) {
+                row[i] = A::splat(0.0);
+            }
+        }
         let tool = &frames.tool.position;
         for k in 0..self.path.min(MAX_JOINTS) {
             let axis = &frames.axis[k];
-            let lever = cross(axis, &sub(tool, &frames.origin[k]));
-            let (turn, slide) = (self.angle_per_q[k], self.slide_per_q[k]);
+            let lever = cross::<A>(axis, &sub::<A>(tool, &frames.origin[k]));
+            let (turn, slide) = (A::splat(self.angle_per_q[k]), A::splat(self.slide_per_q[k]));
             let column = self.driver[k] & (MAX_JOINTS - 1);
             for i in 0..3 {
-                rows[i][column] += turn * lever[i] + slide * axis[i];
-                rows[i + 3][column] += turn * axis[i];
+                rows[i][column] = A::fma(turn, lever[i], A::fma(slide, axis[i], rows[i][column]));
+                rows[i + 3][column] = A::fma(turn, axis[i], rows[i + 3][column]);
             }
+        }
+    }
+
+    /// Pose of the tool and Jacobian; of `rows` the columns below `n` are written.
+    #[inline(always)]
+    pub(crate) fn kinematics_by<A: Arithmetic>(
+        &self,
+        q: &[A::Real; MAX_JOINTS],
+        rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES],
+    ) -> Pose<A::Real> {
+        if !self.simple {
+            let mut frames = Frames::filled(A::splat(0.0));
+            self.forward_by::<A>(q, &mut frames);
+            self.jacobian_by::<A>(&frames, rows);
+            return frames.tool;
+        }
+        let tool = self.walk::<A>(&self.motions::<A>(q, self.path), &mut Levers(rows));
+        if A::WIDE || self.n > 8 {
+            for k in 0..self.n.min(MAX_JOINTS) {
+                pull::<A>(k, &tool.position, rows);
+            }
+        } else {
+            // A whole eight, so that it becomes vector code.
+            for k in 0..8 {
+                pull::<A>(k, &tool.position, rows);
+            }
+        }
+        tool
+    }
+}
+
+/// The linear rows of joint `k` from its origin `o`, which they hold, and its axis `z`: `z × (p − o)`.
+#[inline(always)]
+fn pull<A: Arithmetic>(k: usize, tool: &Vec3<A::Real>, rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES]) {
+    let axis = [rows[3][k], rows[4][k], rows[5][k]];
+    let lever = cross::<A>(&axis, &sub::<A>(tool, &[rows[0][k], rows[1][k], rows[2][k]]));
+    for i in 0..3 {
+        rows[i][k] = lever[i];
+    }
+}
+
+/// Turns rows in base axes into the axes of the tool.
+#[inline(always)]
+pub(super) fn turn_to_tool<A: Arithmetic>(
+    tool: &Mat3<A::Real>,
+    rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES],
+    n: usize,
+) {
+    for k in 0..n.min(MAX_JOINTS) {
+        let linear = rotate_back::<A>(tool, &[rows[0][k], rows[1][k], rows[2][k]]);
+        let angular = rotate_back::<A>(tool, &[rows[3][k], rows[4][k], rows[5][k]]);
+        for i in 0..3 {
+            (rows[i][k], rows[i + 3][k]) = (linear[i], angular[i]);
         }
     }
 }

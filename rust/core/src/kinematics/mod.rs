@@ -3,10 +3,12 @@
 use nalgebra::{DVector, Matrix6xX};
 
 use crate::error::{Error, Result};
-use crate::model::Model;
+use crate::model::{Chain, Model};
+use crate::number::{Instructions, Kernel, Machine};
 use crate::pose::{COORDINATE_BOUND, Pose};
-use crate::{JointVec, MAX_JOINTS};
+use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
+mod batch;
 mod forward;
 mod gravity;
 mod inertia;
@@ -36,7 +38,8 @@ impl Model {
     /// [`Error::Shape`] for a wrong length, [`Error::Limit`] for an entry that is not finite or beyond 1e6. Position
     /// limits are not enforced: a real arm may stand a little outside of them.
     pub fn forward_kinematics(&self, q: &[f64]) -> Result<Pose> {
-        Ok(self.frames_at(q)?.tool)
+        let q = self.joint_vector(q)?;
+        Ok(Instructions::chosen().run_single(Forward { chain: self.chain(), q: &q }))
     }
 
     /// Geometric Jacobian (6×n) at the tool, linear rows first.
@@ -52,20 +55,18 @@ impl Model {
     /// # Errors
     /// As [`Model::forward_kinematics`].
     pub fn kinematics(&self, q: &[f64], reference: Reference) -> Result<(Pose, Matrix6xX<f64>)> {
-        let frames = self.frames_at(q)?;
-        let mut rows = [[0.0; MAX_JOINTS]; 6];
-        self.chain().jacobian(&frames, &mut rows);
-        if reference == Reference::Local {
-            let r = &frames.tool.rotation;
-            for k in 0..self.n() {
-                let linear = spatial::rotate_back(r, &[rows[0][k], rows[1][k], rows[2][k]]);
-                let angular = spatial::rotate_back(r, &[rows[3][k], rows[4][k], rows[5][k]]);
-                for i in 0..3 {
-                    (rows[i][k], rows[i + 3][k]) = (linear[i], angular[i]);
-                }
-            }
-        }
-        Ok((frames.tool, Matrix6xX::from_fn(self.n(), |i, j| rows[i][j])))
+        let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+        let pose = self.kinematics_into(q, reference, &mut rows)?;
+        Ok((pose, Matrix6xX::from_fn(self.n(), |i, j| rows[i][j])))
+    }
+
+    /// Pose, and the Jacobian's rows into an array of the caller's: nothing is allocated. Columns beyond `n` are scratch.
+    ///
+    /// # Errors
+    /// As [`Model::forward_kinematics`].
+    pub fn kinematics_into(&self, q: &[f64], reference: Reference, rows: &mut Rows) -> Result<Pose> {
+        let q = self.joint_vector(q)?;
+        Ok(Instructions::chosen().run_single(Kinematics { chain: self.chain(), q: &q, reference, rows }))
     }
 
     /// Torques (`n`) [N·m or N] that hold the arm and its payload at rest at `q`.
@@ -73,10 +74,14 @@ impl Model {
     /// # Errors
     /// As [`Model::forward_kinematics`].
     pub fn gravity(&self, q: &[f64]) -> Result<DVector<f64>> {
-        let frames = self.frames_at(q)?;
-        let masses = self.chain().masses(self.payload());
-        let mut torque = [0.0; MAX_JOINTS];
-        self.chain().gravity(&frames, &masses, self.gravity_vector(), &mut torque);
+        let (q, masses) = (self.joint_vector(q)?, self.chain().masses(self.payload()));
+        let gravity = self.gravity_vector();
+        let torque = Instructions::chosen().run_single(Statics {
+            chain: self.chain(),
+            masses: &masses,
+            gravity: &gravity,
+            q: &q,
+        });
         Ok(DVector::from_fn(self.n(), |i, _| torque[i]))
     }
 
@@ -102,11 +107,60 @@ impl Model {
         }
         Ok(out)
     }
+}
 
-    fn frames_at(&self, q: &[f64]) -> Result<Frames> {
-        let q = self.joint_vector(q)?;
-        let mut frames = Frames::default();
-        self.chain().forward(&q, &mut frames);
-        Ok(frames)
+/// Pose of the tool at one configuration.
+struct Forward<'a> {
+    chain: &'a Chain,
+    q: &'a JointVec,
+}
+
+impl Kernel for Forward<'_> {
+    type Output = Pose;
+
+    #[inline(always)]
+    fn run<M: Machine>(self) -> Pose {
+        self.chain.walk::<M::One>(&self.chain.motions::<M::One>(self.q, self.chain.path), &mut ())
+    }
+}
+
+/// Holding torques at one configuration.
+struct Statics<'a> {
+    chain: &'a Chain,
+    masses: &'a Masses,
+    gravity: &'a [f64; 3],
+    q: &'a JointVec,
+}
+
+impl Kernel for Statics<'_> {
+    type Output = JointVec;
+
+    #[inline(always)]
+    fn run<M: Machine>(self) -> JointVec {
+        let (mut frames, mut torque) = (Frames::default(), [0.0; MAX_JOINTS]);
+        self.chain.forward_by::<M::One>(self.q, &mut frames);
+        self.chain.gravity_by::<M::One>(&frames, self.masses, self.gravity, &mut torque);
+        torque
+    }
+}
+
+/// Pose and Jacobian of one configuration.
+struct Kinematics<'a> {
+    chain: &'a Chain,
+    q: &'a JointVec,
+    reference: Reference,
+    rows: &'a mut Rows,
+}
+
+impl Kernel for Kinematics<'_> {
+    type Output = Pose;
+
+    #[inline(always)]
+    fn run<M: Machine>(self) -> Pose {
+        let pose = self.chain.kinematics_by::<M::One>(self.q, self.rows);
+        if self.reference == Reference::Local {
+            jacobian::turn_to_tool::<M::One>(&pose.rotation, self.rows, self.chain.n);
+        }
+        pose
     }
 }

@@ -18,10 +18,11 @@ pub(crate) struct Activation {
 /// (10): the columns of `|J⁺|`, each divided by its sum, and the null-space column.
 ///
 /// The size of Δx in (6) cancels, which also settles the 0/0 of an axis at rest.
+#[inline(always)]
 pub(crate) fn activation(pinv_transposed: &Rows, null: JointVec, k: usize, n: usize) -> Activation {
     let mut task = [[0.0; MAX_JOINTS]; MAX_AXES];
-    for (row, source) in task.iter_mut().zip(pinv_transposed).take(k) {
-        *row = shares(&source.map(f64::abs), n);
+    for r in 0..k.min(MAX_AXES) {
+        task[r] = shares(&sizes(&pinv_transposed[r], n), n);
     }
     Activation { task, null }
 }
@@ -44,15 +45,21 @@ pub(crate) fn responsibility(
 /// Shares of the joints in the null-space motion `N∇g`: its sizes, blended into the row norms of `N` where it vanishes.
 ///
 /// `projector` is asked only there: forming N costs more than all the rest.
+#[inline(always)]
 pub(crate) fn null_column(motion: &JointVec, projector: impl FnOnce() -> JointSquare, n: usize) -> JointVec {
-    let motion = motion.map(f64::abs);
+    let motion = sizes(motion, n);
     let size: f64 = motion.iter().take(n).sum();
     let blend = ((size - GRADIENT_THRESHOLD) / GRADIENT_THRESHOLD).clamp(0.0, 1.0);
     let motion = shares(&motion, n);
     if blend >= 1.0 {
         return motion;
     }
-    let norms = projector().map(|row| row.iter().take(n).map(|x| x * x).sum::<f64>().sqrt());
+    blended(&motion, blend, &projector(), n)
+}
+
+#[cold]
+fn blended(motion: &JointVec, blend: f64, projector: &JointSquare, n: usize) -> JointVec {
+    let norms = projector.map(|row| row.iter().take(n).map(|x| x * x).sum::<f64>().sqrt());
     let norms = shares(&norms, n);
     let mut out = [0.0; MAX_JOINTS];
     for i in 0..n.min(MAX_JOINTS) {
@@ -66,9 +73,25 @@ pub(crate) fn product(m: &JointSquare, v: &JointVec, n: usize) -> JointVec {
     m.map(|row| row.iter().zip(v).take(n).map(|(a, b)| a * b).sum())
 }
 
+#[inline(always)]
+fn sizes(values: &JointVec, n: usize) -> JointVec {
+    let mut out = [0.0; MAX_JOINTS];
+    for i in 0..n.min(MAX_JOINTS) {
+        out[i] = values[i].abs();
+    }
+    out
+}
+
+#[inline(always)]
 fn shares(sizes: &JointVec, n: usize) -> JointVec {
-    let sum: f64 = sizes.iter().take(n).sum();
-    if sum > 0.0 { sizes.map(|value| value / sum) } else { [0.0; MAX_JOINTS] }
+    let n = n.min(MAX_JOINTS);
+    let sum: f64 = sizes[..n].iter().sum();
+    let factor = if sum > 0.0 { 1.0 / sum } else { 0.0 };
+    let mut out = [0.0; MAX_JOINTS];
+    for i in 0..n {
+        out[i] = factor * sizes[i];
+    }
+    out
 }
 
 impl Activation {
@@ -78,10 +101,15 @@ impl Activation {
     }
 
     /// (11): `τ^q = A τ^x` [N·m], the null-space torque last.
-    pub(crate) fn distribute(&self, strength: &AxisVec, null_torque: f64, k: usize) -> JointVec {
-        let mut out = self.null.map(|share| share * null_torque);
+    #[inline(always)]
+    pub(crate) fn distribute(&self, strength: &AxisVec, null_torque: f64, k: usize, n: usize) -> JointVec {
+        let n = n.min(MAX_JOINTS);
+        let mut out = [0.0; MAX_JOINTS];
+        for i in 0..n {
+            out[i] = self.null[i] * null_torque;
+        }
         for r in 0..k.min(MAX_AXES) {
-            for i in 0..MAX_JOINTS {
+            for i in 0..n {
                 out[i] += self.task[r][i] * strength[r];
             }
         }

@@ -26,7 +26,7 @@ pub(crate) struct Demand<'a> {
 
 impl Demand<'_> {
     /// The wrench that the servos are to exert.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn wrench(&self, follow: Follow, k: usize) -> Wrench {
         match follow {
             Follow::Free => Wrench { soft: self.soft_force(k), stiff: self.stiff_force(k) },
@@ -35,7 +35,7 @@ impl Demand<'_> {
     }
 
     /// `w clip(s / C, ±F)`: what a soft axis exerts, whatever else is constrained.
-    #[inline]
+    #[inline(always)]
     fn soft_force(&self, k: usize) -> AxisVec {
         let mut out = [0.0; MAX_AXES];
         for j in 0..k.min(MAX_AXES) {
@@ -49,14 +49,17 @@ impl Demand<'_> {
     ///
     /// Solved in `y = W / √(1 − w)`: the added diagonal then stays finite and a row at w = 1 drops out by itself, so
     /// that softness may change over without a branch.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn stiff_force(&self, k: usize) -> AxisVec {
         let k = k.min(MAX_AXES);
-        let root = self.softness.map(|w| (1.0 - w).max(0.0).sqrt());
+        let mut root = [0.0; MAX_AXES];
+        for r in 0..k {
+            root[r] = (1.0 - self.softness[r]).max(0.0).sqrt();
+        }
         let mut m = [[0.0; MAX_AXES]; MAX_AXES];
         let mut b = [0.0; MAX_AXES];
         for r in 0..k {
-            for c in 0..k {
+            for c in 0..=r {
                 m[r][c] = root[r] * self.compliance[r][c] * root[c];
             }
             let own = self.compliance[r][r];
@@ -64,14 +67,14 @@ impl Demand<'_> {
             b[r] = root[r] * self.bounded_step[r];
         }
         let mut out = Cholesky::new(&m, k).solve(&b);
-        for (value, root) in out.iter_mut().zip(root) {
-            *value *= root;
+        for r in 0..k {
+            out[r] *= root[r];
         }
         out
     }
 
     /// `(C + λ²/k̄)⁻¹ s` over all rows, soft steps clamped to ±F C_jj.
-    #[inline]
+    #[inline(always)]
     fn all_rows(&self, k: usize) -> Wrench {
         let k = k.min(MAX_AXES);
         let mut m = *self.compliance;
@@ -93,10 +96,11 @@ impl Demand<'_> {
 }
 
 /// Goals' lead of law `cap`: the wrench through the joints, scaled to torque ceilings and speed limits.
+#[inline(always)]
 pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
     let plan = tick.plan;
-    let compliance = weighted_gram(tick.rows, &plan.servos.compliance, plan.k, plan.n);
-    let damping = tick.damping.map(|squared| squared / plan.servos.kp_mean);
+    let compliance = weighted_gram(tick.rows, &plan.servos.compliance, tick.k, tick.n);
+    let damping = plan.per_stiffness(tick.damping);
     let demand = Demand {
         compliance: &compliance,
         damping: &damping,
@@ -105,7 +109,7 @@ pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
         softness: tick.softness,
         cap: tick.strength,
     };
-    tick.exert(demand.wrench(plan.follow, plan.k), tick.null_motion())
+    tick.exert(demand.wrench(plan.follow, tick.k), tick.null_motion())
 }
 
 #[cfg(test)]

@@ -13,15 +13,18 @@ const SQUARINGS: usize = 6;
 ///
 /// Never below the largest eigenvalue and at most 3 % above it (six equal ones); smooth where two of them cross, and
 /// without memory. `compliance` holds 1/k_p.
-#[inline]
+#[inline(always)]
 pub(crate) fn rho(rows: &Rows, compliance: &JointVec, stiffness: &AxisVec, k: usize, n: usize) -> f64 {
     // √K C √K has the same eigenvalues, and is symmetric.
     let k = k.min(MAX_AXES);
     let mut m = weighted_gram(rows, compliance, k, n);
-    let root = stiffness.map(f64::sqrt);
-    for (r, row) in m.iter_mut().enumerate() {
-        for (value, column) in row.iter_mut().zip(root) {
-            *value *= root[r] * column;
+    let mut root = [0.0; MAX_AXES];
+    for r in 0..k {
+        root[r] = stiffness[r].sqrt();
+    }
+    for r in 0..k {
+        for c in 0..k {
+            m[r][c] *= root[r] * root[c];
         }
     }
     // The trace is taken out before each squaring, so that nothing overflows.
@@ -38,23 +41,29 @@ pub(crate) fn rho(rows: &Rows, compliance: &JointVec, stiffness: &AxisVec, k: us
 }
 
 /// Divides a matrix by its trace, which is returned.
-#[inline]
+#[inline(always)]
 fn take_trace(m: &mut Square, k: usize) -> f64 {
     let trace: f64 = (0..k).map(|i| m[i][i]).sum();
     let inverse = 1.0 / trace.max(f64::MIN_POSITIVE);
-    m.iter_mut().flatten().for_each(|value| *value *= inverse);
+    for row in m {
+        for c in 0..k {
+            row[c] *= inverse;
+        }
+    }
     trace
 }
 
 /// `M M` of a symmetric matrix.
-#[inline]
+#[inline(always)]
 fn squared(m: &Square, k: usize) -> Square {
     let mut out = [[0.0; MAX_AXES]; MAX_AXES];
     for r in 0..k {
-        for inner in 0..k {
-            for c in 0..MAX_AXES {
-                out[r][c] += m[r][inner] * m[inner][c];
+        for c in 0..=r {
+            let mut sum = 0.0;
+            for inner in 0..k {
+                sum += m[r][inner] * m[c][inner];
             }
+            (out[r][c], out[c][r]) = (sum, sum);
         }
     }
     out
@@ -62,17 +71,19 @@ fn squared(m: &Square, k: usize) -> Square {
 
 /// `F = clip(f K ẽ + f_D D (twist − v), ±most)` per axis, and `f` ≤ 1; f and f_D keep `f ρ(K)` and `f_D ρ(D)` within
 /// their bounds at this pose.
-#[inline]
+#[inline(always)]
 pub(crate) fn force(tick: &Tick<'_>) -> (AxisVec, f64) {
-    let plan = tick.plan;
-    let k = plan.k.min(MAX_AXES);
+    let (plan, k, n) = (tick.plan, tick.k.min(MAX_AXES), tick.n);
     let share = |gains: &AxisVec, bound: f64| {
-        let rho = rho(tick.rows, &plan.servos.compliance, gains, k, plan.n);
+        if gains.iter().all(|&gain| gain <= 0.0) {
+            return 1.0;
+        }
+        let rho = rho(tick.rows, &plan.servos.compliance, gains, k, n);
         if rho > bound { bound / rho } else { 1.0 }
     };
     let [most_stiff, most_damped] = plan.impedance_bounds;
     let (stiff, damped) = (share(tick.stiffness, most_stiff), share(tick.viscosity, most_damped));
-    let velocity = times(tick.rows, tick.velocity, k);
+    let velocity = times(tick.rows, tick.velocity, k, n);
     let mut out = [0.0; MAX_AXES];
     for r in 0..k {
         let spring = stiff * tick.stiffness[r] * tick.adapted[r];
@@ -83,21 +94,22 @@ pub(crate) fn force(tick: &Tick<'_>) -> (AxisVec, f64) {
 }
 
 /// Null-space motion of a given stiffness, `−κ K_p⁻¹ N ∇cost` [rad]: its torque does no work on the task.
-#[inline]
+#[inline(always)]
 fn null_spring(tick: &Tick<'_>, stiffness: f64) -> JointVec {
     let plan = tick.plan;
-    let mut out = tick.null_space().project(&tick.gradient.map(|g| -stiffness * g));
-    for i in 0..MAX_JOINTS {
-        out[i] *= plan.servos.compliance[i];
+    let mut out = tick.null_space().project(tick.gradient);
+    for i in 0..tick.n.min(MAX_JOINTS) {
+        out[i] *= -stiffness * plan.servos.compliance[i];
     }
     out
 }
 
 /// Goals' lead of law `impedance`: `K_p⁻¹ Jᵀ F`, scaled to torque ceilings and speed limits.
+#[inline(always)]
 pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
     let (force, gain_factor) = force(tick);
     let mut wrench = Wrench::default();
-    for r in 0..tick.plan.k.min(MAX_AXES) {
+    for r in 0..tick.k.min(MAX_AXES) {
         wrench.soft[r] = tick.softness[r] * force[r];
         wrench.stiff[r] = (1.0 - tick.softness[r]) * force[r];
     }

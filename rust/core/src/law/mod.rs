@@ -12,10 +12,9 @@ pub(crate) mod svd;
 pub(crate) mod takeover;
 pub(crate) mod wrench;
 
-use crate::law::activation::Activation;
 use crate::law::feedforward::Resistance;
-use crate::law::nullspace::{NullSpace, fade_squared, manipulability_gradient};
-use crate::law::singular::SingularValues;
+use crate::law::nullspace::{NullSpace, manipulability_gradient};
+use crate::law::singular::Condition;
 use crate::law::wrench::Wrench;
 use crate::plan::Plan;
 use crate::settings::{Law, Projector};
@@ -25,12 +24,16 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tick<'a> {
     pub(crate) plan: &'a Plan,
+    /// Rows and columns that are worked through: constants where this is compiled, so at least the task's axes and the
+    /// arm's joints. What is beyond those is zero and stays zero.
+    pub(crate) k: usize,
+    pub(crate) n: usize,
     pub(crate) horizon: f64,
     /// Task rows.
     pub(crate) rows: &'a Rows,
     /// The same with translations divided by the arm's length.
     pub(crate) scaled_rows: &'a Rows,
-    pub(crate) singular: &'a SingularValues,
+    pub(crate) condition: &'a Condition,
     /// λ² of each row.
     pub(crate) damping: &'a AxisVec,
     /// Softness w of each row.
@@ -81,55 +84,71 @@ pub(crate) struct Motion {
     pub(crate) gain_factor: f64,
 }
 
-/// Runs the law; the activation matrix comes along where the law makes its limits from it.
-#[inline]
-pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Option<Activation>) {
+/// Runs the law; the joint budgets τ^q of (11) come along where the law makes its limits from them.
+#[inline(always)]
+pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Option<JointVec>) {
     match tick.plan.law {
         Law::Cap => (cap::motion(tick), None),
         Law::Impedance => (impedance::motion(tick), None),
         Law::Paper => {
-            let (motion, shares) = paper::motion(tick);
-            (motion, Some(shares))
+            let (motion, budget) = paper::motion(tick);
+            (motion, Some(budget))
         }
     }
 }
 
 impl Tick<'_> {
     /// The null-space projector that the settings ask for.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn null_space(&self) -> NullSpace<'_> {
-        let plan = self.plan;
-        match plan.projector {
-            Projector::Paper => NullSpace::new(self.rows, &plan.joint_weight, self.damping, plan.k, plan.n),
-            Projector::Exact => {
-                let mu_squared = fade_squared(self.singular.smallest, self.singular.largest);
-                NullSpace::new(self.scaled_rows, &plan.joint_weight, &[mu_squared; MAX_AXES], plan.k, plan.n)
-            }
-        }
+        let (plan, k, n) = (self.plan, self.k, self.n);
+        let space = match plan.projector {
+            Projector::Paper => NullSpace::new(self.rows, &plan.joint_weight, self.damping, k, n),
+            Projector::Exact => match &self.condition.factor {
+                // With joints that count alike and μ = 0 it is the matrix whose singular values were followed.
+                Some(factor) if plan.law.by_force() && self.condition.mu_squared <= 0.0 => {
+                    NullSpace::of(self.scaled_rows, &plan.joint_weight, factor, k, n)
+                }
+                _ => self.faded_null_space(),
+            },
+        };
+        space.padded(plan.k, plan.n)
+    }
+
+    /// The exact projector where it cannot share a factor.
+    #[inline(never)]
+    fn faded_null_space(&self) -> NullSpace<'_> {
+        let mut added = [0.0; MAX_AXES];
+        added[..self.plan.k].fill(self.condition.mu_squared);
+        NullSpace::new(self.scaled_rows, &self.plan.joint_weight, &added, self.k, self.n)
     }
 
     /// Line 9: `−α h N ∇cost` [rad], before any scaling.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn null_motion(&self) -> JointVec {
         let step = self.plan.alpha * self.horizon;
         if step == 0.0 {
             return [0.0; MAX_JOINTS];
         }
-        self.null_space().project(&self.gradient.map(|g| -step * g))
+        let mut out = self.null_space().project(self.gradient);
+        for i in 0..self.n.min(MAX_JOINTS) {
+            out[i] *= -step;
+        }
+        out
     }
 }
 
 /// Gradient of the manipulability cost at the present rows, times its weight.
 ///
 /// `world` is the 6 × n Jacobian in base axes; `p` its weights there, see [`manipulability_gradient`].
+#[inline(never)]
 pub(crate) fn weighted_manipulability(
     plan: &Plan,
     world: &Rows,
     scaled_rows: &Rows,
     base_from_task: &[[f64; 3]; 3],
-    singular: &SingularValues,
+    mu_squared: f64,
 ) -> JointVec {
-    let mu_squared = fade_squared(singular.smallest, singular.largest);
     let ones = [1.0; MAX_JOINTS];
     let pinv = NullSpace::new(scaled_rows, &ones, &[mu_squared; MAX_AXES], plan.k, plan.n).pseudo_inverse();
     let mut p = [[0.0; MAX_JOINTS]; MAX_AXES];

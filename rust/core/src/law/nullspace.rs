@@ -17,10 +17,12 @@ pub(crate) struct NullSpace<'a> {
     factor: Cholesky,
     k: usize,
     n: usize,
+    /// Whether there are more rows than joints.
+    empty: bool,
 }
 
 /// μ² of the exact projector, from the largest and smallest singular value of the rows.
-#[inline]
+#[inline(always)]
 pub(crate) fn fade_squared(smallest: f64, largest: f64) -> f64 {
     let mu_1 = 1e-3 * largest;
     if mu_1 <= 0.0 {
@@ -32,23 +34,35 @@ pub(crate) fn fade_squared(smallest: f64, largest: f64) -> f64 {
 
 impl<'a> NullSpace<'a> {
     /// Of `k` rows over `n` joints; `added` holds what is added to the diagonal of `J D Jᵀ`.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn new(rows: &'a Rows, weight: &'a JointVec, added: &AxisVec, k: usize, n: usize) -> Self {
         let mut gram = weighted_gram(rows, weight, k, n);
         for r in 0..k.min(MAX_AXES) {
             gram[r][r] += added[r];
         }
-        Self { rows, weight, factor: Cholesky::new(&gram, k), k, n }
+        Self::of(rows, weight, &Cholesky::new(&gram, k), k, n)
+    }
+
+    /// The same of a matrix that is factored already.
+    #[inline(always)]
+    pub(crate) fn of(rows: &'a Rows, weight: &'a JointVec, factor: &Cholesky, k: usize, n: usize) -> Self {
+        Self { rows, weight, factor: *factor, k, n, empty: k > n }
+    }
+
+    /// The same, if `k` and `n` are larger than the task and the arm.
+    #[inline(always)]
+    pub(crate) fn padded(self, task: usize, joints: usize) -> Self {
+        Self { empty: task > joints, ..self }
     }
 
     /// `N v`; zero where there are more rows than joints, as there is no redundancy then.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn project(&self, v: &JointVec) -> JointVec {
-        if self.k > self.n {
+        if self.empty {
             return [0.0; MAX_JOINTS];
         }
-        let along = self.factor.solve(&times(self.rows, v, self.k));
-        let back = transpose_times(self.rows, &along, self.k);
+        let along = self.factor.solve(&times(self.rows, v, self.k, self.n));
+        let back = transpose_times(self.rows, &along, self.k, self.n);
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..self.n.min(MAX_JOINTS) {
             out[i] = v[i] - self.weight[i] * back[i];
@@ -57,6 +71,7 @@ impl<'a> NullSpace<'a> {
     }
 
     /// N itself.
+    #[cold]
     pub(crate) fn matrix(&self) -> JointSquare {
         let mut out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
         for j in 0..self.n.min(MAX_JOINTS) {
@@ -70,14 +85,9 @@ impl<'a> NullSpace<'a> {
     }
 
     /// Transposed pseudo-inverse that belongs to this projector.
+    #[inline(always)]
     pub(crate) fn pseudo_inverse(&self) -> Rows {
-        let mut out = self.factor.solve_rows(self.rows);
-        for row in &mut out {
-            for (value, weight) in row.iter_mut().zip(self.weight) {
-                *value *= weight;
-            }
-        }
-        out
+        self.factor.weighted_rows(self.rows, self.weight, self.n)
     }
 }
 
@@ -96,7 +106,7 @@ pub(crate) struct Cost {
 
 impl Cost {
     /// Gradient of posture and joint-limit cost at `q`.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn gradient(&self, q: &JointVec, rest: &JointVec, n: usize) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..n.min(MAX_JOINTS) {

@@ -26,104 +26,147 @@ impl SingularValues {
 
     /// Improves the estimates by `iterations` of the inverse and the power iteration on `gram`.
     ///
-    /// `gram` is `JJᵀ` (k × k), or `JᵀJ` where there are fewer joints than axes. Warm-started, one iteration a tick
-    /// follows a moving arm to about a percent.
-    #[inline]
-    pub(crate) fn update(&mut self, gram: &Square, k: usize, iterations: usize) {
+    /// `gram` is `JJᵀ` (k × k), or `JᵀJ` where there are fewer joints than axes; `factor` is its own. Warm-started, one
+    /// iteration a tick follows a moving arm to about a percent.
+    #[inline(always)]
+    pub(crate) fn update(&mut self, gram: &Square, factor: &Cholesky, k: usize, iterations: usize) {
         let k = k.min(MAX_AXES);
-        let trace: f64 = (0..k).map(|i| gram[i][i]).sum();
-        let mut shifted = *gram;
-        for (i, row) in shifted.iter_mut().enumerate().take(k) {
-            row[i] += 1e-14 * trace + 1e-200;
-        }
-        let factor = Cholesky::new(&shifted, k);
         for _ in 0..iterations {
             let [first, second] = self.weak;
-            let u = normalised(factor.solve(&first), first, k);
-            let v = without(factor.solve(&second), &u, k);
-            self.weak = weaker_first(gram, u, v, k);
-            self.strong = normalised(apply(gram, &self.strong, k), self.strong, k);
+            let u = Image::new(factor.solve(&first), first, k);
+            let v = Image::new(factor.solve(&second), second, k);
+            let (weak, smallest) = match v.across(&u, k) {
+                Some(v) => weaker_first(&u, &v, k),
+                None => restart(gram, &u.v, k),
+            };
+            (self.weak, self.smallest) = (weak, smallest);
+            let strong = apply(gram, &self.strong, k);
+            let size = norm(&strong, k);
+            if size > 0.0 {
+                let inverse = 1.0 / size;
+                for i in 0..k {
+                    self.strong[i] = strong[i] * inverse;
+                }
+            }
+            self.largest = size.sqrt();
         }
-        self.smallest = rayleigh(gram, &self.weak[0], k);
-        self.largest = rayleigh(gram, &self.strong, k);
     }
 }
 
-/// The part of `v` across the unit vector `u`, of length 1; some other unit vector where `v` is along `u`, zero where
-/// there is none.
-fn without(v: AxisVec, u: &AxisVec, k: usize) -> AxisVec {
-    let along = |v: &AxisVec| (0..k).map(|i| v[i] * u[i]).sum::<f64>();
-    let across = |v: &AxisVec| {
-        let share = along(v);
-        let mut out = [0.0; MAX_AXES];
-        (0..k).for_each(|i| out[i] = v[i] - share * u[i]);
-        out
-    };
-    let rest = across(&normalised(v, *u, k));
-    if (0..k).map(|i| rest[i] * rest[i]).sum::<f64>() > 1e-20 {
-        return normalised(across(&normalised(rest, rest, k)), rest, k);
-    }
-    let mut unit = [0.0; MAX_AXES];
-    let least = (0..k).fold(0, |best, i| if u[i].abs() < u[best].abs() { i } else { best });
-    unit[least] = 1.0;
-    let rest = across(&unit);
-    if k > 1 { normalised(rest, rest, k) } else { [0.0; MAX_AXES] }
+/// What a step came to know of its task rows.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Condition {
+    /// λ².
+    pub(crate) damping: f64,
+    /// μ² of the exact projector.
+    pub(crate) mu_squared: f64,
+    /// Factor of the scaled rows' `JJᵀ`, where there is one.
+    pub(crate) factor: Option<Cholesky>,
 }
 
-/// The pair of unit vectors turned in its plane (Rayleigh and Ritz), the one of the smaller value first.
-fn weaker_first(gram: &Square, u: AxisVec, v: AxisVec, k: usize) -> [AxisVec; 2] {
-    let (gu, gv) = (apply(gram, &u, k), apply(gram, &v, k));
-    let (mut a, mut b, mut d) = (0.0, 0.0, 0.0);
-    for i in 0..k {
-        a += u[i] * gu[i];
-        b += u[i] * gv[i];
-        d += v[i] * gv[i];
+/// A unit vector `v` and `M v`, which an inverse iteration knows without a product.
+#[derive(Clone, Copy)]
+struct Image {
+    v: AxisVec,
+    mv: AxisVec,
+}
+
+impl Image {
+    /// `v = M⁻¹ b`, both divided by the length of `v`.
+    #[inline(always)]
+    fn new(v: AxisVec, b: AxisVec, k: usize) -> Self {
+        let size = norm(&v, k);
+        // A singular matrix gives lengths whose squares are too large for a number.
+        if size > 0.0 && size.is_finite() { Self { v, mv: b }.scaled(1.0 / size, k) } else { Self::huge(&v, &b, k) }
     }
+
+    #[cold]
+    fn huge(v: &AxisVec, b: &AxisVec, k: usize) -> Self {
+        let scale = v.iter().take(k).fold(0.0_f64, |a, x| a.max(x.abs()));
+        if !(scale > 0.0 && scale.is_finite()) {
+            return Self { v: *b, mv: [0.0; MAX_AXES] };
+        }
+        let smaller = Self { v: *v, mv: *b }.scaled(1.0 / scale, k);
+        smaller.scaled(1.0 / norm(&smaller.v, k), k)
+    }
+
+    #[inline(always)]
+    fn scaled(mut self, factor: f64, k: usize) -> Self {
+        for i in 0..k {
+            self.v[i] *= factor;
+            self.mv[i] *= factor;
+        }
+        self
+    }
+
+    /// The part across the unit vector `u`, of length 1; `None` where that is nothing but rounding.
+    #[inline(always)]
+    fn across(mut self, u: &Self, k: usize) -> Option<Self> {
+        // Twice: what rounding leaves the first time along `u`.
+        for _ in 0..2 {
+            let share = dot(&self.v, &u.v, k);
+            for i in 0..k {
+                self.v[i] -= share * u.v[i];
+                self.mv[i] -= share * u.mv[i];
+            }
+        }
+        let size = norm(&self.v, k);
+        (size > 1e-10).then(|| self.scaled(1.0 / size, k))
+    }
+}
+
+/// The pair of unit vectors turned in its plane (Rayleigh and Ritz), the one of the smaller value first, and the root of
+/// that value.
+#[inline(always)]
+fn weaker_first(u: &Image, v: &Image, k: usize) -> ([AxisVec; 2], f64) {
+    let (a, b, d) = (dot(&u.v, &u.mv, k), dot(&u.v, &v.mv, k), dot(&v.v, &v.mv, k));
     let half = 0.5 * (a - d);
     let root = (half * half + b * b).sqrt();
     // Eigenvector of [[a, b], [b, d]] for its smaller value, in the form that does not cancel.
     let (x, y) = if half > 0.0 { (b, -(half + root)) } else { (root - half, -b) };
     let length = (x * x + y * y).sqrt();
-    // A single axis has no second vector.
-    if k < 2 || !(length > 0.0) {
-        return [u, v];
-    }
-    let (x, y) = (x / length, y / length);
-    let mut out = [[0.0; MAX_AXES]; 2];
+    let (x, y) = if length > 0.0 { (x / length, y / length) } else { (1.0, 0.0) };
+    let (mut weak, mut image) = ([[0.0; MAX_AXES]; 2], [0.0; MAX_AXES]);
     for i in 0..k {
-        out[0][i] = x * u[i] + y * v[i];
-        out[1][i] = x * v[i] - y * u[i];
+        weak[0][i] = x * u.v[i] + y * v.v[i];
+        weak[1][i] = x * v.v[i] - y * u.v[i];
+        image[i] = x * u.mv[i] + y * v.mv[i];
     }
-    out
+    (weak, dot(&weak[0], &image, k).max(0.0).sqrt())
 }
 
+/// `u` and some unit vector across it, for the next tick to start from; zero where there is one axis alone.
+#[cold]
+fn restart(gram: &Square, u: &AxisVec, k: usize) -> ([AxisVec; 2], f64) {
+    let mut unit = Image { v: [0.0; MAX_AXES], mv: [0.0; MAX_AXES] };
+    unit.v[(0..k).fold(0, |best, i| if u[i].abs() < u[best].abs() { i } else { best })] = 1.0;
+    let second = unit.across(&Image { v: *u, mv: [0.0; MAX_AXES] }, k).map_or([0.0; MAX_AXES], |image| image.v);
+    ([*u, second], dot(u, &apply(gram, u, k), k).max(0.0).sqrt())
+}
+
+#[inline(always)]
 fn apply(m: &Square, v: &AxisVec, k: usize) -> AxisVec {
     let mut out = [0.0; MAX_AXES];
-    for i in 0..k {
-        for j in 0..k {
+    for j in 0..k {
+        for i in 0..k {
             out[i] += m[i][j] * v[j];
         }
     }
     out
 }
 
-/// √(vᵀMv) of a unit vector.
-fn rayleigh(m: &Square, v: &AxisVec, k: usize) -> f64 {
-    let mv = apply(m, v, k);
-    (0..k).map(|i| v[i] * mv[i]).sum::<f64>().max(0.0).sqrt()
+#[inline(always)]
+fn dot(a: &AxisVec, b: &AxisVec, k: usize) -> f64 {
+    let mut sum = 0.0;
+    for i in 0..k {
+        sum += a[i] * b[i];
+    }
+    sum
 }
 
-fn normalised(v: AxisVec, fallback: AxisVec, k: usize) -> AxisVec {
-    let scale = v.iter().take(k).fold(0.0_f64, |a, x| a.max(x.abs()));
-    if !(scale > 0.0 && scale.is_finite()) {
-        return fallback;
-    }
-    let length = v.iter().take(k).map(|x| (x / scale) * (x / scale)).sum::<f64>().sqrt();
-    let mut out = [0.0; MAX_AXES];
-    for i in 0..k {
-        out[i] = v[i] / scale / length;
-    }
-    out
+#[inline(always)]
+fn norm(v: &AxisVec, k: usize) -> f64 {
+    dot(v, v, k).sqrt()
 }
 
 #[cfg(test)]
@@ -143,7 +186,7 @@ mod tests {
         let gram = weighted_gram(&rows, &[1.0; MAX_JOINTS], 6, 7);
         let exact = crate::law::svd::singular_values(&nalgebra::DMatrix::from_fn(6, 7, |r, c| rows[r][c]));
         let mut values = SingularValues::start();
-        values.update(&gram, 6, 200);
+        values.update(&gram, &Cholesky::new(&gram, 6), 6, 200);
         assert!(exact.min() > 0.1, "the matrix has full rank");
         assert!((values.largest - exact.max()).abs() < 1e-9, "{} {exact}", values.largest);
         assert!((values.smallest - exact.min()).abs() < 1e-9, "{} {exact}", values.smallest);
@@ -152,7 +195,8 @@ mod tests {
     #[test]
     fn a_zero_matrix_has_a_zero_value() {
         let mut values = SingularValues::start();
-        values.update(&[[0.0; MAX_AXES]; MAX_AXES], 6, 2);
+        let zero = [[0.0; MAX_AXES]; MAX_AXES];
+        values.update(&zero, &Cholesky::new(&zero, 6), 6, 2);
         assert!(values.smallest.abs() < 1e-50);
     }
 }

@@ -39,13 +39,15 @@ pub(crate) struct Addition {
 
 impl Takeover<'_> {
     /// Soft rows keep their force and ask for nothing where they are free; ceilings and joint speeds hold.
+    #[cold]
+    #[inline(never)]
     pub(crate) fn addition(&self) -> Addition {
         let plan = self.plan;
         let (k, n) = (plan.k, plan.n);
         let squared = plan.damping_scale.map(|scale| scale * plan.takeover_damping);
         let (mut lead, mut wrench) = if plan.law == Law::Paper && plan.follow == Follow::Hold {
             let pinv = pseudo_inverse(self.rows, &plan.joint_weight, &squared, k, n);
-            (transpose_times(&pinv, self.lost, k), [0.0; MAX_AXES])
+            (transpose_times(&pinv, self.lost, k, n), [0.0; MAX_AXES])
         } else {
             let rows_that_yield = if plan.follow == Follow::Free { *self.softness } else { [0.0; MAX_AXES] };
             let demand = Demand {
@@ -57,7 +59,7 @@ impl Takeover<'_> {
                 cap: &[0.0; MAX_AXES],
             };
             let wrench = demand.stiff_force(k);
-            let mut lead = transpose_times(self.rows, &wrench, k);
+            let mut lead = transpose_times(self.rows, &wrench, k, n);
             (0..MAX_JOINTS).for_each(|i| lead[i] *= plan.servos.compliance[i]);
             (lead, wrench)
         };
@@ -77,6 +79,7 @@ impl Takeover<'_> {
 
 impl Motion {
     /// The motion with locked joints at their `fixed` lead and what the others do instead.
+    #[cold]
     pub(crate) fn with(&self, locked: &[bool; MAX_JOINTS], fixed: &JointVec, addition: &Addition) -> Self {
         let mut out = *self;
         for i in 0..MAX_JOINTS {

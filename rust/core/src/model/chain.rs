@@ -44,6 +44,10 @@ pub struct Chain {
     /// Joint travel = `slide_per_q · q + slide_offset`; 0 and 0 for revolute joints.
     pub(crate) slide_per_q: JointVec,
     pub(crate) slide_offset: JointVec,
+    /// Whether each joint is prismatic.
+    pub(crate) slides: [bool; MAX_JOINTS],
+    /// Whether every coordinate turns one joint of the path, in their order and with factor 1.
+    pub(crate) simple: bool,
     /// Mass of the rigid group behind each joint [kg], without payload.
     pub(crate) mass: JointVec,
     /// Mass times centre of mass of that group [kg·m], in the frame after the joint.
@@ -162,6 +166,8 @@ fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembl
         angle_offset: [0.0; MAX_JOINTS],
         slide_per_q: [0.0; MAX_JOINTS],
         slide_offset: [0.0; MAX_JOINTS],
+        slides: [false; MAX_JOINTS],
+        simple: on_path == coordinates.len(),
         mass: [0.0; MAX_JOINTS],
         moment: [[0.0; 3]; MAX_JOINTS],
     };
@@ -181,6 +187,7 @@ fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembl
         if joint.kind == JointKind::Prismatic {
             chain.slide_per_q[k] = slot.multiplier;
             chain.slide_offset[k] = slot.offset;
+            chain.slides[k] = true;
         } else {
             chain.angle_per_q[k] = slot.multiplier;
             chain.angle_offset[k] += slot.offset;
@@ -188,6 +195,7 @@ fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembl
         chain.mass[k] = bodies.mass[k];
         chain.moment[k] = (z_turn(-turn_after(k)) * bodies.moment[k]).into();
         if k < on_path {
+            chain.simple &= slot.coordinate == k && chain.angle_per_q[k].to_bits() == 1.0_f64.to_bits();
             reach += travel(tree, slot, coordinates[slot.coordinate]);
             reach += if k > 0 { slot.before.translation.vector.norm() } else { 0.0 };
         }

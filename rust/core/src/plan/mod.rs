@@ -1,6 +1,7 @@
 //! Settings, servos and model resolved into the arrays that the cycle reads.
 
 mod rows;
+mod scales;
 mod stiffness;
 
 use nalgebra::DMatrix;
@@ -9,12 +10,12 @@ use crate::error::{Error, Result};
 use crate::law::nullspace::Cost;
 use crate::model::Model;
 use crate::servos::{ServoArrays, Servos};
-use crate::settings::{Damping, Follow, Law, LimitRule, Projector, Settings};
+use crate::settings::{Damping, Follow, Gain, Law, LimitRule, Projector, Settings};
 use crate::survey;
 use crate::task::axes::{AXIS_NAMES, Frame};
 use crate::task::deviation_limit::DeviationLimit;
 
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 pub(crate) use rows::Row;
 use rows::{deviation_limits, resolve_rows};
 
@@ -57,6 +58,8 @@ pub(crate) struct Plan {
     pub(crate) damping_scale: AxisVec,
     pub(crate) kx: [[f64; MAX_AXES]; MAX_AXES],
     pub(crate) kq: [[f64; MAX_JOINTS]; MAX_JOINTS],
+    /// K_q where it is one number.
+    pub(crate) kq_scalar: Option<f64>,
     /// Factor ≤ 1 on K_x that keeps it within the bound of the present delay.
     pub(crate) kx_derating: f64,
     /// Largest ρ of stiffness and of damping [s] of law `impedance` at the present delay; ∞ where that risk is taken by name.
@@ -75,6 +78,8 @@ pub(crate) struct Plan {
     pub(crate) joint_speed: JointVec,
     pub(crate) lower: JointVec,
     pub(crate) upper: JointVec,
+    /// Smallest and largest positions that are taken for real readings.
+    pub(crate) readable: [JointVec; 2],
     /// How far goals may pass the position limits [rad]: the lead that the servo's whole torque takes.
     pub(crate) beyond: JointVec,
     /// By how much a lead that serves a force fades per rad that its joint is beyond the limits, at most.
@@ -142,6 +147,10 @@ impl Plan {
             damping_scale,
             kx: [[0.0; MAX_AXES]; MAX_AXES],
             kq: settings.kq.spread("kq", n)?,
+            kq_scalar: match settings.kq {
+                Gain::Scalar(gain) => Some(gain),
+                _ => None,
+            },
             kx_derating: 1.0,
             impedance_bounds: stiffness::bounds(settings, settings.delay, arrays.well_damped(n)),
             null_stiffness: settings.null_stiffness,
@@ -154,6 +163,7 @@ impl Plan {
             joint_weight: list("joint_weights", settings.joint_weights.as_deref(), n, 1.0)?,
             joint_speed: resolve_speed(model, settings)?,
             lower: fill(model.lower(), f64::NEG_INFINITY),
+            readable: scales::readable(model),
             upper: fill(model.upper(), f64::INFINITY),
             beyond: [0.0; MAX_JOINTS],
             stop_slope: 0.0,
@@ -170,12 +180,8 @@ impl Plan {
         // The pseudo-inverse wants the inverse of the joints' cost; the others weigh them by the servos' stiffness instead.
         plan.joint_weight =
             if settings.law == Law::Paper { plan.joint_weight.map(|w| 1.0 / w) } else { [1.0; MAX_JOINTS] };
-        plan.kx = compact(
-            &settings
-                .kx
-                .spread("kx", if matches!(settings.kx, crate::settings::Gain::Scalar(_)) { MAX_AXES } else { k })?,
-            k,
-        );
+        plan.kx =
+            compact(&settings.kx.spread("kx", if matches!(settings.kx, Gain::Scalar(_)) { MAX_AXES } else { k })?, k);
         check_gain(settings, &plan)?;
         plan.stop_slope = plan.gain_bound(settings.delay, 1.0 / settings.rate) - 1.0;
         if plan.law == Law::Impedance {
@@ -197,30 +203,6 @@ impl Plan {
             self.beyond[i] = if self.servos.has_kp { usable * self.servos.compliance[i] } else { 0.0 };
             if settings.stiffening_time > 0.0 {
                 self.rise[i] = usable / settings.stiffening_time;
-            }
-        }
-    }
-
-    /// Task rows with translations divided by the arm's length.
-    #[inline]
-    pub(crate) fn scale_rows(&self, rows: &Rows) -> Rows {
-        let mut out = *rows;
-        for (row, scale) in out.iter_mut().zip(self.row_scale) {
-            for value in row {
-                *value *= scale;
-            }
-        }
-        out
-    }
-
-    /// Scales a null-space motion [rad] to its speed limit.
-    #[inline]
-    pub(crate) fn bound_null_speed(&self, null: &mut JointVec, horizon: f64) {
-        let most = self.null_speed * horizon;
-        let fastest = null.iter().fold(0.0_f64, |a, x| a.max(x.abs()));
-        if fastest > most {
-            for value in null {
-                *value *= most / fastest;
             }
         }
     }

@@ -94,7 +94,7 @@ impl Controller {
                 limit[i].see(record.gravity[i].abs() - limits[i], index);
                 outside[i].see((self.plan.lower[i] - q[i]).max(q[i] - self.plan.upper[i]), index);
             }
-            singular.see(-record.sigma_min, index);
+            singular.see(-rest.sigma()[0], index);
         }
         let mut findings = self.joint_findings(&weight, &limit, &outside);
         for r in 0..k {

@@ -34,8 +34,9 @@ impl<'a> Pose<'a> {
     /// `Σ_i |J⁺_ij| τ_f,i` of each axis, friction at rest under the arm's weight: what moves the tool along it turns every joint against its friction.
     pub(super) fn friction(&self) -> AxisVec {
         let (plan, record) = (self.plan, self.record);
-        let scaled = plan.scale_rows(&record.rows);
-        let squared = [fade_squared(record.sigma_min, record.sigma_max); MAX_AXES];
+        let scaled = plan.scale_rows(&record.rows, plan.n);
+        let [sigma_min, sigma_max] = record.sigma(plan);
+        let squared = [fade_squared(sigma_min, sigma_max); MAX_AXES];
         let inverse = pseudo_inverse(&scaled, &[1.0; MAX_JOINTS], &squared, plan.k, plan.n);
         let mut out = [0.0; MAX_AXES];
         for r in 0..plan.k.min(MAX_AXES) {
@@ -133,13 +134,13 @@ impl<'a> Pose<'a> {
         let load = Load {
             gravity: if in_limits { &record.gravity } else { &nothing },
             feed_forward: &record.feed_forward,
-            task: &transpose_times(&record.rows, &within(&record.wrench, most, k), k),
+            task: &transpose_times(&record.rows, &within(&record.wrench, most, k), k, n),
             offset: &nothing,
             gravity_scale: self.settings.gravity_scale,
             margin: &plan.margin,
         };
         let mut limit = match (&self.shares, plan.limits) {
-            (Some(shares), _) => load.budget(&shares.distribute(most, plan.null_torque, k), n),
+            (Some(shares), _) => load.budget(&shares.distribute(most, plan.null_torque, k, n), n),
             (None, LimitRule::Demand) => load.demand(n),
             (None, LimitRule::Sum) => load.sum(&record.rows, most, &self.null, k, n),
         };

@@ -7,7 +7,7 @@ use crate::task::deviation::{pose_error, rotation_matrix};
 ///
 /// Pushed toward + means that the tool is beyond its target, e < 0. Within ± `band` of zero the share is linear in `e`,
 /// so that encoder noise toggles nothing; with `band` = 0 it switches at zero.
-#[inline]
+#[inline(always)]
 pub(crate) fn plus_share(e: f64, band: f64) -> f64 {
     if band > 0.0 {
         ((band - e) / (2.0 * band)).clamp(0.0, 1.0)
@@ -19,7 +19,7 @@ pub(crate) fn plus_share(e: f64, band: f64) -> f64 {
 }
 
 /// Adapted deviation `ẽ = (1 − η w) e` of one axis: (12) in the form that is memoryless, hence independent of the rate.
-#[inline]
+#[inline(always)]
 pub fn adapt_deviation(e: f64, eta: f64, softness: f64) -> f64 {
     (1.0 - eta * softness) * e
 }

@@ -5,13 +5,13 @@ use crate::task::axes::Profile;
 /// Compliance c ∈ [0, 1] of (8) for a deviation of any sign: 1 below `d_minus`, 0 above `d_plus`, linear between.
 ///
 /// The paper prints d without absolute value, which would call every negative deviation fully compliant.
-#[inline]
+#[inline(always)]
 pub fn compliance(deviation: f64, d_minus: f64, d_plus: f64) -> f64 {
     ((d_plus - deviation.abs()) / (d_plus - d_minus)).clamp(0.0, 1.0)
 }
 
 /// Strength of a yielding axis, (9): `c soft + (1 − c) firm`, or another profile over the same two values.
-#[inline]
+#[inline(always)]
 pub fn strength(c: f64, soft: f64, firm: f64, profile: Profile) -> f64 {
     match profile {
         Profile::Firming => c * soft + (1.0 - c) * firm,
@@ -21,7 +21,7 @@ pub fn strength(c: f64, soft: f64, firm: f64, profile: Profile) -> f64 {
 }
 
 /// Holding torque of one axis as in (9): interpolated where the axis is compliant, `hold` where it is not.
-#[inline]
+#[inline(always)]
 pub fn holding_torque(c: f64, soft: f64, firm: f64, hold: f64, compliant: bool) -> f64 {
     if compliant { strength(c, soft, firm, Profile::Firming) } else { hold }
 }

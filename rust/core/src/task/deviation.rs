@@ -1,13 +1,14 @@
 //! Deviation between two poses, e = x_d − x.
 
 use crate::AxisVec;
+use crate::number::{Plain, quadrant_angle, sin_cos};
 use crate::pose::Pose;
 
 /// Deviation `e = x_d − x` in base axes: `[m, m, m, rad, rad, rad]`.
 ///
 /// Linear part: difference of the positions. Angular part: rotation vector of `R_d Rᵀ` on the shortest branch; at an
 /// angle of exactly π the axis is the one of the quaternion with non-negative scalar part.
-#[inline]
+#[inline(always)]
 pub fn pose_error(actual: &Pose, target: &Pose) -> AxisVec {
     let (r, d) = (&actual.rotation, &target.rotation);
     let mut m = [[0.0; 3]; 3];
@@ -31,7 +32,7 @@ pub fn pose_error(actual: &Pose, target: &Pose) -> AxisVec {
 ///
 /// By way of the quaternion, whose largest component is found first: accurate at 0 and at π, where the trace formula
 /// loses half the digits.
-#[inline]
+#[inline(always)]
 pub fn rotation_vector(m: &[[f64; 3]; 3]) -> [f64; 3] {
     let trace = m[0][0] + m[1][1] + m[2][2];
     let (mut w, mut v) = if trace > 0.0 {
@@ -61,20 +62,21 @@ pub fn rotation_vector(m: &[[f64; 3]; 3]) -> [f64; 3] {
     }
     let length = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
     // Below 1e-8 the series 2 (1 + |v|²/6) is 2 in double precision.
-    let scale = if length < 1e-8 { 2.0 } else { 2.0 * length.atan2(w) / length };
+    let scale = if length < 1e-8 { 2.0 } else { 2.0 * quadrant_angle(length, w) / length };
     [scale * v[0], scale * v[1], scale * v[2]]
 }
 
 /// Rotation matrix (row-major) of a rotation vector [rad]: Rodrigues' formula.
-#[inline]
+#[inline(always)]
 pub fn rotation_matrix(v: [f64; 3]) -> [[f64; 3]; 3] {
     let angle2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
     let angle = angle2.sqrt();
     let (a, b) = if angle < 1e-6 {
         (1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0)
     } else {
-        let half = (0.5 * angle).sin() / (0.5 * angle);
-        (angle.sin() / angle, 0.5 * half * half)
+        let (s, c) = sin_cos::<Plain>(0.5 * angle);
+        let half = s / (0.5 * angle);
+        (half * c, 0.5 * half * half)
     };
     let [x, y, z] = v;
     [
@@ -85,7 +87,7 @@ pub fn rotation_matrix(v: [f64; 3]) -> [[f64; 3]; 3] {
 }
 
 /// A 6-vector of base axes in the axes whose unit vectors are the columns of `base_from_task`.
-#[inline]
+#[inline(always)]
 pub(crate) fn into_frame(base_from_task: &[[f64; 3]; 3], v: &AxisVec) -> AxisVec {
     let r = base_from_task;
     let turn = |a: f64, b: f64, c: f64, i: usize| r[0][i] * a + r[1][i] * b + r[2][i] * c;

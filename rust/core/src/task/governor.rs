@@ -54,17 +54,24 @@ impl Governor {
     ///
     /// A target that moves within the bounds is passed on as it is. Otherwise each of translation and rotation follows it
     /// and brakes so that it can stop there, v ≤ √(2 a d). An infinite speed hands the target through.
+    #[inline(always)]
     pub(crate) fn follow(&mut self, target: &Pose, speed: [f64; 2], acceleration: [f64; 2], dt: f64) -> Pose {
+        if speed.iter().all(|most| most.is_infinite()) {
+            *self = Self::new(*target);
+            return *target;
+        }
         let (e, moved) = (pose_error(&self.pose, target), pose_error(&self.target, target));
-        let mut block = |b: usize| {
+        let mut blocks = [([0.0; 3], true); 2];
+        for (b, block) in blocks.iter_mut().enumerate() {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
             let own = target_velocity(part(&moved), speed[b], dt);
             // Whoever follows may brake as hard as its target does: it must not run past.
-            let braked = (self.target_speed[b] - norm(own)).max(0.0);
-            self.target_speed[b] = norm(own);
-            approach(part(&e), part(&self.velocity), own, speed[b], [acceleration[b], braked], dt)
-        };
-        let ((linear, at_position), (angular, at_rotation)) = (block(0), block(1));
+            let fast = norm(own);
+            let braked = (self.target_speed[b] - fast).max(0.0);
+            self.target_speed[b] = fast;
+            *block = approach(part(&e), part(&self.velocity), own, speed[b], [acceleration[b], braked], dt);
+        }
+        let [(linear, at_position), (angular, at_rotation)] = blocks;
         self.target = *target;
         if at_position {
             self.pose.position = target.position;
@@ -86,40 +93,50 @@ impl Governor {
 }
 
 /// Velocity of a target that moved by `moved` in `dt`; zero for a jump, which is faster than `speed`.
+#[inline(always)]
 fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> [f64; 3] {
-    let velocity = moved.map(|x| x / dt);
+    let velocity = along(&[0.0; 3], 1.0 / dt, &moved);
     if norm(velocity) <= speed { velocity } else { [0.0; 3] }
 }
 
 /// Velocity of the next period toward a point at distance `d` that moves with `own`, and whether it is reached in it.
 ///
 /// `most` holds the acceleration and what the velocity may change beside it in this period.
+#[inline(always)]
 fn approach(d: [f64; 3], v: [f64; 3], own: [f64; 3], speed: f64, most: [f64; 2], dt: f64) -> ([f64; 3], bool) {
     if !speed.is_finite() {
         return ([0.0; 3], true);
     }
     // A speed limit that was lowered while moving holds at once.
     let v = within(v, speed);
-    let behind = [0, 1, 2].map(|i| d[i] - own[i] * dt);
+    let behind = along(&d, -dt, &own);
     let distance = norm(behind);
     // The speed from which `periods` of braking end exactly at the point: the discrete √(2 a d).
     let step = most[0] * dt;
     let periods = (0.5 * ((1.0 + 8.0 * distance / (step * dt)).sqrt() - 1.0)).ceil().max(1.0);
     let braking = distance / (periods * dt) + 0.5 * step * (periods - 1.0);
     let closing = if distance > 0.0 { braking / distance } else { 0.0 };
-    let wanted = within([0, 1, 2].map(|i| own[i] + closing * behind[i]), speed);
-    let change = within([0, 1, 2].map(|i| wanted[i] - v[i]), step + most[1]);
-    let next = [0, 1, 2].map(|i| v[i] + change[i]);
-    let miss = [0, 1, 2].map(|i| d[i] - next[i] * dt);
+    let wanted = within(along(&own, closing, &behind), speed);
+    let change = within(along(&wanted, -1.0, &v), step + most[1]);
+    let next = along(&v, 1.0, &change);
+    let miss = along(&d, -dt, &next);
     (next, norm(miss) <= 1e-12 + 1e-9 * norm(d))
 }
 
 /// `v`, scaled to a length of at most `most`.
+#[inline(always)]
 fn within(v: [f64; 3], most: f64) -> [f64; 3] {
     let size = norm(v);
-    if size > most { v.map(|x| x * (most / size)) } else { v }
+    if size > most { along(&[0.0; 3], most / size, &v) } else { v }
 }
 
+/// `a + s b`.
+#[inline(always)]
+fn along(a: &[f64; 3], s: f64, b: &[f64; 3]) -> [f64; 3] {
+    [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
+}
+
+#[inline(always)]
 fn norm(v: [f64; 3]) -> f64 {
     (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt()
 }

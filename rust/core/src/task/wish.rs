@@ -34,7 +34,7 @@ pub(crate) struct Wish {
 
 impl Wish {
     /// From the deviation and the target's velocity (6,), both in the task frame.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn new(plan: &Plan, settings: &Settings, error: &AxisVec, twist: &AxisVec) -> Self {
         let zero = [0.0; MAX_AXES];
         let mut wish = Self {
@@ -75,7 +75,7 @@ impl Wish {
 
     /// Line 6: the step and its per-axis limits. Whole vectors are never scaled by their norm, which would spend the
     /// stiff axes' share on the soft ones.
-    #[inline]
+    #[inline(always)]
     fn take_steps(&mut self, plan: &Plan, h: f64, twist: &AxisVec) {
         for (r, row) in plan.rows.iter().enumerate().take(plan.k) {
             let pull: f64 = (0..plan.k).map(|c| plan.kx[r][c] * self.adapted[c]).sum();

@@ -18,6 +18,7 @@ pub(crate) type Vector = DVector<f64>;
 pub(crate) type Matrix = DMatrix<f64>;
 
 /// Controller of the twelve lines, with what it remembers.
+#[derive(Clone)]
 pub(crate) struct Oracle {
     pub(crate) model: Arc<Model>,
     pub(crate) settings: Settings,

@@ -1,0 +1,161 @@
+//! Which instructions the processor at hand has, and the way into code that uses them.
+#![expect(unsafe_code, reason = "code compiled for an instruction set is entered only where the processor has it")]
+
+use std::fmt;
+use std::sync::OnceLock;
+
+use super::{Arithmetic, Array, Plain, Wide};
+#[cfg(target_arch = "x86_64")]
+use super::{Avx2, Avx512, Fused};
+
+/// Environment variable that forces a slower set of instructions: `baseline`, `avx2` or `avx512`.
+const FORCED: &str = "PLIANT_INSTRUCTIONS";
+
+/// The numbers that one instruction set offers.
+pub(crate) trait Machine {
+    /// One configuration.
+    type One: Arithmetic<Real = f64>;
+    /// Eight configurations.
+    type Eight: Wide;
+}
+
+/// Work that is compiled for every machine; `run` must be `#[inline(always)]`, as must all that it calls.
+pub(crate) trait Kernel {
+    /// What comes out.
+    type Output;
+
+    /// Does the work with the numbers of one machine.
+    fn run<M: Machine>(self) -> Self::Output;
+}
+
+/// Any processor of the architecture.
+struct Baseline;
+
+impl Machine for Baseline {
+    type One = Plain;
+    type Eight = Array;
+}
+
+#[cfg(target_arch = "x86_64")]
+impl Machine for Avx2 {
+    type One = Fused;
+    type Eight = Avx2;
+}
+
+#[cfg(target_arch = "x86_64")]
+impl Machine for Avx512 {
+    type One = Fused;
+    type Eight = Avx512;
+}
+
+/// A set of instructions that this processor has.
+///
+/// Results differ between sets by rounding: below 1e-11 of their size at λ ≥ 0.02. On one set they repeat bit for bit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Instructions(Set);
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Set {
+    Baseline,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl Instructions {
+    /// What every processor of this architecture has.
+    pub const BASELINE: Self = Self(Set::Baseline);
+
+    /// All sets that this processor has, slowest first.
+    pub fn available() -> Vec<Self> {
+        #[allow(unused_mut, reason = "other architectures have one set")]
+        let mut all = vec![Self::BASELINE];
+        #[cfg(target_arch = "x86_64")]
+        {
+            let avx2 = is_x86_feature_detected!("avx2")
+                && is_x86_feature_detected!("fma")
+                && is_x86_feature_detected!("bmi1")
+                && is_x86_feature_detected!("bmi2");
+            if avx2 {
+                all.push(Self(Set::Avx2));
+            }
+            let avx512 = is_x86_feature_detected!("avx512f")
+                && is_x86_feature_detected!("avx512vl")
+                && is_x86_feature_detected!("avx512dq")
+                && is_x86_feature_detected!("avx512bw");
+            if avx2 && avx512 {
+                all.push(Self(Set::Avx512));
+            }
+        }
+        all
+    }
+
+    /// The set in use: the widest one, or the one that `PLIANT_INSTRUCTIONS` names if this processor has it.
+    pub fn chosen() -> Self {
+        static CHOSEN: OnceLock<Instructions> = OnceLock::new();
+        *CHOSEN.get_or_init(|| {
+            let all = Self::available();
+            let forced = std::env::var(FORCED).unwrap_or_default();
+            let found = all.iter().find(|set| set.name() == forced).or_else(|| all.last());
+            found.copied().unwrap_or(Self::BASELINE)
+        })
+    }
+
+    /// `baseline`, `avx2` or `avx512`.
+    pub fn name(self) -> &'static str {
+        match self.0 {
+            Set::Baseline => "baseline",
+            #[cfg(target_arch = "x86_64")]
+            Set::Avx2 => "avx2",
+            #[cfg(target_arch = "x86_64")]
+            Set::Avx512 => "avx512",
+        }
+    }
+
+    /// Does the work of single configurations: as [`Instructions::run`], but never wider than AVX2.
+    ///
+    /// Arrays of seven or eight numbers gain nothing from wider registers (kinematics even lose a tenth), and a third copy
+    /// of the control step would be a third of the wheel.
+    #[inline]
+    pub(crate) fn run_single<K: Kernel>(self, kernel: K) -> K::Output {
+        match self.0 {
+            Set::Baseline => kernel.run::<Baseline>(),
+            // SAFETY: as in `run`; whoever has AVX-512 has AVX2, see `available`.
+            #[cfg(target_arch = "x86_64")]
+            Set::Avx2 | Set::Avx512 => unsafe { avx2(kernel) },
+        }
+    }
+
+    /// Does the work with these instructions.
+    #[inline]
+    pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        match self.0 {
+            Set::Baseline => kernel.run::<Baseline>(),
+            // SAFETY: values of this kind are made in `available` alone, where the processor was asked for all of it.
+            #[cfg(target_arch = "x86_64")]
+            Set::Avx2 => unsafe { avx2(kernel) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Set::Avx512 => unsafe { avx512(kernel) },
+        }
+    }
+}
+
+impl fmt::Display for Instructions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2")]
+fn avx2<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Avx2>()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma,bmi1,bmi2")]
+fn avx512<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Avx512>()
+}

@@ -1,0 +1,180 @@
+//! Numbers of the hot path: formulas are written once, for one configuration or for eight, and compiled for each machine.
+//!
+//! [`Arithmetic`] says how to count: with one `f64` or with eight lanes, with or without fused multiply-add. Rust never
+//! fuses by itself, and `mul_add` without the instruction is a slow call, so it is the type that decides. [`Machine`] is the
+//! pair of them that one instruction set offers, and [`Instructions`] which of these the processor at hand has.
+//!
+//! Everything between an entry of [`Instructions::run`] and its last formula is `#[inline(always)]`: what is not inlined
+//! would be compiled for the plainest machine. Formulas over [`Arithmetic`] use loops, not closures, for the same reason.
+
+use std::fmt::Debug;
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+mod functions;
+mod instructions;
+mod lanes;
+mod scalar;
+
+pub(crate) use functions::{quadrant_angle, tanh};
+pub use instructions::Instructions;
+pub(crate) use instructions::{Kernel, Machine};
+pub(crate) use lanes::Array;
+#[cfg(target_arch = "x86_64")]
+pub(crate) use lanes::{Avx2, Avx512};
+pub(crate) use scalar::{Fused, Plain};
+
+/// How many configurations the wide numbers hold.
+pub(crate) const LANES: usize = 8;
+
+/// A way to count with real numbers: one configuration (`Real = f64`) or eight at once.
+pub(crate) trait Arithmetic: Copy + Debug + 'static {
+    /// The number: one value per configuration.
+    type Real: Copy
+        + Add<Output = Self::Real>
+        + Sub<Output = Self::Real>
+        + Mul<Output = Self::Real>
+        + Div<Output = Self::Real>
+        + Neg<Output = Self::Real>;
+
+    /// Whether a number holds [`LANES`] configurations.
+    const WIDE: bool;
+
+    /// The same value in every configuration.
+    fn splat(value: f64) -> Self::Real;
+
+    /// `a b + c`, fused where the machine can.
+    fn fma(a: Self::Real, b: Self::Real, c: Self::Real) -> Self::Real;
+
+    /// `c − a b`, fused where the machine can.
+    fn fnma(a: Self::Real, b: Self::Real, c: Self::Real) -> Self::Real;
+
+    /// `(s, c)` turned by as many quarters as the whole number in the last bits of `turns` says.
+    fn turn(turns: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
+}
+
+/// Wide numbers between memory and registers.
+pub(crate) trait Wide: Arithmetic {
+    /// One value per configuration.
+    fn load(values: &[f64; LANES]) -> Self::Real;
+
+    /// Eight numbers as eight rows of eight: row `i` holds what configuration `i` has of each.
+    fn transpose(numbers: &[Self::Real; LANES]) -> [[f64; LANES]; LANES];
+}
+
+/// π/2 in three parts. The first two have 33 bits, so that their products with a whole number below 2²⁰ are exact.
+const HALF_PI: [f64; 3] = [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
+
+/// Adding and subtracting 1.5·2⁵² rounds to the nearest whole number, whose last bits are then the last of the sum.
+const ROUND: f64 = 6_755_399_441_055_744.0;
+
+/// Sine and cosine of `angle` [rad] to 2.3e-16 for |angle| up to [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND).
+///
+/// Without branches, tables and calls, so that a loop over joints becomes vector code, and the same on every system.
+/// Reduction to |r| ≤ π/4 after Cody and Waite, then the Taylor series: its first term left out is below 5e-17.
+#[inline(always)]
+pub(crate) fn sin_cos<A: Arithmetic>(angle: A::Real) -> (A::Real, A::Real) {
+    let c = A::splat;
+    let sum = A::fma(angle, c(std::f64::consts::FRAC_2_PI), c(ROUND));
+    let turns = sum - c(ROUND);
+    let r = A::fnma(turns, c(HALF_PI[1]), A::fnma(turns, c(HALF_PI[0]), angle));
+    let r = A::fnma(turns, c(HALF_PI[2]), r);
+    let r2 = r * r;
+    let r4 = r2 * r2;
+    let r8 = r4 * r4;
+    // Pairs of terms, so that the additions of one series overlap.
+    let low = A::fma(r2, c(1.0 / 120.0), c(-1.0 / 6.0));
+    let low = A::fma(r4, A::fma(r2, c(1.0 / 362_880.0), c(-1.0 / 5_040.0)), low);
+    let high = A::fma(r2, c(1.0 / 6_227_020_800.0), c(-1.0 / 39_916_800.0));
+    let high = A::fnma(r4, c(1.0 / 1_307_674_368_000.0), high);
+    let sine = A::fma(r * r2, A::fma(r8, high, low), r);
+    let low = A::fnma(r2, c(1.0 / 720.0), c(1.0 / 24.0));
+    let low = A::fma(r4, A::fnma(r2, c(1.0 / 3_628_800.0), c(1.0 / 40_320.0)), low);
+    let high = A::fnma(r2, c(1.0 / 87_178_291_200.0), c(1.0 / 479_001_600.0));
+    let high = A::fma(r4, c(1.0 / 20_922_789_888_000.0), high);
+    let cosine = A::fma(r4, A::fma(r8, high, low), A::fnma(c(0.5), r2, c(1.0)));
+    A::turn(sum, sine, cosine)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sines and cosines of eight angles, by whatever numbers.
+    struct Sines<'a>(&'a [f64; LANES]);
+
+    impl Kernel for Sines<'_> {
+        type Output = [[(f64, f64); LANES]; 2];
+
+        fn run<M: Machine>(self) -> Self::Output {
+            let one = self.0.map(sin_cos::<M::One>);
+            let (s, c) = sin_cos::<M::Eight>(M::Eight::load(self.0));
+            let rows = M::Eight::transpose(&[s, c, s, c, s, c, s, c]);
+            [one, rows.map(|row| (row[0], row[1]))]
+        }
+    }
+
+    /// Largest difference to the system's functions over a dense walk with irrational step.
+    fn worst(instructions: Instructions, largest: f64) -> f64 {
+        let mut off: f64 = 0.0;
+        for i in 0..20_000 {
+            let at =
+                |lane: usize| ((i * LANES + lane) as f64 * 0.618_033_988_749_895).fract() * 2.0 * largest - largest;
+            let angles = std::array::from_fn(at);
+            for all in instructions.run(Sines(&angles)) {
+                for ((sine, cosine), angle) in all.iter().zip(angles) {
+                    off = off.max((sine - angle.sin()).abs()).max((cosine - angle.cos()).abs());
+                }
+            }
+        }
+        off
+    }
+
+    #[test]
+    fn sines_are_right_to_rounding() {
+        for instructions in Instructions::available() {
+            for largest in [1e-9, 0.8, 3.2, 100.0, 1e4, 1e6] {
+                let off = worst(instructions, largest);
+                assert!(off <= 2.3e-16, "{instructions}, within ±{largest}: {off:e}");
+            }
+        }
+    }
+
+    #[test]
+    fn sines_at_multiples_of_a_quarter_turn() {
+        for instructions in Instructions::available() {
+            for i in -1000..1000_i32 {
+                let angle = f64::from(i) * std::f64::consts::FRAC_PI_2;
+                for all in instructions.run(Sines(&[angle; LANES])) {
+                    let (sine, cosine) = all[i.unsigned_abs() as usize % LANES];
+                    assert!((sine - angle.sin()).abs() <= 1.2e-16 && (cosine - angle.cos()).abs() <= 1.2e-16, "{i}");
+                }
+            }
+            let [(sine, cosine), ..] = instructions.run(Sines(&[0.0; LANES]))[1];
+            assert_eq!([sine.to_bits(), cosine.to_bits()], [0.0_f64.to_bits(), 1.0_f64.to_bits()]);
+        }
+    }
+
+    /// A transposed table, by the wide numbers of a machine.
+    struct Turned<'a>(&'a [[f64; LANES]; LANES]);
+
+    impl Kernel for Turned<'_> {
+        type Output = [[f64; LANES]; LANES];
+
+        fn run<M: Machine>(self) -> Self::Output {
+            M::Eight::transpose(&self.0.map(|row| M::Eight::load(&row)))
+        }
+    }
+
+    #[test]
+    fn a_transposed_table_has_its_rows_in_columns() {
+        let table: [[f64; LANES]; LANES] = std::array::from_fn(|r| std::array::from_fn(|c| (10 * r + c) as f64));
+        for instructions in Instructions::available() {
+            let turned = instructions.run(Turned(&table));
+            for (r, row) in turned.iter().enumerate() {
+                for (c, value) in row.iter().enumerate() {
+                    assert_eq!(value.to_bits(), table[c][r].to_bits(), "{instructions} {r} {c}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,58 @@
+//! One configuration: `f64`, with and without fused multiply-add.
+#![forbid(unsafe_code)]
+
+use super::Arithmetic;
+
+/// `f64` on any machine.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Plain;
+
+/// `f64` on a machine that fuses multiplication and addition.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Fused;
+
+/// Swaps and signs of sine and cosine in the quadrant that the last bits of `turns` name.
+#[inline(always)]
+pub(super) fn turn(turns: f64, sine: f64, cosine: f64) -> (f64, f64) {
+    let quadrant = turns.to_bits();
+    // Odd quadrants swap the two; the sign bits follow from the quadrant.
+    let swap = (quadrant & 1).wrapping_neg();
+    let (s, c) = (sine.to_bits(), cosine.to_bits());
+    let exchanged = (s ^ c) & swap;
+    let sine_sign = (quadrant & 2) << 62;
+    let cosine_sign = (quadrant.wrapping_add(1) & 2) << 62;
+    (f64::from_bits((s ^ exchanged) ^ sine_sign), f64::from_bits((c ^ exchanged) ^ cosine_sign))
+}
+
+macro_rules! scalar {
+    ($name:ident, ($a:ident, $b:ident, $c:ident), $fma:expr, $fnma:expr) => {
+        impl Arithmetic for $name {
+            type Real = f64;
+
+            const WIDE: bool = false;
+
+            #[inline(always)]
+            fn splat(value: f64) -> f64 {
+                value
+            }
+
+            #[inline(always)]
+            fn fma($a: f64, $b: f64, $c: f64) -> f64 {
+                $fma
+            }
+
+            #[inline(always)]
+            fn fnma($a: f64, $b: f64, $c: f64) -> f64 {
+                $fnma
+            }
+
+            #[inline(always)]
+            fn turn(turns: f64, s: f64, c: f64) -> (f64, f64) {
+                turn(turns, s, c)
+            }
+        }
+    };
+}
+
+scalar!(Plain, (a, b, c), a * b + c, c - a * b);
+scalar!(Fused, (a, b, c), a.mul_add(b, c), (-a).mul_add(b, c));
