@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import shutil
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -112,6 +113,8 @@ def _serve(
     pipe: Connection, factory: Callable[..., Emulator], args: Any, kwargs: dict[str, Any]
 ) -> None:
     """What the child does: run the emulator and do what comes down the pipe."""
+    # Ctrl-C goes to every process of a terminal; servos must outlive it for the arm to come down.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         emulator = factory(*args, **kwargs).start()
     except Exception as error:
