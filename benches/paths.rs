@@ -19,7 +19,8 @@ use pliant_core::{
 const STATES: usize = 64;
 const BLOCK: usize = 256;
 const BLOCKS: usize = 400;
-const MANY: usize = 100_000;
+/// Short, so that most runs are undisturbed; on one thread.
+const MANY: usize = 4096;
 
 fn arm() -> Arc<Model> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../benches/arm7_bench.urdf");
@@ -78,10 +79,13 @@ fn cap() -> Settings {
     settings
 }
 
-/// What is counted and timed: each runs that many calls.
-fn stages(model: &Arc<Model>) -> Vec<(&'static str, Box<dyn FnMut(usize)>)> {
+/// Name, and what runs that many calls.
+type Stage = (&'static str, Box<dyn FnMut(usize)>);
+
+/// What is counted and timed.
+fn stages(model: &Arc<Model>) -> Vec<Stage> {
     let states = states(model);
-    let mut stages: Vec<(&'static str, Box<dyn FnMut(usize)>)> = Vec::new();
+    let mut stages: Vec<Stage> = Vec::new();
     let (arm, at) = (Arc::clone(model), states.clone());
     let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
     stages.push((
@@ -132,25 +136,16 @@ fn batches(model: &Model) {
     let q: Vec<f64> = states(model).into_iter().map(|state| state.0).cycle().take(MANY).flatten().collect();
     let (mut poses, mut jacobians, mut torques) = (vec![0.0; 16 * MANY], vec![0.0; 6 * n * MANY], vec![0.0; n * MANY]);
     let rate = |seconds: Vec<f64>| MANY as f64 / median(seconds) * 1e-6;
-    for threads in [1, 2] {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        let once = |work: &mut (dyn FnMut() + Send)| {
-            let start = Instant::now();
-            pool.install(&mut *work);
-            start.elapsed().as_secs_f64()
-        };
-        let mut kinematics =
-            || assert!(model.kinematics_batch(&q, Reference::WorldAligned, &mut poses, &mut jacobians).is_ok());
-        println!(
-            "  kinematics_batch, {threads} threads {:8.2} M/s",
-            rate((0..40).map(|_| once(&mut kinematics)).collect())
-        );
-        let mut gravity = || assert!(model.gravity_batch(&q, &mut torques).is_ok());
-        println!(
-            "  gravity_batch, {threads} threads    {:8.2} M/s",
-            rate((0..40).map(|_| once(&mut gravity)).collect())
-        );
-    }
+    let once = |work: &mut dyn FnMut()| {
+        let start = Instant::now();
+        work();
+        start.elapsed().as_secs_f64()
+    };
+    let mut kinematics =
+        || assert!(model.kinematics_batch(&q, Reference::WorldAligned, &mut poses, &mut jacobians).is_ok());
+    println!("  kinematics_batch {:14.2} M/s", rate((0..400).map(|_| once(&mut kinematics)).collect()));
+    let mut gravity = || assert!(model.gravity_batch(&q, &mut torques).is_ok());
+    println!("  gravity_batch {:17.2} M/s", rate((0..400).map(|_| once(&mut gravity)).collect()));
 }
 
 fn main() {
