@@ -519,6 +519,13 @@ class Model:
     def servos(self) -> Servos | None:
         """What drives the joints, one entry per joint."""
 
+    def with_servos(self, servos: Servos) -> Model:
+        """The same robot, driven by other servos.
+
+        Raises:
+            ShapeError: `servos` has neither one entry nor one per joint.
+        """
+
     @property
     def links(self) -> tuple[Link, ...]:
         """All links of the robot, for simulators."""

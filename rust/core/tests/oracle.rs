@@ -108,8 +108,6 @@ struct Seen {
     derated: usize,
     faded: usize,
     limited: usize,
-    /// Ticks that rounding decides.
-    edges: usize,
 }
 
 /// One arm, one set of settings, a few ticks.
@@ -156,7 +154,6 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
             oracle.delay = delay;
         }
         let command = *controller.step(&q, &target, &input).unwrap();
-        let mut twin = oracle.clone();
         let want = oracle.step(&q, &target, &input, controller.sigma());
         let judge = Judge {
             case: format!("arm {index}, {law:?}, seed {seed}, tick {tick}"),
@@ -165,13 +162,6 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
         };
         judge.tick(&controller, command.goal(), command.torque_limit(), &want);
         if !found.borrow().is_empty() {
-            // At an edge where a part gives way or not, the last digit of q decides for the text too.
-            let nudged: Vec<f64> = q.iter().enumerate().map(|(i, q)| q + 1e-14 * (1.0 + i as f64)).collect();
-            let nudged = twin.step(&nudged, &target, &input, controller.sigma());
-            if (nudged.wrench - &want.wrench).amax() > 1e-3 * want.wrench.amax() {
-                found.borrow_mut().clear();
-                seen.edges += 1;
-            }
             return;
         }
         seen.ticks += 1;
@@ -215,7 +205,6 @@ fn both_transcriptions_agree() {
                 && seen.singular > 200,
             "{law:?} {seen:?}"
         );
-        assert!(seen.edges <= 2, "{seen:?}");
         assert!(law != Law::Impedance || seen.derated > 300, "{seen:?}");
         assert!(law == Law::Paper || seen.faded > 100, "{law:?} {seen:?}");
     }

@@ -77,6 +77,11 @@ impl Model {
         Self::new(py, py.detach(|| CoreModel::from_urdf_str(text, &options)).or_raise()?, servos.as_ref())
     }
 
+    fn with_servos(&self, py: Python<'_>, servos: &Servos) -> PyResult<Self> {
+        let servos = Some(Py::new(py, Servos(servos.0.for_joints(self.core.n()).or_raise()?))?);
+        Ok(Self { core: Arc::clone(&self.core), servos, links: PyOnceLock::new(), joints: PyOnceLock::new() })
+    }
+
     #[getter]
     fn name(&self) -> &str {
         self.core.name()

@@ -77,7 +77,7 @@ def _geared(ratio: float) -> Mechanics:
 
 def _sts3215(  # noqa: PLR0917 -- a row of a table
     name: str,
-    alias: str,
+    aliases: tuple[str, ...],
     stall: tuple[float, float],
     speed: float,
     voltage: tuple[float, float],
@@ -103,18 +103,20 @@ def _sts3215(  # noqa: PLR0917 -- a row of a table
         shutdown=44,
         overload=0.80,
         mechanics=mechanics,
-        aliases=(alias,),
+        aliases=aliases,
     )
 
 
 _LOW = (4.0, 8.4)
 _STALL = 19.5 * KG_CM  # at 7.4 V and 1:345
 MODELS = (
-    _sts3215("STS3215-7.4V", "STS3215-C001", (7.4, _STALL), 52.0, _LOW, GEARS),
-    _sts3215("STS3215-12V", "STS3215-C018", (12.0, 30.0 * KG_CM), 45.0, (6.0, 12.6), _geared(345)),
+    _sts3215("STS3215-7.4V", ("STS3215-C001", "STS3215"), (7.4, _STALL), 52.0, _LOW, GEARS),
+    _sts3215(
+        "STS3215-12V", (("STS3215-C018",),), (12.0, 30.0 * KG_CM), 45.0, (6.0, 12.6), _geared(345)
+    ),
     _sts3215(
         "STS3215-7.4V-191",
-        "STS3215-C044",
+        ("STS3215-C044",),
         (7.4, _STALL * 191 / 345),
         52.0 * 345 / 191,
         _LOW,
@@ -122,7 +124,7 @@ MODELS = (
     ),
     _sts3215(
         "STS3215-7.4V-147",
-        "STS3215-C046",
+        ("STS3215-C046",),
         (7.4, _STALL * 147 / 345),
         52.0 * 345 / 147,
         _LOW,
