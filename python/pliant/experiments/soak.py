@@ -167,22 +167,24 @@ def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
     """Follow a target that moves all the time, y soft; return the loop and what ended it."""
     settings = pliant.Settings.soft("y").replace(rate=rate)
     ended = ""
-    with arm:
-        controller = pliant.Controller(arm.model, settings, arm.servos)
-        start = arm.model.forward_kinematics(arm.read().q)
-        loop = Loop(arm, controller, rate=rate, duration=seconds, stall=HOLD_FOR)
-        begin = arm.clock.now()
-        try:
-            for tick in loop:
-                target = start
-                for axis, swing in SWING.items():
-                    phase = 2.0 * np.pi * (tick.time - begin) / PERIODS[axis]
-                    target = displaced(target, axis, swing * float(np.sin(phase)))
-                tick.write(controller.step(tick.q, target, dt=tick.dt))
-        except pliant.PliantError as error:
-            ended = str(error)
-        finally:
-            arm.limp()
+    arm.enable()
+    controller = pliant.Controller(arm.model, settings, arm.servos)
+    start = arm.model.forward_kinematics(arm.read().q)
+    loop = Loop(arm, controller, rate=rate, duration=seconds, stall=HOLD_FOR)
+    begin = arm.clock.now()
+    try:
+        for tick in loop:
+            target = start
+            for axis, swing in SWING.items():
+                phase = 2.0 * np.pi * (tick.time - begin) / PERIODS[axis]
+                target = displaced(target, axis, swing * float(np.sin(phase)))
+            tick.write(controller.step(tick.q, target, dt=tick.dt))
+    except pliant.PliantError as error:
+        ended = str(error)
+    try:
+        arm.limp()
+    except pliant.PliantError as error:
+        ended = f"{ended} {error}".strip()
     return loop, ended
 
 

@@ -179,8 +179,11 @@ class Device:
             self._check_limit(family.decode(block, reply.data, "limit"))
         if self._spans(block, "torque_enable"):
             self.torque_on = bool(family.decode(block, reply.data, "torque_enable"))
-            went_off = self.enabled and not self.torque_on
+            went_off = (self.enabled or "torque" in self.rota) and not self.torque_on
             self.fault("torque", went_off, "its torque went off by itself")
+            if went_off:
+                # No goals: on some servos they would switch it on, far from where it was.
+                self.enabled = False
         if self._spans(block, "hardware_error"):
             self.hardware = words.hardware(family.decode(block, reply.data, "hardware_error"))
         if self._spans(block, "watchdog"):
