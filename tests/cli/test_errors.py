@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-rustypot = pytest.importorskip("rustypot", reason="the bus needs the extra servo")
-pytest.importorskip("pydantic", reason="the configurations need the extra config")
-
 import pliant
 from pliant.cli import main
 from pliant.servo.emulator import Device, Emulator
+
+rustypot = pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 HEAD = 'robot.builtin = "so101"\n[[port]]\npath = "{port}"\n[servo]\n'

@@ -19,7 +19,7 @@ def test_twenty_seconds_with_faults_break_no_rule(family):
     run = soak.soak_stepped(family, 20.0)
     assert not run.ended
     assert not run.broken
-    assert run.stale == 0
+    assert run.stale == run.late == 0
     assert run.above == 0
     assert run.off <= 1.0
     # It was a soak: ticks came, faults of every kind struck, and the comparison is sharp.

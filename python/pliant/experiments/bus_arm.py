@@ -17,8 +17,13 @@ from pliant.servo.emulator import StepClock, Timing
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from pliant.config import Config
     from pliant.servo.emulator import ArmEmulator
+
+    Array = NDArray[np.float64]
 
 #: Least time to wait for an answer [s]; the emulator's time stands still meanwhile.
 PATIENCE = 0.05
@@ -33,7 +38,7 @@ class Family:
         models: Servo models in the order of the joints.
         volts: Supply [V].
         gravity: [m/s²]; less where the servos are too weak for the arm.
-        lines: More lines for the table `servo`, by joint.
+        zeros: Count at joint angle 0 where that is not the middle, by joint.
         limits: Position limits that fit the servos' travel.
     """
 
@@ -72,14 +77,14 @@ FAMILIES: dict[str, Family] = {
 }
 
 
-def configuration(family: str) -> Config:
-    """The arm on servos of a family, standing in its grasp pose."""
+def configuration(family: str, q: Array = VERTICAL) -> Config:
+    """The arm on servos of a family, standing in q (n,) [rad], by default its grasp pose."""
     kind = FAMILIES[family]
     lines = [
         '[robot]\nbuiltin = "arm7"',
         f"gravity = [0.0, 0.0, {-kind.gravity}]\n{kind.limits}",
         f"[supply]\nvoltage = {kind.volts}",
-        f"[life]\nrest = {VERTICAL.tolist()}",
+        f"[life]\nrest = {q.tolist()}",
         '[[port]]\npath = "auto"\n[servo]',
     ]
     for number, (joint, model) in enumerate(zip(JOINTS, kind.models, strict=True), 1):
@@ -88,25 +93,31 @@ def configuration(family: str) -> Config:
     return config.parse("\n".join(lines), source=family)
 
 
-def emulator(family: str, **options: Any) -> ArmEmulator:
+def emulator(family: str, *, q: Array = VERTICAL, **options: Any) -> ArmEmulator:
     """The servos of a family with the arm behind them, wire timing on, not yet started."""
-    return emulated(configuration(family), **{"timing": Timing(wire=True), **options})
+    return emulated(configuration(family, q), **{"timing": Timing(wire=True), **options})
 
 
 @contextmanager
 def stepped(
-    family: str, *, chain: type[ServoChain] = ServoChain, arm: dict[str, Any], **options: Any
+    family: str,
+    *,
+    arm: dict[str, Any],
+    chain: type[ServoChain] = ServoChain,
+    q: Array = VERTICAL,
+    **options: Any,
 ) -> Iterator[tuple[ArmEmulator, Arm]]:
     """The emulator and its arm in the emulator's own time, which passes when somebody waits.
 
     Args:
         family: `sts`, `x` or `p1`.
-        chain: What drives the servos.
         arm: Options of `pliant.arm.Arm`.
+        chain: What drives the servos.
+        q: Where the arm stands (n,) [rad].
         **options: Of `emulator`.
     """
-    read = configuration(family)
-    with emulator(family, clock="steps", **options) as bus:
+    read = configuration(family, q)
+    with emulator(family, q=q, clock="steps", **options) as bus:
         drive = chain(
             assemble.specs(read, bus.ports),
             patience=PATIENCE,

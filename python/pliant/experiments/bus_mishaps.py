@@ -207,7 +207,6 @@ MISHAPS: tuple[Mishap, ...] = (
     Mishap(
         title="overload of the elbow, EX-106+",
         act=_once(lambda s: s.bus.trip(ELBOW, "overload")),
-        state="no torque",
     ),
     Mishap(
         title="overload of the elbow, XM540",
@@ -216,24 +215,21 @@ MISHAPS: tuple[Mishap, ...] = (
         family="x",
     ),
     Mishap(
-        title="overload of the elbow, STS3215: a fifth of its torque is left",
+        title="overload of the elbow, STS3215",
         act=_once(lambda s: s.bus.trip(ELBOW, "overload")),
-        state="no torque",
         family="sts",
     ),
     Mishap(
         title="the elbow overheats",
         act=_once(lambda s: s.bus.trip(ELBOW, "heat")),
-        state="no torque",
     ),
     Mishap(
         title="the supply sags to 11.5 V",
         act=_once(lambda s: s.bus.supply(11.5)),
     ),
     Mishap(
-        title="the supply rises to 17 V, X series: all latch a voltage error",
+        title="the supply rises to 17 V, X series: all report it",
         act=_once(lambda s: s.bus.supply(17.0)),
-        state="no torque",
         family="x",
     ),
     Mishap(title="the elbow's torque goes off", act=_once(_off), state="no torque"),

@@ -47,8 +47,11 @@ TABLES = 0.001
 #: Distance from the truth that is no staleness [counts]: half a count of rounding, and half of one
 #: between the two tables' scales of an EX-106+, 250.92° and 251°.
 ROUNDING = 1.2
-#: In real time: least time to wait for an answer, and for positions, on a machine that is busy [s].
-PATIENCE, HOLD_FOR = 0.02, 5.0
+#: Age of positions from which no command is made any more: the loop's own bound [s].
+OLD = 0.1
+#: In real time, on a machine that is busy: least time to wait for an answer, for positions, and for
+#: a silent host [s].
+PATIENCE, HOLD_FOR, WATCHDOG = 0.05, 20.0, 2.0
 
 
 class Recorder(ServoChain):
@@ -102,16 +105,17 @@ class Soaked:
         bus: Counters of chain and arm.
         struck: How often each kind of fault struck.
         broken: Rules broken, by name; empty is good.
-        stale: Positions handed out as good that were not true at any moment between request and
-            answer.
-        furthest: Largest such distance from the truth [counts].
+        late: Positions handed out as good that were not true at any moment between request and
+            answer: the answer was to an earlier request.
+        stale: Those that were not true within 0.1 s before the answer either.
+        furthest: Largest distance from the truth of that time [counts].
         telling: Share of the positions that would have been found stale had they been three cycles
             old: how sharp the comparison is.
         positions: How many were compared.
         limits: How many limits were compared with what was asked.
         off: Largest distance of a limit on the wire from the one asked for [counts].
         above: Limits that were above what was asked.
-        late: Lateness of ticks, in words.
+        lateness: Of ticks, in words.
         lag: Time the emulator dropped because the computer was too slow [s].
     """
 
@@ -122,6 +126,7 @@ class Soaked:
     bus: dict[str, int]
     struck: dict[str, int]
     broken: dict[str, int]
+    late: int
     stale: int
     furthest: float
     telling: float
@@ -129,7 +134,7 @@ class Soaked:
     limits: int
     off: float
     above: int
-    late: str
+    lateness: str
     lag: float
     load: tuple[float, ...] = field(default_factory=os.getloadavg)
 
@@ -197,6 +202,8 @@ def judge(
     report, truth = ask("report"), ask("truth")
     count = np.array([2.0 * np.pi / spec.row.resolution / spec.gear for spec in chain.specs])
     away = stale(chain.readings, truth, count)
+    earlier = [(i, q, min(begin, end - OLD), end) for i, q, begin, end in chain.readings]
+    within = np.where(away > ROUNDING, stale(earlier, truth, count), away)
     later = 3.0 * loop.period
     shifted = [(i, q, begin + later, end + later) for i, q, begin, end in chain.readings]
     sent, unit = ask("limits"), ask("units")
@@ -223,14 +230,15 @@ def judge(
         bus=arm.counters,
         struck=report["faults"],
         broken=report["broken"],
-        stale=int((away > ROUNDING).sum()),
-        furthest=float(away.max()),
+        late=int((away > ROUNDING).sum()),
+        stale=int((within > ROUNDING).sum()),
+        furthest=float(within.max()),
         telling=float((stale(shifted, truth, count) > ROUNDING).mean()),
         positions=len(away),
         limits=off.size,
         off=float(off.max()),
         above=int((wire - asked > room + 1e-9).sum()),
-        late=str(loop.lateness),
+        lateness=str(loop.lateness),
         lag=lag,
     )
 
@@ -266,7 +274,9 @@ def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> 
     with Remote(audited, family, seed) as bus:
         chain = Recorder(assemble.specs(read, bus.ports), rate=rate, patience=PATIENCE)
         try:
-            arm = Arm(read.model(), chain, rate=rate, hold_for=HOLD_FOR, signals=False)
+            arm = Arm(
+                read.model(), chain, rate=rate, hold_for=HOLD_FOR, watchdog=WATCHDOG, signals=False
+            )
             arm.open()
             bus.call("faults.by_chance", **shares())
             driven = drive(arm, seconds, rate)
@@ -286,7 +296,7 @@ def table(runs: list[Soaked]) -> str:
     row("under control [s]", [run.seconds for run in runs])
     for name in runs[0].loop:
         row(name, [run.loop[name] for run in runs])
-    row("ticks late by", [run.late for run in runs])
+    row("ticks late by", [run.lateness for run in runs])
     row("emulator dropped [s]", [run.lag for run in runs])
     row("load of the machine", [run.load[0] for run in runs])
     row("faults", [sum(run.struck.values()) for run in runs])
@@ -295,7 +305,8 @@ def table(runs: list[Soaked]) -> str:
     for name in runs[0].bus:
         row(f"bus: {name}", [run.bus[name] for run in runs])
     row("positions compared with the truth", [run.positions for run in runs])
-    row("of which stale", [run.stale for run in runs])
+    row("of which answers to an earlier request", [run.late for run in runs])
+    row("of which not true within 0.1 s", [run.stale for run in runs])
     row("furthest from it [counts]", [run.furthest for run in runs])
     row("share that would be stale, were they 3 cycles old", [run.telling for run in runs])
     row("limits compared with what was asked", [run.limits for run in runs])

@@ -143,7 +143,7 @@ class Port:
                 data = [device.packet(names, *values) for device, *values in group]
                 self.guard.sync_write(ids, family.registers[names[0]].address, data)
             for device, _, limit, _ in group:
-                device.limit = limit
+                device.sent(limit)
 
     def _together(self, group: Sequence[Device]) -> dict[int, Reply]:
         """One request for all; where it fails, one by one, with the culprit last."""
