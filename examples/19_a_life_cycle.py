@@ -23,7 +23,7 @@ with arm:  # torque on: limits, goals, torque, then a ramp of half a second
 
     loop = pliant.Loop(arm, controller, rate=100.0, duration=SECONDS)
     for tick in loop:
-        target = start + [0.0, 0.03 * np.sin(2.0 * np.pi * tick.time / 2.0), 0.0]  # [m]
+        target = start + 0.03 * np.sin(np.pi * tick.time) * np.array([0.0, 1.0, 0.0])  # [m]
         if 100 <= tick.index < 120:
             target = np.full(3, np.nan)  # a policy that has lost its mind
         try:

@@ -13,7 +13,9 @@ def test_order_from_torque_on_to_torque_off(make, grasp):
     arm = make()
     with arm:
         assert arm.enabled
-    assert arm.drive.verbs() == ["enable", "write", "watchdog", "write", "disable", "write"]
+    assert arm.drive.verbs() == [
+        *("enable", "write", "watchdog", "write", "watchdog", "disable", "write")
+    ]
     _, goal, limit = arm.drive.diary[0]
     gravity, kp = arm.model.gravity(grasp), np.asarray(arm.servos.kp)
     # The first order carries the weight of an arm that holds itself up, and little more.
@@ -32,6 +34,19 @@ def test_an_arm_without_torque_gets_goals_where_its_joints_are(make, grasp):
     _, goal, _ = next(entry for entry in arm.drive.diary if entry[0] == "enable")
     assert goal == pytest.approx(q)
     arm.limp()
+
+
+def test_a_watchdog_that_may_have_tripped_is_cleared_before_anything_is_sent(make):
+    arm = make()
+    arm.enable()
+    q = arm.read().q
+    arm.clock.wait_until(arm.clock.now() + 1.0)
+    before = len(arm.drive.diary)
+    arm.write(q)
+    assert arm.drive.diary[before][:2] == ("watchdog", 0.0)
+    assert arm.drive.diary[before + 1][:2] == ("watchdog", 0.2)
+    assert [verb for verb, *_ in arm.drive.diary[before + 2 :]] == ["write"]
+    arm.hold()
 
 
 def test_taking_over_does_not_let_the_tool_dip(make):

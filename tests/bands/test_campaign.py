@@ -96,6 +96,7 @@ def test_a_promise_repeats():
 def test_nominal_campaign_in_full():
     promises = tried("arm7", NOMINAL, range(200))
     row = table.summary("arm7", "nominal", promises)
-    assert row.kept >= 0.92  # (.943 over 80 poses); the goal is .97
-    assert row.kept_clear >= 0.985  # (.999)
+    assert row.kept >= 0.955  # (.964); the goal is .97
+    assert row.kept + row.stopped >= 0.97  # (.980)
+    assert row.kept_clear >= 0.99  # (1.0)
     assert row.refused < 0.08

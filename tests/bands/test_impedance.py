@@ -2,12 +2,13 @@
 
 from functools import partial
 
+import numpy as np
 import pytest
 
-from pliant import Axis
+from pliant import Axis, Controller, Settings, robots
 from pliant.experiments import doors, hands, laws
 from pliant.experiments.conditions import Conditions
-from pliant.sim import LIGHT
+from pliant.sim import LIGHT, Plant
 
 #: Springs as asked for, whatever the delay: as in the study that the figures in brackets are from.
 asked = partial(laws.impedance, accept=("stiffness",))
@@ -97,3 +98,28 @@ def test_a_damper_is_quiet():
     law = laws.impedance(damping=(40.0, 1.5))
     for axis in ("x", "z"):
         assert hands.tapped(law, axis, conditions=DELAYED) < 0.002  # [rad/s] (.0007)
+
+
+def test_well_damped_servos_bear_more_than_their_own_stiffness():
+    """SO-101, d/k_p 0.12 s: ρ 2.2 at 100 Hz with a tick each way, where others may have 1.2."""
+    arm, q = robots.load("so101"), np.array([0.2, -0.3, 0.3, 0.9, 0.0])
+    rows = arm.jacobian(q)[:3]
+    give = np.linalg.eigvalsh(rows @ np.diag(1.0 / np.asarray(arm.servos.kp)) @ rows.T)[-1]
+    settings = Settings(
+        task="xyz",
+        law="impedance",
+        axes={"xyz": Axis(stiffness=2.2 / give)},
+        delay=0.02,
+        **laws.UNBLURRED,
+    )
+    controller, plant = Controller(arm, settings), Plant(arm, delay=(1, 1))
+    plant.reset(q)
+    target, speeds = arm.forward_kinematics(q)[:3, 3], []
+    for tick in range(350):
+        tapped = target + np.array([0.0, 0.02, 0.01]) if 100 <= tick < 105 else target
+        command = controller.step(plant.read().q, tapped)
+        plant.write(command.goal, command.torque_limit)
+        plant.advance()
+        speeds.append(plant.dq)
+    assert controller.gain_factor == 1.0
+    assert np.sqrt(np.mean(np.square(speeds[-50:]))) < 0.005  # [rad/s] (.0004)

@@ -13,8 +13,9 @@ from pliant.servo.units import Units
 def test_specs_are_what_the_file_says(tmp_path):
     read = config.parse(
         'robot.builtin = "so101"\n[[port]]\nname = "main"\npath = "/dev/ttyX"\nbaud = 500_000\n'
-        "[servo]\nshoulder_pan = { model = 'STS3215-12V', id = 7, sign = -1, zero = 9, kp = 8 }\n"
-        "shoulder_lift = { model = 'XM540-W270', id = 2, twin = { id = 3, sign = 1 }, lower = -1}\n"
+        "[servo]\n"
+        "shoulder_pan = { model = 'STS3215-12V', id = 7, sign = -1, zero = 9, kp = 8.0 }\n"
+        "shoulder_lift = { model = 'XM540-W270', id = 2, twin = { id = 3 }, lower = -1 }\n"
     )
     pan, lift = assemble.specs(read, assemble.paths(read))
     assert (pan.name, pan.port, pan.sign, pan.zero, pan.kp) == (
@@ -24,7 +25,7 @@ def test_specs_are_what_the_file_says(tmp_path):
         9,
         8,
     )
-    assert (lift.twin, lift.lower, lift.upper) == ((3, 1), -1.0, None)
+    assert (lift.twin, lift.lower, lift.upper) == ((3, -1), -1.0, None)
 
 
 def test_an_automatic_port_is_the_only_one(monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -169,7 +170,7 @@ class Arm:
             self._forget()
             raise
         self._take_up(start)
-        self.drive.watchdog(self._watchdog)
+        cycle.guard(self._watchdog)
 
     def _hear_all(self) -> None:
         """Read until every joint has answered once."""
@@ -228,7 +229,7 @@ class Arm:
         need = cycle.q + gravity / kp
         lead = np.clip(cycle.goal - need, -push / kp, push / kp)
         cycle.send(need + lead, SUPPORT * np.abs(gravity) + push)
-        self.drive.watchdog(0.0)
+        cycle.guard(0.0)
         self._forget()
 
     def limp(self) -> None:
@@ -260,6 +261,8 @@ class Arm:
             self._signals.leaving = True
         try:
             descend(self._cycle, self._points, rest, self.rate)
+            with contextlib.suppress(ServoError):
+                self._cycle.guard(0.0)
             self.drive.disable(self._cycle.roster.names)
         finally:
             signals = self._signals

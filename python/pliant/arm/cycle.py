@@ -58,6 +58,8 @@ class Cycle:
         self._voltage = np.full(size, np.nan)
         self._trouble: dict[str, tuple[str, ...]] = {}
         self._rows: dict[str, Array | None] = {}
+        self._watchdog = 0.0
+        self._spoke = self.clock.now()
 
     # Reading.
 
@@ -67,11 +69,14 @@ class Cycle:
         Raises:
             ServoError: The connection is gone.
         """
+        self._wake()
         try:
             sample = self.drive.read()
         except ServoTimeout:
             self._heat(None)
             return np.zeros(self.model.n, dtype=bool)
+        finally:
+            self._spoke = self.clock.now()
         ok = self.watch.take(sample)
         chain = self.roster.chain
         self._rows = {
@@ -114,6 +119,22 @@ class Cycle:
     def gravity(self) -> Array:
         """Torques (n,) [N·m] that hold the chain at the believed positions."""
         return np.asarray(self.model.gravity(self.q), dtype=np.float64)
+
+    def guard(self, seconds: float) -> None:
+        """Let servos that can stop by themselves after this silence [s]; 0: never.
+
+        Raises:
+            ServoError: A servo did not confirm.
+        """
+        self._watchdog = seconds
+        self.drive.watchdog(seconds)
+        self._spoke = self.clock.now()
+
+    def _wake(self) -> None:
+        """A watchdog that may have tripped refuses goals until it is cleared: never forget it."""
+        if self._watchdog and self.clock.now() - self._spoke > 0.5 * self._watchdog:
+            self.drive.watchdog(0.0)
+            self.drive.watchdog(self._watchdog)
 
     # Writing.
 
@@ -171,9 +192,11 @@ class Cycle:
             ServoError: The connection is gone.
         """
         goals, limits = self._all(goal, np.minimum(limit, self._usable[self.roster.chain]))
+        self._wake()
         self._sent = goals, limits
         self.goal, self.limit = goal.copy(), limits[self.roster.chain]
         self.drive.write(goals, limits)
+        self._spoke = self.clock.now()
         self._learn(self.drive.slow())
 
     def _all(self, goal: Array, limit: Array) -> tuple[Array, Array]:

@@ -61,7 +61,8 @@ def drive(config: Config, model: Model) -> Drive:
 def chain(config: Config, ports: dict[str, str]) -> ServoChain:
     """The servos on these ports: name in the file to path."""
     bauds = {ports[port.name]: port.baud for port in config.port}
-    return ServoChain(specs(config, ports), baudrate=bauds, rate=config.loop.rate)
+    loop = config.loop
+    return ServoChain(specs(config, ports), baudrate=bauds, rate=loop.rate, patience=loop.patience)
 
 
 def specs(config: Config, ports: dict[str, str]) -> list[ServoSpec]:

@@ -33,7 +33,7 @@ class EmulatedChain(ServoChain):
             assemble.specs(config, self.emulator.ports),
             baudrate=bauds,
             rate=config.loop.rate,
-            patience=PATIENCE,
+            patience=max(PATIENCE, config.loop.patience),
         )
 
     def close(self) -> None:

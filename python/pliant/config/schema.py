@@ -164,10 +164,13 @@ class Loop(Table):
     Attributes:
         rate: [Hz]
         hold_for: How long a silent bus or program is waited for before the arm is lowered [s].
+        patience: Least time to wait for a servo's answer [s]; more on a computer that is busy
+            elsewhere.
     """
 
     rate: Annotated[float, Field(gt=0.0, le=2000.0)] = 100.0
     hold_for: Positive = 0.5
+    patience: Positive = 0.01
 
 
 class Life(Table):

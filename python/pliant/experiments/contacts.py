@@ -29,6 +29,7 @@ OTHERS = (
     Case("load reported", sensed=True),
     Case("load reported, gears as they are", sensed=True, gears=True),
     Case("gears as they are, told so", gears=True, told={"friction_error": 2.0}),
+    Case("gears as they are, identified ±30 %", gears=True, identified=True),
     Case("so101", arm="so101"),
 )
 #: Length of a free run [s].

@@ -50,6 +50,7 @@ class Case:
         friction: Share by which believed friction and damping are off, at random by joint.
         kp: The same of k_p.
         gears: Whether friction depends on speed and load.
+        identified: Whether the controller knows the gears' friction by speed and load.
         sensed: Whether servos report their load, 10 % off at most and with 1 % of noise.
         told: Options of `pliant.Contact`.
     """
@@ -60,6 +61,7 @@ class Case:
     friction: float = 0.3
     kp: float = 0.0
     gears: bool = False
+    identified: bool = False
     sensed: bool = False
     told: Mapping[str, Any] = field(default_factory=dict)
 
@@ -172,10 +174,15 @@ class Bench:
             return rng.uniform(1.0 - share, 1.0 + share, n)
 
         count = COUNT_12_BIT if case.encoder else 0.0
-        believed = true.replace(
-            friction=off(case.friction) * np.asarray(true.friction),
-            damping=off(case.friction) * np.asarray(true.damping),
-            kp=off(case.kp) * np.asarray(true.kp),
+        table = REAL_GEARS[case.arm].believed(true) if case.identified else true
+        rubs = off(case.friction)
+        believed = table.replace(
+            friction=rubs * np.asarray(table.friction),
+            load_friction=rubs * np.asarray(table.load_friction),
+            stribeck=rubs * np.asarray(table.stribeck),
+            load_stribeck=rubs * np.asarray(table.load_stribeck),
+            damping=off(case.friction) * np.asarray(table.damping),
+            kp=off(case.kp) * np.asarray(table.kp),
             count=count,
         )
         settings = pliant.Settings(task=" ".join(self.arm.axes), rate=RATE)

@@ -235,7 +235,7 @@ def draw(folder: Path, rows: Sequence[Seen]) -> None:
             ax.set_xscale("log")
             ax.set_ylim(0.0, 102.0)
             ax.set_title(case)
-            ax.set_xlabel("false alarms per hour (leftmost: none)")
+            ax.set_xlabel("false alarms per h (leftmost: none)")
         panels[0].set_ylabel("contacts seen [%]")
         panels[0].legend(fontsize=7, loc="lower right")
         style.save(figure, folder, "contacts")

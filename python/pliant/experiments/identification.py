@@ -137,7 +137,7 @@ def identified(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> O
         arm=arm,
         case=case,
         kp=servos.kp / gains.kp,
-        friction=servos.friction / friction,
+        friction=found.friction / friction,
         damping=damping,
         kp_bars=(servos.kp - gains.kp) / found.errors["kp"],
         loaded=np.abs(gravity) > 3.0 * gains.friction,

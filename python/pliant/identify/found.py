@@ -99,16 +99,18 @@ class Identification:
     """What the arm's servos and bus are, with standard deviations.
 
     Attributes:
-        servos: The table, ready for a `Controller`: `kp`, `friction`, `damping`, `kv` as found.
-        errors: Standard deviation of `kp`, `friction`, `load`, `damping` and `kv`, (n,) each, in
-            their units.
-        load: Share of the load that adds to dry friction (n,); 0 where the data show none. The
-            table's `friction` contains it at the load of the pose.
+        servos: The table, ready for a `Controller`: `kp`, `friction`, `load_friction` where the
+            data show that the load adds to friction, `damping` and `kv` as found in slow motion;
+            what of the friction is gone in fast motion (`stribeck`) is not told apart.
+        errors: Standard deviation of `kp`, of the friction at the load of the pose (`friction`), of
+            `load_friction`, `damping` and `kv`, (n,) each, in their units.
+        load: Load of the pose (n,) [N·m].
         delay: From reading to arrival of the goal, T_d [s].
         delay_sigma: Its standard deviation [s].
         payload: What the tool carries.
         spread: Residuals over what friction and encoder explain; well above 1: the model misses
             something.
+        undriven: Joints that could not be driven by their limits: their k_p rests on gravity alone.
         joint_names: For the sentences.
         believed: The table it started from.
     """
@@ -120,6 +122,7 @@ class Identification:
     delay_sigma: float
     payload: PayloadEstimate
     spread: float
+    undriven: tuple[str, ...]
     joint_names: tuple[str, ...]
     believed: Servos
 
@@ -136,7 +139,7 @@ class Identification:
         load = np.abs(np.asarray(rig.model.gravity(home)) + rig.carried)
         share = value["load"] + value["motor"]
         share_sigma = np.hypot(sigma["load"], sigma["motor"])
-        friction = np.maximum(value["friction"] + share * load, 0.0)
+        share = np.where(share > 1e-6, share, 0.0)
         speed = rig.servos.no_load_speed
         if speed is not None:
             # Less resistance than its back-EMF: the servo is faster than its table says.
@@ -145,7 +148,10 @@ class Identification:
         servos = rig.servos.replace(
             no_load_speed=speed,
             kp=np.maximum(value["kp"], 0.05 * rig.kp),
-            friction=friction,
+            friction=np.maximum(value["friction"], 0.0),
+            load_friction=share,
+            stribeck=0.0,
+            load_stribeck=0.0,
             damping=np.maximum(outer - rig.back_emf, 0.0),
             kv=kv,
             kp_known=bool((sigma["kp"] < 0.1 * value["kp"]).all()),
@@ -153,7 +159,7 @@ class Identification:
         errors = {
             "kp": sigma["kp"],
             "friction": np.hypot(sigma["friction"], share_sigma * load),
-            "load": share_sigma,
+            "load_friction": share_sigma,
             "damping": sigma["outer"],
             "kv": np.sqrt(
                 sigma["total"] ** 2 + sigma["outer"] ** 2 + (value["kp"] * late.sigma) ** 2
@@ -162,14 +168,21 @@ class Identification:
         return cls(
             servos=servos,
             errors=errors,
-            load=np.where(share > 1e-6, share, 0.0),
+            load=load,
             delay=late.seconds,
             delay_sigma=late.sigma,
             payload=PayloadEstimate.of(solution),
             spread=solution.spread,
+            undriven=tuple(rig.model.joint_names[i] for i in sorted(set(rig.undriven))),
             joint_names=tuple(rig.model.joint_names),
             believed=rig.servos,
         )
+
+    @property
+    def friction(self) -> Array:
+        """Dry friction at the load of the pose (n,) [N·m]."""
+        servos = self.servos
+        return np.asarray(servos.friction) + np.asarray(servos.load_friction) * self.load
 
     def controller(self, model: Model, settings: Settings | None = None) -> Controller:
         """A controller that believes all of this: servos, payload and delay."""
@@ -186,7 +199,7 @@ class Identification:
         n = len(self.joint_names)
         were = [np.broadcast_to(np.asarray(x), n) for x in (old.kp, old.friction)]
         for i, name in enumerate(self.joint_names):
-            kp, friction = float(servos.kp[i]), float(servos.friction[i])
+            kp, friction = float(servos.kp[i]), float(self.friction[i])
             text = (
                 f"{name}: k_p {kp:.3g} ± {2 * self.errors['kp'][i]:.2g} N·m/rad "
                 f"({kp / were[0][i]:.2f} × believed), "
@@ -194,8 +207,9 @@ class Identification:
                 f"(believed {were[1][i]:.3g}), damping {servos.damping[i]:.3g} outside the limit "
                 f"and {servos.kv[i]:.2g} N·m·s/rad inside"
             )
-            if self.load[i]:
-                text += f"; {100 * self.load[i]:.0f} % of the load adds to its friction"
+            if servos.load_friction[i]:
+                share = 100.0 * servos.load_friction[i]
+                text += f"; of that friction {share:.0f} % of the load"
             out.append(text + ".")
         out.append(
             f"loop delay {1e3 * self.delay:.1f} ± {2e3 * self.delay_sigma:.1f} ms, from reading to "
@@ -208,6 +222,10 @@ class Identification:
                 f"{name}: k_p is not known within 10 %; its load hardly changes "
                 "between these poses."
             )
+        out += [
+            f"{name} could not be driven by its torque limit; its k_p rests on gravity alone."
+            for name in self.undriven
+        ]
         if self.spread > 2.0:
             out.append(
                 f"residuals are {self.spread:.1f} × what friction and encoder explain: play, a "

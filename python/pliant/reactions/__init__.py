@@ -10,8 +10,8 @@
 """
 
 from pliant.reactions.actions import Action, Call, Follow, Hold, Retract, Running, Stop, Yield
-from pliant.reactions.conditions import (
-    Condition,
+from pliant.reactions.conditions import Condition
+from pliant.reactions.measures import (
     Deviation,
     Elapsed,
     Evidence,

@@ -169,6 +169,11 @@ pub(crate) struct ServoArrays {
 }
 
 impl ServoArrays {
+    /// Whether every joint's damping lets the stiff axes be three times as stiff as the servos, `d/k_p ≥ 0.04 s`.
+    pub(crate) fn well_damped(&self, n: usize) -> bool {
+        (0..n.min(MAX_JOINTS)).all(|i| self.damping[i] * self.compliance[i] >= 0.04)
+    }
+
     /// Dry friction of joint `i` at rest that carries `torque` [N·m].
     pub(crate) fn friction_at_rest(&self, i: usize, torque: f64) -> f64 {
         self.friction[i] + self.stribeck[i] + (self.load_friction[i] + self.load_stribeck[i]) * torque.abs()

@@ -145,3 +145,28 @@ fn ten_thousand_steps_ask_for_nothing() {
     }
     assert!(steps >= 10_000 && locked > 100, "{steps} {locked}");
 }
+
+#[test]
+fn feeling_a_contact_asks_for_nothing_either() {
+    let model = std::sync::Arc::new(
+        pliant_core::Model::from_urdf_str(
+            include_str!("../../../python/pliant/robots/arm7.urdf"),
+            &ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() },
+        )
+        .unwrap(),
+    );
+    let servos = pliant_core::Servos::new(vec![150.0; 7], vec![10.7; 7]);
+    let mut controller = Controller::new(std::sync::Arc::clone(&model), Settings::default(), Some(servos)).unwrap();
+    let mut contact = pliant_core::Contact::new(&controller, pliant_core::ContactOptions::default()).unwrap();
+    let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17];
+    let target = model.forward_kinematics(&q).unwrap();
+    let input = pliant_core::ContactInput::default();
+    let count = calls(|| {
+        for _ in 0..20 {
+            contact.update(&controller, &q, &input).unwrap();
+            controller.step(&q, &target, &StepInput::default()).unwrap();
+        }
+    });
+    assert_eq!(count, 0);
+    assert!(contact.estimate().uncertainty[2].is_finite());
+}

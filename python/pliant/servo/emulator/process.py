@@ -131,7 +131,7 @@ def _serve(
     pipe: Connection, factory: Callable[..., Emulator], args: Any, kwargs: dict[str, Any]
 ) -> None:
     """What the child does: run the emulator and do what comes down the pipe."""
-    # Ctrl-C goes to all of a terminal's processes; the servos outlive the program that is stopped.
+    # Ctrl-C goes to every process of a terminal; servos must outlive it for the arm to come down.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         emulator = factory(*args, **kwargs).start()

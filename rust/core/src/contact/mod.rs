@@ -197,7 +197,7 @@ impl Contact {
             gravity: options.gravity_error,
             inertia: options.inertia_error,
         };
-        let joints = Joints::new(servos, &controller.plan.servos.damping, n)?;
+        let joints = Joints::new(servos, &controller.plan.servos, n)?;
         let (hysteresis, min_time, guard) = (options.hysteresis, options.min_time, options.guard());
         let constants = options.torque_constant.as_ref().map(|values| {
             let mut out = [0.0; MAX_JOINTS];

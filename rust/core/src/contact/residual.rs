@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::kinematics::JointMatrix;
-use crate::servos::Servos;
+use crate::servos::{ServoArrays, Servos};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Speed [rad/s] over which dry friction changes its side: v₀ of the feed-forward.
@@ -17,19 +17,20 @@ pub(super) struct Joints {
     pub(super) n: usize,
     pub(super) kp: JointVec,
     pub(super) kv: JointVec,
-    pub(super) friction: JointVec,
+    /// What friction goes by.
+    pub(super) servos: ServoArrays,
     /// Damping of gears and back-EMF, outside the limit.
     pub(super) gears: JointVec,
     /// Part of that which a measured load has in it already: the back-EMF of duty-limited servos.
     pub(super) back_emf: JointVec,
     pub(super) armature: JointVec,
     pub(super) count: JointVec,
-    /// Least uncertainty [N·m].
-    pub(super) least: JointVec,
+    /// Usable torque [N·m].
+    pub(super) usable: JointVec,
 }
 
 impl Joints {
-    pub(super) fn new(servos: &Servos, damping: &JointVec, n: usize) -> Result<Self> {
+    pub(super) fn new(servos: &Servos, arrays: &ServoArrays, n: usize) -> Result<Self> {
         let servos = servos.for_joints(n)?;
         let spread = |values: &[f64]| {
             let mut out = [0.0; MAX_JOINTS];
@@ -40,17 +41,17 @@ impl Joints {
             n: n.min(MAX_JOINTS),
             kp: spread(&servos.kp),
             kv: spread(&servos.kv),
-            friction: spread(&servos.friction),
+            servos: *arrays,
             gears: [0.0; MAX_JOINTS],
             back_emf: [0.0; MAX_JOINTS],
             armature: spread(&servos.armature),
             count: spread(&servos.count),
-            least: spread(&servos.torque).map(|torque| LEAST * torque),
+            usable: spread(&servos.torque),
         };
         let own = spread(&servos.damping);
         for i in 0..out.n {
             // The controller's sum is gears, the servo's own damping and back-EMF.
-            out.gears[i] = damping[i] - out.kv[i];
+            out.gears[i] = arrays.damping[i] - out.kv[i];
             out.back_emf[i] = out.gears[i] - own[i];
         }
         Ok(out)
@@ -133,7 +134,7 @@ impl Balance<'_> {
         let (joints, v) = (self.joints, self.velocity);
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..joints.n {
-            let dry = joints.friction[i] * (v[i] / FRICTION_SPEED).tanh();
+            let dry = self.friction(i) * (v[i] / FRICTION_SPEED).tanh();
             out[i] = dry + (self.damping(i) + self.own_damping(i)) * v[i];
         }
         out
@@ -164,9 +165,11 @@ impl Balance<'_> {
             let (speed, off) = (self.velocity[i].abs(), self.velocity_error[i]);
             let believed = (speed / FRICTION_SPEED).tanh();
             let sure = ((speed - off).max(0.0) / FRICTION_SPEED).tanh();
-            let dry = joints.friction[i] * (1.0 + believed - 2.0 * sure + errors.friction);
+            let (moving, rest) = (self.friction(i), joints.servos.friction_at_rest(i, self.given[i]));
+            let share = errors.friction * (sure * moving + (1.0 - sure) * rest);
+            let dry = rest * (1.0 + believed - 2.0 * sure) + share;
             let viscous = errors.friction * self.damping(i) * speed;
-            out[i] = dry + viscous + errors.inertia * accelerating[i].abs() + joints.least[i];
+            out[i] = dry + viscous + errors.inertia * accelerating[i].abs() + LEAST * joints.usable[i];
         }
         out
     }
@@ -195,6 +198,16 @@ impl Balance<'_> {
             }
         }
         out
+    }
+
+    /// Dry friction at this speed under this torque [N·m]: that of the feed-forward.
+    #[inline]
+    fn friction(&self, i: usize) -> f64 {
+        let servos = &self.joints.servos;
+        let x = self.velocity[i].abs() * servos.stribeck_slowness[i];
+        let at_rest = 1.0 / (1.0 + x + x * x);
+        let loaded = servos.load_friction[i] + at_rest * servos.load_stribeck[i];
+        servos.friction[i] + at_rest * servos.stribeck[i] + loaded * self.given[i].abs()
     }
 
     /// The servo's own damping where it is known to act inside the torque [N·m·s/rad].

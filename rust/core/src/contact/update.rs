@@ -114,7 +114,10 @@ impl Contact {
         for i in 0..self.joints.n {
             memory.held[i] += wait * (own[i] - memory.held[i]);
             memory.low_passed[i] += share * (memory.held[i] + moving[i] - memory.low_passed[i]);
-            memory.uncertainty[i] += share * (open[i] - memory.uncertainty[i]);
+            // What moved before the first reading is not known: all that the servos have, until the filters forget it.
+            let before = memory.uncertainty[i];
+            memory.uncertainty[i] =
+                if memory.warm { before + share * (open[i] - before) } else { open[i] + self.joints.usable[i] };
         }
         // The low-pass of an acceleration is the velocity less its own low-pass: nothing is differentiated twice.
         let accelerating = balance.accelerating();

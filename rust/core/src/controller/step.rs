@@ -227,6 +227,10 @@ impl Controller {
 }
 
 /// Bounds the deviation of stiff axes by moving the reference; its speed along these axes is then spent.
+///
+/// Kept out of the step, which mostly has no such axis.
+#[cold]
+#[inline(never)]
 fn limit_deviation(plan: &Plan, before: &Pose, seen: &mut Seen, governor: &mut Governor) {
     let pushed = Pushed { tool: &seen.tool, base_from_task: &seen.base_from_task, before };
     if let Some(kept) = pushed.keep(&plan.deviation_limits, &seen.reference) {

@@ -143,7 +143,7 @@ impl Plan {
             kx: [[0.0; MAX_AXES]; MAX_AXES],
             kq: settings.kq.spread("kq", n)?,
             kx_derating: 1.0,
-            impedance_bounds: stiffness::bounds(settings, settings.delay),
+            impedance_bounds: stiffness::bounds(settings, settings.delay, arrays.well_damped(n)),
             null_stiffness: settings.null_stiffness,
             alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
             takeover_damping: damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2),
@@ -227,9 +227,8 @@ impl Plan {
 
     /// K_x h that the present delay allows.
     pub(crate) fn gain_bound(&self, delay: f64, period: f64) -> f64 {
-        let well_damped = (0..self.n).all(|i| self.servos.damping[i] * self.servos.compliance[i] >= 0.04);
         let effective_delay = delay + 0.5 * period;
-        if well_damped { 3.0 } else { (GAIN_DELAY_BOUND / effective_delay).clamp(1.0, 3.0) }
+        if self.servos.well_damped(self.n) { 3.0 } else { (GAIN_DELAY_BOUND / effective_delay).clamp(1.0, 3.0) }
     }
 
     /// The largest K_x h in any direction of the task: the largest singular value.
@@ -241,7 +240,7 @@ impl Plan {
     pub(crate) fn derate(&mut self, delay: f64, settings: &Settings) {
         let (gain, bound) = (self.gain(settings.horizon), self.gain_bound(delay, 1.0 / settings.rate));
         self.kx_derating = if self.law == Law::Cap && gain > bound { bound / gain } else { 1.0 };
-        self.impedance_bounds = stiffness::bounds(settings, delay);
+        self.impedance_bounds = stiffness::bounds(settings, delay, self.servos.well_damped(self.n));
         self.stop_slope = bound - 1.0;
     }
 }

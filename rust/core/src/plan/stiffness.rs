@@ -17,14 +17,19 @@ const REFERENCE_KP: f64 = 780.0 / 7.0;
 /// `ρ(D) (T_e + T_f)` [s²] up to which dampers stay quiet: their velocity comes through the filter.
 const DAMPING_DELAY_BOUND: f64 = 0.007;
 
-/// Largest ρ at a delay [s], with half a period added to it: of stiffness `max(1, 0.03 s / T_e)`, of damping
-/// `0.007 s² / (T_e + T_f)`.
-pub(super) fn bounds(settings: &Settings, delay: f64) -> [f64; 2] {
+/// Delay [s] up to which well damped servos bear a stiffness of `WELL_DAMPED`.
+const WELL_DAMPED_DELAY: f64 = 0.03;
+const WELL_DAMPED: f64 = 3.0;
+
+/// Largest ρ at a delay [s], with half a period added to it: of stiffness `max(1, 0.03 s / T_e)`, at least 3 for well damped
+/// servos up to a T_e of 0.03 s; of damping `0.007 s² / (T_e + T_f)`.
+pub(super) fn bounds(settings: &Settings, delay: f64, well_damped: bool) -> [f64; 2] {
     if settings.accept.iter().any(|risk| risk == "stiffness") {
         return [f64::INFINITY; 2];
     }
     let late = delay + 0.5 / settings.rate;
-    [(GAIN_DELAY_BOUND / late).max(1.0), DAMPING_DELAY_BOUND / (late + settings.velocity_filter)]
+    let least = if well_damped && late <= WELL_DAMPED_DELAY { WELL_DAMPED } else { 1.0 };
+    [(GAIN_DELAY_BOUND / late).max(least), DAMPING_DELAY_BOUND / (late + settings.velocity_filter)]
 }
 
 /// Stiffness of axes that do not yield, translations and rotations; zero under the other laws.

@@ -154,7 +154,8 @@ impl Want<'_> {
             if rho > bound { bound / rho } else { 1.0 }
         };
         let late = self.oracle.delay + 0.5 / settings.rate;
-        let derating = within(self.stiffness, (0.03 / late).max(1.0));
+        let least = if self.oracle.well_damped() && late <= 0.03 { 3.0 } else { 1.0 };
+        let derating = within(self.stiffness, (0.03 / late).max(least));
         let damped = within(self.viscosity, 0.007 / (late + settings.velocity_filter)) * self.viscosity;
         let force = Vector::from_fn(self.k(), |r, _| {
             let wanted = derating * self.stiffness[r] * self.adapted[r] + damped[r] * self.relative[r];

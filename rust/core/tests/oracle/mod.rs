@@ -160,6 +160,11 @@ impl Oracle {
         self.joint(|s| &s.damping, 0.0) + self.joint(|s| &s.kv, 0.0) + back_emf
     }
 
+    /// `d/k_p ≥ 0.04 s` in every joint.
+    fn well_damped(&self) -> bool {
+        self.resistance().iter().zip(self.kp().iter()).all(|(d, kp)| d / kp >= 0.04)
+    }
+
     fn ceiling(&self) -> Vector {
         match &self.servos {
             Some(s) => Vector::from_column_slice(&s.torque),
@@ -427,8 +432,7 @@ impl Oracle {
         // What exerts a force may lead out of the position limits; with q itself beyond one it fades, by 1/(0.02 rad) or by
         // what the delay allows: 0.03 s / T_e, less the 1 that the servo itself has.
         let late = self.delay + 0.5 / settings.rate;
-        let well_damped = self.resistance().iter().zip(kp.iter()).all(|(d, kp)| d / kp >= 0.04);
-        let slope = if well_damped { 2.0 } else { (0.03 / late).clamp(1.0, 3.0) - 1.0 };
+        let slope = if self.well_damped() { 2.0 } else { (0.03 / late).clamp(1.0, 3.0) - 1.0 };
         let fade = |lead: f64, i: usize| {
             let beyond = if lead > 0.0 { q[i] - self.model.upper()[i] } else { self.model.lower()[i] - q[i] };
             if beyond > 0.0 {

@@ -1,0 +1,263 @@
+"""Conditions on what is measured: force, evidence, deviation, speed, time, saturation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+import pliant
+from pliant.reactions.conditions import Condition, Judge
+from pliant.reactions.moment import AXES, indices
+
+if TYPE_CHECKING:
+    from pliant.reactions.moment import Moment
+
+
+def _one_side(above: float | None, below: float | None, what: str) -> None:
+    """Check that one positive threshold is given."""
+    given = [value for value in (above, below) if value is not None]
+    if len(given) != 1 or not (np.isfinite(given[0]) and given[0] > 0.0):
+        raise pliant.ConfigError(f"{what} needs either above or below, a number > 0")
+
+
+@dataclass(frozen=True, repr=False)
+class Force(Condition):
+    """Some axis is pushed harder than `above`, or all are pushed less than `below`.
+
+    A force counts only beyond its present uncertainty (times the contact's `guard`): near a
+    singular pose, where an axis cannot be felt, it does not hold.
+
+    Args:
+        axes: Axis key of the task frame.
+        above, below: Threshold [N], for rotations [N·m]; one of them.
+        toward: Count pushes toward this side only.
+        accept: ``("thresholds",)`` takes the threshold as it is, whatever the uncertainty.
+    """
+
+    axes: str
+    above: float | None = None
+    below: float | None = None
+    toward: Literal["both", "+", "-"] = "both"
+    accept: tuple[str, ...] = ()
+    feels = True
+
+    def __post_init__(self) -> None:
+        """Check the words once."""
+        indices(self.axes)
+        _one_side(self.above, self.below, "Force")
+        if self.toward not in {"both", "+", "-"}:
+            raise pliant.ConfigError(f"Force.toward is 'both', '+' or '-', not {self.toward!r}")
+        unknown = set(self.accept) - {"thresholds"}
+        if unknown:
+            raise pliant.ConfigError(f"Force.accept knows 'thresholds', not {sorted(unknown)}")
+
+    def check(self, contact: pliant.Contact | None, controller: pliant.Controller) -> None:
+        """Refuse a threshold that the arm at rest cannot tell from its own friction."""
+        if contact is None:
+            return
+        indices(self.axes, contact.axes)
+        if self.accept or self.above is None:
+            return
+        least = contact.guard * contact.typical_uncertainty()
+        for axis in indices(self.axes):
+            if self.above < least[axis]:
+                unit = "N" if axis < 3 else "N·m"
+                raise pliant.LimitError(
+                    f"{self!r}: {AXES[axis]} = {self.above:g} {unit} is outside "
+                    f"[{least[axis]:.3g}, ∞): below it this arm, at rest in the median pose, "
+                    "cannot tell a contact from friction, k_p and gravity; raise it, say in "
+                    "Contact(...) how well the arm is known, or accept=('thresholds',)"
+                )
+
+    def judge(self) -> Judge:
+        """Compare with the larger of threshold and uncertainty."""
+        chosen = list(indices(self.axes))
+        sign = {"both": 0.0, "+": 1.0, "-": -1.0}[self.toward]
+
+        def holds(now: Moment) -> bool:
+            felt = now.force()
+            force = felt.force[chosen]
+            size = sign * force if sign else np.abs(force)
+            if self.above is None:
+                return bool(np.all(size < (self.below or 0.0)))
+            least = 0.0 if self.accept else now.guard * felt.uncertainty[chosen]
+            return bool(np.any(size > np.maximum(self.above, least)))
+
+        return holds
+
+    def __repr__(self) -> str:
+        side = "" if self.toward == "both" else f", toward={self.toward!r}"
+        accept = f", accept={self.accept!r}" if self.accept else ""
+        return f"Force({_threshold(self.axes, self.above, self.below)}{side}{accept})"
+
+
+@dataclass(frozen=True, repr=False)
+class Touched(Condition):
+    """An event of the contact estimate is on: `touch` or `stop`, on any of these axes.
+
+    Args:
+        axes: Axis key of the task frame.
+        kind: Which of the two thresholds.
+    """
+
+    axes: str = "all"
+    kind: Literal["touch", "stop"] = "touch"
+    feels = True
+
+    def __post_init__(self) -> None:
+        """Check the words once."""
+        indices(self.axes)
+        if self.kind not in {"touch", "stop"}:
+            raise pliant.ConfigError(f"Touched.kind is 'touch' or 'stop', not {self.kind!r}")
+
+    def judge(self) -> Judge:
+        """Look at the events."""
+        chosen, stop = list(indices(self.axes)), self.kind == "stop"
+
+        def holds(now: Moment) -> bool:
+            felt = now.force()
+            return bool((felt.stop if stop else felt.touch)[chosen].any())
+
+        return holds
+
+    def __repr__(self) -> str:
+        return f"Touched({self.axes!r}, {self.kind!r})"
+
+
+@dataclass(frozen=True, repr=False)
+class Evidence(Condition):
+    """Some joint feels more than `above` times what could be wrong: something pushes somewhere.
+
+    Sees a contact earlier than any axis does and wherever on the arm it is, but says neither where
+    nor how hard.
+    """
+
+    above: float = 1.0
+    feels = True
+
+    def __post_init__(self) -> None:
+        """Check the number."""
+        _one_side(self.above, None, "Evidence")
+
+    def judge(self) -> Judge:
+        """Look at the joints."""
+        return lambda now: now.force().evidence > self.above
+
+    def __repr__(self) -> str:
+        return f"Evidence(above={self.above:g})"
+
+
+@dataclass(frozen=True, repr=False)
+class _OfTask(Condition):
+    """A measure along the task's axes: some is above, or all are below."""
+
+    axes: str
+    above: float | None = None
+    below: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the words once."""
+        indices(self.axes)
+        _one_side(self.above, self.below, type(self).__name__)
+
+    def check(self, contact: pliant.Contact | None, controller: pliant.Controller) -> None:
+        """Refuse axes that the task has not."""
+        indices(self.axes, controller.settings.task.names)
+
+    def _measure(self, now: Moment) -> np.ndarray:
+        raise NotImplementedError
+
+    def judge(self) -> Judge:
+        """Compare the measure's size."""
+
+        def holds(now: Moment) -> bool:
+            size = np.abs(self._measure(now)[list(indices(self.axes, now.names))])
+            if self.above is None:
+                return bool(np.all(size < (self.below or 0.0)))
+            return bool(np.any(size > self.above))
+
+        return holds
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({_threshold(self.axes, self.above, self.below)})"
+
+
+class Deviation(_OfTask):
+    """Some axis deviates from its target by more than `above`, or all by less than `below`.
+
+    Args:
+        axes: Axis key of the task.
+        above, below: Threshold [m], for rotations [rad]; one of them.
+    """
+
+    def _measure(self, now: Moment) -> np.ndarray:
+        return now.deviation
+
+
+class Speed(_OfTask):
+    """The tool moves along some axis faster than `above`, or along all slower than `below`.
+
+    Args:
+        axes: Axis key of the task.
+        above, below: Threshold [m/s], for rotations [rad/s]; one of them.
+    """
+
+    def _measure(self, now: Moment) -> np.ndarray:
+        return now.speed
+
+
+@dataclass(frozen=True, repr=False)
+class Elapsed(Condition):
+    """So long [s] has passed since the watch began; in `until`, since the reaction began."""
+
+    seconds: float
+
+    def judge(self) -> Judge:
+        """Count from the first tick on."""
+        passed = -1.0
+
+        def holds(now: Moment) -> bool:
+            nonlocal passed
+            passed = 0.0 if passed < 0.0 else passed + now.dt
+            return passed >= self.seconds - 1e-9
+
+        return holds
+
+    def __repr__(self) -> str:
+        return f"Elapsed({self.seconds:g})"
+
+
+@dataclass(frozen=True, repr=False)
+class Saturated(Condition):
+    """The limit of a joint's servo cuts its torque; any joint unless named."""
+
+    joints: tuple[str, ...] = ()
+    feels = True
+
+    def check(self, contact: pliant.Contact | None, controller: pliant.Controller) -> None:
+        """Refuse joints that the arm has not."""
+        known = controller.model.joint_names
+        unknown = [name for name in self.joints if name not in known]
+        if unknown:
+            raise pliant.ConfigError(f"no joint {', '.join(unknown)}; there are {', '.join(known)}")
+
+    def judge(self) -> Judge:
+        """Look at the servos."""
+
+        def holds(now: Moment) -> bool:
+            names, cut = now.controller.model.joint_names, now.force().saturated
+            if not self.joints:
+                return bool(cut.any())
+            return any(cut[list(names).index(name)] for name in self.joints)
+
+        return holds
+
+    def __repr__(self) -> str:
+        return f"Saturated({', '.join(repr(name) for name in self.joints)})"
+
+
+def _threshold(axes: str, above: float | None, below: float | None) -> str:
+    """How a threshold is written."""
+    return f"{axes!r}, below={below:g}" if above is None else f"{axes!r}, above={above:g}"

@@ -1,0 +1,318 @@
+//! The contact estimate: equal to the truth where all is known, within its bound where not, unmoved by hostile input.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
+
+use std::sync::Arc;
+
+use pliant_core::task::axes::{Frame, Task};
+use pliant_core::{Contact, ContactInput, ContactOptions, Controller, Model, Reference, Servos, Settings};
+
+#[path = "common/mod.rs"]
+mod common;
+
+const GRASP: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+const KP: [f64; 7] = [150.0, 150.0, 150.0, 150.0, 60.0, 60.0, 60.0];
+const FRICTION: [f64; 7] = [0.2, 0.2, 0.2, 0.2, 0.1, 0.1, 0.1];
+const WIDE: [f64; 7] = [100.0; 7];
+
+fn servos() -> Servos {
+    let torque = vec![10.7, 10.7, 10.7, 10.7, 6.4, 6.4, 6.4];
+    Servos { friction: FRICTION.to_vec(), kp_known: true, ..Servos::new(KP.to_vec(), torque) }
+}
+
+fn controller_with(settings: Settings, servos: Servos) -> Controller {
+    Controller::new(Arc::new(common::arm7()), settings, Some(servos)).unwrap()
+}
+
+fn controller() -> Controller {
+    controller_with(Settings::default(), servos())
+}
+
+/// Everything known but what is changed.
+fn known() -> ContactOptions {
+    ContactOptions {
+        friction_error: 0.0,
+        kp_error: Some(0.0),
+        gravity_error: 0.0,
+        inertia_error: 0.0,
+        ..ContactOptions::default()
+    }
+}
+
+fn noise(seed: usize) -> f64 {
+    2.0 * (((seed + 1) as f64 * 12.9898).sin() * 43_758.545_3).fract().abs() - 1.0
+}
+
+/// Wrench in base axes, up to 10 N and 2 N·m.
+fn wrench(seed: usize) -> [f64; 6] {
+    std::array::from_fn(|k| noise(seed * 31 + k) * if k < 3 { 10.0 } else { 2.0 })
+}
+
+/// Torques of the servos [N·m] that hold the arm against a wrench, friction apart.
+fn holding(model: &Model, q: &[f64], wrench: &[f64; 6]) -> Vec<f64> {
+    let (jacobian, gravity) = (model.jacobian(q, Reference::WorldAligned).unwrap(), model.gravity(q).unwrap());
+    (0..model.n()).map(|i| gravity[i] - (0..6).map(|k| jacobian[(k, i)] * wrench[k]).sum::<f64>()).collect()
+}
+
+fn goal(q: &[f64], torque: &[f64]) -> Vec<f64> {
+    q.iter().zip(torque).zip(KP).map(|((q, torque), kp)| q + torque / kp).collect()
+}
+
+/// Force and bound, base axes, after readings of an arm at rest that was sent these goals and limits.
+fn felt(contact: &mut Contact, ctl: &Controller, q: &[f64], goal: &[f64], limit: &[f64]) -> ([f64; 6], [f64; 6]) {
+    let input = ContactInput { sent: Some([goal, limit]), ..ContactInput::default() };
+    let mut last = ([0.0; 6], [0.0; 6]);
+    for _ in 0..100 {
+        let estimate = contact.update(ctl, q, &input).unwrap();
+        last = (estimate.force_base, estimate.uncertainty_base);
+    }
+    last
+}
+
+fn within(found: &[f64; 6], truth: &[f64; 6], bound: &[f64; 6]) {
+    for k in 0..6 {
+        let error = (found[k] - truth[k]).abs();
+        assert!(error <= bound[k] + 1e-9, "axis {k}: {} for {}, bound {}", found[k], truth[k], bound[k]);
+    }
+}
+
+#[test]
+fn where_all_is_known_the_estimate_is_the_truth() {
+    let ctl = controller_with(Settings::default(), Servos { friction: vec![0.0], ..servos() });
+    let mut contact = Contact::new(&ctl, known()).unwrap();
+    for seed in 0..60 {
+        let (q, truth) = (common::state(ctl.model(), seed), wrench(seed));
+        contact.reset();
+        let torque = holding(ctl.model(), &q, &truth);
+        let (found, bound) = felt(&mut contact, &ctl, &q, &goal(&q, &torque), &WIDE);
+        within(&found, &truth, &bound);
+        if bound.iter().all(|b| *b < 0.5) {
+            (0..6).for_each(|k| assert!((found[k] - truth[k]).abs() < 0.02, "{found:?} {truth:?}"));
+        }
+    }
+}
+
+#[test]
+fn a_servo_at_its_limit_exerts_its_limit_however_far_the_goal_leads() {
+    let ctl = controller_with(Settings::default(), Servos { friction: vec![0.0], ..servos() });
+    let mut contact = Contact::new(&ctl, known()).unwrap();
+    let truth = wrench(3);
+    let torque = holding(ctl.model(), &GRASP, &truth);
+    let (mut goal, mut limit) = (goal(&GRASP, &torque), WIDE);
+    for i in [0, 2, 5] {
+        limit[i] = torque[i].abs();
+        goal[i] += 0.5_f64.copysign(torque[i]);
+    }
+    let (found, bound) = felt(&mut contact, &ctl, &GRASP, &goal, &limit);
+    within(&found, &truth, &bound);
+    let saturated = contact.estimate().saturated;
+    assert_eq!(&saturated[..7], &[true, false, true, false, false, true, false]);
+}
+
+#[test]
+fn friction_of_an_arm_at_rest_stays_within_the_bound() {
+    let ctl = controller();
+    let mut contact = Contact::new(&ctl, known()).unwrap();
+    for seed in 0..100 {
+        let (q, truth) = (common::state(ctl.model(), seed), wrench(seed));
+        let mut torque = holding(ctl.model(), &q, &truth);
+        // Dry friction holds the arm with anything up to its size; at the corners it does most.
+        for (i, value) in torque.iter_mut().enumerate() {
+            *value += FRICTION[i] * noise(seed * 17 + i).signum();
+        }
+        contact.reset();
+        let (found, bound) = felt(&mut contact, &ctl, &q, &goal(&q, &torque), &WIDE);
+        within(&found, &truth, &bound);
+    }
+}
+
+#[test]
+fn wrong_k_p_gravity_and_payload_stay_within_the_bound_they_are_told_in() {
+    let ctl = controller();
+    let options = ContactOptions { kp_error: Some(0.11), gravity_error: 0.1, payload_error: 0.3, ..known() };
+    let mut contact = Contact::new(&ctl, options).unwrap();
+    for seed in 0..100 {
+        let (q, mut truth) = (common::state(ctl.model(), seed), wrench(seed));
+        let felt_truth = truth;
+        truth[2] -= 0.3 * 9.81 * noise(seed + 7).abs();
+        let believed = holding(ctl.model(), &q, &truth);
+        // The true stiffness is k_p (1 + share): the same lead gives that much more torque.
+        let torque: Vec<f64> =
+            believed.iter().enumerate().map(|(i, t)| t / (1.0 + 0.1 * noise(seed * 13 + i))).collect();
+        contact.reset();
+        let (found, bound) = felt(&mut contact, &ctl, &q, &goal(&q, &torque), &WIDE);
+        within(&found, &felt_truth, &bound);
+    }
+}
+
+#[test]
+fn a_measured_load_takes_the_place_of_lead_and_limit() {
+    let ctl = controller_with(Settings::default(), Servos { friction: vec![0.0], ..servos() });
+    let options = ContactOptions { load_error: 0.0, torque_constant: Some(vec![2.0; 7]), ..known() };
+    let mut contact = Contact::new(&ctl, options).unwrap();
+    let truth = wrench(5);
+    let load = holding(ctl.model(), &GRASP, &truth);
+    let current: Vec<f64> = load.iter().map(|torque| torque / 2.0).collect();
+    for input in [
+        ContactInput { load: Some(&load), ..ContactInput::default() },
+        ContactInput { current: Some(&current), ..ContactInput::default() },
+    ] {
+        contact.reset();
+        for _ in 0..50 {
+            contact.update(&ctl, &GRASP, &input).unwrap();
+        }
+        within(&contact.estimate().force_base, &truth, &contact.estimate().uncertainty_base);
+        assert!(contact.estimate().uncertainty_base[0] < 0.1);
+    }
+}
+
+#[test]
+fn a_goal_acts_as_late_as_the_delay_says() {
+    let mut ctl = controller_with(Settings::default(), Servos { friction: vec![0.0], ..servos() });
+    ctl.set_delay(0.02).unwrap();
+    let mut contact = Contact::new(&ctl, ContactOptions { filter: 0.0, ..known() }).unwrap();
+    let quiet = goal(&GRASP, &holding(ctl.model(), &GRASP, &[0.0; 6]));
+    let pushed = goal(&GRASP, &holding(ctl.model(), &GRASP, &[0.0, 5.0, 0.0, 0.0, 0.0, 0.0]));
+    let force = |contact: &mut Contact, goal: &[f64]| {
+        let input = ContactInput { sent: Some([goal, &WIDE]), dq: Some(&[0.0; 7]), ..ContactInput::default() };
+        let estimate = contact.update(&ctl, &GRASP, &input).unwrap();
+        (estimate.force_base[1], estimate.uncertainty_base[1])
+    };
+    assert!(force(&mut contact, &quiet).1.is_infinite(), "what was in force is not known yet");
+    assert!(force(&mut contact, &quiet).1.is_infinite());
+    assert!(force(&mut contact, &quiet).0.abs() < 0.01);
+    assert!(force(&mut contact, &pushed).0.abs() < 0.01, "just sent");
+    assert!(force(&mut contact, &quiet).0.abs() < 0.01, "under way");
+    assert!((force(&mut contact, &quiet).0 - 5.0).abs() < 0.01, "in force now");
+    assert!(force(&mut contact, &quiet).0.abs() < 0.01);
+}
+
+#[test]
+fn a_tare_takes_out_what_stays_wrong() {
+    let ctl = controller();
+    let options = ContactOptions { kp_error: Some(0.2), ..known() };
+    let mut contact = Contact::new(&ctl, options).unwrap();
+    assert!(contact.tare().unwrap_err().to_string().contains("nothing has been felt yet"));
+    let wrong = |truth: &[f64; 6]| -> Vec<f64> {
+        holding(ctl.model(), &GRASP, truth).iter().map(|torque| torque / 1.15).collect()
+    };
+    let (off, loose) = felt(&mut contact, &ctl, &GRASP, &goal(&GRASP, &wrong(&[0.0; 6])), &WIDE);
+    assert!(off[2].abs() > 1.0, "k_p wrong by 15 % feels like a weight: {off:?}");
+    contact.tare().unwrap();
+    assert!(contact.is_tared());
+    let truth = [0.0, 0.0, 6.0, 0.0, 0.0, 0.0];
+    let (found, bound) = felt(&mut contact, &ctl, &GRASP, &goal(&GRASP, &wrong(&truth)), &WIDE);
+    within(&found, &truth, &bound);
+    assert!((found[2] - 6.0 / 1.15).abs() < 0.05, "{found:?}");
+    assert!(bound[2] < loose[2] + 2.0 * 2.3, "friction counts twice, k_p no more: {bound:?} {loose:?}");
+    contact.clear_tare();
+    let (again, _) = felt(&mut contact, &ctl, &GRASP, &goal(&GRASP, &wrong(&[0.0; 6])), &WIDE);
+    assert!((again[2] - off[2]).abs() < 1e-6);
+}
+
+#[test]
+fn what_a_pose_cannot_feel_is_uncertain_not_noisy() {
+    let ctl = controller();
+    let contact = Contact::new(&ctl, known()).unwrap();
+    let stretched = [0.0; 7];
+    let bound = contact.uncertainty_at(&ctl, &stretched).unwrap();
+    assert!(bound.iter().any(|b| *b > 90.0), "along the strut nothing is felt: {bound:?}");
+    assert!(bound.iter().all(|b| b.is_finite()));
+    let easy = contact.uncertainty_at(&ctl, &GRASP).unwrap();
+    assert!(easy[..3].iter().all(|b| *b < 3.0), "{easy:?}");
+}
+
+#[test]
+fn force_follows_the_frame_of_the_task() {
+    let rotation = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
+    let task = Task { frame: Frame::Rotation(rotation), ..Task::default() };
+    let ctl = controller_with(Settings { task, ..Settings::default() }, servos());
+    let mut contact = Contact::new(&ctl, known()).unwrap();
+    let truth = [0.0, 5.0, 0.0, 0.0, 0.0, 0.0];
+    let (base, _) = felt(&mut contact, &ctl, &GRASP, &goal(&GRASP, &holding(ctl.model(), &GRASP, &truth)), &WIDE);
+    assert!((base[1] - 5.0).abs() < 0.05);
+    assert!((contact.estimate().force[0] - 5.0).abs() < 0.05, "the base's y is the task's x");
+}
+
+#[test]
+fn a_threshold_below_the_uncertainty_is_refused_with_the_number() {
+    let ctl = controller();
+    let mut options = ContactOptions { touch: [None, None, Some(0.5), None, None, None], ..known() };
+    let text = Contact::new(&ctl, options.clone()).unwrap_err().to_string();
+    assert!(text.starts_with("touch.z [N] = 0.5 is outside [") && text.contains("accept"), "{text}");
+    options.accept_thresholds = true;
+    assert!(Contact::new(&ctl, options).is_ok());
+    let crossed = ContactOptions { touch: [Some(9.0); 6], stop: [Some(8.0); 6], ..known() };
+    assert!(Contact::new(&ctl, crossed).unwrap_err().to_string().contains("at or above the touch"));
+    let elsewhere =
+        ContactOptions { axes: Some([true, false, false, false, false, false]), touch: [Some(30.0); 6], ..known() };
+    assert!(Contact::new(&ctl, elsewhere).unwrap_err().to_string().contains("not among the axes"));
+}
+
+#[test]
+fn hostile_input_is_refused_and_leaves_no_trace() {
+    let ctl = controller();
+    let mut contact = Contact::new(&ctl, ContactOptions::default()).unwrap();
+    let good = goal(&GRASP, &holding(ctl.model(), &GRASP, &wrench(1)));
+    felt(&mut contact, &ctl, &GRASP, &good, &WIDE);
+    let before = *contact.estimate();
+    let strange = [f64::NAN, f64::INFINITY, -f64::INFINITY, 1e308, -1e7];
+    for value in strange {
+        for place in 0..7 {
+            let mut bad = GRASP;
+            bad[place] = value;
+            let sent = ContactInput { sent: Some([&good, &WIDE]), ..ContactInput::default() };
+            assert!(contact.update(&ctl, &bad, &sent).is_err());
+            let inputs = [
+                ContactInput { load: Some(&bad), ..sent },
+                ContactInput { dq: Some(&bad), ..sent },
+                ContactInput { sent: Some([&bad, &WIDE]), ..sent },
+                ContactInput { sent: Some([&good, &bad]), ..sent },
+                ContactInput { dt: Some(value), ..sent },
+                ContactInput { current: Some(&GRASP), ..sent },
+                ContactInput { load: Some(&GRASP[..3]), ..sent },
+            ];
+            for input in inputs {
+                assert!(contact.update(&ctl, &GRASP, &input).is_err(), "{input:?}");
+            }
+        }
+    }
+    assert_eq!(before, *contact.estimate());
+    // The largest numbers that are taken give finite answers, and a reset forgets them.
+    let large = [1e6; 7];
+    for dt in [1e-300, 10.0] {
+        let input = ContactInput { load: Some(&large), dt: Some(dt), ..ContactInput::default() };
+        let estimate = *contact.update(&ctl, &GRASP, &input).unwrap();
+        assert!(estimate.force.iter().chain(&estimate.uncertainty).all(|x| x.is_finite()));
+    }
+    contact.reset();
+    let (found, _) = felt(&mut contact, &ctl, &GRASP, &good, &WIDE);
+    (0..6).for_each(|k| assert!((found[k] - before.force_base[k]).abs() < 1e-3));
+}
+
+#[test]
+fn options_are_checked_by_name() {
+    let ctl = controller();
+    let cases = [
+        (ContactOptions { filter: -1.0, ..known() }, "filter [s] = -1"),
+        (ContactOptions { friction_error: f64::NAN, ..known() }, "friction_error = NaN"),
+        (ContactOptions { most: [0.0, 1.0], ..known() }, "most (force)"),
+        (ContactOptions { guard: 1.5, ..known() }, "guard = 1.5"),
+        (ContactOptions { hysteresis: 1.0, ..known() }, "hysteresis = 1"),
+        (ContactOptions { torque_constant: Some(vec![1.0]), ..known() }, "torque_constant has shape (1,)"),
+        (ContactOptions { axes: Some([false; 6]), ..known() }, "no axis given"),
+    ];
+    for (options, text) in cases {
+        let error = Contact::new(&ctl, options).unwrap_err().to_string();
+        assert!(error.contains(text), "{error}");
+    }
+    let blind = Controller::new(
+        Arc::new(common::arm7()),
+        Settings {
+            law: pliant_core::settings::Law::Paper,
+            gravity: pliant_core::settings::GravityUse::Off,
+            ..Settings::default()
+        },
+        None,
+    );
+    assert!(Contact::new(&blind.unwrap(), known()).unwrap_err().to_string().contains("give the controller servos"));
+}

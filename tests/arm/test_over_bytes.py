@@ -1,0 +1,98 @@
+"""The life of an arm down to bytes: emulated servos on a serial port, a simulated arm behind."""
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rustypot", reason="servo buses need the extra servo")
+pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
+
+import pliant
+from pliant.arm import Arm
+from pliant.servo import ServoChain, ServoSpec
+from pliant.servo.emulator import Mount, emulate
+
+#: Robot and servo of each family.
+FAMILIES = {"sts": ("so101", "STS3215", "STS3215-7.4V", {}), "x": ("koch", "XL430-W250", None, {})}
+
+
+class Steps:
+    """The emulator's time: it passes when somebody waits."""
+
+    def __init__(self, bus):
+        self.bus = bus
+
+    def now(self):
+        return self.bus.time
+
+    def wait_until(self, deadline):
+        if deadline > self.bus.time:
+            self.bus.advance(deadline - self.bus.time)
+
+
+@contextmanager
+def arm_over_bytes(family, q):
+    robot, device, model, registers = FAMILIES[family]
+    chain_model = pliant.robots.load(robot)
+    names = [*chain_model.joint_names, "gripper"]
+    mounts = [
+        Mount(joint=n, model=device, id=k, registers=registers) for k, n in enumerate(names, 1)
+    ]
+    with emulate(chain_model, mounts, q=np.array(q), clock="steps") as bus:
+        specs = [
+            ServoSpec(name=n, model=model or device, id=k, port=bus.port)
+            for k, n in enumerate(names, 1)
+        ]
+        chain = ServoChain(specs, patience=0.1, clock=lambda: bus.time)
+        chain.clock = Steps(bus)
+        yield bus, Arm(chain_model, chain, signals=False)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_enabled_in_order_controlled_and_held(family):
+    with arm_over_bytes(family, [0.1, 0.2, 0.2, 0.1, 0.0]) as (bus, arm):
+        arm.enable()
+        controller = pliant.Controller(
+            arm.model, pliant.Settings(task=pliant.Task(axes="xyz")), arm.servos
+        )
+        start = arm.model.forward_kinematics(arm.read().q)[:3, 3]
+        loop = pliant.Loop(arm, controller, duration=0.5)
+        for tick in loop:
+            tick.write(controller.step(tick.q, start, dt=tick.dt))
+        arm.gripper.open()
+        arm.hold()
+        arm.close()
+        for k in range(1, 7):
+            order = bus.log.order(k)
+            assert order[:3] == ["limit", "goal", "torque on"]
+            assert "torque off" not in order
+        assert not bus.log.eeprom_writes()
+        assert (loop.missed, loop.stale, loop.refused) == (0, 0, 0)
+        assert np.linalg.norm(bus.plant.tool[:3, 3] - start) < 0.01
+
+
+@pytest.mark.parametrize("family", [pytest.param("sts", marks=pytest.mark.full), "x"])
+def test_lowered_after_the_program_stalled(family):
+    speeds = []
+    with arm_over_bytes(family, [0.0, 0.2, 0.0, 0.2, 0.0]) as (bus, arm):
+        arm.enable()
+        arm.clock.wait_until(arm.clock.now() + 1.0)  # longer than any watchdog
+        stalled = bus.time
+        height = bus.plant.tool[2, 3]
+        wait = arm.clock.wait_until
+
+        def watch(deadline):
+            wait(deadline)
+            speeds.append(np.linalg.norm(bus.plant.truth.frame("tool").twist()[:3]))
+
+        arm.clock.wait_until = watch
+        arm.lower()
+        assert not arm.enabled
+        assert not [w for w in bus.log.writes(refused=True) if w.time > stalled]
+        assert not arm.drive.enabled.any()
+        assert all(bus.log.order(k)[-1] == "torque off" for k in range(1, 7))
+        wait(arm.clock.now() + 0.5)
+        assert bus.plant.tool[2, 3] < height - 0.02
+        arm.close()
+    assert max(speeds) < 0.18

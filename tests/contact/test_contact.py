@@ -1,0 +1,157 @@
+"""The contact estimate from Python: what it says of a simulated push, and what it refuses."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="contacts are felt in the simulator: extra sim")
+
+import pliant
+from pliant.experiments import contacts_table as table
+from pliant.experiments.contacts import MAIN, Job, measure
+from pliant.experiments.contacts_bench import Bench, Case
+from pliant.experiments.setups import VERTICAL, arm
+from pliant.sim import Course, Plant, Push
+
+KNOWN = {"kp_error": 0.0, "gravity_error": 0.0, "friction_error": 0.1}
+
+
+def controller(**settings):
+    return pliant.Controller(arm(), pliant.Settings.soft("y").replace(**settings))
+
+
+def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, **plant):
+    """Estimates of every tick; the push ramps up at 0.5 s within 0.2 s."""
+    course = Course(start=0.5, rise=0.2, end=10.0)
+    plant = Plant(arm(), scene=[Push(force_vector=force, course=course)], **plant)
+    ctl = contact.controller
+    plant.reset(VERTICAL)
+    ctl.reset(VERTICAL)
+    target = arm().forward_kinematics(VERTICAL)
+    seen = []
+    for _ in range(ticks):
+        reading = plant.read().q
+        seen.append(contact.update(reading))
+        command = ctl.step(reading, target)
+        plant.write(command.goal, command.torque_limit)
+        plant.advance()
+    return seen
+
+
+@pytest.mark.parametrize("force", [(0.0, 0.0, 8.0), (-6.0, 0.0, 0.0), (3.0, 2.0, -5.0)])
+def test_a_push_is_felt_within_the_bound(force):
+    last = pushed(pliant.Contact(controller(), **KNOWN), force)[-1]
+    error = np.abs(last.force_base[:3] - force)
+    assert (error <= last.uncertainty_base[:3]).all()
+    assert error.max() < 1.5  # [N] (.6)
+    assert last.uncertainty[:3].max() < 4.0  # [N] (2.5)
+    assert last.force.shape == last.touch.shape == (6,)
+    assert last.torque_residual.shape == last.saturated.shape == (7,)
+
+
+def test_events_come_with_their_thresholds_and_their_time():
+    contact = pliant.Contact(controller(), touch={"xyz": 4.0}, stop={"z": 7.0}, **KNOWN)
+    seen = pushed(contact, (0.0, 0.0, 9.0))
+    touched = [bool(felt.touch[2]) for felt in seen]
+    stopped = [bool(felt.stop[2]) for felt in seen]
+    assert not any(touched[:50])
+    assert 50 < touched.index(True) < stopped.index(True) < 90
+    assert contact.latency == pytest.approx(0.06)
+
+
+def test_nothing_is_claimed_before_a_command_was_in_force():
+    first = pushed(pliant.Contact(controller(), **KNOWN), ticks=1)[0]
+    assert (first.force == 0.0).all()
+    assert np.isinf(first.uncertainty).all()
+    assert str(first) == "nothing known yet"
+
+
+def test_saturated_joints_are_named_and_the_estimate_stands():
+    contact = pliant.Contact(controller(), **KNOWN)
+    last = pushed(contact, (0.0, 0.0, 40.0), ticks=120)
+    saturated = [felt for felt in last if felt.saturated.any()]
+    assert saturated
+
+
+def test_a_tare_takes_a_wrong_stiffness_out():
+    contact = pliant.Contact(controller(), kp_error=0.2, gravity_error=0.0)
+    before = pushed(contact, kp_scale=1.15, ticks=45)[-1]
+    contact.tare()
+    after = contact.update(VERTICAL, sent=None)
+    assert contact.tared
+    assert np.abs(before.force[:3]).max() > 1.0  # [N]: feels like a weight
+    assert after.uncertainty.shape == (6,)
+    contact.clear_tare()
+    assert not contact.tared
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"touch": {"z": 1.0}}, r"touch\.z \[N\] = 1 is outside \[\d"),
+        ({"touch": {"y yaw": 30.0, "y": 20.0}}, "y is named twice"),
+        ({"touch": {"w": 3.0}}, "'w' is not an axis"),
+        ({"axes": "xy", "stop": {"z": 30.0}}, r"stop\.z: has a threshold but is not among"),
+        ({"accept": ("anything",)}, "'anything' is no risk"),
+        ({"guard": 2.0}, "guard = 2"),
+        ({"torque_constant": [1.0]}, r"torque_constant has shape \(1,\)"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(options, text):
+    with pytest.raises(pliant.PliantError, match=text):
+        pliant.Contact(controller(), **options)
+
+
+def test_a_current_needs_a_constant_and_a_mapping_is_one():
+    contact = pliant.Contact(controller())
+    with pytest.raises(pliant.ConfigError, match="torque per ampere"):
+        contact.update(VERTICAL, current=np.zeros(7))
+    with pytest.raises(TypeError, match="mapping from axes"):
+        pliant.Contact(controller(), touch=8.0)
+    with pytest.raises(pliant.LimitError, match="load"):
+        contact.update(VERTICAL, load=np.full(7, np.nan))
+
+
+def test_few_joints_look_at_the_axes_of_their_task():
+    ctl = pliant.Controller(pliant.robots.so101(), pliant.Settings(task="xyz"))
+    contact = pliant.Contact(ctl)
+    assert contact.axes == ("x", "y", "z")
+    assert np.isinf(contact.uncertainty_at(np.array([0.2, -0.3, 0.3, 0.9, 0.0]))[3:]).all()
+
+
+def test_events_of_the_experiment_are_those_of_the_core():
+    seen = pushed(
+        pliant.Contact(controller(), touch={"z": 5.0}, accept=("thresholds",), **KNOWN),
+        (0.0, 0.0, 9.0),
+    )
+    beyond = np.array([abs(felt.force[2]) > 5.0 for felt in seen])
+    assert table.events(beyond)[0] == [bool(felt.touch[2]) for felt in seen].index(True)
+
+
+def test_free_motion_stays_within_the_bound_and_strong_contacts_are_seen():
+    bench = Bench(MAIN)
+    free = [bench.free(number, 20.0) for number in range(2)]
+    met = [bench.contact(number) for number in range(12)]
+    facts = table.honesty(free, met)
+    assert facts["free beyond"] < 0.001  # (.0000 in an hour)
+    assert facts["free rms"] < 1.5  # [N] (.77)
+    strength = table.STRONG_FORCE * bench.arm.median_capacity[0]
+    guarded = table.look("short", table.Rule("guarded", 0.6), strength, free, met)
+    assert guarded.alarms == 0
+    assert guarded.missed <= 0.2  # (.045 of 581)
+    assert guarded.seen >= 0.6  # (.80)
+
+
+def test_a_run_repeats():
+    one, two = (Job(Case("short"), 3, 1.0).run() for _ in range(2))
+    assert (one.felt == two.felt).all()
+
+
+@pytest.mark.full
+def test_contacts_in_full():
+    rows, facts = measure(MAIN, 1000, 60)
+    by_rule = {str(row.rule): row for row in rows}
+    guarded = by_rule["force > 0.6 × bound"]
+    assert guarded.alarms == 0
+    assert guarded.missed < 0.06  # (.045)
+    assert guarded.late[0] <= 0.08  # [s] (.06)
+    assert facts["free beyond"] < 1e-4

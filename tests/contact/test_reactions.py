@@ -1,0 +1,216 @@
+"""Conditions, actions and the watch, tick by tick."""
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant import reactions as rx
+from pliant.experiments.setups import VERTICAL, arm
+
+TARGET = arm().forward_kinematics(VERTICAL)
+
+
+class Felt:
+    """Stands for an estimate in the conditions."""
+
+    def __init__(self, force=(0.0,) * 6, bound=(1.0,) * 6, evidence=0.0):
+        self.force, self.uncertainty = np.array(force), np.array(bound)
+        self.force_base, self.evidence = self.force, evidence
+        self.touch = self.stop = np.zeros(6, dtype=bool)
+        self.saturated, self.velocity = np.zeros(7, dtype=bool), np.zeros(7)
+
+
+def controller():
+    ctl = pliant.Controller(arm(), pliant.Settings.soft("y"))
+    ctl.reset(VERTICAL)
+    return ctl
+
+
+def moment(felt=None, **more):
+    fields = {
+        "controller": controller(),
+        "time": 0.0,
+        "dt": 0.01,
+        "q": VERTICAL,
+        "tool": TARGET,
+        "wanted": TARGET,
+        "felt": felt or Felt(),
+    }
+    return rx.Moment(**{**fields, **more})
+
+
+def push(z):
+    return moment(Felt((0.0, 0.0, z, 0.0, 0.0, 0.0)))
+
+
+def test_force_counts_beyond_threshold_and_uncertainty():
+    judge = rx.Force("z", above=8.0).judge()
+    assert judge(push(-9.0))
+    assert not judge(push(7.0))
+    assert not judge(moment(Felt((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6)))
+    assert rx.Force("z", above=8.0, accept=("thresholds",)).judge()(
+        moment(Felt((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6))
+    )
+    assert not rx.Force("z", above=8.0, toward="+").judge()(push(-9.0))
+    assert rx.Force("xyz", below=2.0).judge()(push(1.0))
+
+
+def test_conditions_join_and_print():
+    one, other = rx.Force("z", above=8.0).lasting(0.05), ~rx.Deviation("xy", above=0.02)
+    assert repr(one & other) == (
+        "(Force('z', above=8).lasting(0.05) & ~Deviation('xy', above=0.02))"
+    )
+    assert eval(repr(one | other), vars(rx)) == (one | other)
+    assert (rx.Elapsed(0.0) | rx.Evidence()).judge()(push(0.0))
+    with pytest.raises(TypeError, match="join conditions with &"):
+        _ = one and other
+
+
+def test_lasting_needs_its_time_without_a_break():
+    judge = rx.Force("z", above=8.0).lasting(0.02).judge()
+    assert [judge(push(z)) for z in (9, 9, 0, 9, 9, 9, 9)] == [False] * 5 + [True] * 2
+
+
+def test_one_condition_serves_two_reactions():
+    lasting = rx.Force("z", above=8.0).lasting(0.02)
+    first, second = lasting.judge(), lasting.judge()
+    assert [first(push(9.0)) or second(push(9.0)) for _ in range(2)] == [False, False]
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: rx.Force("z"), "either above or below"),
+        (lambda: rx.Force("w", above=1.0), "'w' is not an axis"),
+        (lambda: rx.Force("z", above=1.0, toward="up"), "toward"),
+        (lambda: rx.Evidence(above=-1.0), "Evidence needs"),
+        (lambda: rx.Retract(0.0), r"Retract\.distance"),
+        (lambda: rx.Follow("x", float("nan")), r"Follow\.leash"),
+        (lambda: rx.Reaction(rx.Evidence(), ()), "an action, or several"),
+        (lambda: rx.Reaction(rx.Evidence(), rx.Stop(), until=rx.Elapsed(1.0)), "resume"),
+    ],
+)
+def test_what_cannot_be_is_refused(make, text):
+    with pytest.raises(pliant.ConfigError, match=text):
+        make()
+
+
+def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
+    ctl = controller()
+    with pytest.raises(pliant.LimitError, match="cannot tell a contact from friction"):
+        rx.Watch(ctl, [rx.Reaction(rx.Force("z", above=1.0), rx.Hold())])
+    with pytest.raises(pliant.ConfigError, match="no joint elbow"):
+        rx.Watch(ctl, [rx.Reaction(rx.Saturated(("elbow",)), rx.Hold())])
+    with pytest.raises(pliant.PliantError, match="soft"):
+        rx.Watch(ctl, [rx.Reaction(rx.Evidence(), rx.Yield("z", {"soft": -1.0}))])
+    few = pliant.Controller(arm(), pliant.Settings(task="xyz"))
+    with pytest.raises(pliant.ConfigError, match="axes yaw are not of this task"):
+        rx.Watch(few, [rx.Reaction(rx.Deviation("yaw", above=0.1), rx.Hold())])
+
+
+def watched(then, when=None, **more):
+    """A watch over time: its condition holds from 0.1 s to 0.3 s."""
+    if when is None:
+        when = rx.Elapsed(0.1) & ~rx.Elapsed(0.3)
+    return rx.Watch(controller(), [rx.Reaction(when, then, **more)])
+
+
+def targets(watch, ticks, wanted=TARGET):
+    out = []
+    for _ in range(ticks):
+        out.append(watch.update(VERTICAL, wanted))
+        watch.controller.step(VERTICAL, out[-1])
+    return out
+
+
+def away(x):
+    pose = TARGET.copy()
+    pose[0, 3] += x
+    return pose
+
+
+def test_hold_freezes_the_target_and_gives_it_back_slowly():
+    watch, wanted = watched(rx.Hold(), clear=0.2), away(0.05)
+    seen = targets(watch, 150, wanted)
+    assert seen[5] is wanted
+    np.testing.assert_array_equal(seen[15], TARGET)
+    assert [line.what for line in watch.log] == ["began", "ended"]
+    assert watch.log[1].time == pytest.approx(0.50, abs=0.011)
+    back = np.diff([pose[0, 3] for pose in seen[52:100]])
+    assert back.max() <= 0.1 * 0.01 + 1e-12
+    assert back.min() >= 0.0
+    assert seen[-1] is wanted
+
+
+def test_stop_stays_until_it_is_resumed():
+    watch, wanted = watched(rx.Stop()), away(0.05)
+    targets(watch, 100, wanted)
+    assert watch.stopped
+    watch.resume()
+    targets(watch, 1, wanted)
+    assert not watch.stopped
+    assert watch.resuming
+
+
+def test_retract_leaves_along_its_direction_and_stays():
+    watch = watched(rx.Retract(0.04, speed=0.2, along=(0.0, 0.0, 2.0)))
+    seen = targets(watch, 60)
+    assert np.diff([pose[2, 3] for pose in seen]).max() <= 0.2 * 0.01 + 1e-12
+    assert seen[-1][2, 3] - TARGET[2, 3] == pytest.approx(0.04)
+    np.testing.assert_array_equal(seen[-1][:3, :3], TARGET[:3, :3])
+
+
+def test_follow_keeps_the_target_on_a_leash():
+    when = rx.Elapsed(0.05)
+    watch = watched(rx.Follow("x", 0.02), when)
+    seen = targets(watch, 20, away(0.1))
+    assert seen[-1][0, 3] - TARGET[0, 3] == pytest.approx(0.02)
+    targets(watch, 2, away(0.01))
+    assert watch.active is None
+
+
+def test_yield_changes_settings_and_restores_them():
+    watch = watched(rx.Yield("z", {"soft": 2.0}), clear=0.1)
+    before = watch.controller.settings
+    targets(watch, 20)
+    assert watch.controller.settings.axes["z"].soft == (2.0, 2.0)
+    targets(watch, 50)
+    assert watch.controller.settings == before
+
+
+def test_calls_come_once_and_the_first_reaction_matters_most():
+    called = []
+    watch = rx.Watch(
+        controller(),
+        [
+            rx.Reaction(rx.Elapsed(0.2), rx.Stop()),
+            rx.Reaction(rx.Elapsed(0.1), rx.Hold()),
+            rx.Reaction(rx.Elapsed(0.1), rx.Call(called.append)),
+        ],
+    )
+    targets(watch, 15)
+    assert not watch.stopped
+    assert watch.active is watch.reactions[1]
+    targets(watch, 15)
+    assert watch.stopped
+    assert [now.time for now in called] == pytest.approx([0.1])
+    watch.reset()
+    assert watch.active is None
+    assert len(watch.log) == 0
+
+
+def test_bad_readings_change_nothing():
+    watch = watched(rx.Hold(), rx.Evidence())
+    targets(watch, 5)
+    felt = watch.felt
+    for bad in (np.full(7, np.nan), np.zeros(3)):
+        with pytest.raises(pliant.PliantError):
+            watch.update(bad, TARGET)
+    with pytest.raises(pliant.PliantError):
+        watch.update(VERTICAL, np.full((4, 4), np.nan))
+    assert watch.felt == felt
+
+
+def test_names_at_the_top():
+    assert pliant.Watch is rx.Watch
+    assert pliant.Reaction is rx.Reaction
