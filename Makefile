@@ -47,7 +47,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs bench wheel fmt clean FORCE
+.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs bench soak wheel fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-10s %s\n", $$1, $$2 }'
@@ -131,6 +131,9 @@ docs: setup ## Build docs/_build/html; a warning is an error
 	@$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
 
 # --- the rest ------------------------------------------------------------------------------------------------------
+
+soak: setup ## Ten minutes of emulated bus with faults on each family; ARGS='--family x --minutes 1'
+	@$(BIN)/python -m pliant.experiments.soak $(ARGS)
 
 bench: setup ## Criterion benches per stage; ARGS='-- step' picks
 	@cargo bench $(LOCKED) $(ARGS)

@@ -4,6 +4,10 @@ import pytest
 import pliant
 from pliant import config
 from pliant.config import assemble
+from pliant.config.emulation import emulated
+from pliant.servo import ServoChain
+from pliant.servo.emulator import StepClock
+from pliant.servo.units import Units
 
 
 def test_specs_are_what_the_file_says(tmp_path):
@@ -44,22 +48,56 @@ def test_a_file_on_the_simulator_becomes_an_arm():
     assert not arm.enabled
 
 
+def move(arm, name):
+    """Go for a tenth of a radian in every joint; return target and place of the tool (3,)."""
+    controller = pliant.Controller(arm.model, config.load(name).settings(), arm.servos)
+    state = arm.read()
+    target = arm.model.forward_kinematics(state.q + 0.1)
+    for tick in pliant.Loop(arm, controller, rate=arm.rate):
+        tick.write(controller.step(tick.q, target, dt=tick.dt))
+        if tick.state.time - state.time > 1.5:
+            break
+    return target[:3, 3], arm.model.forward_kinematics(tick.q)[:3, 3]
+
+
 @pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
 def test_a_ready_arm_moves_over_real_bytes(name):
-    rate = 50.0
-    options = {"rate": rate, "hold_for": 5.0, "signals": False}
-    with pliant.connect(name, backend="emulator", **options) as arm:
-        controller = pliant.Controller(arm.model, config.load(name).settings(), arm.servos)
-        state = arm.read()
-        target = arm.model.forward_kinematics(state.q + 0.1)
-        for tick in pliant.Loop(arm, controller, rate=rate):
-            tick.write(controller.step(tick.q, target, dt=tick.dt))
-            if tick.state.time - state.time > 1.5:
-                break
-        reached = arm.model.forward_kinematics(tick.q)[:3, 3]
-        order = arm.drive.emulator.call("log.order", arm.drive.specs[0].id)
-        assert not arm.drive.emulator.call("log.eeprom_writes")
-        arm.limp()
+    read = config.load(name)
+    with emulated(read, clock="steps") as bus:
+        chain = ServoChain(assemble.specs(read, bus.ports), patience=0.2, clock=StepClock(bus))
+        options = {"rate": 50.0, "grippers": assemble.jaws(read), "signals": False}
+        with pliant.connect(read.model(), chain, **options) as arm:
+            target, reached = move(arm, name)
+            arm.limp()
+        order = bus.log.order(chain.specs[0].id)
+        assert not bus.log.eeprom_writes()
     # The supply's voltage and the gain registers, not the ideal servos of the built-in table.
-    assert np.linalg.norm(reached - target[:3, 3]) < 0.015
+    assert np.linalg.norm(reached - target) < 0.015
     assert order[:3] == ["limit", "goal", "torque on"]
+
+
+def test_a_ready_arm_on_an_emulator_of_its_own():
+    options = {"rate": 20.0, "hold_for": 20.0, "signals": False}
+    with pliant.connect("arm7", backend="emulator", **options) as arm:
+        chain = arm.drive
+        move(arm, "arm7")
+        order = chain.emulator.call("log.order", chain.specs[0].id)
+        assert not chain.emulator.call("log.eeprom_writes")
+        assert [found.voltage for found in chain.found] == [18.5] * 7
+        arm.limp()
+    assert order[:3] == ["limit", "goal", "torque on"]
+
+
+def test_joint_ranges_of_ready_arms_fit_their_servos():
+    for name in ("so101", "so100", "koch", "arm7"):
+        read = config.load(name)
+        model = read.model()
+        ranges = dict(
+            zip(model.joint_names, zip(model.lower, model.upper, strict=True), strict=True)
+        )
+        for spec in assemble.specs(read, {"main": "/dev/none"}):
+            if spec.name in ranges:
+                units = Units.of(spec)
+                counts = [units.counts(bound) for bound in ranges[spec.name]]
+                assert min(counts) >= 0, (name, spec.name, counts)
+                assert max(counts) <= spec.row.counts, (name, spec.name, counts)

@@ -45,14 +45,17 @@ class EmulatedChain(ServoChain):
 def emulated(config: Config, **options: Any) -> ArmEmulator:
     """The emulator of a configuration's arm, in real time, not yet started.
 
-    Somebody holds the arm until torque comes on.
+    Somebody holds the arm until torque comes on; the supply has the configuration's voltage.
 
     Args:
         config: The configuration.
-        **options: Of `pliant.servo.emulator.Emulator`: `timing`, `faults`, ...
+        **options: Of `pliant.servo.emulator.emulate`: `timing`, `faults`, `clock`, `plant`, ...
     """
     model = config.model()
-    return emulate(model, mounts(config), assemble.start(config, model), held=True, **options)
+    bus = emulate(model, mounts(config), assemble.start(config, model), held=True, **options)
+    if config.supply.voltage is not None:
+        bus.supply(config.supply.voltage)
+    return bus
 
 
 def mounts(config: Config) -> list[Mount]:

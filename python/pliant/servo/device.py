@@ -79,6 +79,8 @@ class Device:
         self.hardware: tuple[str, ...] = ()
         self.rota: dict[str, str] = {}
         self.mismatches = self._wrong = 0
+        self._writes = 0
+        self._wrong_write = -1
 
     def set_range(self) -> None:
         """Narrow the limits of goals to those of the joint.
@@ -179,8 +181,11 @@ class Device:
             self._check_limit(family.decode(block, reply.data, "limit"))
         if self._spans(block, "torque_enable"):
             self.torque_on = bool(family.decode(block, reply.data, "torque_enable"))
-            went_off = self.enabled and not self.torque_on
+            went_off = (self.enabled or "torque" in self.rota) and not self.torque_on
             self.fault("torque", went_off, "its torque went off by itself")
+            if went_off:
+                # No goals: on some servos they would switch it on, far from where it was.
+                self.enabled = False
         if self._spans(block, "hardware_error"):
             self.hardware = words.hardware(family.decode(block, reply.data, "hardware_error"))
         if self._spans(block, "watchdog"):
@@ -219,12 +224,24 @@ class Device:
         else:
             self.rota.pop(key, None)
 
+    def sent(self, limit: int) -> None:
+        """A packet with this limit is on its way."""
+        self.limit = limit
+        self._writes += 1
+
     def _check_limit(self, found: int) -> None:
-        """Compare the limit with what was written; silence is how a servo refuses a packet."""
+        """Compare the limit with what was written; silence is how a servo refuses a packet.
+
+        Packets get lost too: only limits that read wrong after different packets count.
+        """
         self.limit_read = found
         is_wrong = self.enabled and found != self.limit
-        self._wrong = self._wrong + 1 if is_wrong else 0
-        self.mismatches += is_wrong
+        if not is_wrong:
+            self._wrong = 0
+        elif self._wrong_write != self._writes:
+            self._wrong += 1
+            self._wrong_write = self._writes
+            self.mismatches += 1
         read, written = self.units.torque(found), self.units.torque(self.limit)
         self.fault(
             "limit",

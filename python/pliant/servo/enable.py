@@ -117,7 +117,10 @@ def _stayed(device: Device, ports: Ports, before: Image) -> None:
     moved = abs(image["position"] - before["position"]) * device.units.count
     passed = image.time - before.time
     fallen = 2.0 * abs(device.units.velocity(before["speed"])) * passed
-    if moved > MOVED + fallen:
+    # A soft servo must be pushed away from its goal to exert anything: at most by limit / k_p.
+    kp = device.spec.kp or device.units.stiffness(device.gain)
+    sag = device.units.torque(device.limit) / kp
+    if moved > MOVED + fallen + sag:
         raise ServoError(
             f"{device.name} moved by {moved:.2f} rad as its torque came on; all are off again. "
             "A limit below what carries its weight lets it sink, a wrong Homing Offset lets it jump"
@@ -166,6 +169,7 @@ def watchdog(devices: Sequence[Device], ports: Ports, seconds: float) -> None:
 def _try_off(device: Device, ports: Ports) -> str | None:
     """Torque off; what went wrong, None when it is off."""
     device.enabled = False
+    device.rota.pop("torque", None)
     try:
         _set(device, ports, "torque_enable", 0)
     except ServoError as error:

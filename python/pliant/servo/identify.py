@@ -166,7 +166,8 @@ def _check(device: Device, image: Image) -> list[str]:
     number = image["model"]
     if number != row.number:
         known = by_number(number)
-        said = " or ".join(r.name for r in known) if known else f"model number {number}"
+        said = " or ".join(r.name for r in known)
+        said = said or f"no {row.name} (it reads as model number {number}; `pliant scan` names it)"
         return [f"it is {said}, the configuration says {row.name} ({row.number})"]
     wrong = _check_mode(device, image)
     if image["return_level"] < (1 if device.family.status == "feetech" else 2):
@@ -238,6 +239,11 @@ def _take(device: Device, image: Image) -> Found:
     if "hardware_error" in image:
         device.hardware = words.hardware(image["hardware_error"])
     notes = []
+    if device.torque_on:
+        notes.append(
+            "its torque is on already: another program may be using the arm, or has left it up. "
+            "Enabling takes it over without switching it off; `pliant setup` wants it off"
+        )
     if family.status != "feetech" and image["shutdown"] & 1 << OVERLOAD_BIT:
         notes.append(
             "it shuts off on overload, and a compliant arm sits at its limit by design: "

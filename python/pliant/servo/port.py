@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 #: A servo that said nothing in so many cycles running is left alone for that many, so that one dead
 #: servo does not cost a timeout in each of them.
 MISSES, PROBE = 3, 8
+#: A servo silent for longer may have restarted, with its torque off [s], or so many cycles.
+RESTART, RESTART_CYCLES = 0.1, 3.0
 
 
 class Port:
@@ -72,6 +74,7 @@ class Port:
             absent=max(set(range(self.highest + 1)) - ids),
             stamp=clock,
         )
+        self._restart = max(RESTART, RESTART_CYCLES * cycle)
         self._misses: dict[int, int] = {}
         self._silent: dict[int, int] = {}
 
@@ -103,11 +106,26 @@ class Port:
             if reply is None:
                 continue
             self._misses.pop(device.id, None)
+            silent = reply.time - device.time > self._restart
+            if device.enabled and silent and not self._look(device):
+                continue
             if device.accept(reply):
                 taken.add(device.id)
             else:
                 self.guard.counters.stale += 1
         return taken
+
+    def _look(self, device: Device) -> bool:
+        """Read whether a servo's torque is on after a silence; False where it did not say.
+
+        One that has restarted gets no goals any more: on some they would switch its torque on.
+        """
+        try:
+            device.note(self.guard.read(device.id, device.family.block("torque_enable")))
+        except BusError as error:
+            _pass_on(error)
+            return False
+        return True
 
     def write(self, packets: Sequence[tuple[Device, int, int, int]]) -> None:
         """Send goal, limit and speed cap registers, by sync writes for each kind of servo.
@@ -125,7 +143,7 @@ class Port:
                 data = [device.packet(names, *values) for device, *values in group]
                 self.guard.sync_write(ids, family.registers[names[0]].address, data)
             for device, _, limit, _ in group:
-                device.limit = limit
+                device.sent(limit)
 
     def _together(self, group: Sequence[Device]) -> dict[int, Reply]:
         """One request for all; where it fails, one by one, with the culprit last."""
@@ -134,13 +152,19 @@ class Port:
         except BusError as error:
             _pass_on(error)
             culprit = error.id
-        return self._alone(sorted(group, key=lambda device: device.id == culprit), again=False)
+        return self._alone(group, last=culprit, again=False)
 
-    def _alone(self, group: Sequence[Device], *, again: bool = True) -> dict[int, Reply]:
-        """Ask each servo by itself; who says nothing is left alone for a while."""
+    def _alone(
+        self, group: Sequence[Device], *, last: int | None = None, again: bool = True
+    ) -> dict[int, Reply]:
+        """Ask each servo by itself; who says nothing is left alone for a while.
+
+        The one that was heard of the longest ago comes first, so that nobody is left over in every
+        cycle whose time runs out.
+        """
         replies = {}
         missed = []
-        for device in group:
+        for device in sorted(group, key=lambda device: (device.id == last, device.time)):
             self.guard.counters.retries += not again
             try:
                 reply = self.guard.read_in_turn(device.id, device.family.read, again=again)

@@ -45,7 +45,8 @@ class Rota:
     def step(self, ports: Mapping[int, Port]) -> Health | None:
         """Read one block, and say what is known of its joint.
 
-        A servo whose last answer carried an alert it has not been asked about is read first.
+        A servo whose last answer carried an alert it has not been asked about is read first, and so
+        is one whose torque went off.
 
         Raises:
             BusError: The port is gone.
@@ -63,7 +64,7 @@ class Rota:
     def _choose(self) -> tuple[Device, Block]:
         for joint in self._joints:
             for device in joint:
-                alarm = bool(device.conditions)
+                alarm = bool(device.conditions) or "torque" in device.rota
                 if alarm and id(device) not in self._alarmed:
                     self._alarmed.add(id(device))
                     return device, parts(device.family)[0]

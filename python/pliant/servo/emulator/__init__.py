@@ -18,6 +18,7 @@ from pliant.servo.emulator.models import MODELS
 from pliant.servo.emulator.motion import Joints, Physics
 from pliant.servo.emulator.process import Remote
 from pliant.servo.emulator.servo import Drive, Load, Servo, Shaft
+from pliant.servo.emulator.steps import StepClock
 from pliant.servo.emulator.timing import Timing
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "Remote",
     "Servo",
     "Shaft",
+    "StepClock",
     "Timing",
     "Transaction",
     "Write",

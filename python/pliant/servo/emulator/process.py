@@ -5,13 +5,15 @@ from __future__ import annotations
 import multiprocessing
 import shutil
 import signal
+import sys
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from pliant import PliantError, ServoError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from multiprocessing.connection import Connection
 
     from pliant.servo.emulator.emulator import Emulator
@@ -48,7 +50,8 @@ class Remote:
         self._process = context.Process(
             target=_serve, args=(child, factory, args, kwargs), daemon=True, name="pliant-emulator"
         )
-        self._process.start()
+        with _without_main(factory):
+            self._process.start()
         child.close()
         self.ports: dict[str, str] = {}
         if not self._pipe.poll(START_TIME):
@@ -107,6 +110,21 @@ class Remote:
         if not ok:
             raise value
         return value
+
+
+@contextmanager
+def _without_main(factory: Callable[..., Emulator]) -> Iterator[None]:
+    """Let the child not run the host's script again, which it needs for nothing of its own."""
+    main = sys.modules["__main__"]
+    hidden = {} if factory.__module__ == "__main__" else {"__spec__": None, "__file__": None}
+    kept = {name: getattr(main, name) for name in hidden if hasattr(main, name)}
+    for name in kept:
+        setattr(main, name, None)
+    try:
+        yield
+    finally:
+        for name, value in kept.items():
+            setattr(main, name, value)
 
 
 def _serve(

@@ -1,0 +1,229 @@
+"""What an arm does when things go wrong on a real bus: the table of docs/faults.md.
+
+``python -m pliant.experiments.faults [part of a title]`` prints it. Everything goes over real bytes
+to emulated servos with the simulated arm behind them, in the emulator's time.
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import pliant
+from pliant.experiments.bus_arm import stepped
+from pliant.experiments.bus_mishaps import MISHAPS, HostDiedError, Mishap, Scene
+from pliant.loop import Loop
+from pliant.sim.hand import Course, Drag
+from pliant.sim.truth import TOOL
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from pliant.arm import Arm
+    from pliant.servo.emulator import ArmEmulator
+
+    Array = NDArray[np.float64]
+
+#: When things go wrong after torque came on, how long the program would go on, and how long an arm
+#: without a host is watched [s].
+WHEN, END, WATCHED = 1.2, 3.0, 4.0
+#: The hand that comes then: along y, the soft axis, [m], in [s].
+WAY, RISE = 0.10, 2.0
+#: How long a fall takes [s].
+FALL = 1.5
+#: What moving gears may add to a force [N].
+MOVING = 3.0
+#: Loops of the arm's own, enabling and lowering [Hz].
+RATE = 50.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What came of a mishap.
+
+    Attributes:
+        ending: `goes on`, `is lowered`, `keeps its last order` or `falls`.
+        reason: The error that ended the loop, if any.
+        speed: Highest speed of the tool from the mishap until control ends, while an arm without
+            a host is watched, and for 1.5 s at least where torque is lost [m/s].
+        joint: Highest speed of a joint meanwhile [rad/s].
+        drop: How far the tool sank meanwhile [m].
+        lowered: Highest speed of the tool afterwards, while it is lowered [m/s].
+        force: Largest mean over a physics step of the force on the hand [N]; 0 without one.
+        allowed: What it may be: the axis' cap, the friction of its joints and 3 N while the host
+            runs, `dead_host` + 3 N where it does not [N].
+        torque: Whether all torque was off in the end.
+    """
+
+    ending: str
+    reason: str
+    speed: float
+    joint: float
+    drop: float
+    lowered: float
+    force: float
+    allowed: float
+    torque: bool
+
+
+class Watcher:
+    """Looks at the truth at every physics step of an emulator, from the mishap on."""
+
+    def __init__(self, bus: ArmEmulator, least: float = 0.0) -> None:
+        """Put itself between the world and its physics; watch for `least` seconds."""
+        self.bus, self.begun, self.ended = bus, np.inf, np.inf
+        self._least = least
+        self.speeds: dict[bool, float] = {False: 0.0, True: 0.0}
+        self.joint = self.force = 0.0
+        self.start = self.lowest = 0.0
+        self._step: Callable[[int], None] = bus.world.physics.step
+        bus.world.physics.step = self.step  # type: ignore[method-assign]
+
+    def begin(self) -> None:
+        """The mishap happens now."""
+        self.begun = self.bus.plant.time
+        self.start = self.lowest = float(self.bus.plant.tool[2, 3])
+
+    def end(self) -> None:
+        """Control has ended."""
+        self.ended = max(self.bus.plant.time, self.begun + self._least)
+
+    def step(self, count: int) -> None:
+        """Run the physics, and look."""
+        self._step(count)
+        plant = self.bus.plant
+        if plant.time <= self.begun:
+            return
+        speed = float(np.linalg.norm(plant.truth.frame("tool").twist()[:3]))
+        late = plant.time > self.ended
+        self.speeds[late] = max(self.speeds[late], speed)
+        self.force = max([self.force, *(float(np.linalg.norm(f.force)) for f in plant.hands)])
+        if not late:
+            self.joint = max(self.joint, float(np.abs(plant.dq).max()))
+            self.lowest = min(self.lowest, float(plant.tool[2, 3]))
+
+
+def suffer(mishap: Mishap, *, held: bool = False) -> Outcome:
+    """Let `arm7` hold its grasp pose, y soft, at 100 Hz over real bytes, and fail.
+
+    Args:
+        mishap: What goes wrong.
+        held: Whether a hand pulls the tool 0.10 m along y from then on; the arm is then not
+            lowered.
+    """
+    course = Course(start=WHEN + 0.2, rise=RISE, end=np.inf)
+    hand = Drag(
+        axis="y", distance=WAY, stiffness=3000.0, damping=30.0, limit=300.0, at=TOOL, course=course
+    )
+    options: dict[str, Any] = {"plant": {"scene": [hand] if held else []}}
+    with stepped(mishap.family, arm={"rate": RATE}, **options) as (bus, arm):
+        watcher = Watcher(bus, FALL if mishap.state == "no torque" else 0.0)
+        reason, allowed, torque = _run(mishap, bus, arm, watcher, held)
+    speed, lowered = watcher.speeds[False], watcher.speeds[True]
+    ending = "goes on" if not reason else "keeps its last order" if torque else "is lowered"
+    if mishap.state == "no torque" and reason:
+        ending = "falls, the rest " + ending.removeprefix("keeps its last order, ")
+    return Outcome(
+        ending=ending,
+        reason=reason,
+        speed=speed,
+        joint=watcher.joint,
+        drop=max(watcher.start - watcher.lowest, 0.0),
+        lowered=lowered,
+        force=watcher.force,
+        allowed=allowed,
+        torque=torque,
+    )
+
+
+def _run(
+    mishap: Mishap, bus: ArmEmulator, arm: Arm, watcher: Watcher, held: bool
+) -> tuple[str, float, bool]:
+    """Control until it ends; return why, the force a hand may meet, and whether torque is left."""
+    arm.enable()
+    settings = pliant.Settings.soft("y")
+    controller = pliant.Controller(arm.model, settings, arm.servos)
+    target = arm.model.forward_kinematics(arm.read().q)
+    allowed = 0.0
+    reason = ""
+    try:
+        for tick in Loop(arm, controller, rate=settings.rate, duration=WHEN + END):
+            wanted: Array | None = target
+            if bus.plant.time >= WHEN:
+                first = watcher.begun == np.inf
+                if first:
+                    allowed = _allowed(controller, mishap)
+                    watcher.begin()
+                since = bus.plant.time - watcher.begun
+                wanted = mishap.act(Scene(bus, arm, tick, target, since, first))
+            if wanted is not None:
+                tick.write(controller.step(tick.q, wanted, dt=tick.dt))
+    except HostDiedError:
+        reason = "killed"
+    except (pliant.PliantError, KeyboardInterrupt) as error:
+        reason = str(error) or type(error).__name__
+    if reason == "killed" or mishap.state == "dead host":
+        bus.advance(WATCHED)
+    if mishap.after is not None:
+        mishap.after(bus)
+        arm.drive.close()
+        arm.enabled = arm._opened = False
+        arm.enable()
+        watcher.end()
+        arm.lower()
+    elif reason != "killed" and not held:
+        watcher.end()
+        try:
+            arm.lower()
+        except pliant.PliantError as error:
+            reason = f"{reason}; {error}"
+    torque = any(servo.get("torque_enable") for servo in bus.servos)
+    with suppress(pliant.PliantError):
+        arm.limp()
+    return reason, allowed, torque
+
+
+def _allowed(controller: pliant.Controller, mishap: Mishap) -> float:
+    """Force that a hand along y may meet [N]."""
+    report = controller.report()
+    y = report.axes.index("y")
+    if mishap.state == "dead host":
+        return float(report.dead_host[y].max()) + MOVING
+    return float(report.gives_way[y].max() + report.friction[y]) + MOVING
+
+
+def table(only: str = "") -> list[str]:
+    """The table, as lines of Markdown, of mishaps whose title contains `only`."""
+    lines = [
+        "| what happens | the arm | tool [m/s] | joint [rad/s] | drop [mm] | lowered at [m/s] | "
+        "hand feels [N] | allowed [N] |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for mishap in MISHAPS:
+        if only in mishap.title:
+            lines.append(row(mishap, suffer(mishap), suffer(mishap, held=True)))
+            print(lines[-1], file=sys.stderr, flush=True)
+    return lines
+
+
+def row(mishap: Mishap, alone: Outcome, held: Outcome) -> str:
+    """One row."""
+    return (
+        f"| {mishap.title} | {alone.ending} | {alone.speed:.2f} | {alone.joint:.2f} | "
+        f"{1e3 * alone.drop:.1f} | {alone.lowered:.2f} | {held.force:.1f} | {held.allowed:.1f} |"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    print("\n".join(table(sys.argv[1] if len(sys.argv) > 1 else "")))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,31 @@
+"""The clock of an emulator whose time passes only when somebody waits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pliant.servo.emulator.emulator import Emulator
+
+
+class StepClock:
+    """Time of an emulator with the clock `steps`, for `ServoChain(..., clock=...)`.
+
+    Waiting advances the emulator's world, so that a program over real bytes runs as fast as the
+    computer goes, and does not notice how busy it is.
+
+    Args:
+        bus: The emulator, in this process.
+    """
+
+    def __init__(self, bus: Emulator) -> None:
+        self._bus = bus
+
+    def now(self) -> float:
+        """Time of the emulated world [s]."""
+        return self._bus.time
+
+    def wait_until(self, deadline: float) -> None:
+        """Let time pass until `deadline` [s]."""
+        if deadline > self._bus.time:
+            self._bus.advance(deadline - self._bus.time)

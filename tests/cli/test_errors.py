@@ -1,0 +1,143 @@
+"""What a new user does wrong, and what the command line and `pliant.connect` say to it."""
+
+from __future__ import annotations
+
+import pytest
+
+import pliant
+from pliant.cli import main
+from pliant.servo.emulator import Device, Emulator
+
+rustypot = pytest.importorskip("rustypot", reason="the bus needs the extra servo")
+
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+HEAD = 'robot.builtin = "so101"\n[[port]]\npath = "{port}"\n[servo]\n'
+
+
+def toml(port, *, joints=JOINTS, model="STS3215-7.4V", more=""):
+    lines = [f'{name} = {{ model = "{model}", id = {i} }}' for i, name in enumerate(joints, 1)]
+    return HEAD.format(port=port) + "\n".join(lines) + "\n" + more
+
+
+@pytest.fixture
+def said(tmp_path, capsys):
+    """What `pliant run`, `pliant doctor` and `connect` say of a file, all in one."""
+
+    def ask(text):
+        file = tmp_path / "arm.toml"
+        file.write_text(text)
+        capsys.readouterr()
+        assert main(["run", str(file), "--quiet", "--duration", "1"]) == 2
+        error = capsys.readouterr().err
+        assert "Traceback" not in error
+        assert main(["doctor", str(file)]) == 2
+        both = capsys.readouterr()
+        with pytest.raises(pliant.PliantError) as caught, pliant.connect(file, signals=False):
+            pass
+        return [" ".join(text.split()) for text in (error, both.out + both.err, str(caught.value))]
+
+    return ask
+
+
+def all_say(texts, *words):
+    for text in texts:
+        for word in words:
+            assert word in text, text
+
+
+def servos(*ids, **registers):
+    return [Device("STS3215", id=i, **registers) for i in ids]
+
+
+def test_wrong_port(said):
+    all_say(said(toml("/dev/ttyNOWHERE7")), "there is no port /dev/ttyNOWHERE7", "there are:")
+
+
+def test_no_permission(said, monkeypatch):
+    def refuse(*_):
+        raise OSError("Permission denied")
+
+    monkeypatch.setattr(rustypot, "MxPyController", refuse)
+    all_say(said(toml("/dev/ttyUSB3")), "no permission to open /dev/ttyUSB3", "usermod -aG dialout")
+
+
+def test_port_in_use(said):
+    with Emulator(servos(1, 2, 3, 4, 5)) as bus:
+        other = rustypot.MxPyController(bus.port, 1_000_000, 0.1)
+        all_say(said(toml(bus.port)), "is in use by another program", "close it")
+        other.close()
+
+
+def test_wrong_baud(said):
+    with Emulator(servos(1, 2, 3, 4, 5), baud=115_200) as bus:
+        all_say(said(toml(bus.port)), "no servo answers", "baud rate", "`pliant scan`", "power on")
+
+
+def test_missing_id(said):
+    with Emulator(servos(1, 2, 4, 5, 9)) as bus:
+        texts = said(toml(bus.port))
+    all_say(texts, "no answer", "elbow_flex (id 3)", "ids that answer: 1, 2, 4, 5, 9", "plug")
+
+
+def test_two_servos_on_one_id(said):
+    with Emulator(servos(1, 2, 3, 3, 4, 5)) as bus:
+        all_say(said(toml(bus.port)), "elbow_flex", "Two servos on one id", "one by one")
+
+
+def test_a_low_voltage_servo_on_12_volts(said):
+    with Emulator(servos(1, 2, 3, 4, 5)) as bus:
+        bus.supply(12.0)
+        texts = said(toml(bus.port))
+    all_say(texts, "its supply is 12.0 V", "STS3215-7.4V takes", "wrong supply", "another variant")
+
+
+def test_another_model(said):
+    with Emulator(servos(1, 2, 3, 4, 5)) as bus:
+        texts = said(toml(bus.port, model="MX-28"))
+    all_say(texts, "it is no MX-28", "`pliant scan`", "the configuration says MX-28")
+
+
+def test_a_typo_in_the_file(said, tmp_path):
+    typo = toml("/dev/ttyUSB0").replace("[[port]]", "[[prot]]").replace('"so101"', '"so101"')
+    with pytest.raises(pliant.ConfigError, match="prot is not a key here; did you mean 'port'"):
+        pliant.config.parse(typo)
+    file = tmp_path / "typo.toml"
+    file.write_text(typo)
+    for words in (["run", str(file)], ["doctor", str(file)]):
+        assert main(words) == 2
+
+
+def test_a_typo_in_a_model_or_unit(tmp_path, capsys):
+    file = tmp_path / "arm.toml"
+    file.write_text(toml("/dev/x", model="STS3512-7.4V"))
+    assert main(["run", str(file)]) == 2
+    assert "STS3215-7.4V" in capsys.readouterr().err
+    file.write_text(toml("/dev/x", more="[loop]\nrate = -5\n"))
+    assert main(["run", str(file)]) == 2
+    assert "loop.rate = -5" in capsys.readouterr().err
+
+
+def test_file_and_urdf_disagree(said):
+    names = ("shoulder_pan", "shoulder_lft", "elbow_flex", "wrist_flex", "wrist_roll")
+    texts = said(toml("/dev/ttyUSB0", joints=names))
+    all_say(texts, "file and URDF disagree", "no servo for shoulder_lift", "shoulder_lft")
+    all_say(texts, "The chain has shoulder_pan, shoulder_lift")
+
+
+def test_torque_that_is_on_already_is_said_and_kept(tmp_path, capsys):
+    file = tmp_path / "arm.toml"
+    with Emulator(servos(1, 2, 3, 4, 5)) as bus:
+        file.write_text(toml(bus.port))
+        host = rustypot.MxPyController(bus.port, 1_000_000, 0.2)
+        host.write_raw_data_with_error(2, 40, [1])
+        host.close()
+        main(["doctor", str(file)])
+        out = " ".join(capsys.readouterr().out.split())
+        assert "shoulder_lift: its torque is on already" in out
+        assert main(["setup", str(file), "--yes", "--backup", str(tmp_path / "b.json")]) in {0, 2}
+        with pliant.connect(file, signals=False, hold_for=5.0) as arm:
+            bus.log.clear()
+            arm.read()
+            arm.limp()
+        steps = [w.values["torque_enable"] for w in bus.log.writes("torque_enable", id=2)]
+        assert steps == [0], "switched off by limp alone"

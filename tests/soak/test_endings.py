@@ -1,0 +1,80 @@
+"""Programs that end in every way, each a real process on a port; the servos live in another one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytest.importorskip("mujoco", reason="the arm behind the servos needs the extra sim")
+pytest.importorskip("rustypot", reason="the bus needs the extra servo")
+pytest.importorskip("pydantic", reason="the configurations need the extra config")
+
+from soak.watched import so101
+
+from pliant.servo.emulator import Remote
+
+PROGRAM = """
+import os, sys, pliant
+with pliant.connect("so101", port=sys.argv[1], hold_for=20.0) as arm:
+    print("torque", flush=True)
+    for tick in pliant.Loop(arm, stall=20.0):
+        tick.hold()
+        if tick.index == 5 and len(sys.argv) > 2:
+            exec(sys.argv[2])
+"""
+
+
+@pytest.fixture
+def bus():
+    with Remote(so101) as made:
+        yield made
+
+
+def start(bus, *words):
+    # A session of its own, so that a signal to the group is what Ctrl-C in a terminal is.
+    program = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, bus.port, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert program.stdout.readline() == "torque\n", program.communicate()[1]
+    return program
+
+
+@pytest.mark.parametrize(
+    ("ending", "code"),
+    [
+        ("SIGINT", {130, -signal.SIGINT}),
+        ("sys.exit(3)", {3}),
+        pytest.param("SIGTERM", {128 + signal.SIGTERM}, marks=pytest.mark.full),
+        pytest.param("raise KeyError('policy')", {1}, marks=pytest.mark.full),
+    ],
+)
+def test_the_arm_is_lowered(bus, ending, code):
+    high = bus.call("watcher.start")
+    program = start(bus, *([] if ending.startswith("SIG") else [ending]))
+    if ending.startswith("SIG"):
+        os.killpg(program.pid, getattr(signal, ending))
+    _, said = program.communicate(timeout=120)
+    assert program.returncode in code, said
+    # Lowered, not dropped: a fall reaches 1 m/s, and a busy machine may miss ticks of the descent.
+    assert not bus.call("on")
+    assert bus.call("plant.tool.tolist")[2][3] < high - 0.02
+    assert bus.call("watcher.speeds")[False] < 0.5
+
+
+def test_killed_it_keeps_its_last_order(bus):
+    program = start(bus)
+    height = bus.call("plant.tool.tolist")[2][3]
+    program.kill()
+    program.communicate()
+    time.sleep(1.0)  # the emulator's time is the machine's
+    assert bus.call("on")
+    assert bus.call("plant.tool.tolist")[2][3] == pytest.approx(height, abs=0.01)

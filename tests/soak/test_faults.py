@@ -1,0 +1,54 @@
+"""A few rows of docs/faults.md, with their bands; the command measures all of them."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("mujoco", reason="the arm behind the servos needs the extra sim")
+pytest.importorskip("rustypot", reason="the bus needs the extra servo")
+pytest.importorskip("pydantic", reason="the configurations need the extra config")
+
+from pliant.experiments.bus_mishaps import MISHAPS
+from pliant.experiments.faults import suffer
+
+BY_TITLE = {mishap.title: mishap for mishap in MISHAPS}
+#: A row, and what the arm does then.
+POWERED = {
+    "one answer with a wrong checksum": "goes on",
+    "a policy gives NaN for goals": "is lowered",
+    "the firmware does not take the elbow's limit": "is lowered",
+}
+
+
+def test_there_are_twenty_and_more():
+    assert len(MISHAPS) >= 20
+    assert len(BY_TITLE) == len(MISHAPS)
+
+
+@pytest.mark.parametrize("title", POWERED)
+def test_an_arm_with_power_and_host_stays_up(title):
+    found = suffer(BY_TITLE[title])
+    assert found.ending == POWERED[title]
+    assert found.drop < 0.002
+    assert found.speed < 0.02
+    assert found.lowered < 0.2
+
+
+def test_without_a_host_a_hand_meets_no_more_than_the_report_says():
+    found = suffer(BY_TITLE["SIGKILL"], held=True)
+    assert found.ending == "keeps its last order"
+    assert 5.0 < found.force <= found.allowed
+
+
+def test_an_arm_whose_servos_restarted_does_not_get_up_by_itself():
+    found = suffer(BY_TITLE["brown-out: all servos reboot"])
+    assert "torque went off" in found.reason
+    assert not found.torque
+    assert found.drop > 0.1
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("mishap", [m for m in MISHAPS if m.state != "no torque"], ids=str)
+def test_no_hand_meets_more_than_is_allowed(mishap):
+    found = suffer(mishap, held=True)
+    assert found.force <= found.allowed

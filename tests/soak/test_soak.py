@@ -1,0 +1,61 @@
+"""A minute of control over real bytes in all, with 1 % of all transactions struck by faults."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="the arm behind the servos needs the extra sim")
+pytest.importorskip("rustypot", reason="the bus needs the extra servo")
+pytest.importorskip("pydantic", reason="the configurations need the extra config")
+
+from pliant.experiments import soak
+from pliant.experiments.bus_arm import FAMILIES, stepped
+from pliant.experiments.bus_audit import Audit
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_twenty_seconds_with_faults_break_no_rule(family):
+    run = soak.soak_stepped(family, 20.0)
+    assert not run.ended
+    assert not run.broken
+    assert run.stale == run.late == 0
+    assert run.above == 0
+    assert run.off <= 1.0
+    # It was a soak: ticks came, faults of every kind struck, and the comparison is sharp.
+    assert run.loop["ticks"] >= 1950
+    assert set(run.struck) == set(soak.KINDS)
+    assert run.bus["retries"] > 0
+    # A limit reads back wrong only where a packet was lost on purpose.
+    assert run.bus["mismatches"] <= run.struck["deaf"]
+    assert run.telling > 0.3
+
+
+def test_what_is_forbidden_is_seen():
+    with stepped("sts", arm={}, log=10) as (bus, arm):
+        arm.open()
+        audit = bus.log.watch = Audit(bus, machine=False)
+        io = arm.drive._ports[0]._io
+        io.sync_write([1], 48, [bytes((232, 3))])  # 1000, with the ceiling at 1000
+        io.sync_write([2], 42, [bytes((0, 8))])
+        io.write(3, 40, b"\x01")
+        io.write(4, 9, bytes((10, 0)))
+        bus.servo(5).put("max_torque_limit", 500)
+        io.sync_write([5], 48, [bytes((245, 1))])
+        bus.sync()
+    assert audit.report()["broken"] == {
+        "EEPROM written": 1,
+        "goal before limit": 1,
+        "torque before goal": 1,
+        "goal without torque on after it": 1,
+        "limit above the ceiling": 1,
+    }
+
+
+def test_a_position_from_before_is_stale():
+    count = np.array([0.001, 0.001])
+    truth = np.array([[0.00, 0.100, 0.5], [0.01, 0.103, 0.5], [0.02, 0.106, 0.5]])
+    true = (0, 0.106, 0.015, 0.025)
+    old = (0, 0.103, 0.015, 0.025)
+    unread = (1, 0.500, 0.050, 0.060)
+    assert soak.stale([true, old, unread], truth, count) == pytest.approx([0.0, 3.0, np.inf])

@@ -1,0 +1,16 @@
+"""An emulated arm that remembers how fast its tool was, to be made in a process of its own."""
+
+from __future__ import annotations
+
+from pliant import config
+from pliant.config.emulation import emulated
+from pliant.experiments.faults import Watcher
+
+
+def so101():
+    """The ready arm in real time, on servos whose tool is watched from the start."""
+    bus = emulated(config.load("so101"))
+    bus.watcher = Watcher(bus)
+    bus.watcher.begin()
+    bus.on = lambda: any(servo.get("torque_enable") for servo in bus.servos)
+    return bus
