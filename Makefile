@@ -47,7 +47,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs bench wheel fmt clean FORCE
+.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs bench peers wheel fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-10s %s\n", $$1, $$2 }'
@@ -134,6 +134,10 @@ docs: setup ## Build docs/_build/html; a warning is an error
 
 bench: setup ## Criterion benches per stage; ARGS='-- step' picks
 	@cargo bench $(LOCKED) $(ARGS)
+
+peers: setup ## The same work by NumPy, Numba, Pinocchio, ... and C++ beside ours; ARGS='--rounds 60'
+	$(call say,peers side by side)
+	@$(BIN)/python benches/peers.py $(ARGS)
 
 wheel: setup $(WHEELS)/.built ## Build wheel and source distribution into build/wheels
 
