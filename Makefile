@@ -47,10 +47,10 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs bench soak wheel fmt clean FORCE
+.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs bench counts counts-check aarch64 peers soak wheel fmt clean FORCE
 
 help: ## Say what there is
-	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-10s %s\n", $$1, $$2 }'
+	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
 
 # --- environment ---------------------------------------------------------------------------------------------------
 
@@ -84,7 +84,7 @@ demo: setup-demo ## Run the paper's experiments on the simulator and leave a rep
 # --- tests ---------------------------------------------------------------------------------------------------------
 
 # pytest comes last: its closing line is the one that counts.
-test: setup lint test-rust deny docs wheel test-py ## Everything that CI runs
+test: setup lint test-rust counts-check deny docs wheel test-py ## Everything that CI runs
 
 test-rust: setup ## Tests of the Rust core, its doc tests and its pages
 	$(call say,tests of the Rust core$(comma) benches once each)
@@ -137,6 +137,21 @@ soak: setup ## Ten minutes of emulated bus with faults on each family; ARGS='--f
 
 bench: setup ## Criterion benches per stage; ARGS='-- step' picks
 	@cargo bench $(LOCKED) $(ARGS)
+
+counts-check: setup ## Instructions of every stage against the stored ones; 5 % more is an error
+	$(call say,instruction counts)
+	@$(BIN)/python benches/counts.py
+
+counts: setup ## Store the instructions of every stage for this compiler
+	@$(BIN)/python benches/counts.py --update
+
+aarch64: setup ## Slow: build the aarch64 wheel, run core tests and the wheel under emulation
+	$(call say,aarch64)
+	@tools/aarch64.sh $(CURDIR)/$(BIN)/python
+
+peers: setup ## The same work by NumPy, Numba, Pinocchio, ... and C++ beside ours; ARGS='--rounds 60'
+	$(call say,peers side by side)
+	@$(BIN)/python benches/peers.py $(ARGS)
 
 wheel: setup $(WHEELS)/.built ## Build wheel and source distribution into build/wheels
 

@@ -20,6 +20,7 @@ COMMANDS = {
     "doctor": ("pliant.cli.doctor", "say what stands between a configuration and a soft arm"),
     "setup": ("pliant.cli.setup", "set up servos: the only command that writes their EEPROM"),
     "run": ("pliant.cli.run", "hold an arm compliantly, or let it follow targets"),
+    "bench": ("pliant.cli.bench", "time a step on this machine: latency, loop rate"),
     "emulate": ("pliant.cli.emulate", "put an arm's servos on a serial port that is not there"),
 }
 #: Exit code of an error that was explained, as of a flag that does not exist.

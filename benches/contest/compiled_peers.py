@@ -1,0 +1,86 @@
+"""The whole step by hand for compilers that read Python: Numba and JAX."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from contest import problem
+from contest.peer import Pair, Peer
+
+
+def numba() -> Peer:
+    """Numba: plain loops over fixed sizes."""
+    import numba as nb
+
+    from contest import numba_step
+
+    arm = problem.bench_arm()
+    functions = numba_step.compile_for(arm)
+    return Peer(f"Numba {nb.__version__}", *functions)
+
+
+def jax() -> Peer:
+    """JAX on the CPU: the same formulas, traced, compiled by XLA; arrays come back to NumPy."""
+    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
+    import jax as library
+    import jax.numpy as jnp
+
+    library.config.update("jax_enable_x64", True)
+    library.config.update("jax_platforms", "cpu")
+    arm = problem.bench_arm()
+    links = jnp.array(arm.links)
+    compliant = np.arange(6) == problem.YIELDS
+
+    def kinematics(q: Any) -> Any:
+        here, frames = links[0], []
+        for i in range(arm.n):
+            c, s = jnp.cos(q[i]), jnp.sin(q[i])
+            first, second = c * here[:, 0] + s * here[:, 1], c * here[:, 1] - s * here[:, 0]
+            frames.append(here)
+            here = jnp.stack([first, second, here[:, 2], here[:, 3]], axis=1) @ links[i + 1]
+        columns = [
+            jnp.concatenate([jnp.cross(f[:3, 2], here[:3, 3] - f[:3, 3]), f[:3, 2]]) for f in frames
+        ]
+        return here, jnp.stack(columns, axis=1)
+
+    def step(q: Any, target: Any) -> Any:
+        pose, jacobian = kinematics(q)
+        turn = target[:3, :3] @ pose[:3, :3].T
+        v = jnp.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        sine = jnp.sqrt(v @ v)
+        angle = jnp.arctan2(sine, jnp.trace(turn) - 1.0)
+        scale = jnp.where(sine > 1e-12, angle / jnp.where(sine > 1e-12, sine, 1.0), 0.5)
+        e = jnp.concatenate([target[:3, 3] - pose[:3, 3], scale * v])
+        adapted = (1.0 - problem.ETA * compliant) * e
+        gram = jacobian @ jacobian.T + problem.DAMPING**2 * jnp.eye(6)
+        factor = library.scipy.linalg.cho_factor(gram)
+        inverse = library.scipy.linalg.cho_solve(factor, jacobian).T
+        gradient = (q - arm.rest) + arm.limit_weights * (q - arm.middle)
+        null = gradient - inverse @ (jacobian @ gradient)
+        motion = problem.GAIN * (inverse @ adapted) - problem.ALPHA * null
+        shares = jnp.abs(inverse)
+        shares = shares / shares.sum(axis=0)
+        width = problem.D_PLUS - problem.D_MINUS
+        c = jnp.clip((problem.D_PLUS - jnp.abs(adapted)) / width, 0.0, 1.0)
+        strength = jnp.where(compliant, c * problem.SOFT + (1.0 - c) * problem.FIRM, problem.HOLD)
+        size = jnp.abs(null)
+        limit = shares @ strength + problem.NULL * size / size.sum()
+        return q + problem.HORIZON * motion, limit
+
+    fast, whole = library.jit(kinematics), library.jit(step)
+    many = library.jit(library.vmap(kinematics))
+
+    def both(found: Any) -> Pair:
+        first, second = found
+        return np.asarray(first), np.asarray(second)
+
+    return Peer(
+        f"JAX {library.__version__}",
+        lambda q: both(fast(q)),
+        lambda q, target: both(whole(q, target)),
+        lambda configurations: both(many(configurations)),
+        batch_size=20_000,
+    )

@@ -1,0 +1,100 @@
+"""A C++ extension with every size fixed, built by the system's compiler for this very CPU."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sysconfig
+from pathlib import Path
+
+import numpy as np
+
+from contest import problem
+from contest.peer import Pair, Peer
+from contest.problem import Array
+
+SOURCES = Path(__file__).resolve().parents[1] / "cpp"
+FLAGS = ("-std=c++17", "-O3", "-march=native", "-shared", "-fPIC", "-Wall", "-Wextra", "-Wno-psabi")
+
+
+def compiler() -> str:
+    """The C++ compiler.
+
+    Raises:
+        ImportError: There is none.
+    """
+    name = os.environ.get("CXX") or next(filter(shutil.which, ("c++", "g++", "clang++")), "")
+    if not name:
+        raise ImportError("no C++ compiler (c++, g++, clang++; CXX names another)")
+    return name
+
+
+def constants(arm: problem.Arm) -> Array:
+    """The numbers of the struct, in its order."""
+    yields = np.arange(6) == problem.YIELDS
+    parts = (
+        arm.links,
+        arm.middle,
+        arm.limit_weights,
+        arm.rest,
+        problem.D_MINUS,
+        problem.D_PLUS,
+        np.where(yields, problem.SOFT, problem.HOLD),
+        np.where(yields, problem.FIRM, problem.HOLD),
+        np.where(yields, 1.0 - problem.ETA, 1.0),
+        [problem.DAMPING, problem.GAIN, problem.HORIZON, problem.ALPHA, problem.NULL],
+    )
+    return np.concatenate([np.ravel(part) for part in parts])
+
+
+def make() -> Peer:
+    """Compile, load, configure."""
+    built = Path(os.environ["PEERS_BUILD"]) / "fixed_arm.so"
+    include = [f"-I{sysconfig.get_path('include')}", f"-I{np.get_include()}"]
+    command = [compiler(), *FLAGS, *include, str(SOURCES / "module.cpp"), "-o", str(built)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ImportError(f"{' '.join(command)}: {done.stderr}")
+    spec = importlib.util.spec_from_file_location("fixed_arm", built)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    arm = problem.bench_arm()
+    module.configure(constants(arm))
+    pose, jacobian = np.empty((4, 4)), np.empty((6, arm.n))
+    goal, limit = np.empty(arm.n), np.empty(arm.n)
+    kept: dict[int, Pair] = {}
+
+    def kinematics(q: Array) -> Pair:
+        module.kinematics(q, pose, jacobian)
+        return pose.copy(), jacobian.copy()
+
+    def step(q: Array, target: Array) -> Pair:
+        module.step(q, target, goal, limit)
+        return goal.copy(), limit.copy()
+
+    def batch(configurations: Array) -> Pair:
+        count = len(configurations)
+        if count not in kept:
+            kept[count] = (np.empty((count, 4, 4)), np.empty((count, 6, arm.n)))
+        module.batch(configurations, *kept[count])
+        return kept[count]
+
+    version = subprocess.run(
+        [compiler(), "-dumpfullversion"], capture_output=True, text=True, check=False
+    )
+    return Peer(
+        version=f"{Path(compiler()).name} {version.stdout.strip()} -O3 -march=native",
+        kinematics=kinematics,
+        kinematics_call="k(q, T, J)",
+        step=step,
+        step_call="s(q, t, goal, limit)",
+        names={
+            **{"k": module.kinematics, "s": module.step, "T": pose, "J": jacobian},
+            **{"goal": goal, "limit": limit},
+        },
+        batch=batch,
+    )

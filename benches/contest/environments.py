@@ -1,0 +1,74 @@
+"""Where each peer lives: this interpreter if it has the library, else an environment of its own."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import venv
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+BUILD = ROOT / "build" / "peers"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row of the table.
+
+    Attributes:
+        name: As it stands in the table.
+        maker: Module and function of this package.
+        module: What must be importable.
+        package: What pip installs for it; "" for what must be here already.
+        environment: Variables of its process.
+    """
+
+    name: str
+    maker: str
+    module: str = "numpy"
+    package: str = ""
+    environment: dict[str, str] = field(default_factory=dict)
+
+
+#: Instructions that ours is forced to use, fastest first; where a build has one path they are one.
+PATHS = ("avx512", "avx2", "baseline")
+OURS = tuple(
+    Entry(f"pliant ({path})", "pliant_peer:make", environment={"PLIANT_INSTRUCTIONS": path})
+    for path in PATHS
+)
+PEERS = (
+    Entry("C++ for this CPU", "cpp_peer:make"),
+    Entry("Numba", "compiled_peers:numba", "numba", "numba"),
+    # It works in threads of its own, and its caller waits for them.
+    Entry("JAX", "compiled_peers:jax", "jax", "jax", {"PEERS_PIN": "0"}),
+    Entry("Pinocchio + NumPy", "library_peers:pinocchio", "pinocchio", "pin"),
+    Entry("MuJoCo + NumPy", "library_peers:mujoco", "mujoco", "mujoco"),
+    Entry("dynibo + NumPy", "library_peers:dynibo", "dynibo", "dynibo"),
+    Entry("optik-py + NumPy", "library_peers:optik", "optik", "optik-py"),
+    Entry("placo + NumPy", "library_peers:placo", "placo", "placo"),
+    Entry("NumPy", "numpy_peer:make"),
+)
+
+
+def python_for(entry: Entry) -> str:
+    """Path of an interpreter that has the peer; makes an environment where it has to.
+
+    Raises:
+        RuntimeError: The package cannot be installed.
+    """
+    if not entry.package or importlib.util.find_spec(entry.module) is not None:
+        return sys.executable
+    home = BUILD / entry.package
+    python, done = home / "bin" / "python", home / ".installed"
+    if not done.exists():
+        print(f"   making an environment for {entry.package}", file=sys.stderr, flush=True)
+        venv.create(home, with_pip=True, clear=True)
+        command = [str(python), "-m", "pip", "install", "--quiet", "numpy", entry.package]
+        installed = subprocess.run(command, capture_output=True, text=True, check=False)
+        if installed.returncode:
+            last = installed.stderr.strip().splitlines()[-1:] or ["pip said nothing"]
+            raise RuntimeError(f"pip install {entry.package}: {last[0]}")
+        done.touch()
+    return str(python)

@@ -1,0 +1,122 @@
+"""Libraries of kinematics: theirs the pose and the Jacobian, the law around them in NumPy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from contest import numpy_peer, problem
+from contest.numpy_peer import with_law
+from contest.peer import Pair, Peer, loop
+from contest.problem import Array
+
+
+def _peer(version: str, kinematics: Callable[[Array], Pair]) -> Peer:
+    step = with_law(problem.bench_arm(), kinematics)
+    return Peer(version, kinematics, step, loop(kinematics), batch_size=2_000)
+
+
+def pinocchio() -> Peer:
+    """Pinocchio: one call updates the frame and gives its Jacobian."""
+    import pinocchio as pin
+
+    model = pin.buildModelFromUrdf(str(problem.URDF))
+    data, frame, axes = model.createData(), model.getFrameId(problem.TOOL), pin.LOCAL_WORLD_ALIGNED
+
+    def kinematics(q: Array) -> Pair:
+        jacobian = pin.computeFrameJacobian(model, data, q, frame, axes)
+        return data.oMf[frame].homogeneous, jacobian
+
+    return _peer(f"Pinocchio {pin.__version__}", kinematics)
+
+
+def mujoco() -> Peer:
+    """MuJoCo: positions of all bodies, then the Jacobian of one of them."""
+    import mujoco as mj
+
+    keep = '<mujoco><compiler fusestatic="false" discardvisual="false"/></mujoco></robot>'
+    text = problem.URDF.read_text(encoding="utf-8").replace("</robot>", keep)
+    model = mj.MjModel.from_xml_string(text)
+    data, body = mj.MjData(model), model.body(problem.TOOL).id
+    jacobian, pose = np.empty((6, model.nv)), np.eye(4)
+    linear, angular = jacobian[:3], jacobian[3:]
+    position, rotation, qpos = data.xpos[body], data.xmat[body].reshape(3, 3), data.qpos
+
+    def kinematics(q: Array) -> Pair:
+        qpos[:] = q
+        mj.mj_kinematics(model, data)
+        mj.mj_comPos(model, data)
+        mj.mj_jacBody(model, data, linear, angular, body)
+        pose[:3, 3] = position
+        pose[:3, :3] = rotation
+        return pose, jacobian
+
+    return _peer(f"MuJoCo {mj.__version__}", kinematics)
+
+
+def dynibo() -> Peer:
+    """Dynibo (Rust): pose as a quaternion, Jacobian into the caller's array, angular rows first."""
+    import dynibo as library
+
+    robot = library.Robot.from_urdf(str(problem.URDF))
+    tool, n = robot.link_id(problem.TOOL), robot.joint_count
+    flat, pose, jacobian = np.empty(6 * n), np.eye(4), np.empty((6, n))
+    columns = flat.reshape(n, 6).T
+
+    def kinematics(q: Array) -> Pair:
+        robot.jacobian(q, tool, out=flat)
+        found = robot.forward_kinematics(q, tool)
+        x, y, z, w = found.rotation_xyzw
+        pose[:3, 3] = found.translation
+        pose[0, :3] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
+        pose[1, :3] = 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)
+        pose[2, :3] = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+        jacobian[:3] = columns[3:]
+        jacobian[3:] = columns[:3]
+        return pose, jacobian
+
+    return _peer(f"dynibo {library.__version__}", kinematics)
+
+
+def optik() -> Peer:
+    """Optik (Rust): nested lists; its Jacobian is in the tool's axes and is turned here.
+
+    Of two fixed origins in a row it forgets to turn the second by the first, which puts the whole
+    arm 4 mm off; the constant that is missing is added, so that it can take part.
+    """
+    from importlib.metadata import version
+
+    import optik as library
+
+    robot = library.Robot.from_urdf_file(str(problem.URDF), "base_link", problem.TOOL)
+    q_zero = np.zeros(problem.bench_arm().n)
+    missing = numpy_peer.kinematics_of(problem.bench_arm())(q_zero)[0] - np.array(robot.fk(q_zero))
+
+    def kinematics(q: Array) -> Pair:
+        pose, local = np.array(robot.fk(q)) + missing, np.array(robot.joint_jacobian(q))
+        rotation = pose[:3, :3]
+        return pose, np.concatenate((rotation @ local[:3], rotation @ local[3:]))
+
+    return _peer(f"optik-py {version('optik-py')}", kinematics)
+
+
+def placo() -> Peer:
+    """placo: a floating base, whose columns come first, around Pinocchio."""
+    from importlib.metadata import version
+
+    import placo as library
+
+    robot = library.RobotWrapper(str(problem.URDF), library.Flags.ignore_collisions)
+    names = list(robot.joint_names())
+    offset = robot.get_joint_offset(names[0])
+    columns = slice(robot.get_joint_v_offset(names[0]), None)
+    state = robot.state
+
+    def kinematics(q: Array) -> Pair:
+        state.q[offset:] = q
+        robot.update_kinematics()
+        jacobian = robot.frame_jacobian(problem.TOOL, "local_world_aligned")
+        return robot.get_T_world_frame(problem.TOOL), jacobian[:, columns]
+
+    return _peer(f"placo {version('placo')}", kinematics)

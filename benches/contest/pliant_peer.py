@@ -1,0 +1,60 @@
+"""Ours, by the calls that a user makes."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import numpy as np
+
+import pliant
+from contest import problem
+from contest.peer import Pair, Peer
+from contest.problem import Array
+
+
+def controller(model: pliant.Model) -> pliant.Controller:
+    """Law `paper`: fixed λ, printed projector, posture and limit cost; no gravity, no limits."""
+    endless = {"step_limit": np.inf, "soft_step_limit": np.inf}
+    stiff = pliant.Axis(**endless)
+    soft = pliant.Axis(soft=problem.SOFT, firm=problem.FIRM, eta=problem.ETA, **endless)
+    settings = pliant.Settings.paper(
+        axes={"xz rpy": stiff, "y": soft},
+        damping=problem.DAMPING,
+        projector="paper",
+        limit_avoidance=problem.LIMIT_WEIGHT,
+        posture=problem.bench_arm().rest,
+        joint_speed=[1e3] * model.n,
+    )
+    servos = pliant.Servos(kp=[100.0] * model.n, torque=[100.0] * model.n)
+    return pliant.Controller(model, settings, servos)
+
+
+def make() -> Peer:
+    """The step, the kinematics into the caller's arrays, and the batch."""
+    model = pliant.Model.from_urdf(problem.URDF, tip=problem.TOOL)
+    ours = controller(model)
+    pose, jacobian = np.empty((4, 4)), np.empty((6, model.n))
+    kept: dict[int, Any] = {}
+
+    def batch(configurations: Array) -> Pair:
+        count = len(configurations)
+        if count not in kept:
+            kept[count] = (np.empty((count, 4, 4)), np.empty((count, 6, model.n)))
+        return model.kinematics_batch(configurations, out=kept[count])
+
+    takes_arrays = "out" in str(inspect.signature(model.kinematics_batch))
+    return Peer(
+        version=f"pliant {pliant.__version__}, {instructions(ours)}",
+        kinematics=model.kinematics,
+        kinematics_call="k(q, out=arrays)",
+        names={"k": model.kinematics, "arrays": (pose, jacobian)},
+        step=ours.step,
+        step_call="c = f(q, t); c.goal; c.torque_limit",
+        batch=batch if takes_arrays else model.kinematics_batch,
+    )
+
+
+def instructions(of: pliant.Controller) -> str:
+    """The instructions chosen for this machine, where the build has a choice."""
+    return str(getattr(of, "instructions", "one path for all machines"))

@@ -1,0 +1,126 @@
+"""What every peer is asked: the bench arm, 64 states, and the numbers of the law. NumPy only.
+
+The arm is read here once more, by a few lines that know nothing of `pliant`: the peers written by
+hand must not inherit a mistake of ours.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+URDF = Path(__file__).resolve().parents[1] / "arm7_bench.urdf"
+TOOL = "tool"
+STATES = 64
+#: Law `paper`, (3)–(12): λ, K_x [1/s], h [s], α [1/s], weight of the joint-limit cost.
+DAMPING, GAIN, HORIZON, ALPHA, LIMIT_WEIGHT = 0.02, 4.0, 0.25, 4.0, 0.1
+#: The one axis that yields (y), and its η.
+YIELDS, ETA = 1, 0.9
+#: d⁻, d⁺ of x y z roll pitch yaw [m, rad].
+D_MINUS = np.array([0.01] * 3 + [0.04] * 3)
+D_PLUS = np.array([0.1] * 3 + [0.4] * 3)
+#: Budgets [N·m].
+SOFT, FIRM, HOLD, NULL = 0.5, 10.0, 10.0, 2.0
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The bench arm, every frame turned so that its joint rotates about its own z.
+
+    Attributes:
+        links: (n + 1, 4, 4); the tool is at Π_i links[i] Rz(q_i) · links[n].
+        lower, upper: Position limits (n,) [rad].
+    """
+
+    links: Array
+    lower: Array
+    upper: Array
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.lower)
+
+    @property
+    def middle(self) -> Array:
+        """Middle of the ranges (n,) [rad]."""
+        return 0.5 * (self.lower + self.upper)
+
+    @property
+    def limit_weights(self) -> Array:
+        """Weights of the joint-limit cost (n,), ``weight / (half range)²``."""
+        return LIMIT_WEIGHT / (0.5 * (self.upper - self.lower)) ** 2
+
+    @property
+    def rest(self) -> Array:
+        """Rest posture (n,) [rad]."""
+        return self.middle + 0.1
+
+
+def bench_arm() -> Arm:
+    """Read the bench arm: one chain, revolute and fixed joints, in the order of the file."""
+    links, lower, upper = [], [], []
+    here = np.eye(4)
+    for joint in ET.parse(URDF).getroot().iter("joint"):
+        here = here @ _origin(joint.find("origin"))
+        if joint.get("type") == "revolute":
+            axis, limit = joint.find("axis"), joint.find("limit")
+            assert axis is not None
+            assert limit is not None
+            turn = np.eye(4)
+            turn[:3, :3] = _z_to(_numbers(axis.get("xyz", "1 0 0")))
+            links.append(here @ turn)
+            here = turn.T
+            lower.append(float(limit.get("lower", "nan")))
+            upper.append(float(limit.get("upper", "nan")))
+    return Arm(np.array([*links, here]), np.array(lower), np.array(upper))
+
+
+def states(arm: Arm) -> list[tuple[Array, Array]]:
+    """A closed path through the middle of the ranges: each q, and the joints a little ahead."""
+
+    def at(turn: float, phase: float) -> Array:
+        wave = np.sin(turn + 0.9 * np.arange(arm.n) + phase)
+        return arm.middle + 0.2 * (arm.upper - arm.lower) * wave
+
+    turns = [2.0 * np.pi * s / STATES for s in range(STATES)]
+    return [(at(turn, 0.0), at(turn, 0.05)) for turn in turns]
+
+
+def many(arm: Arm, count: int) -> Array:
+    """Configurations (count, n) spread over the ranges by a golden-ratio sequence."""
+    fraction = (np.arange(count * arm.n) * 0.618033988749895) % 1.0
+    return arm.lower + fraction.reshape(count, arm.n) * (arm.upper - arm.lower)
+
+
+def _origin(origin: ET.Element | None) -> Array:
+    out = np.eye(4)
+    if origin is not None:
+        (cr, cp, cy), (sr, sp, sy) = (
+            f(_numbers(origin.get("rpy", "0 0 0"))) for f in (np.cos, np.sin)
+        )
+        out[:3, :3] = [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+        out[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
+    return out
+
+
+def _z_to(axis: Array) -> Array:
+    """A rotation whose third column is `axis`."""
+    z = axis / np.linalg.norm(axis)
+    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [0.0, 0.0, 1.0], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _numbers(text: str) -> Array:
+    return np.array([float(word) for word in text.split()])

@@ -1,0 +1,163 @@
+"""What the race came to: one row a peer, as text and as a picture."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from contest.environments import ROOT
+from contest.turns import Racer
+
+
+@dataclass(frozen=True)
+class Row:
+    """Medians of one peer.
+
+    Attributes:
+        step, kinematics: Median over rounds [µs], the empty loop subtracted; NaN where not done.
+        tail: p99.9 of single steps [µs], the empty call subtracted.
+        batch: Millions of configurations a second and core.
+        ratio, kinematics_ratio: How many times ours, median of the ratios within a round.
+    """
+
+    name: str
+    version: str
+    step: float
+    tail: float
+    kinematics: float
+    batch: float
+    ratio: float
+    kinematics_ratio: float
+
+
+def rows(racers: list[Racer]) -> list[Row]:
+    """Rows, the first racer being ours that the others are compared with."""
+    ours = racers[0]
+    out = []
+    for racer in racers:
+        single = np.array(racer.singles.get("step/single", []))
+        empty = np.array(racer.singles.get("empty/single", [0.0]))
+        tail = np.percentile(single, 99.9) - np.median(empty) if single.size else np.nan
+        out.append(
+            Row(
+                racer.name,
+                racer.version,
+                float(np.nanmedian(net(racer, "step"))) / 1e3,
+                float(tail) / 1e3,
+                float(np.nanmedian(net(racer, "kinematics"))) / 1e3,
+                1e3 / float(np.nanmedian(racer.medians["batch/whole"])),
+                float(np.nanmedian(net(racer, "step") / net(ours, "step"))),
+                float(np.nanmedian(net(racer, "kinematics") / net(ours, "kinematics"))),
+            )
+        )
+    return out
+
+
+def net(racer: Racer, task: str) -> np.ndarray:
+    """Time of a call in each round [ns], less that of the loop around it."""
+    return np.array(racer.medians[f"{task}/whole"]) - np.array(racer.medians["empty/whole"])
+
+
+def where() -> str:
+    """Commit, processor, Python, load: what a number means nothing without."""
+    commit = _git("rev-parse", "--short=12", "HEAD") or "unknown commit"
+    if _git("status", "--porcelain", "--untracked-files=no"):
+        commit += " with changes"
+    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    return f"commit {commit}; {processor()}; CPython {platform.python_version()}{load}"
+
+
+def processor() -> str:
+    """Name of the processor, its family where Linux tells."""
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    except OSError:
+        return platform.processor() or platform.machine()
+    said = dict(
+        (key.strip(), value.strip())
+        for key, _, value in (line.partition(":") for line in text.splitlines())
+    )
+    family = f" family {said['cpu family']}" if "cpu family" in said else ""
+    return f"{said.get('model name', platform.machine())}{family}, {os.cpu_count()} cores"
+
+
+def markdown(found: list[Row]) -> str:
+    """The table."""
+    lines = [
+        "| | step, median | × ours | p99.9 | FK + J | × ours | batch FK + J, one core |",
+        "|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    for row in found:
+        cells = (
+            f"{row.name}",
+            f"{row.step:.2f} µs",
+            f"{row.ratio:.1f}",
+            f"{row.tail:.2f} µs",
+            f"{row.kinematics:.2f} µs",
+            f"{row.kinematics_ratio:.1f}",
+            f"{row.batch:.2f} M/s",
+        )
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def floor(racers: list[Racer]) -> float:
+    """p99.9 of calls that do nothing [µs], as the machine has it today."""
+    empty = np.array(racers[0].singles.get("empty/single") or [np.nan])
+    return float(np.percentile(empty, 99.9) - np.median(empty)) / 1e3
+
+
+def plot(found: list[Row], path: Path, note: str) -> None:
+    """Dots on a logarithmic scale: the step with its p99.9 on the left, kinematics on the right."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.ticker import FuncFormatter
+
+    figure, axes = plt.subplots(1, 2, figsize=(10, 0.34 * len(found) + 1.7), sharey=True)
+    places = np.arange(len(found))
+    parts = (
+        (axes[0], "one step of law paper", [(row.step, row.tail) for row in found]),
+        (axes[1], "pose and Jacobian", [(row.kinematics, row.kinematics) for row in found]),
+    )
+    for axis, title, values in parts:
+        for place, row, (median, tail) in zip(places, found, values, strict=True):
+            colour = "#c1121f" if row.name.startswith("pliant") else "#33415c"
+            axis.plot([median, tail], [place, place], color=colour, linewidth=1.2, alpha=0.45)
+            axis.plot(median, place, "o", color=colour, markersize=7)
+            text = f"{median:.2f}" if median < 10.0 else f"{median:.0f}"
+            axis.annotate(
+                text,
+                (median, place),
+                (-8, 0),
+                textcoords="offset points",
+                **{"va": "center", "ha": "right", "fontsize": 9, "color": colour},
+            )
+        axis.set_xscale("log")
+        axis.set_xlim(left=0.45 * min(median for median, _ in values))
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+        axis.set_title(title, loc="left", fontsize=11)
+        axis.grid(axis="x", color="0.9")
+        axis.set_axisbelow(True)
+        axis.spines[["top", "right", "left"]].set_visible(False)
+        axis.tick_params(axis="y", length=0)
+    axes[0].set_xlabel("from Python [µs], logarithmic: dot median, line to p99.9")
+    axes[1].set_xlabel("from Python [µs], logarithmic: median")
+    axes[0].set_yticks(places, [row.name for row in found])
+    axes[0].invert_yaxis()
+    figure.text(0.005, 0.008, note, fontsize=7, color="0.4")
+    figure.tight_layout(rect=(0, 0.03, 1, 1))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def _git(*words: str) -> str:
+    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    return done.stdout.strip() if done.returncode == 0 else ""

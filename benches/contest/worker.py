@@ -1,0 +1,156 @@
+"""One peer in a process of its own: verifies, then times blocks when it is told to.
+
+Speaks JSON by the line over its standard streams. Blocks are short; one that had to wait for the
+CPU, by the scheduler's own counter, is not reported. A batch takes too long for that and is
+counted in CPU time instead.
+"""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import itertools
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from contest import numpy_peer, problem
+from contest.peer import Peer
+
+#: A peer with threads of its own is not tied to one core, and waiting for them is its work.
+PINNED = os.environ.get("PEERS_PIN") != "0"
+#: A block takes about so long [ns], less than a scheduler's slice, and has at most so many calls.
+BLOCK_TIME, BLOCK_CALLS = 300_000, 4 * problem.STATES
+#: A block of calls timed as a whole, and one of calls timed one by one.
+WHOLE = """
+def block():
+    pairs = next(chunks)
+    start = now()
+    for q, t in pairs:
+        {call}
+    return [(now() - start) / len(pairs)]
+"""
+SINGLE = """
+def block():
+    times = []
+    for q, t in next(chunks):
+        start = now()
+        {call}
+        times.append(now() - start)
+    return times
+"""
+
+
+def chunks(pairs: list[Any], count: int) -> Iterator[list[Any]]:
+    """`count` states at a time, all of them in turn, without end."""
+    states = itertools.cycle(pairs)
+    ready = [list(itertools.islice(states, count)) for _ in pairs]
+    return itertools.cycle(ready)
+
+
+def blocks_of(peer: Peer, pairs: list[Any]) -> dict[str, Callable[[], list[float]]]:
+    """Timed loops by task; `empty` ones have nothing in them."""
+    calls = {"empty": ("pass", None)}
+    if peer.kinematics:
+        calls["kinematics"] = (peer.kinematics_call, peer.kinematics)
+    if peer.step:
+        calls["step"] = (peer.step_call, peer.step)
+    made = {}
+    for task, (call, function) in calls.items():
+        for kind, template in (("whole", WHOLE), ("single", SINGLE)):
+            names = {"now": time.perf_counter_ns, "f": function, **peer.names}
+            exec(template.format(call=call), names)
+            names["chunks"] = chunks(pairs, len(pairs))
+            each = min(names["block"]() + names["block"]())
+            count = min(max(int(BLOCK_TIME / (each + 1.0)), 4), BLOCK_CALLS)
+            names["chunks"] = chunks(pairs, count)
+            made[f"{task}/{kind}"] = names["block"]
+    if peer.batch:
+        many = problem.many(problem.bench_arm(), peer.batch_size)
+        batch = peer.batch
+
+        def timed() -> list[float]:
+            start = time.process_time_ns()
+            batch(many)
+            return [(time.process_time_ns() - start) / len(many)]
+
+        made["batch/whole"] = timed
+    return made
+
+
+def waited() -> int:
+    """Time [ns] that this thread was ready and had no CPU; 0 where the system does not say."""
+    try:
+        with open("/proc/thread-self/schedstat", encoding="ascii") as file:
+            return int(file.read().split()[1])
+    except OSError:
+        return 0
+
+
+def results(peer: Peer, pairs: list[Any]) -> dict[str, Any]:
+    """What the coordinator compares with the reference."""
+    found: dict[str, Any] = {}
+    if peer.kinematics:
+        found["kinematics"] = [
+            [np.asarray(x).tolist() for x in peer.kinematics(q)] for q, _ in pairs
+        ]
+    if peer.step:
+        found["step"] = [[np.asarray(x).tolist() for x in peer.step_pair(q, t)] for q, t in pairs]
+    if peer.batch:
+        many = problem.many(problem.bench_arm(), problem.STATES)
+        poses, jacobians = peer.batch(many)
+        found["batch"] = [
+            [pose.tolist(), jacobian.tolist()]
+            for pose, jacobian in zip(np.asarray(poses), np.asarray(jacobians), strict=True)
+        ]
+    return found
+
+
+def run(blocks: dict[str, Callable[[], list[float]]], task: str, seconds: float) -> list[float]:
+    """Times per call [ns] of undisturbed blocks, of about as many as fit; at least one is tried."""
+    block, times = blocks.get(task), []
+    if block is None:
+        return times
+    block()
+    end = time.perf_counter() + seconds
+    while True:
+        before = waited()
+        found = block()
+        if waited() == before or not PINNED or task.startswith("batch"):
+            times += found
+        if time.perf_counter() >= end:
+            return times
+
+
+def main() -> None:
+    """Serve until the input ends. Argument: module and function that make the peer."""
+    if PINNED and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    module, function = sys.argv[1].split(":")
+    try:
+        peer = getattr(importlib.import_module(f"contest.{module}"), function)()
+    except Exception as error:  # a peer that cannot be had is reported, whatever the reason
+        print(json.dumps({"missing": f"{type(error).__name__}: {error}"}), file=answers, flush=True)
+        return
+    arm = problem.bench_arm()
+    kinematics = numpy_peer.kinematics_of(arm)
+    pairs = [(q, kinematics(ahead)[0]) for q, ahead in problem.states(arm)]
+    answer = {"version": peer.version, "results": results(peer, pairs)}
+    print(json.dumps(answer), file=answers, flush=True)
+    blocks = blocks_of(peer, pairs)
+    gc.collect()
+    for line in sys.stdin:
+        asked = json.loads(line)
+        times = run(blocks, asked["task"], asked["seconds"])
+        print(json.dumps(times), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,175 @@
+//! The hot path stage by stage, for counting instructions: `counts STAGE` runs one of them, `counts --stages` names them.
+//!
+//! `benches/counts.py` starts it under callgrind and counts what happens inside [`counted`] alone. Without a stage all of
+//! them run once, so that tests keep them in order.
+#![allow(clippy::expect_used, clippy::print_stdout, reason = "a bench that cannot be set up has nothing to say")]
+
+use std::hint::black_box;
+use std::path::Path;
+use std::sync::Arc;
+
+use pliant_core::settings::{Damping, Law, Projector};
+use pliant_core::task::axes::{Axis, Yields};
+use pliant_core::task::deviation::pose_error;
+use pliant_core::{
+    Controller, Frames, JointVec, MAX_AXES, MAX_JOINTS, Model, ModelOptions, Pose, Servos, Settings, StepInput,
+};
+
+const STATES: usize = 64;
+
+/// One way of using the hot path, over all states.
+type Work = Box<dyn FnMut()>;
+
+fn arm() -> Arc<Model> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../benches/arm7_bench.urdf");
+    Arc::new(Model::from_urdf_file(path, &ModelOptions::default()).expect("the bench arm is part of the repository"))
+}
+
+fn servos() -> Servos {
+    let spread = |shoulder: f64, wrist: f64| [vec![shoulder; 4], vec![wrist; 3]].concat();
+    Servos {
+        friction: spread(0.2, 0.1),
+        damping: spread(1.2, 0.8),
+        kv: spread(1.5, 0.5),
+        kp_known: true,
+        ..Servos::new(spread(150.0, 60.0), spread(10.7, 6.4))
+    }
+}
+
+/// A closed path through the middle of the joint ranges, and targets a few centimetres off.
+fn states(model: &Model) -> Vec<(Vec<f64>, Pose)> {
+    let at = |s: usize, phase: f64| -> Vec<f64> {
+        let turn = std::f64::consts::TAU * s as f64 / STATES as f64;
+        (0..model.n())
+            .map(|i| {
+                let (low, high) = (model.lower()[i], model.upper()[i]);
+                0.5 * (low + high) + 0.2 * (high - low) * (turn + 0.9 * i as f64 + phase).sin()
+            })
+            .collect()
+    };
+    let pose = |q: &[f64]| model.forward_kinematics(q).expect("a state of this arm");
+    (0..STATES).map(|s| (at(s, 0.0), pose(&at(s, 0.05)))).collect()
+}
+
+/// Law `paper`: fixed λ, printed projector, posture and limit cost, no gravity, no step limits.
+fn paper() -> Settings {
+    let endless = Axis { step_limit: Some(f64::INFINITY), soft_step_limit: Some(f64::INFINITY), ..Axis::default() };
+    let mut settings = Settings {
+        damping: Damping::Fixed(0.02),
+        projector: Projector::Paper,
+        limit_avoidance: 0.1,
+        axes: [endless; 6],
+        ..Settings::paper()
+    };
+    (settings.axes[1].yields, settings.axes[1].eta) = (Some(Yields::Both), 0.9);
+    settings
+}
+
+fn soft_y(law: Law) -> Settings {
+    let mut settings = Settings { law, ..Settings::default() };
+    settings.axes[1] = Axis { yields: Some(Yields::Both), eta: 0.9, ..Axis::default() };
+    settings
+}
+
+fn stages() -> Vec<(&'static str, Work)> {
+    let model = arm();
+    let states = states(&model);
+    let joints: Vec<JointVec> = states
+        .iter()
+        .map(|(q, _)| {
+            let mut out = [0.0; MAX_JOINTS];
+            out[..q.len()].copy_from_slice(q);
+            out
+        })
+        .collect();
+    let poses: Vec<(Pose, Pose)> =
+        states.iter().map(|(q, target)| (model.forward_kinematics(q).expect("a state of this arm"), *target)).collect();
+    let mut stages: Vec<(&'static str, Work)> = Vec::new();
+
+    let (arm, at, mut frames) = (Arc::clone(&model), joints.clone(), Frames::default());
+    stages.push((
+        "forward",
+        Box::new(move || {
+            for q in &at {
+                arm.chain().forward(black_box(q), &mut frames);
+                black_box(&frames);
+            }
+        }),
+    ));
+    let (arm, mut frames, mut rows) = (Arc::clone(&model), Frames::default(), [[0.0; MAX_JOINTS]; MAX_AXES]);
+    arm.chain().forward(&joints[0], &mut frames);
+    stages.push((
+        "jacobian",
+        Box::new(move || {
+            for _ in 0..STATES {
+                arm.chain().jacobian(black_box(&frames), &mut rows);
+                black_box(&rows);
+            }
+        }),
+    ));
+    let (arm, mut frames, mut torque) = (Arc::clone(&model), Frames::default(), [0.0; MAX_JOINTS]);
+    arm.chain().forward(&joints[0], &mut frames);
+    let masses = arm.chain().masses(None);
+    stages.push((
+        "gravity",
+        Box::new(move || {
+            for _ in 0..STATES {
+                arm.chain().gravity(black_box(&frames), &masses, arm.gravity_vector(), &mut torque);
+                black_box(&torque);
+            }
+        }),
+    ));
+    stages.push((
+        "pose_error",
+        Box::new(move || {
+            for (pose, target) in &poses {
+                black_box(pose_error(black_box(pose), black_box(target)));
+            }
+        }),
+    ));
+    let steps = [("step paper", paper()), ("step cap", soft_y(Law::Cap)), ("step impedance", soft_y(Law::Impedance))];
+    for (name, settings) in steps {
+        let mut controller =
+            Controller::new(Arc::clone(&model), settings, Some(servos())).expect("settings that fit the bench arm");
+        let at = states.clone();
+        stages.push((
+            name,
+            Box::new(move || {
+                for (q, target) in &at {
+                    let command = controller.step(black_box(q), black_box(target), &StepInput::default());
+                    black_box(command.is_ok());
+                }
+            }),
+        ));
+    }
+    stages
+}
+
+/// What callgrind counts: one round over all states. Its name is asked for by `benches/counts.py`.
+#[inline(never)]
+fn counted(work: &mut Work) {
+    black_box(work)();
+}
+
+fn main() {
+    let wanted = std::env::args().nth(1).unwrap_or_default();
+    if wanted == "--list" {
+        return; // a test runner asks for tests
+    }
+    let mut stages = stages();
+    if wanted == "--stages" {
+        for (name, _) in &stages {
+            println!("{name} {STATES}");
+        }
+        return;
+    }
+    let chosen = stages.iter().any(|(name, _)| *name == wanted);
+    for (name, work) in &mut stages {
+        if *name == wanted {
+            work(); // the first step of a controller resets it
+            counted(work);
+        } else if !chosen {
+            counted(work);
+        }
+    }
+}

@@ -1,0 +1,65 @@
+"""Times our calls beside everybody else's, doing the same work, in one run.
+
+    make peers                      (or: python benches/peers.py --rounds 40 --plot out.png)
+
+Each peer runs in a process of its own, in this environment if it has the library and otherwise in
+one that is made for it under build/peers. Its results must agree with a NumPy reference to 1e-9
+before it is timed. Turns are taken in random order; ratios are taken within a round. What is
+missing is said loudly.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from contest import table
+from contest.environments import BUILD, OURS, PEERS
+from contest.turns import Racer, race
+
+
+def main() -> None:
+    """Start, verify, race, print, plot."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--rounds", type=int, default=30)
+    parser.add_argument("--only", default="", help="peers by part of their name, comma-separated")
+    parser.add_argument("--plot", type=Path, default=BUILD / "peers.png")
+    arguments = parser.parse_args()
+    BUILD.mkdir(parents=True, exist_ok=True)
+    wanted = [word.strip().lower() for word in arguments.only.split(",") if word.strip()]
+    racers: list[Racer] = []
+    for entry in (*OURS, *PEERS):
+        ours = entry in OURS
+        if not ours and wanted and not any(word in entry.name.lower() for word in wanted):
+            continue
+        racer, reason = Racer.start(entry)
+        if racer is None:
+            print(f"!! {entry.name} is MISSING: {reason}", file=sys.stderr)
+        elif ours and racer.version in {other.version for other in racers}:
+            racer.stop()  # this processor, or this build, has no such path
+        else:
+            print(f"   {racer.name}: {racer.version}, agrees to 1e-9", file=sys.stderr)
+            racers.append(racer)
+    if not racers or not racers[0].name.startswith("pliant"):
+        sys.exit("error: pliant itself is missing")
+    race(racers, arguments.rounds)
+    for racer in racers:
+        racer.stop()
+    found, note = table.rows(racers), table.where()
+    said = f"{note}\n{racers[0].version}\n\n{table.markdown(found)}\n"
+    said += f"\nCalls that do nothing, in the same blocks: p99.9 {table.floor(racers):.2f} µs.\n"
+    print(f"\n{said}")
+    (BUILD / "peers.md").write_text(said, encoding="utf-8")
+    kept = {"where": note, "rows": [asdict(row) for row in found]}
+    (BUILD / "peers.json").write_text(json.dumps(kept, indent=1), encoding="utf-8")
+    table.plot(found, arguments.plot, f"{note}; 7 joints, 6 axes")
+    print(f"picture: {arguments.plot}")
+
+
+if __name__ == "__main__":
+    main()

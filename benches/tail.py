@@ -1,0 +1,163 @@
+"""The slowest of many steps from Python, and whether any pose costs more than an ordinary one.
+
+    python benches/tail.py                 10⁷ steps in turn; --steps for fewer
+
+Ordinary poses, singular ones, joints at their limits, targets that saturate every limit, and
+denormal numbers take turns in short blocks, so that a busy machine is busy for all of them alike.
+Calls are timed one by one, the garbage collector on. What the system adds stands in the row of
+calls that do nothing; p99.9 is also given for the blocks in which, by the scheduler's own counter,
+no other program had the core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import pliant
+
+Array = NDArray[np.float64]
+URDF = Path(__file__).resolve().with_name("arm7_bench.urdf")
+BLOCK, STATES = 64, 256
+#: Ratio to the ordinary poses that is still the same cost.
+SAME = 1.2
+
+
+@dataclass(frozen=True)
+class Case:
+    """States that a controller is stepped through.
+
+    Attributes:
+        name: What is special.
+        states: q (7,) and target (4, 4).
+    """
+
+    name: str
+    states: list[tuple[Array, Array]]
+
+
+def servos() -> pliant.Servos:
+    """As of the built-in seven-joint arm."""
+    return pliant.Servos(
+        kp=[150.0] * 4 + [60.0] * 3, torque=[10.7] * 4 + [6.4] * 3, friction=0.1, kp_known=True
+    )
+
+
+def cases(model: pliant.Model) -> list[Case]:
+    """The poses; every case has states that change with every call."""
+    turns = 2.0 * np.pi * np.arange(STATES)[:, None] / STATES + 0.9 * np.arange(model.n)
+    middle, half = 0.5 * (model.lower + model.upper), 0.5 * (model.upper - model.lower)
+    ordinary = middle + 0.4 * half * np.sin(turns)
+    stretched = ordinary.copy()
+    stretched[:, 3:6] = 1e-3 * np.sin(turns[:, 3:6])  # elbow and wrist straight
+    limits = np.where(np.sin(turns) > 0.0, model.upper, model.lower) - 1e-9 * np.sin(turns)
+    tiny = 1e-310 * np.sin(turns)
+    far = np.eye(4)
+    far[:3, 3] = 1.0
+
+    def toward(q: Array, shift: Array) -> list[tuple[Array, Array]]:
+        return [(a, model.forward_kinematics(b)) for a, b in zip(q, q + shift, strict=True)]
+
+    near = 0.02 * np.cos(turns)
+    return [
+        Case("ordinary poses", toward(ordinary, near)),
+        Case("near singular (elbow and wrist straight)", toward(stretched, near)),
+        Case("joints at their limits", toward(limits, near)),
+        Case("every limit saturated (target far away)", [(q, far) for q in ordinary]),
+        Case("denormal positions", toward(tiny, np.zeros_like(near))),
+        Case("at rest on the target (denormal deviations)", toward(ordinary, 1e-310 * near)),
+    ]
+
+
+def stepper(case: Case, settings: pliant.Settings) -> Callable[[], Array]:
+    """Times [ns] of the next block of steps of a controller of its own."""
+    model = pliant.Model.from_urdf(URDF)
+    controller = pliant.Controller(model, settings, servos())
+    parts = itertools.cycle(range(0, STATES, BLOCK))
+
+    def block() -> Array:
+        times, now, first = [], time.perf_counter_ns, next(parts)
+        for q, target in case.states[first : first + BLOCK]:
+            start = now()
+            command = controller.step(q, target)
+            _ = command.goal, command.torque_limit
+            times.append(now() - start)
+        return np.array(times, dtype=np.float64)
+
+    return block
+
+
+def nothing() -> Array:
+    """Times [ns] of calls that do nothing."""
+    times, now = [], time.perf_counter_ns
+    for _ in range(BLOCK):
+        start = now()
+        times.append(now() - start)
+    return np.array(times, dtype=np.float64)
+
+
+def waited() -> int:
+    """Time [ns] that this thread was ready and had no core; 0 where the system does not tell."""
+    try:
+        return int(Path("/proc/thread-self/schedstat").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return 0
+
+
+def main() -> None:
+    """Take turns, print one row a case."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--steps", type=int, default=10_000_000, help="of all cases and laws")
+    steps = parser.parse_args().steps
+    gc.enable()
+    model = pliant.Model.from_urdf(URDF)
+    for law in ("paper", "cap"):
+        settings = (
+            pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, eta=0.9)})
+            if law == "paper"
+            else pliant.Settings.soft("y")
+        )
+        rows: dict[str, Callable[[], Array]] = {"(nothing)": nothing}
+        rows |= {case.name: stepper(case, settings) for case in cases(model)}
+        times: dict[str, list[Array]] = {name: [] for name in rows}
+        calm: dict[str, list[Array]] = {name: [] for name in rows}
+        for _ in range(max(steps // (2 * (len(rows) - 1) * BLOCK), 1)):
+            for name, block in rows.items():
+                before = waited()
+                times[name].append(block())
+                if waited() == before:
+                    calm[name].append(times[name][-1])
+        print(f"law {law}, instructions {chosen(settings)}, timer subtracted [µs]")
+        print(f"  {'':44} {'median':>8} {'p99.9':>9} {'(calm)':>8} {'largest':>9} {'ratio':>6}")
+        empty = float(np.median(np.concatenate(times["(nothing)"])))
+        ordinary = [float(np.median(block)) - empty for block in times["ordinary poses"]]
+        for name, blocks in times.items():
+            every = np.concatenate(blocks) - empty
+            medians = [float(np.median(block)) - empty for block in blocks]
+            ratio = float(np.median(np.divide(medians, ordinary)))
+            quiet = np.concatenate(calm[name] or blocks) - empty
+            cells = (np.median(every), *(np.percentile(x, 99.9) for x in (every, quiet)))
+            late = "" if ratio <= SAME else f"   more than {SAME:g} ×"
+            print(
+                f"  {name:44} {1e-3 * cells[0]:8.3f} {1e-3 * cells[1]:9.3f} {1e-3 * cells[2]:8.3f} "
+                f"{1e-3 * every.max():9.1f} {ratio:6.2f}{late}"
+            )
+        print()
+
+
+def chosen(settings: pliant.Settings) -> str:
+    """The instructions that the controller uses."""
+    controller = pliant.Controller(pliant.Model.from_urdf(URDF), settings, servos())
+    return str(getattr(controller, "instructions", "of any machine"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant.cli import bench, main
+
+
+def test_bench_says_what_a_step_takes(capsys):
+    assert main(["bench", "--robot", "koch", "--calls", "2000"]) == 0
+    out = capsys.readouterr().out
+    assert "koch_like: 5 joints, law cap" in out
+    steps, empty = (
+        [float(number) for number in re.findall(r"([\d.]+) µs", line)]
+        for line in out.splitlines()
+        if "µs" in line
+    )
+    assert len(steps) == len(empty) == 4
+    assert steps == sorted(steps)
+    assert steps[0] > 0.0
+    bins = [int(n.replace(",", "")) for n in re.findall(r"(?:to [\d.]+|above 20) +([\d,]+)", out)]
+    assert sum(bins) == 2000, "every call is in the histogram"
+    rates = [float(n.replace(",", "")) for n in re.findall(r"([\d,]+) Hz", out)]
+    assert len(rates) == 2
+    assert rates[0] >= rates[1] > 0.0
+
+
+@pytest.mark.parametrize("law", ["cap", "paper", "impedance"])
+def test_bench_takes_any_urdf(law, tmp_path, capsys):
+    file = tmp_path / "arm.urdf"
+    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    joint = '<joint name="j{0}" type="{1}"><parent link="l{0}"/><child link="l{2}"/>{3}</joint>'
+    places = '<origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>'
+    limit = places + '<limit lower="-1" upper="2" effort="3" velocity="1"/>'
+    links = [f'<link name="l{i}">{body}</inertial></link>' for i in range(4)]
+    joints = [
+        joint.format(0, "continuous", 1, places),
+        joint.format(1, "revolute", 2, limit),
+        joint.format(2, "fixed", 3, places),
+    ]
+    file.write_text(f'<robot name="two">{"".join(links + joints)}</robot>')
+    axes = ["--soft", "y", "--axes", "xy"]
+    assert main(["bench", "--urdf", str(file), "--law", law, "--calls", "200", *axes]) == 0
+    assert f"two: 2 joints, law {law}" in capsys.readouterr().out
+
+
+def test_bench_moves_through_the_ranges():
+    model = pliant.robots.arm7()
+    path = np.array(bench.path(model))
+    assert path.shape == (bench.STATES, model.n)
+    assert (path > model.lower).all()
+    assert (path < model.upper).all()
+    assert len(np.unique(path, axis=0)) == bench.STATES, "no call repeats another"
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--calls", "3"], "at least 100"),
+        (["--robot", "so999"], "so101"),
+        (["--urdf", "nowhere.urdf"], "nowhere.urdf"),
+        (["--law", "papper"], "paper"),
+    ],
+)
+def test_what_bench_cannot_do_is_explained(flags, said, capsys):
+    assert main(["bench", *flags]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_help_starts_without_what_commands_need():
+    code = (
+        "import sys, pliant.cli; pliant.cli.main(['--help']); "
+        "print([m for m in ('tyro', 'pydantic', 'rich', 'mujoco') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stdout.splitlines()[-1] == "[]"

@@ -1,0 +1,96 @@
+"""The benches measure the same work, and the counters notice what they are there for."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+BENCHES = ROOT / "benches"
+
+
+@pytest.fixture
+def contest(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(BENCHES))
+    monkeypatch.setenv("PEERS_BUILD", str(tmp_path))
+    return importlib.import_module
+
+
+@pytest.fixture
+def counts():
+    spec = importlib.util.spec_from_file_location("counts", BENCHES / "counts.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    "maker", ["numpy_peer:make", "pliant_peer:make", "cpp_peer:make", "library_peers:pinocchio"]
+)
+def test_peers_do_the_same_work(maker, contest):
+    module, function = maker.split(":")
+    if "cpp" in module and not shutil.which("c++"):
+        pytest.skip("no C++ compiler")
+    problem, turns, worker = (contest(f"contest.{n}") for n in ("problem", "turns", "worker"))
+    peer = getattr(contest(f"contest.{module}"), function)()
+    kinematics = contest("contest.numpy_peer").kinematics_of(problem.bench_arm())
+    pairs = [(q, kinematics(a)[0]) for q, a in problem.states(problem.bench_arm())]
+    results = worker.results(peer, pairs)
+    assert set(results) == set(turns.TASKS)
+    assert turns.disagreement(results) == ""
+    results["step"][5][1][3] += 1e-8
+    assert turns.disagreement(results).startswith("step by 1e-08")
+    blocks = worker.blocks_of(peer, pairs)
+    assert len(blocks["step/whole"]()) == 1
+    assert min(blocks["step/single"]()) > 0.0
+
+
+def test_the_law_of_the_peers_uses_all_its_parts(contest):
+    problem, numpy_peer = contest("contest.problem"), contest("contest.numpy_peer")
+    arm = problem.bench_arm()
+    kinematics, law = numpy_peer.kinematics_of(arm), numpy_peer.law_of(arm)
+    for q, ahead in problem.states(arm):
+        pose, jacobian = kinematics(q)
+        target = kinematics(ahead)[0]
+        goal, limit = law(q, target, pose, jacobian)
+        at_rest = law(q, pose, pose, jacobian)[0]
+        assert np.abs(goal - at_rest).max() > 1e-3, "the target moves the goal"
+        assert np.abs(at_rest - q).max() > 1e-4, "and so does the null space"
+        assert (limit > 0.0).all()
+    assert np.ptp([kinematics(q)[0] for q, _ in problem.states(arm)], axis=0).max() > 0.05
+
+
+def test_a_stage_that_grows_is_named(counts):
+    stored = {"baseline": {"forward": 1000.0, "step": 200.0}}
+    assert counts.regressions({"baseline": {"forward": 1049.0, "step": 150.0}}, stored) == []
+    said = counts.regressions({"baseline": {"forward": 1051.0, "step": 200.0}}, stored)
+    assert len(said) == 1
+    assert "forward (baseline) takes 1051 instructions, 5.1% more than the 1000" in said[0]
+    assert counts.regressions({"avx2": {"forward": 9999.0}}, stored) == [], "nothing to compare"
+
+
+@pytest.mark.parametrize("lacking", ["valgrind", "rustc"])
+def test_counting_is_skipped_loudly(lacking, tmp_path):
+    for tool in {"valgrind", "rustc"} - {lacking}:
+        found = shutil.which(tool)
+        if found is None:
+            pytest.skip(f"{tool} is not installed")
+        (tmp_path / tool).symlink_to(found)
+    done = subprocess.run(
+        [sys.executable, str(BENCHES / "counts.py")],
+        env={**os.environ, "PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "!! SKIPPED: instruction counts" in done.stdout
+    assert lacking in done.stdout or "no counts stored" in done.stdout
