@@ -11,7 +11,7 @@ from pliant import ConfigError, ServoError, ServoFault, ServoTimeout
 from pliant.arm.lateness import Lateness
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -25,6 +25,8 @@ RESTART = 0.25
 STALE_PERIODS, STALE = 5.0, 0.1
 #: Slew of a step that lets a controller's first goal carry the weight [s].
 PRIME = 0.1
+#: How much later than the loop itself would the arm sees that the program does not come back [s].
+GRACE = 0.1
 #: Ticks over which the delay is averaged, and the change that is passed on [s], [1].
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 
@@ -93,8 +95,8 @@ class Loop:
     while positions do not arrive, while commands are missing or not finite, and while the program
     does not come back; after `arm.hold_for` of that the loop raises, and the arm's `with` lowers
     it. A controller that had to wait more than 0.25 s is reset to where the arm is, and limits rise
-    again within 0.5 s. The program must leave the loop for the arm to be lowered: one that never
-    comes back leaves the servos with their last goal and limit.
+    again within 0.5 s. Where a program does not come back for `hold_for` or `stall`, whichever is
+    longer, and a period and 0.1 s more, a thread brings an arm in real time down in its place.
 
     Args:
         arm: The arm, enabled.
@@ -152,16 +154,23 @@ class Loop:
         self.missed = self.stale = self.refused = self.restarts = 0
         self.delay: float | None = None
         self._told: float | None = None
+        self._check: Callable[[], None] = _never
         self._delays: list[float] = []
 
     def __iter__(self) -> Iterator[Tick]:
         """Wait, read, give out a tick; again."""
-        arm, clock = self._arm, self._arm.clock
-        if not arm.enabled:
+        if not self._arm.enabled:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
+        patience = max(self._stall, self._arm.hold_for) + self.period + GRACE
+        with self._arm.watched(patience) as self._check:
+            yield from self._turns()
+
+    def _turns(self) -> Iterator[Tick]:
+        """The loop itself."""
+        arm, clock = self._arm, self._arm.clock
         begin = deadline = clock.now()
         last: float | None = None
-        commanded, index = begin, 0
+        commanded, before, index = begin, begin, 0
         while self._duration is None or deadline - begin < self._duration - 1e-9:
             clock.wait_until(deadline)
             now = clock.now()
@@ -177,6 +186,7 @@ class Loop:
                 last = state.time
                 tick = Tick(self, state, dt, now, index)
                 yield tick
+                self._check()
                 index += 1
                 done = clock.now()
                 if done - now > self._stall:
@@ -193,7 +203,9 @@ class Loop:
             else:
                 self.stale += 1
                 self._wait_no_longer_than(state, arm.hold_for)
-                commanded = now
+                # A turn without positions is none in which a command could have been sent.
+                commanded += now - before
+            before = now
             deadline += self.period
             late = clock.now() - deadline
             if late > 0.0:
@@ -232,6 +244,7 @@ class Loop:
         self, tick: Tick, command: Commanded, extra: Mapping[str, tuple[float, float]] | None
     ) -> bool:
         """Send a command, or count it."""
+        self._check()
         clock = self._arm.clock
         goal, limit = np.asarray(command.goal), np.asarray(command.torque_limit)
         old = clock.now() - tick.time > max(STALE_PERIODS * self.period, STALE)
@@ -255,6 +268,10 @@ class Loop:
             tell = getattr(self._controller, "set_delay", None)
             if tell is not None:
                 tell(self.delay)
+
+
+def _never() -> None:
+    """Outside the loop nobody takes the arm over."""
 
 
 def _divides(grain: float, period: float) -> bool:

@@ -32,21 +32,20 @@ class Steps:
 
 
 @contextmanager
-def arm_over_bytes(family, q):
+def arm_over_bytes(family, q, clock="steps", **options):
     robot, device, model, registers = FAMILIES[family]
     chain_model = pliant.robots.load(robot)
     names = [*chain_model.joint_names, "gripper"]
     mounts = [
         Mount(joint=n, model=device, id=k, registers=registers) for k, n in enumerate(names, 1)
     ]
-    with emulate(chain_model, mounts, q=np.array(q), clock="steps") as bus:
+    with emulate(chain_model, mounts, q=np.array(q), clock=clock) as bus:
         specs = [
             ServoSpec(name=n, model=model or device, id=k, port=bus.port)
             for k, n in enumerate(names, 1)
         ]
-        chain = ServoChain(specs, patience=0.1, clock=lambda: bus.time)
-        chain.clock = Steps(bus)
-        yield bus, Arm(chain_model, chain, signals=False)
+        chain = ServoChain(specs, patience=0.1, clock=Steps(bus) if clock == "steps" else None)
+        yield bus, Arm(chain_model, chain, signals=False, **options)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -96,3 +95,25 @@ def test_lowered_after_the_program_stalled(family):
         assert bus.plant.tool[2, 3] < height - 0.02
         arm.close()
     assert max(speeds) < 0.18
+
+
+@pytest.mark.full
+def test_lowered_in_the_place_of_a_program_that_computes_for_ever():
+    with arm_over_bytes("x", [0.0, 0.2, 0.0, 0.2, 0.0], clock="real", hold_for=0.3) as (bus, arm):
+        height, rounds = bus.plant.tool[2, 3], 0
+
+        def run():
+            nonlocal rounds
+            for tick in pliant.Loop(arm):
+                tick.hold()
+                while tick.index == 5 and arm.enabled:
+                    rounds += 1
+
+        arm.enable()
+        with pytest.raises(pliant.ServoTimeout, match="did not come back"):
+            run()
+        assert rounds > 0
+        assert not arm.drive.enabled.any()
+        assert all(bus.log.order(k)[-1] == "torque off" for k in range(1, 7))
+        assert bus.plant.tool[2, 3] < height - 0.02
+        arm.close()

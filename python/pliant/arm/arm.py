@@ -8,17 +8,20 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pliant import ConfigError, ServoError, ServoTimeout
+from pliant import ConfigError, ServoError
 from pliant.arm.budget import Budget
-from pliant.arm.cycle import EASE, Cycle
-from pliant.arm.exits import descend
+from pliant.arm.cycle import Cycle
+from pliant.arm.entry import hear_all, take_up
+from pliant.arm.exits import descend, settle
 from pliant.arm.gripper import Gripper, Jaw
-from pliant.arm.lowering import SUPPORT, margin
+from pliant.arm.keeper import Keeper
+from pliant.arm.lowering import SUPPORT
 from pliant.arm.points import Points
 from pliant.arm.signals import Signals
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+    from contextlib import AbstractContextManager
     from types import TracebackType
 
     from numpy.typing import ArrayLike, NDArray
@@ -29,10 +32,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Exit = Literal["lower", "park", "hold"]
-
-#: Cycles within which every joint must have answered before torque goes on.
-ATTEMPTS = 10
-
 
 #: Largest distance of a first goal from where its joint is [rad].
 LEAD = 0.1
@@ -92,6 +91,7 @@ class Arm:
         self.rate, self.hold_for, self._watchdog = float(rate), float(hold_for), float(watchdog)
         self._exit, self._signals = exit, Signals() if signals else None
         self._budget, self._jaws = budget or Budget(), dict(grippers or {})
+        self._keeper = Keeper(self._leave)
         self._meet()
         self.rest = None if rest is None else self._posture(rest, "rest")
         self._points = Points(model)
@@ -147,11 +147,16 @@ class Arm:
             ServoTimeout: Joints do not answer; names them.
             ServoError: Joints moved or did not obey when torque came on.
         """
-        if self.enabled:
-            return
+        with self._keeper.alone():
+            if not self.enabled:
+                self._enable()
+
+    def _enable(self) -> None:
+        """With the lock held."""
         self.open()
+        self._keeper.reason = None
         cycle, kp = self._cycle, np.asarray(self.servos.kp)
-        self._hear_all()
+        hear_all(cycle, self.rate)
         gravity = cycle.gravity()
         names = cycle.roster.names
         on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[cycle.roster.chain]
@@ -169,36 +174,8 @@ class Arm:
         except ServoError:
             self._forget()
             raise
-        self._take_up(start)
+        take_up(cycle, start, self.rate)
         cycle.guard(self._watchdog)
-
-    def _hear_all(self) -> None:
-        """Read until every joint has answered once."""
-        watch, roster = self._cycle.watch, self._cycle.roster
-        watch.forget()
-        for _ in range(ATTEMPTS):
-            self._cycle.sample()
-            silent = [roster.names[i] for i in np.flatnonzero(np.isnan(watch.position))]
-            if not silent:
-                return
-            self.clock.wait_until(self.clock.now() + 1.0 / self.rate)
-        raise ServoTimeout(
-            f"no answer from {', '.join(silent)}: torque stays off; check their power, cable and id"
-        )
-
-    def _take_up(self, start: Array) -> None:
-        """Goals go from where the joints were to where they carry the weight; limits rise."""
-        cycle, period = self._cycle, 1.0 / self.rate
-        full = cycle.q + cycle.gravity() / np.asarray(self.servos.kp)
-        begin = self.clock.now()
-        while (passed := self.clock.now() - begin) < EASE:
-            self.clock.wait_until(self.clock.now() + period)
-            cycle.sample()
-            gravity = cycle.gravity()
-            share = min(2.0 * passed / EASE, 1.0)
-            limit = SUPPORT * np.abs(gravity) + share * margin(self.servos, gravity)
-            cycle.send(start + share * (full - start), limit)
-        cycle.ease()
 
     def lower(self) -> None:
         """To the rest pose if there is one, then down at 0.15 m/s until it rests; torque off.
@@ -221,16 +198,10 @@ class Arm:
 
     def hold(self) -> None:
         """Stay here with torque on, also when the program ends. Servos that hold get hot."""
-        if not self.enabled:
-            return
-        cycle, kp = self._cycle, np.asarray(self.servos.kp)
-        gravity = cycle.gravity()
-        push = margin(self.servos, gravity)
-        need = cycle.q + gravity / kp
-        lead = np.clip(cycle.goal - need, -push / kp, push / kp)
-        cycle.send(need + lead, SUPPORT * np.abs(gravity) + push)
-        cycle.guard(0.0)
-        self._forget()
+        with self._keeper.alone():
+            if self.enabled:
+                settle(self._cycle)
+                self._forget()
 
     def limp(self) -> None:
         """Torque off where the arm stands: it falls. Every joint is tried.
@@ -238,10 +209,11 @@ class Arm:
         Raises:
             ServoError: A joint kept its torque.
         """
-        try:
-            self.drive.disable(self._cycle.roster.names)
-        finally:
-            self._forget()
+        with self._keeper.alone(at_once=True):
+            try:
+                self.drive.disable(self._cycle.roster.names)
+            finally:
+                self._forget()
 
     def close(self) -> None:
         """Leave as `exit` says where torque is on, then let go of the bus."""
@@ -249,6 +221,7 @@ class Arm:
             if self.enabled:
                 self.lower() if self._exit == "lower" else self.hold()
         finally:
+            self._forget()
             if self._opened:
                 self._opened = False
                 self.drive.close()
@@ -257,18 +230,32 @@ class Arm:
         """Lower the arm; a second signal leaves it held where it is."""
         if not self.enabled:
             return
-        if self._signals is not None:
-            self._signals.leaving = True
+        signals = self._signals
+        if signals is not None:
+            signals.leaving = True
         try:
-            descend(self._cycle, self._points, rest, self.rate)
-            with contextlib.suppress(ServoError):
-                self._cycle.guard(0.0)
-            self.drive.disable(self._cycle.roster.names)
+            with self._keeper.alone():
+                if self.enabled:
+                    self._bring_down(rest)
         finally:
-            signals = self._signals
             self._forget()
         if signals is not None:
             signals.deliver()
+
+    def _bring_down(self, rest: Array | None) -> None:
+        """The descent itself, and torque off unless somebody wanted it to end before."""
+        if descend(self._cycle, self._points, rest, self.rate, self._keeper.unwanted.is_set):
+            with contextlib.suppress(ServoError):
+                self._cycle.guard(0.0)
+            self.drive.disable(self._cycle.roster.names)
+
+    def _leave(self) -> None:
+        """Leave in the place of a program that stands still; its signals stay its own."""
+        try:
+            if self.enabled:
+                self._bring_down(self.rest) if self._exit == "lower" else settle(self._cycle)
+        finally:
+            self.enabled = False
 
     def _forget(self) -> None:
         """Nothing is left to be brought down."""
@@ -312,9 +299,11 @@ class Arm:
         grow older: `State.fresh`, `State.age`.
 
         Raises:
+            ServoTimeout: The program was away for too long, and the arm has been lowered meanwhile.
             ServoError: The connection is gone.
         """
-        return self._cycle.state(self._cycle.sample())
+        with self._keeper:
+            return self._cycle.state(self._cycle.sample())
 
     def write(
         self,
@@ -332,10 +321,20 @@ class Arm:
 
         Raises:
             ShapeError, LimitError, ConfigError: What cannot be sent; nothing was.
+            ServoTimeout: As `read`.
             ServoError: Torque is off, or the connection is gone.
         """
-        self._on()
-        self._cycle.write(goal, limit, extra)
+        with self._keeper:
+            self._on()
+            self._cycle.write(goal, limit, extra)
+
+    def watched(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
+        """Inside, an arm in real time leaves by itself after so long without read or write [s].
+
+        `Loop` does this. Gives a function that raises `ServoTimeout` once that has happened.
+        """
+        real = getattr(self.clock, "real_time", False)
+        return self._keeper.watched(patience if real else None)
 
     def ease(self) -> None:
         """Let limits rise again from what carries the arm, within 0.5 s: after a silence."""
@@ -370,9 +369,10 @@ class Arm:
 
     def _order(self, name: str, goal: float, limit: float) -> None:
         """Give a joint off the chain its order at once; the chain keeps its own."""
-        self._on()
-        self._cycle.orders[name] = (goal, limit)
-        self._cycle.send(self._cycle.goal, self._cycle.limit)
+        with self._keeper:
+            self._on()
+            self._cycle.orders[name] = (goal, limit)
+            self._cycle.send(self._cycle.goal, self._cycle.limit)
 
     def _on(self) -> None:
         if not self.enabled:

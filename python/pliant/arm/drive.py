@@ -115,7 +115,10 @@ class Reported(Protocol):
 
 
 class Clock(Protocol):
-    """The time a drive lives in."""
+    """The time a drive lives in.
+
+    One with `real_time` True passes whether or not somebody waits.
+    """
 
     def now(self) -> float:
         """Time [s]; never goes back."""
@@ -186,6 +189,8 @@ class Drive(Protocol):
 
 class MonotonicClock:
     """The machine's clock. Waiting sleeps, other threads run, and spins the last 0.1 ms."""
+
+    real_time = True
 
     def now(self) -> float:
         """Time [s]."""

@@ -1,4 +1,4 @@
-"""The last loop of an arm: it needs no controller, no target, and survives a sick bus."""
+"""The last orders of an arm: no controller, no target, and a bus that may be sick."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import ServoError
-from pliant.arm.lowering import Lowering
+from pliant.arm.lowering import SUPPORT, Lowering, margin
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from pliant.arm.cycle import Cycle
@@ -22,7 +24,13 @@ if TYPE_CHECKING:
 GONE = 2.0
 
 
-def descend(cycle: Cycle, points: Points, rest: Array | None, rate: float) -> None:
+def descend(
+    cycle: Cycle,
+    points: Points,
+    rest: Array | None,
+    rate: float,
+    unwanted: Callable[[], bool],
+) -> bool:
     """Lower the arm until its limits have fallen to nothing; torque can go off then.
 
     Joints beside the chain keep their orders until everything rests. Errors of the bus do not end
@@ -33,6 +41,10 @@ def descend(cycle: Cycle, points: Points, rest: Array | None, rate: float) -> No
         points: Its points.
         rest: Where to go first (n,) [rad]; None: straight down.
         rate: Of this loop [Hz].
+        unwanted: Whether to end it here and now, with torque as it is.
+
+    Returns:
+        Whether the limits have fallen to nothing.
 
     Raises:
         ServoError: The bus is gone.
@@ -40,7 +52,7 @@ def descend(cycle: Cycle, points: Points, rest: Array | None, rate: float) -> No
     clock, model = cycle.clock, cycle.model
     lowering = Lowering(model, cycle.servos, cycle.q, goal=cycle.goal, rest=rest, points=points)
     before = deadline = heard = clock.now()
-    while True:
+    while not unwanted():
         now = clock.now()
         ok = np.zeros(model.n, dtype=bool)
         try:
@@ -54,8 +66,19 @@ def descend(cycle: Cycle, points: Points, rest: Array | None, rate: float) -> No
                 ) from error
         order = lowering.step(cycle.q, now - before, ok)
         if order is None:
-            return
+            return True
         with contextlib.suppress(ServoError):
             cycle.send(*order)
         before, deadline = now, max(deadline + 1.0 / rate, now)
         clock.wait_until(deadline)
+    return False
+
+
+def settle(cycle: Cycle) -> None:
+    """Goals and limits that carry the arm where it is, for ever, and no watchdog."""
+    kp, gravity = np.asarray(cycle.servos.kp), cycle.gravity()
+    push = margin(cycle.servos, gravity)
+    need = cycle.q + gravity / kp
+    lead = np.clip(cycle.goal - need, -push / kp, push / kp)
+    cycle.send(need + lead, SUPPORT * np.abs(gravity) + push)
+    cycle.guard(0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +29,7 @@ class SimClock:
 
     Attributes:
         period: Control period of the plant [s], the grain of this time.
+        real_time: Whether it passes by itself.
         on_tick: Called after every period of physics, for records.
     """
 
@@ -35,6 +37,8 @@ class SimClock:
         """Start where the plant is."""
         self.plant, self.period = plant, plant.period
         self.on_tick: Callable[[], object] | None = None
+        self.real_time = real_time
+        self._lock = RLock()
         self._wall = MonotonicClock() if real_time else None
         self._offset = plant.time - (self._wall.now() if self._wall else 0.0)
 
@@ -53,8 +57,11 @@ class SimClock:
 
     def catch_up(self) -> None:
         """In real time, let the physics come up to the present."""
-        while self._wall is not None and self.plant.time + self.period <= self.now():
-            self._advance()
+        if self._wall is None:
+            return
+        with self._lock:
+            while self.plant.time + self.period <= self.now():
+                self._advance()
 
     def _advance(self) -> None:
         self.plant.advance()

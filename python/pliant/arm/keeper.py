@@ -1,0 +1,128 @@
+"""Takes the arm over from a program that does not come back."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING
+
+from pliant import ServoError, ServoTimeout
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+#: While another thread computes without pause, Python hands over only after this time [s]; its
+#: default of 5 ms, once per call of the bus, would be half a period each.
+SWITCH = 1e-4
+
+
+class Keeper:
+    """The one lock of an arm, and a thread that brings the arm down when nobody calls any more.
+
+    Every call of the program is a `with keeper`. The thread exists only inside `watched`.
+
+    Attributes:
+        lock: Held by whoever uses the drive.
+        reason: Why the arm was taken over, None while it was not.
+        unwanted: Set to end a descent before it is over, wherever it runs.
+    """
+
+    def __init__(self, leave: Callable[[], None]) -> None:
+        """Know how to leave; `leave` is called with the lock held."""
+        self.lock = threading.RLock()
+        self.unwanted = threading.Event()
+        self.reason: str | None = None
+        self._leave, self._seen = leave, 0.0
+
+    def __enter__(self) -> None:
+        """One call of the program.
+
+        Raises:
+            ServoTimeout: As `check`.
+        """
+        self.check()
+        self.lock.acquire()
+        if self.reason is not None:
+            self.lock.release()
+            self.check()
+
+    def __exit__(self, *_: object) -> None:
+        self._seen = time.perf_counter()
+        self.lock.release()
+
+    def check(self) -> None:
+        """Tell a program that comes back.
+
+        Raises:
+            ServoTimeout: The arm has been taken over: at once, also while it is being lowered.
+        """
+        if self.reason is not None:
+            raise ServoTimeout(f"{self.reason}; arm.enable() starts anew")
+
+    @contextlib.contextmanager
+    def alone(self, *, at_once: bool = False) -> Iterator[None]:
+        """Hold the lock for an exit.
+
+        A descent that another thread has begun is waited for, unless `at_once`, or an exception
+        comes meanwhile: it then ends where it is, torque on.
+        """
+        if at_once:
+            self.unwanted.set()
+        try:
+            self.lock.acquire()
+        except BaseException:
+            self.unwanted.set()
+            if self.lock.acquire(timeout=1.0):
+                self.lock.release()
+            raise
+        try:
+            self.unwanted.clear()
+            yield
+        finally:
+            self.lock.release()
+
+    @contextlib.contextmanager
+    def watched(self, patience: float | None) -> Iterator[Callable[[], None]]:
+        """Take the arm over after so long without a call [s], None for never; gives `check`."""
+        if patience is None:
+            yield self.check
+            return
+        done = threading.Event()
+        self._seen = time.perf_counter()
+        thread = threading.Thread(
+            target=self._watch, args=(patience, done), name="pliant-keeper", daemon=True
+        )
+        thread.start()
+        try:
+            yield self.check
+        finally:
+            done.set()
+
+    def _watch(self, patience: float, done: threading.Event) -> None:
+        """Sleep until the program would be late, look, sleep again."""
+        while not done.wait(max(self._seen + patience - time.perf_counter(), 1e-3)):
+            if time.perf_counter() - self._seen < patience:
+                continue
+            with self.lock:
+                # Whoever had the lock was no stalled program.
+                silent = time.perf_counter() - self._seen
+                if silent >= patience and not done.is_set() and self.reason is None:
+                    self._take_over(silent)
+                    return
+
+    def _take_over(self, silent: float) -> None:
+        """Leave in the place of the program."""
+        self.reason = f"the program did not come back for {silent:.2f} s: the arm was taken over"
+        print(f"{self.reason} and leaves as at the end of the program", file=sys.stderr, flush=True)
+        self.unwanted.clear()
+        before = sys.getswitchinterval()
+        sys.setswitchinterval(min(before, SWITCH))
+        try:
+            self._leave()
+        except ServoError as error:
+            self.reason += f"; while it was being lowered: {error}"
+            print(error, file=sys.stderr, flush=True)
+        finally:
+            sys.setswitchinterval(before)
