@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pliant.arm import Arm
+    from pliant.log import Recorder
     from pliant.loop import Tick
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -37,6 +38,7 @@ def run(
     backend: str | None = None,
     urdf: Path | None = None,
     calibration: Path | None = None,
+    log: Path | None = None,
     quiet: bool = False,
 ) -> None:
     """Switch torque on, control the arm until Ctrl-C, and lower it.
@@ -54,6 +56,7 @@ def run(
         backend: bus, emulator or sim in place of the file's.
         urdf: URDF in place of the file's.
         calibration: LeRobot's calibration file in place of the file's.
+        log: MCAP file to write (extra log).
         quiet: No table.
     """
     read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
@@ -64,16 +67,29 @@ def run(
     if duration is not None and not duration > 0.0:
         raise pliant.ConfigError(f"--duration must be above 0 s, got {duration:g}")
     with open_targets(targets) as source, read.arm() as live:
-        _loop(live, settings, source, duration, quiet)
+        controller = pliant.Controller(live.model, settings, live.servos)
+        if log is None:
+            _loop(live, controller, source, duration, quiet)
+            return
+        from pliant.log import Recorder
+
+        with Recorder(log, live, controller, config=read) as recorder:
+            _loop(live, recorder.controller, source, duration, quiet, recorder=recorder)
 
 
 def _loop(
-    arm: Arm, settings: pliant.Settings, source: Targets, duration: float | None, quiet: bool
+    arm: Arm,
+    controller: pliant.Controller,
+    source: Targets,
+    duration: float | None,
+    quiet: bool,
+    *,
+    recorder: Recorder | None = None,
 ) -> None:
-    controller = pliant.Controller(arm.model, settings, arm.servos)
-    loop = pliant.Loop(arm, controller, rate=settings.rate, duration=duration)
+    rate = controller.settings.rate
+    loop = pliant.Loop(arm, controller, rate=rate, duration=duration)
     console = Console()
-    every = max(round(settings.rate / FRAMES), 1)
+    every = max(round(rate / FRAMES), 1)
     pose: NDArray[np.float64] | None = None
     with Live(console=console, auto_refresh=False, transient=True) as live:
         for tick in loop:
@@ -86,6 +102,8 @@ def _loop(
                 pose = wanted.pose(arm.model, pose)
             command = controller.step(tick.q, pose, dt=tick.dt)
             tick.write(command)
+            if recorder is not None:
+                recorder.add(tick, command)
             if not quiet and tick.index % every == 0:
                 live.update(_table(arm, controller, tick, command, here), refresh=True)
     counts = ", ".join(f"{name} {count}" for name, count in arm.counters.items() if count)

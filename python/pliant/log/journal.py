@@ -31,13 +31,13 @@ class Journal:
     Attributes:
         inner: The controller.
         calls: Calls so far.
-        target: Target of the last step (4, 4); None before the first.
+        delay: The delay that it was last told [s].
     """
 
     def __init__(self, controller: Controller, sender: Sender) -> None:
         """Made by `Recorder`."""
         self.inner, self._sender = controller, sender
-        self.calls = 0
+        self.calls, self.delay = 0, float(controller.settings.delay)
         self._target: Array | None = None
         self._joints = False
         n = controller.model.n
@@ -107,6 +107,7 @@ class Journal:
     def set_delay(self, delay: float) -> None:
         """`Controller.set_delay`."""
         self.inner.set_delay(delay)
+        self.delay = delay
         self._call("set_delay", delay=delay)
 
     def capture_gravity(self, q: ArrayLike, goal: ArrayLike) -> Array:

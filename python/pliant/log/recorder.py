@@ -150,6 +150,7 @@ class Recorder:
                 "the log has no step of this tick: use recorder.controller in place of the "
                 "controller"
             )
+        slots["delay"][0] = journal.delay
         slots["target"][:] = target.reshape(-1)
         slots["reference"][:] = inner.reference.reshape(-1)
         slots["activation"][:] = inner.activation.reshape(-1)

@@ -77,20 +77,21 @@ class Motion:
         """[s]."""
         return float(self.time[-1])
 
-    def at(self, time: float) -> tuple[Array, Array]:
-        """Positions (n,) [rad] and velocities (n,) [rad/s] at a time [s], at rest beyond the ends.
+    def at(self, time: float) -> Array:
+        """Positions (n,) [rad] at a time [s]; beyond the ends those of the ends.
 
         A cubic between two samples, with the slopes of their neighbours (Catmull and Rom).
         """
         if not 0.0 < time < self.duration:
-            return self.q[0 if time <= 0.0 else -1].copy(), np.zeros(len(self.joints))
+            return np.array(self.q[0 if time <= 0.0 else -1])
         k = int(np.searchsorted(self.time, time, side="right")) - 1
         step = self.time[k + 1] - self.time[k]
         u = (time - self.time[k]) / step
         low, high = self.q[k], self.q[k + 1]
         m, p = step * self._slope(k), step * self._slope(k + 1)
         a, b = 2.0 * (low - high) + m + p, 3.0 * (high - low) - 2.0 * m - p
-        return low + u * (m + u * (b + u * a)), (m + u * (2.0 * b + 3.0 * u * a)) / step
+        between: Array = low + u * (m + u * (b + u * a))
+        return between
 
     def beside(self, time: float) -> dict[str, float]:
         """Positions of the joints beside the chain at a time [rad]."""
@@ -202,11 +203,11 @@ class Motion:
             if data["format"] != FORMAT:
                 raise ConfigError(f"{path} is {data['format']!r}, this pliant reads {FORMAT!r}")
             rows = np.array(data["samples"], dtype=np.float64)
-            joints, extra = tuple(data["joints"]), list(data["extra"])
+            joints, names = tuple(data["joints"]), list(data["extra"])
             n = len(joints)
-            if rows.ndim != 2 or rows.shape[1] != 1 + n + len(extra):
-                raise ConfigError(f"a sample needs a time, {n} joints and {len(extra)} extra")
-            beside = dict(zip(extra, rows[:, 1 + n :].T, strict=True))
+            if rows.ndim != 2 or rows.shape[1] != 1 + n + len(names):
+                raise ConfigError(f"a sample needs a time, {n} joints and {len(names)} extra")
+            beside = dict(zip(names, rows[:, 1 + n :].T, strict=True))
             return cls(joints, rows[:, 0], rows[:, 1 : 1 + n], beside, str(data.get("note", "")))
         except (ValueError, TypeError, KeyError) as error:
             raise ConfigError(f"{path} is no motion file: {error!r}") from error

@@ -26,8 +26,8 @@ APPROACH = 0.4
 RISE = 0.5
 #: How far from its bound a deviation begins to slow the clock, as a share.
 SLOW = 0.5
-#: A clock slower than this share of its speed counts as blocked.
-BLOCKED = 0.05
+#: A clock made slower than the first of these shares of its speed is blocked, until the second.
+BLOCKED, FREE = 0.05, 0.3
 #: How long a force must last to be a contact [s], and after a resume is not listened to [s].
 LASTING, DEAF = 0.05, 1.0
 
@@ -90,6 +90,7 @@ class Replay:
         self._offset: Array | None = None
         self._left = self._way = 0.0
         self._held: Array | None = None
+        self._blocked = False
         self._deaf = 0.0
 
     @property
@@ -99,7 +100,7 @@ class Replay:
             return "stopped"
         if self.time >= self.motion.duration:
             return "done"
-        if self.pace < BLOCKED:
+        if self._blocked:
             return "blocked"
         return "approaching" if self._left > 0.0 else "playing"
 
@@ -127,15 +128,11 @@ class Replay:
             self._from(q)
         self._feel(q, dt, load, span)
         if self._held is not None:
-            return self._step(q, self._held, np.zeros(6), dt)
-        goal, velocity = self._target()
-        self._advance(q, goal, span)
-        goal, velocity = self._target()
-        twist = self._model.jacobian(goal) @ (velocity * self.pace)
-        return self._step(q, goal, twist, dt)
-
-    def _step(self, q: Array, goal: Array, twist: Array, dt: float | None) -> Command:
-        command: Command = self._controller.step_joints(q, goal, twist=twist, dt=dt)
+            goal = self._held
+        else:
+            self._advance(q, span)
+            goal = self._target()
+        command: Command = self._controller.step_joints(q, goal, dt=dt)
         return command
 
     def extra(self, arm: Arm) -> dict[str, tuple[float, float]]:
@@ -154,29 +151,28 @@ class Replay:
 
     def _from(self, q: Array) -> None:
         """Begin with a way from q to where the motion is now."""
-        self._offset = q - self.motion.at(self.time)[0]
+        self._offset = q - self.motion.at(self.time)
         # A smooth step is at its middle 15/8 times as fast as in the mean.
         self._way = 1.875 * float(np.abs(self._offset).max()) / APPROACH
         self._left, self.pace = self._way, 0.0
 
-    def _target(self) -> tuple[Array, Array]:
-        """Positions (n,) [rad] now, and velocities (n,) [rad/s] at full pace."""
-        goal, velocity = self.motion.at(self.time)
+    def _target(self) -> Array:
+        """Positions (n,) [rad] now: those of the motion, and what is left of the way to it."""
+        goal = self.motion.at(self.time)
         if self._left <= 0.0 or self._offset is None:
-            return goal, velocity * self.speed
+            return goal
         s = self._left / self._way
-        share = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-        rate = -30.0 * s * s * (1.0 - s) ** 2 / self._way
-        return goal + share * self._offset, rate * self._offset
+        return goal + s**3 * (10.0 - 15.0 * s + 6.0 * s * s) * self._offset
 
-    def _advance(self, q: Array, goal: Array, dt: float) -> None:
+    def _advance(self, q: Array, dt: float) -> None:
         """Let the clock go on as far as the tool has followed."""
-        here, there = (self._model.forward_kinematics(at) for at in (q, goal))
+        here, there = (self._model.forward_kinematics(at) for at in (q, self._target()))
         error = pliant.pose_error(here, there)[self._rows]
         share = float(np.abs(error / self._bound).max())
         wanted = min(max((1.0 - share) / (1.0 - SLOW), 0.0), 1.0)
         self.pace = min(wanted, self.pace + dt / RISE)
-        self.waited += dt * (wanted < BLOCKED)
+        self._blocked = wanted < (FREE if self._blocked else BLOCKED)
+        self.waited += dt * self._blocked
         if self._left > 0.0:
             self._left = max(self._left - self.pace * dt, 0.0)
         else:
