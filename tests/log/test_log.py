@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import pliant
+from pliant.cli import main
 from pliant.log import Recorder, read, rerun
 from pliant.log.reader import arguments
 
+parquet = pytest.importorskip("pyarrow.parquet")
 rosbags = pytest.importorskip("rosbags.highlevel")
 
 START = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]
@@ -202,8 +204,58 @@ def test_memory_is_bounded(tmp_path):
         sender.send(1, bytes(1000))
     assert sender.dropped > 100
     assert len(sender._rest) <= 10_000 + 2000
+    begun = time.monotonic()
+    sender.finish(0.2)
+    assert time.monotonic() - begun < 5.0
     os.close(end)
     os.close(start)
+
+
+def test_the_command_tells_draws_and_exports(file, tmp_path, capsys):
+    assert main(["log", "info", str(file), "--rerun"]) == 0
+    said = capsys.readouterr().out
+    assert "40 ticks" in said
+    assert "bit for bit" in said
+    picture = tmp_path / "run.svg"
+    assert main(["log", "plot", str(file), "--output", str(picture)]) == 0
+    assert "deviation" in picture.read_text(encoding="utf-8")
+    table = tmp_path / "run.parquet"
+    assert main(["log", "export", str(file), "--parquet", "--output", str(table)]) == 0
+    log = read(file)
+    rows = parquet.read_table(table)
+    np.testing.assert_array_equal(rows["q." + log.run["joints"][3]], log.q[:, 3])
+    np.testing.assert_array_equal(rows["deviation.y"], log.deviation[:, 1])
+    plain = tmp_path / "run.npz"
+    assert main(["log", "export", str(file), "--output", str(plain)]) == 0
+    with np.load(plain) as arrays:
+        np.testing.assert_array_equal(arrays["goal"], log.goal)
+    assert main(["log", "info", str(plain)]) == 2
+    assert "no log" in capsys.readouterr().err
+
+
+def test_a_soft_run_can_be_logged_from_the_shell(tmp_path):
+    path = tmp_path / "run.mcap"
+    flags = ["run", "so101", "--backend", "sim", "--duration", "0.3", "--quiet"]
+    assert main([*flags, "--log", str(path)]) == 0
+    log = read(path)
+    assert log.run["config"] is not None
+    assert log.run["extra"] == ["gripper"]
+    assert rerun(log).same
+
+
+def test_hand_guiding_is_logged_without_a_controller(tmp_path):
+    path = tmp_path / "float.mcap"
+    with pliant.connect("sim:so101", exit="hold") as arm, Recorder(path, arm) as recorder:
+        floating = pliant.Float(arm.model, arm.servos)
+        for tick in pliant.Loop(arm, duration=0.2):
+            order = floating.step(tick.q)
+            tick.write(order)
+            recorder.add(tick, order)
+    log = read(path)
+    assert len(log) == 20
+    assert np.isfinite(log.goal).all()
+    with pytest.raises(pliant.ConfigError, match="without a controller"):
+        rerun(log)
 
 
 def test_what_cannot_be_a_log_is_said(tmp_path):

@@ -106,6 +106,17 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
         Replay(pliant.Controller(MODEL, SETTINGS), settled, stop=0.1)
 
 
+def test_a_press_of_the_gripper_counts_once():
+    with pliant.connect("sim:so101", q=START, exit="hold") as arm:
+        teacher, state = Teacher(arm), arm.read()
+        jaw = arm.gripper
+        shares = [0.5, 0.1, 0.05, 0.5, 0.0]
+        places = [jaw.closed + share * (jaw.opened - jaw.closed) for share in shares]
+        pressed = [teacher.pressed(replace(state, extra={"gripper": at})) for at in places]
+        assert pressed == [False, True, False, False, True]
+        assert teacher.extra(state)["gripper"][1] < 0.5 * jaw.limit
+
+
 def test_trim_smooth_and_interpolate():
     time = np.arange(0.0, 6.0, 0.01)
     q = np.zeros((600, 5))
@@ -164,8 +175,10 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     short = Motion(NAMES, [0.0, 0.4], [[0.0] * 5, [0.08] + [0.0] * 4], {"gripper": [0.1, 0.2]})
     short.save(file)
     arm = tmp_path / "arm.toml"
-    # Left held, not lowered: an emulated arm comes down as slowly as a real one.
-    arm.write_text(pliant.config.ready.text("so101") + '\n[life]\nexit = "hold"\n')
+    # Left held, not lowered: an emulated arm comes down as slowly as a real one. The machine that
+    # tests may be busy elsewhere.
+    life = '\n[life]\nexit = "hold"\n[loop]\npatience = 0.2\nhold_for = 10.0\n'
+    arm.write_text(pliant.config.ready.text("so101") + life)
     flags = [
         "replay",
         str(arm),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import select
 import struct
+import time
 from typing import IO
 
 HEAD = struct.Struct("<BI")
@@ -55,10 +57,13 @@ class Sender:
         except OSError:
             self.broken = True
 
-    def finish(self) -> None:
-        """Send the rest, waiting for the writer."""
-        os.set_blocking(self._descriptor, True)
+    def finish(self, patience: float) -> None:
+        """Send the rest, waiting for the writer, but no longer than `patience` [s]."""
+        end = time.monotonic() + patience
         self._push()
+        while self._rest and not self.broken and (left := end - time.monotonic()) > 0.0:
+            select.select([], [self._descriptor], [], left)
+            self._push()
 
 
 def receive(stream: IO[bytes]) -> tuple[int, bytes] | None:

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from pliant.config import Config
     from pliant.loop import Commanded, Tick
 
-#: How long the writer may take to start, and to finish [s].
-PATIENCE = 30.0
+#: How long `close` waits for the writer to take the rest, and then to finish [s]: an arm may be
+#: held meanwhile.
+PATIENCE = 5.0
 
 
 class Recorder:
@@ -165,14 +166,19 @@ class Recorder:
         """Hand over the rest and wait until the file is whole.
 
         Raises:
-            OSError: The writer failed; what it wrote can be read.
+            OSError: The writer failed, or is not done within ten seconds; what it wrote can be
+                read.
         """
         process = self._process
         if process.stdin is None or process.stdin.closed:
             return
-        self._sender.finish()
+        self._sender.finish(PATIENCE)
         process.stdin.close()
-        if process.wait(PATIENCE) != 0:
+        try:
+            code = process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            raise OSError(f"{self.path}: the disk is slow; the writer goes on by itself") from None
+        if code != 0:
             raise OSError(f"{self.path}: the log could not be written to its end")
 
     def __enter__(self) -> Recorder:
