@@ -18,7 +18,7 @@ import pytest
 import pliant
 
 ROOT = Path(__file__).resolve().parents[1]
-EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich", "rustypot")
+EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich", "rustypot", "mcap")
 LONGEST_FILE = 400  # lines
 LARGEST_WHEEL = 1.5e6  # bytes
 LONGEST_RUN = 120  # [s] per example and per document

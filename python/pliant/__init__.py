@@ -61,10 +61,12 @@ if TYPE_CHECKING:
     from pliant import config as config
     from pliant import experiments as experiments
     from pliant import identify as identify
+    from pliant import log as log
     from pliant import reactions as reactions
     from pliant import robots as robots
     from pliant import servo as servo
     from pliant import sim as sim
+    from pliant import teach as teach
     from pliant.arm.connect import connect as connect
     from pliant.identify.floating import Float as Float
     from pliant.loop import Loop as Loop
@@ -120,7 +122,18 @@ __all__ = [
 ]
 
 #: Parts that are loaded when they are first named: they need extras, or time.
-_PARTS = ("arm", "config", "experiments", "identify", "reactions", "robots", "servo", "sim")
+_PARTS = (
+    "arm",
+    "config",
+    "experiments",
+    "identify",
+    "log",
+    "reactions",
+    "robots",
+    "servo",
+    "sim",
+    "teach",
+)
 #: Names that live in one of them.
 _NAMES = {
     "Float": "pliant.identify.floating",

@@ -460,6 +460,10 @@ class Model:
         """Read URDF text; arguments and errors as `from_urdf`."""
 
     @property
+    def source(self) -> tuple[str, dict[str, Any]]:
+        """URDF text and options: `Model.from_urdf_str(text, **options)` makes the same model."""
+
+    @property
     def name(self) -> str:
         """Name of the robot."""
 

@@ -2,6 +2,7 @@ import json
 
 import pytest
 
+import pliant
 from pliant.cli import main
 from pliant.cli.targets import Target, open_targets
 from pliant.servo.emulator import Device, Emulator
@@ -107,7 +108,7 @@ def test_run_follows_a_file(tmp_path, capsys):
     file = tmp_path / "targets.jsonl"
     file.write_text('{"q": [0.1, 0, 0, 0, 0]}\n' * 50)
     assert main(["run", "so101", "--backend", "sim", "--targets", str(file), "--quiet"]) == 0
-    assert "51 ticks" in capsys.readouterr().out
+    assert "250 ticks" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -120,6 +121,8 @@ def test_run_follows_a_file(tmp_path, capsys):
         ('{"position": [1, 2, NaN]}', "not finite"),
         ('{"position": [1, 2, true]}', "3 numbers"),
         ('{"q": [1], "position": [1, 2, 3]}', "q, or position"),
+        ('{"q": [0, 0, 0]}', "expected (5,)"),
+        ('{"wxyz": [0, 0, 0, 0]}', "quaternion"),
         ('{"wxyz": [1, 0, 0, 0], "xyzw": [0, 0, 0, 1]}', "one quaternion"),
     ],
 )
@@ -135,10 +138,11 @@ def test_targets_that_are_none(line, said, tmp_path, capsys):
 def test_datagrams_come_from_this_machine_only():
     import socket
 
-    with open_targets("udp:20177") as source:
+    model = pliant.robots.so101()
+    with open_targets("udp:20177", model) as source:
         assert source.latest() is None
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            for text in (b"nonsense", b'{"position": [1, 2, 3]}'):
+            for text in (b"nonsense", b'{"position": [1, 2, 3]}', b'{"q": [0, 0]}'):
                 sender.sendto(text, ("127.0.0.1", 20177))
         for _ in range(100):
             if (target := source.latest()) is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pliant import ConfigError, ServoError
+from pliant import ConfigError, LimitError, ServoError
 from pliant.arm.budget import Budget
 from pliant.arm.cycle import Cycle
 from pliant.arm.entry import hear_all, take_up
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Exit = Literal["lower", "park", "hold"]
 
+#: How far outside of the limits a pose may be that is brought inside [rad].
+SLACK = 0.1
+
 #: Largest distance of a first goal from where its joint is [rad].
 LEAD = 0.1
 
@@ -55,7 +58,8 @@ class Arm:
         signals: Whether SIGINT and SIGTERM lower the arm.
 
     Attributes:
-        model, drive, rate, rest, hold_for: As given.
+        model: As given, driven by `servos`.
+        drive, rate, rest, hold_for: As given.
         servos: The chain's servos, n entries, as the drive has them; better known once open.
         grippers: The joints off the chain by name; made anew when the drive opens.
         enabled: Whether torque is on.
@@ -101,6 +105,8 @@ class Arm:
         """Make all that depends on what the servos are: a drive that is open knows it better."""
         self._cycle = Cycle(self.model, self.drive, self._budget)
         self.servos = self._cycle.servos
+        # What is made from the model alone must not believe the table that it came with.
+        self.model = self.model.with_servos(self.servos)
         self.grippers = self._make_grippers(self._jaws)
 
     def _make_grippers(self, jaws: dict[str, Jaw]) -> dict[str, Gripper]:
@@ -268,6 +274,11 @@ class Arm:
         """The program ends and torque is on."""
         self.close()
 
+    def __repr__(self) -> str:
+        """The arm in one line."""
+        torque = "on" if self.enabled else "off"
+        return f"<Arm {self.model.name}, {self.model.n} joints, torque {torque}>"
+
     def __enter__(self) -> Arm:
         try:
             self.enable()
@@ -379,6 +390,17 @@ class Arm:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
 
     def _posture(self, value: ArrayLike, name: str) -> Array:
-        """Joint positions (n,) [rad] within their limits."""
-        pose = self._cycle.vector(value, name)
-        return np.clip(pose, self.model.lower, self.model.upper)
+        """Joint positions (n,) [rad] within their limits, but for what calibration may be off by.
+
+        Raises:
+            ShapeError, LimitError: It is none of this arm.
+        """
+        pose, model = self._cycle.vector(value, name), self.model
+        low, high = np.asarray(model.lower), np.asarray(model.upper)
+        for joint, q, least, most in zip(model.joint_names, pose, low, high, strict=True):
+            if not least - SLACK <= q <= most + SLACK:
+                raise LimitError(
+                    f"{name}: {joint} = {q:g} rad is outside of {least:.3g} to {most:.3g} rad"
+                    + (": are these degrees?" if abs(q) > 2.0 * np.pi else "")
+                )
+        return np.clip(pose, low, high)

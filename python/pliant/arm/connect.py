@@ -67,6 +67,11 @@ def connect(
         kind, _, robot = str(what).partition(":")
         what = {"kind": kind, **({"robot": robot} if robot else {})}
     if not isinstance(what, Mapping):
+        if not hasattr(what, "arm"):
+            raise ConfigError(
+                f"cannot connect to {what!r}: give the path of a configuration file, the name of a "
+                "ready one, 'sim:arm7', or a model and a drive"
+            )
         return what.arm(**options)
     merged = {**what, **options}
     kind = merged.pop("kind", None)

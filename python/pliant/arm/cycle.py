@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 #: Limits rise to what is asked for within this time after torque on, or after a silence [s].
 EASE = 0.5
+#: A goal that lies this far outside of the limits is a mistake, not a lead [rad].
+FAR = 1.0
 
 
 class Cycle:
@@ -156,6 +158,14 @@ class Cycle:
         self.orders = {**self.orders, **self.roster.check(extra or {})}
         gravity, model, chain = self.gravity(), self.model, self.roster.chain
         need = gravity / self._kp[chain]
+        far = np.maximum(model.lower - goal, goal - model.upper)
+        if far.max() > FAR + (self._usable[chain] / self._kp[chain])[far.argmax()]:
+            joint = int(far.argmax())
+            raise LimitError(
+                f"goal of {model.joint_names[joint]} is {goal[joint]:g} rad, far outside of "
+                f"{model.lower[joint]:.3g} to {model.upper[joint]:.3g} rad: are these degrees? "
+                "Nothing was sent"
+            )
         goal = np.clip(
             goal, model.lower + np.minimum(need, 0.0), model.upper + np.maximum(need, 0.0)
         )

@@ -21,6 +21,9 @@ COMMANDS = {
     "setup": ("pliant.cli.setup", "set up servos: the only command that writes their EEPROM"),
     "run": ("pliant.cli.run", "hold an arm compliantly, or let it follow targets"),
     "bench": ("pliant.cli.bench", "time a step on this machine: latency, loop rate"),
+    "teach": ("pliant.cli.teach", "lead an arm by hand and keep the motion"),
+    "replay": ("pliant.cli.replay", "play a motion, softly: what is blocked waits"),
+    "log": ("pliant.cli.log", "look at a log: info, plot, export; run it again"),
     "emulate": ("pliant.cli.emulate", "put an arm's servos on a serial port that is not there"),
 }
 #: Exit code of an error that was explained, as of a flag that does not exist.
@@ -62,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             args=given[1:],
             config=(tyro.conf.FlagCreatePairsOff,),
         )
-    except (pliant.PliantError, OSError) as error:
+    except (pliant.PliantError, OSError, ImportError) as error:
         return _explain(str(error))
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else EXPLAINED

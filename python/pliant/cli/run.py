@@ -20,11 +20,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pliant.arm import Arm
+    from pliant.log import Recorder
     from pliant.loop import Tick
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 #: How often the table is drawn [Hz].
 FRAMES = 5.0
+#: How long the last of the targets is held without --duration [s].
+LINGER = 2.0
 
 
 def run(
@@ -37,6 +40,7 @@ def run(
     backend: str | None = None,
     urdf: Path | None = None,
     calibration: Path | None = None,
+    log: Path | None = None,
     quiet: bool = False,
 ) -> None:
     """Switch torque on, control the arm until Ctrl-C, and lower it.
@@ -46,7 +50,7 @@ def run(
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        soft: Axes that yield, e.g. "y yaw", in place of the file's settings.
+        soft: Axes that yield, e.g. "y yaw"; everything else stays as the file has it.
         targets: Where targets come from: a file with one a line, played at the loop's rate; - for
             standard input; udp:PORT for datagrams on this machine. Nothing: the arm holds.
         duration: Ends by itself [s].
@@ -54,38 +58,58 @@ def run(
         backend: bus, emulator or sim in place of the file's.
         urdf: URDF in place of the file's.
         calibration: LeRobot's calibration file in place of the file's.
+        log: MCAP file to write (extra log).
         quiet: No table.
     """
     read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
     settings = read.settings()
     if soft:
-        task = settings.task
-        settings = pliant.Settings.soft(soft, task=task, rate=settings.rate)
+        asked = pliant.Settings.soft(soft, task=settings.task).axes
+        yielding = {name: axis for name, axis in asked.items() if axis.yields is not None}
+        settings = settings.replace(axes={**settings.axes, **yielding})
     if duration is not None and not duration > 0.0:
         raise pliant.ConfigError(f"--duration must be above 0 s, got {duration:g}")
-    with open_targets(targets) as source, read.arm() as live:
-        _loop(live, settings, source, duration, quiet)
+    model = read.model()
+    with open_targets(targets, model) as source, read.arm() as live:
+        controller = pliant.Controller(live.model, settings, live.servos)
+        if log is None:
+            _loop(live, controller, source, duration, quiet)
+            return
+        from pliant.log import Recorder
+
+        with Recorder(log, live, controller, config=read) as recorder:
+            _loop(live, recorder.controller, source, duration, quiet, recorder=recorder)
 
 
 def _loop(
-    arm: Arm, settings: pliant.Settings, source: Targets, duration: float | None, quiet: bool
+    arm: Arm,
+    controller: pliant.Controller,
+    source: Targets,
+    duration: float | None,
+    quiet: bool,
+    *,
+    recorder: Recorder | None = None,
 ) -> None:
-    controller = pliant.Controller(arm.model, settings, arm.servos)
-    loop = pliant.Loop(arm, controller, rate=settings.rate, duration=duration)
+    rate = controller.settings.rate
+    loop = pliant.Loop(arm, controller, rate=rate, duration=duration)
     console = Console()
-    every = max(round(settings.rate / FRAMES), 1)
+    every = max(round(rate / FRAMES), 1)
     pose: NDArray[np.float64] | None = None
+    told = 0.0
     with Live(console=console, auto_refresh=False, transient=True) as live:
         for tick in loop:
             here = arm.model.forward_kinematics(tick.q)
             pose = here if pose is None else pose
             wanted = source.latest()
-            if source.done:
-                break
             if wanted is not None:
                 pose = wanted.pose(arm.model, pose)
+                told = tick.time
+            if source.done and duration is None and tick.time - told > LINGER:
+                break
             command = controller.step(tick.q, pose, dt=tick.dt)
             tick.write(command)
+            if recorder is not None:
+                recorder.add(tick, command)
             if not quiet and tick.index % every == 0:
                 live.update(_table(arm, controller, tick, command, here), refresh=True)
     counts = ", ".join(f"{name} {count}" for name, count in arm.counters.items() if count)

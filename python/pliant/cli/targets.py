@@ -44,11 +44,12 @@ class Target:
     q: tuple[float, ...] | None = None
 
     @classmethod
-    def parse(cls, line: str) -> Target:
-        """Read a line.
+    def parse(cls, line: str, model: Model) -> Target:
+        """Read a line for an arm.
 
         Raises:
-            ConfigError: It is no JSON object of the known keys with finite numbers.
+            ConfigError: It is no JSON object of the known keys with finite numbers, or no target of
+                this arm.
         """
         try:
             data: Any = json.loads(line)
@@ -61,14 +62,15 @@ class Target:
             raise ConfigError(f"a target is q, or position with one quaternion; got {_short(line)}")
         order = next((key for key in ("wxyz", "xyzw") if key in numbers), None)
         rotation = None if order is None else (order, numbers[order])
-        return cls(numbers.get("position"), rotation, numbers.get("q"))
+        target = cls(numbers.get("position"), rotation, numbers.get("q"))
+        try:
+            target.pose(model, np.eye(4))
+        except PliantError as error:
+            raise ConfigError(f"target {_short(line)}: {error}") from error
+        return target
 
     def pose(self, model: Model, before: Array) -> Array:
-        """Pose (4, 4); what the line leaves out stays as it was.
-
-        Raises:
-            ShapeError: q has not n entries. ConfigError: The quaternion is none.
-        """
+        """Pose (4, 4); what the line leaves out stays as it was."""
         if self.q is not None:
             return model.forward_kinematics(np.array(self.q))
         pose = before.copy()
@@ -119,7 +121,7 @@ class Nothing:
 class Lines(Nothing):
     """A file, one line a tick; the whole file is checked before anything moves."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, model: Model) -> None:
         try:
             text = path.read_text(encoding="utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as error:
@@ -128,7 +130,7 @@ class Lines(Nothing):
         for number, line in enumerate(text, 1):
             if line.strip():
                 try:
-                    self._targets.append(Target.parse(line))
+                    self._targets.append(Target.parse(line, model))
                 except ConfigError as error:
                     raise ConfigError(f"{path}, line {number}: {error}") from error
         if not self._targets:
@@ -147,7 +149,8 @@ class Lines(Nothing):
 class Stream(Nothing):
     """Standard input, read by a thread; a line that is wrong is said and skipped."""
 
-    def __init__(self) -> None:
+    def __init__(self, model: Model) -> None:
+        self._model = model
         self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         threading.Thread(target=self._read, daemon=True, name="pliant-targets").start()
 
@@ -164,14 +167,15 @@ class Stream(Nothing):
             if line is None:
                 self.done = True
             elif line.strip():
-                found = _lenient(line) or found
+                found = _lenient(line, self._model) or found
         return found
 
 
 class Datagrams(Nothing):
     """Datagrams on the loopback: nobody outside this machine can steer the arm."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, model: Model) -> None:
+        self._model = model
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind(("127.0.0.1", port))
@@ -184,15 +188,15 @@ class Datagrams(Nothing):
         found = None
         while select.select([self._socket], [], [], 0.0)[0]:
             data = self._socket.recv(DATAGRAM)
-            found = _lenient(data.decode("utf-8", errors="replace")) or found
+            found = _lenient(data.decode("utf-8", errors="replace"), self._model) or found
         return found
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()
 
 
-def open_targets(source: str) -> Targets:
-    """Open what `--targets` names.
+def open_targets(source: str, model: Model) -> Targets:
+    """Open what `--targets` names, for an arm.
 
     Raises:
         ConfigError: It cannot be read, or is no port.
@@ -200,19 +204,19 @@ def open_targets(source: str) -> Targets:
     if not source:
         return Nothing()
     if source == "-":
-        return Stream()
+        return Stream(model)
     if source.startswith("udp:"):
         number = source.removeprefix("udp:")
         if not (number.isdecimal() and 1024 <= int(number) <= 65535):
             raise ConfigError(f"--targets udp:PORT needs a port from 1024 to 65535, got {number!r}")
-        return Datagrams(int(number))
-    return Lines(Path(source))
+        return Datagrams(int(number), model)
+    return Lines(Path(source), model)
 
 
-def _lenient(line: str) -> Target | None:
+def _lenient(line: str, model: Model) -> Target | None:
     """A line that came while the arm moves: what is wrong with it must not stop the loop."""
     try:
-        return Target.parse(line)
+        return Target.parse(line, model)
     except PliantError as error:
         print(f"target refused: {error}", file=sys.stderr)
         return None

@@ -31,15 +31,25 @@ pub(crate) struct Model {
     pub(crate) core: Arc<CoreModel>,
     /// Spread to the chain's joints.
     pub(crate) servos: Option<Py<Servos>>,
+    /// URDF text and keywords it was made from.
+    text: String,
+    options: Option<Py<PyDict>>,
     links: PyOnceLock<Py<PyTuple>>,
     joints: PyOnceLock<Py<PyTuple>>,
 }
 
 impl Model {
-    fn new(py: Python<'_>, core: CoreModel, servos: Option<&CoreServos>) -> PyResult<Self> {
+    fn new(
+        py: Python<'_>,
+        core: CoreModel,
+        servos: Option<&CoreServos>,
+        text: String,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let options = options.map(|options| options.copy()).transpose()?.map(Bound::unbind);
         let spread = servos.map(|servos| servos.for_joints(core.n()).or_raise()).transpose()?;
         let servos = spread.map(|servos| Py::new(py, Servos(servos))).transpose()?;
-        Ok(Self { core: Arc::new(core), servos, links: PyOnceLock::new(), joints: PyOnceLock::new() })
+        Ok(Self { core: Arc::new(core), servos, text, options, links: PyOnceLock::new(), joints: PyOnceLock::new() })
     }
 }
 
@@ -53,7 +63,7 @@ impl Model {
     )]
     fn from_urdf(source: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let (py, path) = (source.py(), source.extract::<PathBuf>()?);
-        let (options, servos) = crate::options::read(options)?;
+        let (read, servos) = crate::options::read(options)?;
         if !path.exists() {
             let path = path.display().to_string();
             let is_text = path.trim_start().starts_with('<');
@@ -63,7 +73,8 @@ impl Model {
                 path.chars().take(200).collect::<String>()
             )));
         }
-        Self::new(py, py.detach(|| CoreModel::from_urdf_file(&path, &options)).or_raise()?, servos.as_ref())
+        let core = py.detach(|| CoreModel::from_urdf_file(&path, &read)).or_raise()?;
+        Self::new(py, core, servos.as_ref(), std::fs::read_to_string(&path)?, options)
     }
 
     #[staticmethod]
@@ -73,8 +84,15 @@ impl Model {
                           limits=None, servos=None)"
     )]
     fn from_urdf_str(py: Python<'_>, text: &str, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-        let (options, servos) = crate::options::read(options)?;
-        Self::new(py, py.detach(|| CoreModel::from_urdf_str(text, &options)).or_raise()?, servos.as_ref())
+        let (read, servos) = crate::options::read(options)?;
+        let core = py.detach(|| CoreModel::from_urdf_str(text, &read)).or_raise()?;
+        Self::new(py, core, servos.as_ref(), text.to_owned(), options)
+    }
+
+    #[getter]
+    fn source<'py>(&self, py: Python<'py>) -> PyResult<(&str, Bound<'py, PyDict>)> {
+        let options = self.options.as_ref().map_or_else(|| Ok(PyDict::new(py)), |options| options.bind(py).copy())?;
+        Ok((&self.text, options))
     }
 
     fn with_servos(&self, py: Python<'_>, servos: &Servos) -> PyResult<Self> {

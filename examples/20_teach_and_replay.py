@@ -1,0 +1,72 @@
+"""A hand teaches a motion, the arm repeats it softly, waits while it is held, and goes on.
+
+On the shell: `pliant teach my_arm.toml wave.json`, then `pliant replay my_arm.toml wave.json
+--soft "y=2"`. Here a simulated SO-101 and scripted hands; with the extra "log" the replay is
+logged, and the log run again. python examples/20_teach_and_replay.py
+"""
+
+import contextlib
+import importlib.util
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import pliant
+import pliant.sim
+import pliant.teach
+
+HELD = 2.0 if os.environ.get("PLIANT_SHORT") else 5.0  # [s]
+START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
+folder = Path(tempfile.mkdtemp())
+
+
+def grip(axis, distance, start, rise, end):
+    """A strong hand at the tool, between two times [s]."""
+    course = pliant.sim.Course(start=start, rise=rise, end=end)
+    return pliant.sim.Drag(
+        axis=axis, distance=distance, stiffness=2000.0, limit=60.0, at="tool", course=course
+    )
+
+
+# Teach: the arm floats; from 9 s on a hand leads the tool to the side and up, and lets go.
+hands = [grip("y", 0.08, 9.0, 3.0, 12.5), grip("z", 0.03, 9.0, 3.0, 12.5)]
+with pliant.connect("sim:so101", q=START, scene=hands) as arm:
+    motion = pliant.teach.teach(arm, tell=print)
+motion.save(folder / "wave.json")
+
+# Replay: y gives way to 2 N; a hand holds the tool from the beginning, then lets go.
+motion = pliant.teach.Motion.load(folder / "wave.json")
+settings = pliant.Settings(task="xyz", axes={"y": pliant.Axis(soft=2.0, profile="constant")})
+wall = grip("y", 0.0, 0.0, 0.0, 2.0 + HELD)
+
+with contextlib.ExitStack() as stack:
+    arm = stack.enter_context(pliant.connect("sim:so101", q=START, scene=[wall]))
+    controller = pliant.Controller(arm.model, settings, arm.servos)
+    recorder = None
+    if importlib.util.find_spec("mcap_ros2") is not None:
+        from pliant.log import Recorder
+
+        recorder = stack.enter_context(Recorder(folder / "replay.mcap", arm, controller))
+        controller = recorder.controller
+    replay = pliant.teach.Replay(controller, motion)
+    state, forces = "", []
+    for tick in pliant.Loop(arm, controller):
+        command = replay.step(tick.q, dt=tick.dt)
+        tick.write(command, replay.extra(arm))
+        if recorder is not None:
+            recorder.add(tick, command)
+        forces.append(np.linalg.norm(arm.drive.plant.hands[0].force))
+        if replay.state != state:
+            state = replay.state
+            print(f"at {tick.time:4.1f} s the motion is at {replay.time:.2f} s: {state}")
+        if replay.done:
+            break
+    print(f"the hand that held it felt at most {max(forces):.1f} N; waited {replay.waited:.1f} s")
+    goal = arm.model.forward_kinematics(motion.q[-1])[:3, 3]
+    print(f"off the end: {1e3 * np.linalg.norm(arm.drive.plant.tool[:3, 3] - goal):.1f} mm")
+
+if recorder is not None:
+    again = pliant.log.rerun(pliant.log.read(recorder.path))
+    print(f"run again from the log: {again.steps} commands, all the same: {again.same}")

@@ -1,0 +1,130 @@
+"""`pliant replay`: play a motion softly."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from rich.console import Console
+
+import pliant
+from pliant import config
+from pliant.cli.keys import Keys
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pliant.arm import Arm
+    from pliant.log import Recorder
+    from pliant.teach import Replay
+
+
+def run(
+    arm: Annotated[str, tyro.conf.Positional],
+    motion: Annotated[Path, tyro.conf.Positional],
+    *,
+    soft: str = "",
+    speed: float = 1.0,
+    wait: tuple[float, float] = (0.03, 0.25),
+    stop: float | None = None,
+    times: int = 1,
+    log: Path | None = None,
+    port: str | None = None,
+    backend: str | None = None,
+    urdf: Path | None = None,
+    calibration: Path | None = None,
+) -> None:
+    """Go to where the motion begins, play it, and lower the arm.
+
+    What is blocked waits: the motion's clock stands while the tool is farther off than --wait, and
+    goes on when it is let go.
+
+    Args:
+        arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
+        motion: File of `pliant teach`, or a log (.mcap).
+        soft: How soft each axis is: "y=2 z=5" caps these at 2 and 5 N (N·m for roll, pitch, yaw),
+            "y" takes the arm's own caps; the others hold. Nothing: the file's settings.
+        speed: Factor on the motion's speed.
+        wait: Deviation of the tool [m], [rad] at which the motion waits.
+        stop: Force [N] that stops the arm; Enter goes on. Nothing: never.
+        times: How often.
+        log: MCAP file to write (extra log).
+        port: Device in place of the file's.
+        backend: bus, emulator or sim in place of the file's.
+        urdf: URDF in place of the file's.
+        calibration: LeRobot's calibration file in place of the file's.
+    """
+    read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
+    settings = softened(read.settings(), soft)
+    if times < 1:
+        raise pliant.ConfigError(f"--times must be at least 1, got {times}")
+    loaded = pliant.teach.Motion.load(motion)
+    loaded.fits(read.model())
+    options: dict[str, Any] = {"speed": speed, "wait": wait, "stop": stop}
+    made = read.arm()
+    # What does not go together is said before torque comes on.
+    pliant.teach.Replay(pliant.Controller(made.model, settings, made.servos), loaded, **options)
+    with made as live:
+        controller = pliant.Controller(live.model, settings, live.servos)
+        replay = partial(pliant.teach.Replay, motion=loaded, **options)
+        if log is None:
+            _play(live, controller, replay, times, None)
+            return
+        from pliant.log import Recorder
+
+        with Recorder(log, live, controller, config=read, note=f"replay of {motion}") as recorder:
+            _play(live, recorder.controller, replay, times, recorder)
+
+
+def _play(
+    arm: Arm, controller: Any, make: Callable[..., Replay], times: int, recorder: Recorder | None
+) -> None:
+    """Play it, and say what happens."""
+    console, keys, replay, said, left = Console(), Keys(), make(controller), "", times
+    begun = waited = 0.0
+    for tick in pliant.Loop(arm, controller):
+        begun = begun or tick.time
+        command = replay.step(tick.q, dt=tick.dt, load=tick.state.load)
+        tick.write(command, replay.extra(arm))
+        if recorder is not None:
+            recorder.add(tick, command)
+        if keys.enter():
+            replay.resume()
+        if replay.state != said:
+            said = replay.state
+            hint = {"stopped": ": something pushes; Enter goes on", "blocked": ": it waits"}
+            console.print(f"{replay.time:6.2f} s  {said}{hint.get(said, '')}", highlight=False)
+        if replay.done:
+            left, waited = left - 1, waited + replay.waited
+            if not left:
+                break
+            replay = make(controller)
+    console.print(
+        f"played {times} times in {tick.time - begun:.1f} s, waited {waited:.1f} s",
+        highlight=False,
+    )
+
+
+def softened(settings: pliant.Settings, soft: str) -> pliant.Settings:
+    """Settings whose axes named in `soft` are capped, and whose others hold.
+
+    Raises:
+        ConfigError: A word is not `axis` or `axis=number`, or the axis is not the task's.
+    """
+    if not soft:
+        return settings
+    axes: dict[str, pliant.Axis] = {}
+    for word in soft.replace(",", " ").split():
+        name, given, number = word.partition("=")
+        try:
+            cap = float(number) if given else None
+        except ValueError:
+            raise pliant.ConfigError(
+                f"--soft takes axis or axis=newtons, e.g. 'y=2 z=5', got {word!r}"
+            ) from None
+        axes[name] = (
+            pliant.Axis(yields="both") if cap is None else pliant.Axis(soft=cap, profile="constant")
+        )
+    return settings.replace(axes=axes)

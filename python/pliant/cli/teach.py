@@ -1,0 +1,73 @@
+"""`pliant teach`: lead an arm by hand and keep the motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+import pliant
+from pliant import config
+from pliant.cli.keys import Keys
+
+if TYPE_CHECKING:
+    from pliant.arm import State
+    from pliant.teach import Teacher
+
+
+def run(
+    arm: Annotated[str, tyro.conf.Positional],
+    motion: Annotated[Path, tyro.conf.Positional],
+    *,
+    by: Literal["rest", "enter", "gripper"] = "rest",
+    seconds: float = 60.0,
+    note: str = "",
+    port: str | None = None,
+    backend: str | None = None,
+    urdf: Path | None = None,
+    calibration: Path | None = None,
+) -> None:
+    """Float the arm, record how it is led, trim and smooth it, and lower the arm.
+
+    The arm first swings a little to find its weight: nobody may touch it meanwhile.
+
+    Args:
+        arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
+        motion: File to write (.json).
+        by: What starts and ends the recording: rest records at once and ends with a rest of 3 s;
+            Enter; or the gripper pressed shut.
+        seconds: Longest recording [s].
+        note: A line of your own.
+        port: Device in place of the file's.
+        backend: bus, emulator or sim in place of the file's.
+        urdf: URDF in place of the file's.
+        calibration: LeRobot's calibration file in place of the file's.
+    """
+    from dataclasses import replace
+
+    if motion.suffix != ".json":
+        raise pliant.ConfigError(f"a motion file ends with .json, got {motion}")
+    if not motion.absolute().parent.is_dir():
+        raise pliant.ConfigError(f"there is no folder {motion.absolute().parent}")
+    if not seconds > 0.0:
+        raise pliant.ConfigError(f"--seconds must be above 0, got {seconds:g}")
+    read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
+    if by == "gripper" and read.gripper is None:
+        raise pliant.ConfigError(f"{arm} names no gripper: use --by enter or rest")
+    console = Console()
+    keys = Keys() if by == "enter" else None
+
+    def said(teacher: Teacher, state: State) -> bool:
+        return teacher.pressed(state) if keys is None else keys.enter()
+
+    with read.arm() as live:
+        made = pliant.teach.teach(
+            live,
+            seconds=seconds,
+            said=None if by == "rest" else said,
+            tell=lambda line: console.print(line, highlight=False),
+        )
+    replace(made, note=note).save(motion)
+    console.print(f"{motion}: pliant replay {arm} {motion}", highlight=False, soft_wrap=True)

@@ -1,0 +1,18 @@
+"""Logs that open anywhere: MCAP with ROS 2 messages, enough to run the controller again.
+
+>>> with pliant.log.Recorder("run.mcap", arm, controller) as recorder:
+...     ctl = recorder.controller                       # in place of the controller
+...     for tick in pliant.Loop(arm, ctl):
+...         command = ctl.step(tick.q, target, dt=tick.dt)
+...         tick.write(command)
+...         recorder.add(tick, command)
+>>> log = pliant.log.read("run.mcap")
+>>> log.q, log.goal, pliant.log.rerun(log).same
+"""
+
+from pliant.log.journal import Journal
+from pliant.log.reader import Log, read
+from pliant.log.recorder import Recorder
+from pliant.log.rerun import Rerun, rerun
+
+__all__ = ["Journal", "Log", "Recorder", "Rerun", "read", "rerun"]

@@ -1,0 +1,24 @@
+"""The one place that imports MCAP, so that a missing extra is one clear line."""
+
+from __future__ import annotations
+
+try:
+    from mcap.exceptions import McapError
+    from mcap.records import Attachment, Channel, Footer, Message, Schema
+    from mcap.stream_reader import StreamReader
+    from mcap_ros2.decoder import DecoderFactory
+    from mcap_ros2.writer import Writer
+except ImportError as error:
+    raise ImportError('pliant.log needs the extra "log": pip install "pliant[log]"') from error
+
+__all__ = [
+    "Attachment",
+    "Channel",
+    "DecoderFactory",
+    "Footer",
+    "McapError",
+    "Message",
+    "Schema",
+    "StreamReader",
+    "Writer",
+]

@@ -1,0 +1,167 @@
+"""A controller that writes down everything it is told."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import pliant
+from pliant.log import frames, layout, words
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Command, Controller
+    from pliant.log.frames import Sender
+
+    Array = NDArray[np.float64]
+
+#: Sequence number of the call, and whether it was `step_joints`.
+STEP = struct.Struct("<QB")
+
+
+class Journal:
+    """A controller in whose place it stands: same calls, same results, and a record of each.
+
+    Everything that is not a call that changes the controller is passed on as it is. Parts that
+    insist on a `pliant.Controller` (`Contact`) take `journal.inner`.
+
+    Attributes:
+        inner: The controller.
+        calls: Calls so far.
+        delay: The delay that it was last told [s].
+    """
+
+    def __init__(self, controller: Controller, sender: Sender) -> None:
+        """Made by `Recorder`."""
+        self.inner, self._sender = controller, sender
+        self.calls, self.delay = 0, float(controller.settings.delay)
+        self._target: Array | None = None
+        self._joints = False
+        n = controller.model.n
+        vector = layout.step(n)
+        self._row = np.empty(vector.size)
+        self._slots = vector.split(self._row)
+
+    def step(
+        self,
+        q: ArrayLike,
+        target: Any,
+        *,
+        dt: float | None = None,
+        dq: ArrayLike | None = None,
+        twist: ArrayLike | None = None,
+        gradient: ArrayLike | None = None,
+        out: Command | None = None,
+    ) -> Command:
+        """`Controller.step`."""
+        target = _pose(target)
+        command = self.inner.step(q, target, dt=dt, dq=dq, twist=twist, gradient=gradient, out=out)
+        given = {"dt": dt, "dq": dq, "twist": twist, "gradient": gradient}
+        self._note("target", q, target, given, command)
+        return command
+
+    def step_joints(
+        self,
+        q: ArrayLike,
+        q_target: ArrayLike,
+        *,
+        dt: float | None = None,
+        dq: ArrayLike | None = None,
+        twist: ArrayLike | None = None,
+        gradient: ArrayLike | None = None,
+        out: Command | None = None,
+    ) -> Command:
+        """`Controller.step_joints`."""
+        q_target = np.array(q_target, dtype=np.float64)
+        command = self.inner.step_joints(
+            q, q_target, dt=dt, dq=dq, twist=twist, gradient=gradient, out=out
+        )
+        given = {"dt": dt, "dq": dq, "twist": twist, "gradient": gradient}
+        self._note("q_target", q, q_target, given, command)
+        return command
+
+    def reset(self, q: ArrayLike) -> None:
+        """`Controller.reset`."""
+        q = np.array(q, dtype=np.float64)
+        self.inner.reset(q)
+        self._call("reset", q=q)
+
+    def update(self, settings: pliant.Settings) -> None:
+        """`Controller.update`."""
+        self.inner.update(settings)
+        self._call("update", settings=settings)
+
+    def set_payload(self, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """`Controller.set_payload`."""
+        self.inner.set_payload(mass, com)
+        self._call("set_payload", mass=mass, com=np.asarray(com, dtype=np.float64))
+
+    def set_gravity(self, vector: ArrayLike) -> None:
+        """`Controller.set_gravity`."""
+        self.inner.set_gravity(vector)
+        self._call("set_gravity", vector=np.asarray(vector, dtype=np.float64))
+
+    def set_delay(self, delay: float) -> None:
+        """`Controller.set_delay`."""
+        self.inner.set_delay(delay)
+        self.delay = delay
+        self._call("set_delay", delay=delay)
+
+    def capture_gravity(self, q: ArrayLike, goal: ArrayLike) -> Array:
+        """`Controller.capture_gravity`."""
+        q, goal = np.array(q, dtype=np.float64), np.array(goal, dtype=np.float64)
+        stiffness = self.inner.capture_gravity(q, goal)
+        self._call("capture_gravity", q=q, goal=goal)
+        return stiffness
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.inner, name)
+
+    @property
+    def target(self) -> Array | None:
+        """Target of the last step (4, 4); a position takes the rotation of the reference."""
+        given = self._target
+        if given is None:
+            return None
+        if self._joints:
+            return self.inner.model.forward_kinematics(given)
+        if given.shape == (4, 4):
+            return given
+        pose = self.inner.reference
+        pose[:3, 3] = given
+        return pose
+
+    def _note(
+        self, slot: str, q: ArrayLike, target: Array, given: dict[str, Any], command: Command
+    ) -> None:
+        """Write down a step that went well."""
+        slots = self._slots
+        self._row.fill(np.nan)
+        joints = slot == "q_target"
+        self._target, self._joints = target, joints
+        slots["q"][:] = q
+        slots[slot][: target.size] = target.reshape(-1)
+        for name, value in given.items():
+            if value is not None:
+                slots[name][:] = value
+        slots["goal"][:] = command.goal
+        slots["torque_limit"][:] = command.torque_limit
+        slots["velocity"][:] = command.velocity
+        self._sender.send(frames.STEP, STEP.pack(self.calls, joints), self._row.tobytes())
+        self.calls += 1
+
+    def _call(self, what: str, **arguments: Any) -> None:
+        """Write down any other call that went well."""
+        text = words.write({"sequence": self.calls, "what": what, "arguments": arguments})
+        self._sender.send(frames.CALL, text.encode())
+        self.calls += 1
+
+
+def _pose(target: Any) -> Array:
+    """The array that a target stands for, by itself where it is one."""
+    if isinstance(target, np.ndarray | list | tuple):
+        return np.array(target, dtype=np.float64)
+    return np.asarray(pliant.as_pose(target).matrix)

@@ -1,0 +1,168 @@
+"""Topics and messages of a log, and the vectors in which a tick and a step travel to the writer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+#: Changes when a file of before cannot be read any more.
+VERSION = "1"
+#: Names of the attachments.
+RUN, URDF, SETTINGS, CONFIG = "run.json", "robot.urdf", "settings.txt", "config.json"
+
+_LINE = "=" * 80
+_HEADER = f"""{_LINE}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+"""
+_GEOMETRY = f"""{_LINE}
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+{_LINE}
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+{_LINE}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+"""
+_TIME = f"""{_LINE}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+JOINTS = f"""std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+{_HEADER}{_TIME}"""
+POSE = f"""std_msgs/Header header
+geometry_msgs/Pose pose
+{_LINE}
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+{_GEOMETRY}{_HEADER}{_TIME}"""
+TF = f"""geometry_msgs/TransformStamped[] transforms
+{_LINE}
+MSG: geometry_msgs/TransformStamped
+std_msgs/Header header
+string child_frame_id
+geometry_msgs/Transform transform
+{_LINE}
+MSG: geometry_msgs/Transform
+geometry_msgs/Vector3 translation
+geometry_msgs/Quaternion rotation
+{_GEOMETRY}{_HEADER}{_TIME}"""
+TEXT = "string data\n"
+
+#: Of the joints (n,): what is read, and what is sent.
+STATE = ("q", "dq", "load", "current", "voltage", "temperature", "age")
+COMMAND = ("goal", "torque_limit", "velocity")
+#: Of the axes of the task (k,), as the controller names them.
+AXES = (
+    "deviation",
+    "adapted_deviation",
+    "dx",
+    "softness",
+    "compliance",
+    "holding_torque",
+    "wrench",
+    "deviation_limited",
+)
+#: Of the joints, in the controller.
+JOINT = ("saturated", "locked", "gravity", "feed_forward")
+SCALARS = ("sigma_min", "sigma_max", "damping", "gamma", "gain_factor")
+
+
+@dataclass(frozen=True)
+class Vector:
+    """Named pieces of a vector of float64, in a fixed order.
+
+    Attributes:
+        pieces: Name and length of each.
+    """
+
+    pieces: tuple[tuple[str, int], ...]
+
+    @property
+    def size(self) -> int:
+        """Length of the whole."""
+        return sum(length for _, length in self.pieces)
+
+    def split(self, whole: Array) -> dict[str, Array]:
+        """The pieces of the last axis, by name."""
+        ends = np.cumsum([length for _, length in self.pieces])[:-1]
+        names = [name for name, _ in self.pieces]
+        return dict(zip(names, np.split(whole, ends, axis=-1), strict=True))
+
+
+def tick(n: int, k: int | None, extra: int) -> Vector:
+    """A tick of n joints, k axes (None: without a controller) and `extra` joints off the chain."""
+    pieces = [("time", 1), ("dt", 1), ("index", 1), ("lag", 1), ("delay", 1)]
+    pieces += [(name, n) for name in (*STATE, *COMMAND)] + [("extra", extra)]
+    if k is not None:
+        pieces += [("target", 16), ("reference", 16), ("activation", n * (k + 1))]
+        pieces += [(name, k) for name in AXES] + [(name, n) for name in JOINT]
+        pieces += [(name, 1) for name in SCALARS]
+    return Vector(tuple(pieces))
+
+
+def step(n: int) -> Vector:
+    """Arguments of a step and what came of it; NaN first where an argument was left out."""
+    sizes = {"dt": 1, "target": 16, "twist": 6}
+    names = ("dt", "q", "target", "q_target", "dq", "twist", "gradient", *COMMAND)
+    return Vector(tuple((name, sizes.get(name, n)) for name in names))
+
+
+def tick_message(vector: Vector) -> str:
+    """ROS 2 definition of a tick."""
+    return "".join(
+        f"float64{'' if length == 1 and name in SINGLE else '[]'} {name}\n"
+        for name, length in vector.pieces
+    )
+
+
+#: Pieces that are one number.
+SINGLE = frozenset(("time", "dt", "index", "lag", "delay", *SCALARS))
+
+#: ROS 2 definition of a call of the controller; `arguments` is JSON.
+CALL = "uint64 sequence\nstring what\nstring arguments\nfloat64 dt\n" + "".join(
+    f"float64[] {name}\n" for name, _ in step(1).pieces[1:]
+)
+
+
+def numbers(pieces: dict[str, Array], names: Iterable[str]) -> dict[str, Any]:
+    """Fields of a message: a number where the definition has one, else a list; NaN-only: empty."""
+    out: dict[str, Any] = {}
+    for name in names:
+        values = pieces[name]
+        if name in SINGLE:
+            out[name] = float(values[0])
+        else:
+            out[name] = [] if np.isnan(values).all() else values.tolist()
+    return out
+
+
+def row(values: Sequence[float] | Array | None, length: int) -> Array:
+    """A piece of a vector; NaN where there is nothing."""
+    if values is None:
+        return np.full(length, np.nan)
+    return np.asarray(values, dtype=np.float64).reshape(-1)

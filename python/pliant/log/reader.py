@@ -1,0 +1,177 @@
+"""From a log to arrays, also from one whose end is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from struct import error as StructError
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pliant import ConfigError
+from pliant.log import layout, words
+from pliant.log._mcap import (
+    Attachment,
+    Channel,
+    DecoderFactory,
+    Footer,
+    McapError,
+    Message,
+    Schema,
+    StreamReader,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    import pliant
+
+    Array = NDArray[np.float64]
+
+
+@dataclass
+class Log:
+    """A run, N ticks of n joints and k axes; NaN where nothing was measured.
+
+    Every column of a tick is an attribute and an entry of `columns`: `time` (N,) [s], `q`, `dq`,
+    `load`, `goal`, `torque_limit` (N, n), `target`, `reference` (N, 4, 4), `deviation`,
+    `compliance` (N, k), `activation` (N, n, k + 1) and what else docs/logs.md lists.
+
+    Attributes:
+        run: What was recorded: joints, axes, rate, settings, servos, version, note.
+        columns: Arrays by name.
+        calls: What the controller was told, in order: messages with the fields of a call.
+        whole: Whether the file was completed; else the program or the machine died.
+        missing: Calls that were dropped.
+    """
+
+    run: dict[str, Any]
+    columns: dict[str, Array]
+    calls: list[Any] = field(repr=False)
+    whole: bool
+
+    def __getattr__(self, name: str) -> Array:
+        columns: dict[str, Array] = self.__dict__.get("columns", {})
+        if name in columns:
+            return columns[name]
+        raise AttributeError(f"a log has no column {name!r}; it has: {', '.join(columns)}")
+
+    def __len__(self) -> int:
+        return len(self.columns["time"])
+
+    def __repr__(self) -> str:
+        joints, axes = len(self.run["joints"]), len(self.run["axes"] or ())
+        return f"<Log: {len(self)} ticks of {joints} joints and {axes} axes>"
+
+    @property
+    def missing(self) -> int:
+        """Calls of the controller that are not in the log."""
+        return self.calls[-1].sequence + 1 - len(self.calls) if self.calls else 0
+
+    @property
+    def settings(self) -> pliant.Settings | None:
+        """Settings at the beginning."""
+        settings: pliant.Settings | None = self.run["settings"]
+        return settings
+
+    @property
+    def servos(self) -> pliant.Servos | None:
+        """Servos that the controller believed in."""
+        servos: pliant.Servos | None = self.run["servos"]
+        return servos
+
+    def model(self) -> pliant.Model:
+        """The arm, from the attached URDF."""
+        return words.model(self.run["model"])
+
+
+def read(path: str | Path) -> Log:
+    """Read a log of `Recorder`.
+
+    Raises:
+        ConfigError: The file is none, or has not got as far as a first record.
+        OSError: It cannot be read.
+    """
+    run: dict[str, Any] | None = None
+    ticks: list[Any] = []
+    calls: list[Any] = []
+    rows = {"/pliant/tick": ticks, "/pliant/call": calls}
+    whole = False
+    decode = _Decoder()
+    with Path(path).open("rb") as stream:
+        try:
+            for record in StreamReader(stream).records:
+                if isinstance(record, Attachment) and record.name == layout.RUN:
+                    run = words.read(record.data.decode())
+                elif isinstance(record, Schema):
+                    decode.schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    decode.channels[record.id] = record
+                elif isinstance(record, Message):
+                    wanted = rows.get(decode.channels[record.channel_id].topic)
+                    if wanted is not None:
+                        wanted.append(decode(record))
+                elif isinstance(record, Footer):
+                    whole = True
+        except (McapError, StructError, EOFError, ValueError) as error:
+            if run is None:
+                raise ConfigError(f"{path} is no log of pliant: {error}") from error
+    if run is None:
+        raise ConfigError(f"{path} is no log of pliant: it has no attachment {layout.RUN!r}")
+    if run["version"] != layout.VERSION:
+        raise ConfigError(
+            f"{path} has layout {run['version']}, this pliant reads {layout.VERSION}: read it with "
+            f"pliant {run['pliant']}"
+        )
+    return Log(run, _columns(run, ticks), calls, whole)
+
+
+class _Decoder:
+    """Messages of the channels seen so far."""
+
+    def __init__(self) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self._factory = DecoderFactory()
+        self._decoders: dict[int, Callable[[bytes], Any]] = {}
+
+    def __call__(self, message: Message) -> Any:
+        made = self._decoders.get(message.channel_id)
+        if made is None:
+            channel = self.channels[message.channel_id]
+            found = self._factory.decoder_for("cdr", self.schemas[channel.schema_id])
+            if found is None:
+                raise ConfigError(f"no decoder for {channel.topic}")
+            made = self._decoders[message.channel_id] = found
+        return made(message.data)
+
+
+def _columns(run: dict[str, Any], ticks: list[Any]) -> dict[str, Array]:
+    """Arrays of all ticks."""
+    n, axes = len(run["joints"]), run["axes"]
+    vector = layout.tick(n, None if axes is None else len(axes), len(run["extra"]))
+    out: dict[str, Array] = {}
+    for name, length in vector.pieces:
+        values: Array = np.full((len(ticks), length), np.nan)
+        for row, message in zip(values, ticks, strict=True):
+            value = getattr(message, name)
+            if not hasattr(value, "__len__"):
+                row[0] = value
+            elif len(value):
+                row[:] = value
+        shape: tuple[int, ...] = (-1, length)
+        if name in {"target", "reference"}:
+            shape = (-1, 4, 4)
+        elif name == "activation":
+            shape = (-1, n, length // n)
+        elif name in layout.SINGLE:
+            shape = (-1,)
+        out[name] = values.reshape(len(ticks), *shape[1:])
+    return out
+
+
+def arguments(call: Any) -> dict[str, Any]:
+    """Arguments of a call that is no step."""
+    return dict(words.read(call.arguments)) if call.arguments else {}

@@ -1,0 +1,193 @@
+"""The recorder: what a tick knows, handed to another process within some microseconds."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import pliant
+from pliant import ConfigError
+from pliant.log import frames, layout, words
+from pliant.log.journal import Journal
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from pliant import Controller
+    from pliant.arm import Arm
+    from pliant.config import Config
+    from pliant.loop import Commanded, Tick
+
+#: How long `close` waits for the writer to take the rest, and then to finish [s]: an arm may be
+#: held meanwhile.
+PATIENCE = 5.0
+
+
+class Recorder:
+    """Writes a run to an MCAP file, from a process of its own: the loop only fills a pipe.
+
+    The writer survives the program: one that is killed leaves a whole file. `with` closes it.
+
+    Args:
+        path: The file; made anew.
+        arm: The arm.
+        controller: The controller, before its first step; use `recorder.controller` in its place,
+            so that the log has all that it is told. None: without one (hand guiding).
+        config: The arm's configuration, to be attached.
+        rate: Ticks per second that are to come [Hz]; None: the controller's, or the arm's. What a
+            crash of the machine may cost is half a second of these.
+        note: A line of your own.
+
+    Attributes:
+        path: The file.
+        ticks: Ticks so far.
+        controller: The controller to be used; a `Journal`.
+
+    Raises:
+        ConfigError: The controller has made steps already, or belongs to another arm.
+        OSError: The file cannot be written.
+        ImportError: The extra is missing.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        arm: Arm,
+        controller: Controller | None = None,
+        *,
+        config: Config | None = None,
+        rate: float | None = None,
+        note: str = "",
+    ) -> None:
+        if controller is not None and controller.commands_made:
+            raise ConfigError(
+                "the controller has made steps that the log would lack: make the recorder before "
+                "the first one (or controller=None for a log that cannot be run again)"
+            )
+        if controller is not None and controller.model.joint_names != arm.model.joint_names:
+            raise ConfigError("the controller is that of another arm")
+        wanted = arm.rate if controller is None else controller.settings.rate
+        self.path, self.ticks = Path(path), 0
+        self._extra = tuple(arm.grippers)
+        axes = None if controller is None else controller.settings.task.names
+        vector = layout.tick(arm.model.n, None if axes is None else len(axes), len(self._extra))
+        self._row, self._axes = np.empty(vector.size), axes
+        self._slots = vector.split(self._row)
+        self.path.open("wb").close()
+        run = {
+            "version": layout.VERSION,
+            "pliant": pliant.__version__,
+            "note": note,
+            "rate": float(wanted if rate is None else rate),
+            "joints": arm.model.joint_names,
+            "extra": self._extra,
+            "axes": axes,
+            "model": words.describe(arm.model if controller is None else controller.model),
+            "servos": arm.servos if controller is None else controller.servos,
+            "settings": None if controller is None else controller.settings,
+            "config": None if config is None else config.model_dump_json(by_alias=True),
+            "wall": time.time(),
+            "clock": arm.clock.now(),
+        }
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "pliant.log.writer", str(self.path)],
+            stdin=subprocess.PIPE,
+            # Ctrl-C and the end of the terminal are for the loop; the writer ends with its pipe.
+            start_new_session=True,
+        )
+        assert self._process.stdin is not None
+        self._sender = frames.Sender(self._process.stdin.fileno())
+        self._sender.send(frames.RUN, words.write(run).encode())
+        self._journal = None if controller is None else Journal(controller, self._sender)
+
+    @property
+    def controller(self) -> Any:
+        """The controller to be used; None without one."""
+        return self._journal
+
+    @property
+    def dropped(self) -> int:
+        """Records that did not fit: the writer was too far behind, or is gone."""
+        return self._sender.dropped
+
+    def add(self, tick: Tick, command: Commanded | None = None) -> None:
+        """Record a tick and what was commanded in it; never waits, never raises for the writer.
+
+        Raises:
+            ConfigError: The command is not one of `recorder.controller`.
+        """
+        slots, state = self._slots, tick.state
+        self._row.fill(np.nan)
+        slots["time"][0] = state.time
+        slots["dt"][0], slots["index"][0] = tick.dt, tick.index
+        slots["lag"][0] = tick.time - state.time
+        for name in layout.STATE:
+            value = getattr(state, name)
+            if value is not None:
+                slots[name][:] = value
+        if command is not None:
+            slots["goal"][:] = command.goal
+            slots["torque_limit"][:] = command.torque_limit
+            velocity = getattr(command, "velocity", None)
+            if velocity is not None:
+                slots["velocity"][:] = velocity
+        if self._extra:
+            slots["extra"][:] = [state.extra.get(name, np.nan) for name in self._extra]
+        if self._journal is not None:
+            self._look(self._journal)
+        self._sender.send(frames.TICK, self._row.tobytes())
+        self.ticks += 1
+
+    def _look(self, journal: Journal) -> None:
+        """What the controller knows after its step."""
+        target, inner, slots = journal.target, journal.inner, self._slots
+        if target is None:
+            raise ConfigError(
+                "the log has no step of this tick: use recorder.controller in place of the "
+                "controller"
+            )
+        slots["delay"][0] = journal.delay
+        slots["target"][:] = target.reshape(-1)
+        slots["reference"][:] = inner.reference.reshape(-1)
+        slots["activation"][:] = inner.activation.reshape(-1)
+        for name in (*layout.AXES, *layout.JOINT):
+            value = getattr(inner, name)
+            if value.size == slots[name].size:
+                slots[name][:] = value
+        for name in layout.SCALARS:
+            slots[name][0] = getattr(inner, name)
+
+    def close(self) -> None:
+        """Hand over the rest and wait until the file is whole.
+
+        Raises:
+            OSError: The writer failed, or is not done within ten seconds; what it wrote can be
+                read.
+        """
+        process = self._process
+        if process.stdin is None or process.stdin.closed:
+            return
+        self._sender.finish(PATIENCE)
+        process.stdin.close()
+        try:
+            code = process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            raise OSError(f"{self.path}: the disk is slow; the writer goes on by itself") from None
+        if code != 0:
+            raise OSError(f"{self.path}: the log could not be written to its end")
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,103 @@
+"""The controller again, told the same: the same commands, bit for bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import pliant
+from pliant import ConfigError
+from pliant.log.reader import Log, arguments
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+COMMAND = ("goal", "torque_limit", "velocity")
+
+
+@dataclass(frozen=True)
+class Rerun:
+    """Commands of a run and of its repetition, M steps of n joints.
+
+    Attributes:
+        steps: Steps that were repeated.
+        differing: Steps whose goal, limit or velocity differ in any bit.
+        goal, torque_limit: Of the repetition (M, n) [rad, N·m].
+        largest: Largest difference of a goal [rad].
+        missing: Calls that the log lacks; from the first on nothing can be the same.
+    """
+
+    steps: int
+    differing: int
+    goal: Array
+    torque_limit: Array
+    largest: float
+    missing: int
+
+    @property
+    def same(self) -> bool:
+        """Whether every step gave the same command, bit for bit."""
+        return self.differing == 0 and self.missing == 0
+
+
+def rerun(log: Log, settings: pliant.Settings | None = None) -> Rerun:
+    """Tell a fresh controller what the recorded one was told.
+
+    Args:
+        log: The log.
+        settings: Others in place of those of the beginning, to see what they would have commanded
+            with the same inputs; the log's own changes of settings are then left out.
+
+    Raises:
+        ConfigError: The log was made without a controller, or by another version of pliant.
+    """
+    if log.settings is None:
+        raise ConfigError("the log was made without a controller: there is nothing to run again")
+    version = log.run["pliant"]
+    if settings is None and version != pliant.__version__:
+        raise ConfigError(
+            f"the log was made by pliant {version}, this is {pliant.__version__}: only the same "
+            "version need give the same commands"
+        )
+    controller = pliant.Controller(log.model(), settings or log.settings, log.servos)
+    goals, limits, differing, largest = [], [], 0, 0.0
+    for call in log.calls:
+        if not call.what.startswith("step"):
+            if not (settings is not None and call.what == "update"):
+                getattr(controller, call.what)(**arguments(call))
+            continue
+        command = _step(controller, call)
+        pairs = [(np.array(getattr(call, name)), getattr(command, name)) for name in COMMAND]
+        differing += any(a.tobytes() != np.asarray(b).tobytes() for a, b in pairs)
+        largest = max(largest, float(np.abs(pairs[0][0] - pairs[0][1]).max()))
+        goals.append(np.array(command.goal))
+        limits.append(np.array(command.torque_limit))
+    n = controller.model.n
+    return Rerun(
+        steps=len(goals),
+        differing=differing,
+        goal=np.array(goals).reshape(-1, n),
+        torque_limit=np.array(limits).reshape(-1, n),
+        largest=largest,
+        missing=log.missing,
+    )
+
+
+def _step(controller: pliant.Controller, call: Any) -> pliant.Command:
+    """One step with the recorded arguments."""
+    given: dict[str, Any] = {
+        name: np.array(value) if len(value) else None
+        for name in ("dq", "twist", "gradient")
+        for value in (getattr(call, name),)
+    }
+    given["dt"] = None if np.isnan(call.dt) else call.dt
+    q = np.array(call.q)
+    if call.what == "step_joints":
+        return controller.step_joints(q, np.array(call.q_target), **given)
+    target = np.array(call.target)
+    whole = not np.isnan(target).any()
+    return controller.step(q, target.reshape(4, 4) if whole else target[:3], **given)

@@ -1,0 +1,82 @@
+"""Models, settings and servos as JSON and back, bit for bit: no code is run to read a log."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+import pliant
+from pliant import ConfigError
+
+_TYPES = {
+    kind.__name__: kind
+    for kind in (pliant.Settings, pliant.Axis, pliant.Task, pliant.Servos, pliant.Payload)
+}
+
+
+def write(value: Any) -> str:
+    """JSON of numbers, arrays, settings, axes, tasks, servos and payloads, and lists of them.
+
+    Raises:
+        ConfigError: Something else.
+    """
+    return json.dumps(_plain(value), ensure_ascii=False)
+
+
+def read(text: str) -> Any:
+    """What `write` was given; arrays and tuples come back as lists.
+
+    Raises:
+        ConfigError: No such text.
+    """
+    try:
+        return _rich(json.loads(text))
+    except (ValueError, TypeError, KeyError) as error:
+        raise ConfigError(f"not the description of a run: {error}") from error
+
+
+def model(source: Any) -> pliant.Model:
+    """A model from what `describe` said.
+
+    Raises:
+        ConfigError, UrdfError: It describes none.
+    """
+    return pliant.Model.from_urdf_str(source["urdf"], **source["options"])
+
+
+def describe(given: pliant.Model) -> dict[str, Any]:
+    """URDF and options of a model."""
+    text, options = given.source
+    return {"urdf": text, "options": options}
+
+
+def _plain(value: Any) -> Any:
+    name = type(value).__name__
+    if name in _TYPES and isinstance(value, _TYPES[name]):
+        if isinstance(value, pliant.Payload):
+            return {"type": name, "fields": {"mass": value.mass, "com": value.com.tolist()}}
+        fields = value.__getnewargs_ex__()[1]
+        return {"type": name, "fields": {key: _plain(item) for key, item in fields.items()}}
+    if isinstance(value, dict):
+        return {"table": [[_plain(key), _plain(item)] for key, item in value.items()]}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if hasattr(value, "items"):
+        return _plain(dict(value))
+    raise ConfigError(f"cannot write a {name} into a log")
+
+
+def _rich(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_rich(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    if "table" in value:
+        return {_rich(key): _rich(item) for key, item in value["table"]}
+    return _TYPES[value["type"]](**_rich({"table": list(value["fields"].items())}))

@@ -1,0 +1,192 @@
+"""The process that writes: ``python -m pliant.log.writer FILE``, frames on standard input.
+
+It keeps no more than half a second to itself: chunks are sized for that from the first tick, and
+go to the file as they end. The end of the input, also by the death of the loop, completes the file.
+"""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import pliant
+from pliant.log import frames, layout, words
+from pliant.log._mcap import Writer
+from pliant.log.journal import STEP
+
+if TYPE_CHECKING:
+    from typing import BinaryIO
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+#: What a chunk holds [s].
+CHUNK = 0.5
+#: Messages that carry a tick beside its numbers, and their size without them [bytes].
+MESSAGES, OVERHEAD = 8, 150
+
+
+class Log:
+    """An MCAP file with the layout of `layout`.
+
+    Attributes:
+        run: What the run is.
+    """
+
+    def __init__(self, stream: BinaryIO, run: dict[str, Any]) -> None:
+        """Write attachments and definitions."""
+        self.run = run
+        self._model = words.model(run["model"])
+        n, axes = len(run["joints"]), run["axes"]
+        self._tick = layout.tick(n, None if axes is None else len(axes), len(run["extra"]))
+        self._step = layout.step(n)
+        size = 16 * (self._tick.size + self._step.size) + MESSAGES * (OVERHEAD + 12 * n)
+        self._writer = Writer(stream, chunk_size=round(CHUNK * run["rate"] * size / 2))
+        self._count = itertools.count()
+        self._begin = round(run["wall"] * 1e9)
+        self._now = self._begin
+        self._schemas = {
+            name: self._writer.register_msgdef(name, text)
+            for name, text in (
+                ("sensor_msgs/msg/JointState", layout.JOINTS),
+                ("geometry_msgs/msg/PoseStamped", layout.POSE),
+                ("tf2_msgs/msg/TFMessage", layout.TF),
+                ("std_msgs/msg/String", layout.TEXT),
+                ("pliant_msgs/msg/Tick", layout.tick_message(self._tick)),
+                ("pliant_msgs/msg/Call", layout.CALL),
+            )
+        }
+        self._attach(run)
+
+    def _attach(self, run: dict[str, Any]) -> None:
+        """Robot, settings and configuration."""
+        texts = {
+            layout.RUN: ("application/json", words.write(run)),
+            layout.URDF: ("application/xml", run["model"]["urdf"]),
+            layout.SETTINGS: ("text/plain", f"{run['settings']!r}\n{run['servos']!r}\n"),
+            layout.CONFIG: ("application/json", run["config"]),
+        }
+        for name, (kind, text) in texts.items():
+            if text is not None:
+                self._writer.add_attachment(self._begin, self._begin, name, kind, text.encode())
+        self._put("/robot_description", "std_msgs/msg/String", {"data": run["model"]["urdf"]})
+
+    def tick(self, body: bytes) -> None:
+        """A tick, once in full and once in the words of ROS."""
+        pieces = self._tick.split(np.frombuffer(body))
+        passed = float(pieces["time"][0]) - self.run["clock"]
+        self._now = self._begin + round(passed * 1e9)
+        names = [name for name, _ in self._tick.pieces]
+        self._put("/pliant/tick", "pliant_msgs/msg/Tick", layout.numbers(pieces, names))
+        joints = [*self.run["joints"], *self.run["extra"]]
+        positions = np.concatenate((pieces["q"], pieces["extra"]))
+        self._joints("/joint_states", joints, positions, pieces["dq"], pieces["load"])
+        named = [pieces[name] for name in layout.COMMAND]
+        self._joints("/command/joint_states", self.run["joints"], named[0], named[2], named[1])
+        actual = self._model.forward_kinematics(pieces["q"])
+        poses = {"actual": actual}
+        if self.run["axes"] is not None:
+            axes, zero = self.run["axes"], pieces["deviation"]
+            self._joints("/task/joint_states", axes, zero, pieces["dx"], pieces["holding_torque"])
+            poses["target"] = pieces["target"].reshape(4, 4)
+            poses["intermediate"] = pieces["reference"].reshape(4, 4)
+        for name, pose in poses.items():
+            message = {"header": self._header(self._model.base), "pose": _pose(pose)}
+            self._put(f"/tcp/{name}", "geometry_msgs/msg/PoseStamped", message)
+        self._put("/tf", "tf2_msgs/msg/TFMessage", {"transforms": [self._transform(actual)]})
+
+    def step(self, body: bytes) -> None:
+        """A step of the controller."""
+        sequence, joints = STEP.unpack_from(body)
+        pieces = self._step.split(np.frombuffer(body, offset=STEP.size))
+        message = {"sequence": sequence, "what": "step_joints" if joints else "step"}
+        self._call({**message, "arguments": "", **layout.numbers(pieces, pieces)})
+
+    def call(self, body: bytes) -> None:
+        """Any other call of the controller."""
+        called = words.read(body.decode())
+        empty: dict[str, Any] = {name: [] for name, _ in self._step.pieces}
+        arguments = words.write(called.pop("arguments"))
+        self._call({**empty, **called, "dt": np.nan, "arguments": arguments})
+
+    def finish(self) -> None:
+        """Complete the file."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+
+    def _call(self, message: dict[str, Any]) -> None:
+        self._put("/pliant/call", "pliant_msgs/msg/Call", message)
+
+    def _joints(
+        self, topic: str, names: Any, position: Array, velocity: Array, effort: Array
+    ) -> None:
+        values = {"position": position, "velocity": velocity, "effort": effort}
+        lists = {
+            key: [] if np.isnan(value).all() else _fill(value, len(names)).tolist()
+            for key, value in values.items()
+        }
+        message = {"header": self._header(""), "name": list(names), **lists}
+        self._put(topic, "sensor_msgs/msg/JointState", message)
+
+    def _transform(self, pose: Array) -> dict[str, Any]:
+        made = _pose(pose)
+        return {
+            "header": self._header(self._model.base),
+            "child_frame_id": self._model.tip,
+            "transform": {"translation": made["position"], "rotation": made["orientation"]},
+        }
+
+    def _header(self, frame: str) -> dict[str, Any]:
+        seconds, rest = divmod(self._now, 1_000_000_000)
+        return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": frame}
+
+    def _put(self, topic: str, kind: str, message: dict[str, Any]) -> None:
+        self._writer.write_message(
+            topic, self._schemas[kind], message, self._now, sequence=next(self._count)
+        )
+
+
+def _fill(value: Array, length: int) -> Array:
+    """Joints beside the chain have a position only."""
+    return np.concatenate((value, np.full(length - value.size, np.nan)))
+
+
+def _pose(matrix: Array) -> dict[str, dict[str, float]]:
+    x, y, z, w = _quaternion(matrix)
+    position = dict(zip("xyz", matrix[:3, 3].tolist(), strict=True))
+    return {"position": position, "orientation": {"x": x, "y": y, "z": z, "w": w}}
+
+
+def _quaternion(matrix: Array) -> list[float]:
+    """Quaternion x y z w; a target need not be a rotation to the last digit."""
+    u, _, v = np.linalg.svd(matrix[:3, :3])
+    pose = np.eye(4)
+    pose[:3, :3] = u @ v
+    try:
+        x, y, z, w = pliant.Pose(pose).xyzw.tolist()
+    except pliant.PliantError:
+        return [0.0, 0.0, 0.0, 1.0]
+    return [x, y, z, w]
+
+
+def main() -> None:
+    """Write frames until they end."""
+    source = sys.stdin.buffer
+    first = frames.receive(source)
+    if first is None:
+        return
+    with open(sys.argv[1], "wb") as stream:
+        log = Log(stream, words.read(first[1].decode()))
+        take = {frames.TICK: log.tick, frames.STEP: log.step, frames.CALL: log.call}
+        while (frame := frames.receive(source)) is not None:
+            kind, body = frame
+            take[kind](body)
+            stream.flush()
+        log.finish()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,16 @@
+"""Teach by hand and replay, softly.
+
+>>> motion = pliant.teach.teach(arm, seconds=20.0)     # float, lead it, rest: it ends
+>>> motion.save("wave.json")
+>>> replay = pliant.teach.Replay(controller, motion, speed=1.0)
+>>> for tick in pliant.Loop(arm, controller):
+...     tick.write(replay.step(tick.q, dt=tick.dt), replay.extra(arm))
+...     if replay.done:
+...         break
+"""
+
+from pliant.teach.motion import Motion
+from pliant.teach.replay import Replay
+from pliant.teach.teacher import Teacher, teach
+
+__all__ = ["Motion", "Replay", "Teacher", "teach"]

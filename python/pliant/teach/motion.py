@@ -1,0 +1,215 @@
+"""A taught motion: joint positions over time, in a text file that any language reads."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pliant import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from pliant import Model
+
+    Array = NDArray[np.float64]
+
+#: What a file begins with.
+FORMAT = "pliant motion 1"
+#: Rate at which motions are kept [Hz], and digits of a position, 1e-5 rad.
+RATE, DIGITS = 50.0, 5
+#: A joint within this of where it was first or last is still there [rad]; how much of the still
+#: ends is kept [s].
+STILL, KEEP = 0.02, 0.2
+#: Samples of a motion that is none.
+LEAST = 2
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Positions of joints at times, N samples of n joints. Between samples it is smooth.
+
+    Attributes:
+        joints: Names, in the order of the columns.
+        time: (N,) [s], rising from 0.
+        q: (N, n) [rad].
+        extra: Positions (N,) of joints beside the chain, such as a gripper, by name [rad].
+        note: A line of the user's.
+
+    Raises:
+        ConfigError: Shapes, times or numbers do not go together.
+    """
+
+    joints: tuple[str, ...]
+    time: Array
+    q: Array
+    extra: Mapping[str, Array] = field(default_factory=dict)
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        """Check once; what is wrong must be known before an arm moves."""
+        time, q = np.asarray(self.time, dtype=np.float64), np.asarray(self.q, dtype=np.float64)
+        extra = {name: np.asarray(row, dtype=np.float64) for name, row in self.extra.items()}
+        size = (time.size, len(self.joints))
+        if time.ndim != 1 or time.size < LEAST or q.shape != size:
+            raise ConfigError(
+                f"a motion of {len(self.joints)} joints needs times (N,) and q (N, n) with N at "
+                f"least {LEAST}, got {time.shape} and {q.shape}"
+            )
+        if any(row.shape != time.shape for row in extra.values()):
+            raise ConfigError("a motion needs as many positions of each joint beside the chain")
+        if not all(np.isfinite(part).all() for part in (time, q, *extra.values())):
+            raise ConfigError("a motion has a number that is not finite")
+        if not (np.diff(time) > 0.0).all():
+            raise ConfigError("the times of a motion must rise")
+        parts = {"joints": tuple(self.joints), "time": time - time[0], "q": q, "extra": extra}
+        for name, value in parts.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return float(self.time[-1])
+
+    def at(self, time: float) -> Array:
+        """Positions (n,) [rad] at a time [s]; beyond the ends those of the ends.
+
+        A cubic between two samples, with the slopes of their neighbours (Catmull and Rom).
+        """
+        if not 0.0 < time < self.duration:
+            return np.array(self.q[0 if time <= 0.0 else -1])
+        k = int(np.searchsorted(self.time, time, side="right")) - 1
+        step = self.time[k + 1] - self.time[k]
+        u = (time - self.time[k]) / step
+        low, high = self.q[k], self.q[k + 1]
+        m, p = step * self._slope(k), step * self._slope(k + 1)
+        a, b = 2.0 * (low - high) + m + p, 3.0 * (high - low) - 2.0 * m - p
+        between: Array = low + u * (m + u * (b + u * a))
+        return between
+
+    def beside(self, time: float) -> dict[str, float]:
+        """Positions of the joints beside the chain at a time [rad]."""
+        return {name: float(np.interp(time, self.time, row)) for name, row in self.extra.items()}
+
+    def _slope(self, k: int) -> Array:
+        """Slope at a sample; none at the ends."""
+        if k in {0, len(self.time) - 1}:
+            return np.zeros(len(self.joints))
+        rise: Array = (self.q[k + 1] - self.q[k - 1]) / (self.time[k + 1] - self.time[k - 1])
+        return rise
+
+    def fits(self, model: Model) -> None:
+        """Check that an arm can do it.
+
+        Raises:
+            ConfigError: Other joints, or positions beyond its limits.
+        """
+        if self.joints != tuple(model.joint_names):
+            raise ConfigError(
+                f"the motion is of {', '.join(self.joints)}; this arm has "
+                f"{', '.join(model.joint_names)}"
+            )
+        beyond = np.maximum(self.q - model.upper, model.lower - self.q).max(axis=0)
+        worst = int(np.argmax(beyond))
+        # An arm that is led by hand gives a little beyond its limits.
+        if beyond[worst] > STILL:
+            raise ConfigError(
+                f"the motion takes {self.joints[worst]} {beyond[worst]:.3f} rad beyond its limits"
+            )
+
+    def trimmed(self, still: float = STILL, keep: float = KEEP) -> Motion:
+        """Without the rest before the first and after the last motion beyond `still` [rad].
+
+        Args:
+            still: Distance within which a joint counts as not having moved [rad].
+            keep: How much rest stays at both ends [s].
+
+        Raises:
+            ConfigError: Nothing moved.
+        """
+        rows = np.column_stack((self.q, *self.extra.values()))
+        left = np.flatnonzero((np.abs(rows - rows[0]) > still).any(axis=1))
+        away = np.flatnonzero((np.abs(rows - rows[-1]) > still).any(axis=1))
+        if not (left.size and away.size):
+            raise ConfigError(f"nothing moved by more than {still:g} rad: there is no motion")
+        first, last = self.time[left[0]] - keep, self.time[away[-1]] + keep
+        chosen = (self.time >= first) & (self.time <= last)
+        return self._of(chosen)
+
+    def smoothed(self, width: float = 0.1, rate: float = RATE) -> Motion:
+        """Even in time, and without tremor: a Gaussian of `width` [s], standard deviation.
+
+        Symmetric, so that nothing comes late; ends stay where they are.
+        """
+        if not (width >= 0.0 and rate > 0.0):
+            raise ConfigError(f"width must be at least 0 s, rate above 0; got {width!r}, {rate!r}")
+        count = max(round(self.duration * rate), 1) + 1
+        time = np.linspace(0.0, self.duration, count)
+        step = self.duration / (count - 1)
+        reach = min(round(3.0 * width / step), count - 1)
+        kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / max(width, 1e-9)) ** 2)
+
+        def smooth(row: Array) -> Array:
+            even = np.interp(time, self.time, row)
+            # Turned about its ends: a straight line stays one, and the ends stay.
+            padded = np.pad(even, reach, mode="reflect", reflect_type="odd")
+            return np.convolve(padded, kernel / kernel.sum(), mode="valid")
+
+        q = np.column_stack([smooth(row) for row in self.q.T])
+        extra = {name: smooth(row) for name, row in self.extra.items()}
+        return replace(self, time=time, q=q, extra=extra)
+
+    def _of(self, chosen: NDArray[np.bool_]) -> Motion:
+        extra = {name: row[chosen] for name, row in self.extra.items()}
+        return replace(self, time=self.time[chosen], q=self.q[chosen], extra=extra)
+
+    def save(self, path: str | Path) -> None:
+        """Write JSON: one sample a line, so that two versions can be compared."""
+        rows = np.column_stack((self.time, self.q, *self.extra.values()))
+        head = {
+            "format": FORMAT,
+            "joints": list(self.joints),
+            "extra": list(self.extra),
+            "note": self.note,
+            "columns": "time [s], joints [rad], extra [rad]",
+        }
+        samples = ",\n  ".join(json.dumps([round(x, DIGITS) for x in row]) for row in rows.tolist())
+        text = json.dumps(head, indent=1, ensure_ascii=False)[:-2]
+        Path(path).write_text(f'{text},\n "samples": [\n  {samples}\n ]\n}}\n', encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Motion:
+        """Read a motion file, or the joint positions of a log (`.mcap`).
+
+        Raises:
+            ConfigError: It is none.
+            OSError: It cannot be read.
+        """
+        path = Path(path)
+        if path.suffix == ".mcap":
+            from pliant.log import read
+
+            log = read(path)
+            extra = dict(zip(log.run["extra"], log.extra.T, strict=True))
+            return cls(tuple(log.run["joints"]), log.time, log.q, extra, log.run["note"])
+        try:
+            data: Any = json.loads(path.read_text(encoding="utf-8"))
+            if data["format"] != FORMAT:
+                raise ConfigError(f"{path} is {data['format']!r}, this pliant reads {FORMAT!r}")
+            rows = np.array(data["samples"], dtype=np.float64)
+            joints, names = tuple(data["joints"]), list(data["extra"])
+            n = len(joints)
+            if rows.ndim != 2 or rows.shape[1] != 1 + n + len(names):
+                raise ConfigError(f"a sample needs a time, {n} joints and {len(names)} extra")
+            beside = dict(zip(names, rows[:, 1 + n :].T, strict=True))
+            return cls(joints, rows[:, 0], rows[:, 1 : 1 + n], beside, str(data.get("note", "")))
+        except (ValueError, TypeError, KeyError) as error:
+            raise ConfigError(f"{path} is no motion file: {error!r}") from error
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error

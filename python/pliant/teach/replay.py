@@ -1,0 +1,189 @@
+"""Playing a motion softly: what is blocked waits, and no force builds up."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+import pliant
+from pliant import LimitError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Command, Controller
+    from pliant.arm import Arm
+    from pliant.teach.motion import Motion
+
+    Array = NDArray[np.float64]
+
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+#: Speed on the way to the motion's beginning, and back to it after a stop [rad/s].
+APPROACH = 0.4
+#: Time within which the motion's clock comes up to speed again [s].
+RISE = 0.5
+#: How far from its bound a deviation begins to slow the clock, as a share.
+SLOW = 0.5
+#: A clock made slower than the first of these shares of its speed is blocked, until the second.
+BLOCKED, FREE = 0.05, 0.3
+#: How long a force must last to be a contact [s], and after a resume is not listened to [s].
+LASTING, DEAF = 0.05, 1.0
+
+State = Literal["approaching", "playing", "blocked", "stopped", "done"]
+
+
+class Replay:
+    """Steps a controller along a motion; `step` once per tick in place of the controller's.
+
+    The motion has a clock of its own, of pace ``p = clip(2 (1 − m), 0, 1)`` times `speed`, where m
+    is the largest deviation of the tool over its bound `wait`: full speed up to half the bound, and
+    at the bound it stands. So the target is never farther than the bound from a tool that is held,
+    and the force there is what the axis gives at that deviation, however long it is held: the
+    cap of a soft axis, at most bound/C of a stiff one.
+
+    Args:
+        controller: The controller, whose settings say how soft each axis is.
+        motion: The motion.
+        speed: Factor on its speed.
+        wait: Deviation of the tool [m], [rad] at which the clock stands.
+        stop: Force [N] along a task axis that stops the arm until `resume()`; None: never. Below
+            what this arm can tell from its own friction it is refused.
+
+    Attributes:
+        time: Of the motion's clock [s].
+        pace: Of the clock in this tick, 0 to 1.
+        waited: How long the clock has been blocked so far [s].
+        stops: How often a contact stopped it.
+
+    Raises:
+        ConfigError: The motion is another arm's.
+        LimitError: A number out of range, or a `stop` that cannot be felt.
+    """
+
+    def __init__(
+        self,
+        controller: Controller | Any,
+        motion: Motion,
+        *,
+        speed: float = 1.0,
+        wait: tuple[float, float] = (0.03, 0.25),
+        stop: float | None = None,
+    ) -> None:
+        if not 0.05 <= speed <= 3.0:
+            raise LimitError(f"speed must be in [0.05, 3], got {speed:g}")
+        if not (min(wait) > 0.0 and math.isfinite(max(wait))):
+            raise LimitError(f"wait must be two numbers above 0 [m], [rad], got {wait!r}")
+        motion.fits(controller.model)
+        self.motion, self.speed = motion, speed
+        self._controller, self._model = controller, controller.model
+        names = controller.settings.task.names
+        self._rows = [AXES.index(name) for name in names]
+        self._bound = np.array([wait[row >= 3] for row in self._rows])
+        self._contact: pliant.Contact | None = None
+        if stop is not None:
+            axes = "".join(name for name in names if name in "xyz")
+            inner = getattr(controller, "inner", controller)
+            self._contact = pliant.Contact(inner, touch={axes: stop}, min_time=LASTING)
+        self.time, self.pace, self.waited, self.stops = 0.0, 1.0, 0.0, 0
+        self._offset: Array | None = None
+        self._left = self._way = 0.0
+        self._held: Array | None = None
+        self._blocked = False
+        self._deaf = 0.0
+
+    @property
+    def state(self) -> State:
+        """What it does."""
+        if self._held is not None:
+            return "stopped"
+        if self.time >= self.motion.duration:
+            return "done"
+        if self._blocked:
+            return "blocked"
+        return "approaching" if self._left > 0.0 else "playing"
+
+    @property
+    def done(self) -> bool:
+        """Whether the motion has been played to its end."""
+        return self.state == "done"
+
+    def step(
+        self, q: ArrayLike, *, dt: float | None = None, load: ArrayLike | None = None
+    ) -> Command:
+        """One tick.
+
+        Args:
+            q: Measured joint positions (n,) [rad].
+            dt: Since the last tick [s]; None: 1 / rate of the settings.
+            load: Torques that the servos say they exert (n,) [N·m], for `stop`.
+
+        Raises:
+            ShapeError, LimitError: As `Controller.step`.
+        """
+        q = np.asarray(q, dtype=np.float64)
+        span = 1.0 / self._controller.settings.rate if dt is None else dt
+        if self._offset is None:
+            self._from(q)
+        self._feel(q, dt, load, span)
+        if self._held is not None:
+            goal = self._held
+        else:
+            self._advance(q, span)
+            goal = self._target()
+        command: Command = self._controller.step_joints(q, goal, dt=dt)
+        return command
+
+    def extra(self, arm: Arm) -> dict[str, tuple[float, float]]:
+        """Orders for the joints beside the chain, with the torque limits of their grippers."""
+        return {
+            name: (position, arm.grippers[name].limit)
+            for name, position in self.motion.beside(self.time).items()
+            if name in arm.grippers
+        }
+
+    def resume(self) -> None:
+        """Go on after a contact: back to where the motion was left, then along it."""
+        if self._held is not None:
+            held, self._held, self._deaf = self._held, None, DEAF
+            self._from(held)
+
+    def _from(self, q: Array) -> None:
+        """Begin with a way from q to where the motion is now."""
+        self._offset = q - self.motion.at(self.time)
+        # A smooth step is at its middle 15/8 times as fast as in the mean.
+        self._way = 1.875 * float(np.abs(self._offset).max()) / APPROACH
+        self._left, self.pace = self._way, 0.0
+
+    def _target(self) -> Array:
+        """Positions (n,) [rad] now: those of the motion, and what is left of the way to it."""
+        goal = self.motion.at(self.time)
+        if self._left <= 0.0 or self._offset is None:
+            return goal
+        s = self._left / self._way
+        return goal + s**3 * (10.0 - 15.0 * s + 6.0 * s * s) * self._offset
+
+    def _advance(self, q: Array, dt: float) -> None:
+        """Let the clock go on as far as the tool has followed."""
+        here, there = (self._model.forward_kinematics(at) for at in (q, self._target()))
+        error = pliant.pose_error(here, there)[self._rows]
+        share = float(np.abs(error / self._bound).max())
+        wanted = min(max((1.0 - share) / (1.0 - SLOW), 0.0), 1.0)
+        self.pace = min(wanted, self.pace + dt / RISE)
+        self._blocked = wanted < (FREE if self._blocked else BLOCKED)
+        self.waited += dt * self._blocked
+        if self._left > 0.0:
+            self._left = max(self._left - self.pace * dt, 0.0)
+        else:
+            self.time = min(self.time + self.pace * self.speed * dt, self.motion.duration)
+
+    def _feel(self, q: Array, dt: float | None, load: ArrayLike | None, span: float) -> None:
+        """Stop where something pushes."""
+        if self._contact is None:
+            return
+        felt = self._contact.update(q, dt=dt, load=load)
+        self._deaf = max(self._deaf - span, 0.0)
+        if felt.touch.any() and self._held is None and self._deaf == 0.0:
+            self._held = q.copy()
+            self.stops += 1

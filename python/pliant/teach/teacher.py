@@ -1,0 +1,179 @@
+"""Leading an arm by hand while it is written down."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+from pliant import ConfigError
+from pliant.teach.motion import Motion
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from pliant.arm import Arm, State
+    from pliant.identify.seam import Order
+
+    Array = NDArray[np.float64]
+
+#: Share of a gripper's range from its closed end within which it is pressed.
+PRESSED = 0.15
+#: Share of its torque limit with which a gripper follows the hand.
+LIGHT = 0.3
+#: An arm that has moved no joint by more than this [rad] for so long is at rest.
+MOVED = 0.02
+
+
+class Teacher:
+    """Floats an arm and keeps where it is led; `step` once per tick.
+
+    Joints beside the chain (a gripper) follow the hand and are kept as well.
+
+    Args:
+        arm: The arm, enabled.
+        rate: Ticks per second [Hz].
+        floating: What makes the arm weightless; None: `pliant.Float` of the arm.
+
+    Attributes:
+        recording: Whether ticks are being kept.
+        still: How long the arm has not moved [s], since the recording began.
+        moved: Whether it has moved since then.
+    """
+
+    def __init__(
+        self, arm: Arm, *, rate: float = 100.0, floating: pliant.Float | None = None
+    ) -> None:
+        self._arm, self._dt = arm, 1.0 / rate
+        self._float = floating or pliant.Float(arm.model, arm.servos, rate=rate)
+        self._rows: list[tuple[float, Array, dict[str, float]]] = []
+        self.recording = False
+        self.still, self.moved = 0.0, False
+        self._where: Array | None = None
+        self._closed = False
+
+    @property
+    def ready(self) -> bool:
+        """Whether the first swing is over and the arm may be touched."""
+        return self._float.ready
+
+    def step(self, state: State) -> Order:
+        """One tick: goals and limits that let the arm be led."""
+        order = self._float.step(state.q)
+        if self.recording:
+            self._keep(state)
+        return order
+
+    def start(self) -> None:
+        """Keep from now on; what was kept before is forgotten.
+
+        Raises:
+            ConfigError: The first swing is not over.
+        """
+        if not self.ready:
+            raise ConfigError("the arm still swings to find its weight: wait until it is ready")
+        self._rows.clear()
+        self.recording, self.still, self.moved, self._where = True, 0.0, False, None
+
+    def stop(self) -> Motion:
+        """Keep no more; the motion as led, neither trimmed nor smoothed.
+
+        Raises:
+            ConfigError: Less than two ticks were kept.
+        """
+        self.recording = False
+        if len(self._rows) < 2:
+            raise ConfigError("nothing was recorded")
+        times, positions, beside = zip(*self._rows, strict=True)
+        extra = {name: np.array([row[name] for row in beside]) for name in beside[0]}
+        names = tuple(self._arm.model.joint_names)
+        return Motion(names, np.array(times), np.array(positions), extra)
+
+    def extra(self, state: State) -> dict[str, tuple[float, float]]:
+        """Orders for the joints beside the chain: they follow the hand."""
+        return {
+            name: (state.extra[name], LIGHT * gripper.limit)
+            for name, gripper in self._arm.grippers.items()
+        }
+
+    def pressed(self, state: State) -> bool:
+        """Whether a gripper has just been pressed shut: a hand's way to say start or stop."""
+        closed = False
+        for name, gripper in self._arm.grippers.items():
+            share = (state.extra[name] - gripper.closed) / (gripper.opened - gripper.closed)
+            closed |= bool(share < PRESSED)
+        just, self._closed = closed and not self._closed, closed
+        return just
+
+    def _keep(self, state: State) -> None:
+        if not self._rows or state.time > self._rows[-1][0]:
+            self._rows.append((state.time, state.q.copy(), dict(state.extra)))
+        if self._where is None or (np.abs(state.q - self._where) > MOVED).any():
+            self.moved |= self._where is not None
+            self._where, self.still = state.q.copy(), 0.0
+        self.still += self._dt
+
+
+def teach(
+    arm: Arm,
+    *,
+    seconds: float | None = None,
+    rest: float = 3.0,
+    wait: float = 60.0,
+    rate: float | None = None,
+    said: Callable[[Teacher, State], bool] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Motion:
+    """Float an enabled arm, record what a hand does to it, trim and smooth it.
+
+    The recording begins when the arm is ready, or `said`; it ends by `seconds`, a rest after the
+    arm was led, or `said`.
+
+    Args:
+        arm: The arm, enabled.
+        seconds: Longest recording [s]; None: no bound.
+        rest: Rest that ends a recording in which something moved [s].
+        wait: Longest time to wait for a first motion [s].
+        rate: Ticks per second [Hz]; None: the arm's.
+        said: Asked at every tick whether the user has just said start, or stop.
+        tell: Gets a line at every change, for a screen.
+
+    Returns:
+        The motion, trimmed and smoothed.
+
+    Raises:
+        ConfigError: Nothing was led.
+        ServoError: As in a `Loop`.
+    """
+    rate = arm.rate if rate is None else rate
+    teacher, begun = Teacher(arm, rate=rate), 0.0
+    tell("do not touch: the arm swings a little to find its weight")
+    for tick in pliant.Loop(arm, rate=rate):
+        before = teacher.ready
+        tick.write(teacher.step(tick.state), teacher.extra(tick.state))
+        if not teacher.ready:
+            continue
+        if not before:
+            tell("ready: lead the arm" + ("" if said is None else "; Enter starts and stops"))
+            begun = tick.time
+        now = said is not None and said(teacher, tick.state)
+        if not teacher.recording and (said is None or now):
+            teacher.start()
+            begun = tick.time
+            tell("recording")
+            continue
+        late = tick.time - begun
+        if teacher.recording and (
+            now
+            or (teacher.moved and said is None and teacher.still > rest)
+            or (seconds is not None and late > seconds)
+        ):
+            break
+        if late > wait and not teacher.moved:
+            raise ConfigError(f"nobody led the arm within {wait:g} s")
+    motion = teacher.stop().trimmed().smoothed()
+    tell(f"kept {motion.duration:.1f} s")
+    return motion

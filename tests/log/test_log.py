@@ -1,0 +1,270 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant.cli import main
+from pliant.log import Recorder, read, rerun
+from pliant.log.reader import arguments
+
+parquet = pytest.importorskip("pyarrow.parquet")
+rosbags = pytest.importorskip("rosbags.highlevel")
+
+START = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]
+
+
+def record(path, ticks=40, **options):
+    """A run that uses every input of the controller once."""
+    with pliant.connect("sim:arm7", q=START) as arm:
+        settings = pliant.Settings.soft("y")
+        made = pliant.Controller(arm.model, settings, arm.servos)
+        with Recorder(path, arm, made, **options) as recorder:
+            controller = recorder.controller
+            pose = arm.model.forward_kinematics(arm.read().q)
+            for tick in pliant.Loop(arm, controller, duration=ticks / 100.0):
+                given = {"dt": tick.dt} if tick.index % 2 else {}
+                if tick.index == 10:
+                    controller.update(settings.replace(axes={"x": pliant.Axis(soft=3.0)}))
+                    controller.set_payload(0.1, [0.0, 0.0, 0.05])
+                    controller.set_gravity([0.1, 0.0, -9.8])
+                    controller.set_delay(0.013)
+                if tick.index > 15:
+                    given["dq"] = 0.01 * np.sin(np.arange(7) + tick.index)
+                    given["gradient"] = np.full(7, 0.1)
+                if tick.index > 20:
+                    given["twist"] = [0.0, 0.02, 0.0, 0.0, 0.0, 0.1]
+                if tick.index == 30:
+                    command = controller.step_joints(tick.q, tick.q + 0.01, **given)
+                else:
+                    target = pliant.Pose(pose) if tick.index == 5 else pose
+                    command = controller.step(tick.q, target, **given)
+                tick.write(command)
+                recorder.add(tick, command)
+            assert recorder.dropped == 0
+    return read(path)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    record(path)
+    return path
+
+
+def test_the_same_inputs_give_the_same_commands(file):
+    log = read(file)
+    assert log.whole
+    assert {call.what for call in log.calls} == {
+        "reset", "step", "step_joints", "update", "set_payload", "set_gravity", "set_delay"
+    }  # fmt: skip
+    again = rerun(log)
+    assert again.same
+    assert again.steps == len(log) + 1  # the loop primes the controller with a step of its own
+    np.testing.assert_array_equal(again.goal[1:], log.goal)
+
+
+@pytest.mark.parametrize("what", ["dt", "dq", "twist", "gradient", "target", "call"])
+def test_every_input_counts(file, what):
+    log = read(file)
+    if what == "call":
+        log.calls = [call for call in log.calls if call.what != "update"]
+    else:
+        # With dq given a step needs no dt, until a slew limit is met.
+        first = 6 if what == "dt" else 30
+        steps = (c for c in log.calls if c.what == "step" and c.sequence > first)
+        call = next(c for c in steps if what != "dt" or np.isfinite(c.dt))
+        if what == "dt":
+            call.dt *= 1.01
+        else:
+            getattr(call, what)[3] += 1e-3
+    assert rerun(log).differing > 0
+
+
+def test_a_settings_change_can_be_tried_on_a_log(file):
+    log = read(file)
+    other = rerun(log, pliant.Settings.firm())
+    assert other.steps == len(log) + 1
+    assert other.differing > 0
+
+
+def test_columns_are_what_the_loop_saw(file):
+    log = read(file)
+    n, k, ticks = 7, 6, len(log)
+    assert log.q.shape == log.goal.shape == log.saturated.shape == (ticks, n)
+    assert log.activation.shape == (ticks, n, k + 1)
+    assert log.target.shape == (ticks, 4, 4)
+    assert log.run["joints"] == list(log.model().joint_names)
+    np.testing.assert_allclose(np.diff(log.time), 0.01, atol=1e-9)
+    np.testing.assert_allclose(log.activation.sum(axis=1), 1.0, atol=1e-9)
+    update = next(call for call in log.calls if call.what == "update")
+    assert arguments(update)["settings"].axes["x"] == pliant.Axis(soft=3.0)
+    with pytest.raises(AttributeError, match="torque_limit"):
+        log.torques  # noqa: B018
+
+
+def test_a_second_reader_opens_it(file):
+    log = read(file)
+    with rosbags.AnyReader([file]) as reader:
+        topics = {connection.topic: connection for connection in reader.connections}
+        assert {"/joint_states", "/command/joint_states", "/tcp/actual", "/tcp/target"} <= set(
+            topics
+        )
+        assert {"/tcp/intermediate", "/tf", "/task/joint_states", "/robot_description"} <= set(
+            topics
+        )
+
+        def messages(topic):
+            chosen = topics[topic]
+            return [
+                (stamp, reader.deserialize(data, chosen.msgtype))
+                for _, stamp, data in reader.messages([chosen])
+            ]
+
+        states = messages("/joint_states")
+        np.testing.assert_array_equal([m.position for _, m in states], log.q)
+        stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for _, m in states])
+        np.testing.assert_allclose(np.diff(stamps), np.diff(log.time), atol=1e-6)
+        commands = messages("/command/joint_states")
+        np.testing.assert_array_equal([m.effort for _, m in commands], log.torque_limit)
+        place = messages("/tcp/actual")[-1][1].pose.position
+        pose = log.model().forward_kinematics(log.q[-1])
+        np.testing.assert_allclose([place.x, place.y, place.z], pose[:3, 3])
+        assert "<robot" in messages("/robot_description")[0][1].data
+        assert len(messages("/pliant/tick")) == len(log)
+
+
+LOOP = """
+import sys
+from test_log import *
+arm = pliant.connect("sim:arm7", q=START, real_time=True, exit="hold")
+arm.enable()
+made = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
+recorder = Recorder(sys.argv[1], arm, made)
+pose = arm.model.forward_kinematics(arm.read().q)
+for tick in pliant.Loop(arm, recorder.controller):
+    command = recorder.controller.step(tick.q, pose, dt=tick.dt)
+    tick.write(command)
+    recorder.add(tick, command)
+    if tick.index == 150:
+        print(recorder._process.pid, flush=True)
+"""
+
+
+@pytest.mark.parametrize("both", [False, True], ids=["the program", "program and writer"])
+def test_a_killed_run_can_be_read(tmp_path, both):
+    path = tmp_path / "killed.mcap"
+    here = str(Path(__file__).parent)
+    found = os.pathsep.join((os.environ.get("PYTHONPATH", ""), here))
+    environment = {**os.environ, "PYTHONPATH": found}
+    with subprocess.Popen(
+        [sys.executable, "-c", LOOP, str(path)], stdout=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        writer = int(process.stdout.readline())
+        if both:
+            os.kill(writer, signal.SIGKILL)
+        process.kill()
+    deadline = time.monotonic() + 20.0
+    while not both and not read(path).whole and time.monotonic() < deadline:
+        time.sleep(0.05)
+    log = read(path)
+    assert log.whole is not both
+    # Half a second of ticks stays with a writer that is killed; a second is what is promised.
+    assert len(log) > (50 if both else 150)
+    assert rerun(log).same
+
+
+def test_a_writer_that_is_gone_does_not_stop_the_loop(tmp_path):
+    with pliant.connect("sim:arm7", q=START) as arm:
+        made = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
+        recorder = Recorder(tmp_path / "gone.mcap", arm, made)
+        recorder._process.kill()
+        recorder._process.wait()
+        pose = arm.model.forward_kinematics(arm.read().q)
+        for tick in pliant.Loop(arm, recorder.controller, duration=0.1):
+            command = recorder.controller.step(tick.q, pose, dt=tick.dt)
+            tick.write(command)
+            recorder.add(tick, command)
+        assert recorder.dropped > 0
+        with pytest.raises(OSError, match=r"gone\.mcap"):
+            recorder.close()
+
+
+def test_memory_is_bounded(tmp_path):
+    from pliant.log.frames import Sender
+
+    end, start = os.pipe()
+    sender = Sender(start, most=10_000)
+    for _ in range(200):
+        sender.send(1, bytes(1000))
+    assert sender.dropped > 100
+    assert len(sender._rest) <= 10_000 + 2000
+    begun = time.monotonic()
+    sender.finish(0.2)
+    assert time.monotonic() - begun < 5.0
+    os.close(end)
+    os.close(start)
+
+
+def test_the_command_tells_draws_and_exports(file, tmp_path, capsys):
+    assert main(["log", "info", str(file), "--rerun"]) == 0
+    said = capsys.readouterr().out
+    assert "40 ticks" in said
+    assert "bit for bit" in said
+    picture = tmp_path / "run.svg"
+    assert main(["log", "plot", str(file), "--output", str(picture)]) == 0
+    assert "deviation" in picture.read_text(encoding="utf-8")
+    table = tmp_path / "run.parquet"
+    assert main(["log", "export", str(file), "--parquet", "--output", str(table)]) == 0
+    log = read(file)
+    rows = parquet.read_table(table)
+    np.testing.assert_array_equal(rows["q." + log.run["joints"][3]], log.q[:, 3])
+    np.testing.assert_array_equal(rows["deviation.y"], log.deviation[:, 1])
+    plain = tmp_path / "run.npz"
+    assert main(["log", "export", str(file), "--output", str(plain)]) == 0
+    with np.load(plain) as arrays:
+        np.testing.assert_array_equal(arrays["goal"], log.goal)
+    assert main(["log", "info", str(plain)]) == 2
+    assert "no log" in capsys.readouterr().err
+
+
+def test_a_soft_run_can_be_logged_from_the_shell(tmp_path):
+    path = tmp_path / "run.mcap"
+    flags = ["run", "so101", "--backend", "sim", "--duration", "0.3", "--quiet"]
+    assert main([*flags, "--log", str(path)]) == 0
+    log = read(path)
+    assert log.run["config"] is not None
+    assert log.run["extra"] == ["gripper"]
+    assert rerun(log).same
+
+
+def test_hand_guiding_is_logged_without_a_controller(tmp_path):
+    path = tmp_path / "float.mcap"
+    with pliant.connect("sim:so101", exit="hold") as arm, Recorder(path, arm) as recorder:
+        floating = pliant.Float(arm.model, arm.servos)
+        for tick in pliant.Loop(arm, duration=0.2):
+            order = floating.step(tick.q)
+            tick.write(order)
+            recorder.add(tick, order)
+    log = read(path)
+    assert len(log) == 20
+    assert np.isfinite(log.goal).all()
+    with pytest.raises(pliant.ConfigError, match="without a controller"):
+        rerun(log)
+
+
+def test_what_cannot_be_a_log_is_said(tmp_path):
+    with pliant.connect("sim:arm7", q=START) as arm:
+        made = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
+        made.step(START, arm.model.forward_kinematics(START))
+        with pytest.raises(pliant.ConfigError, match="before"):
+            Recorder(tmp_path / "late.mcap", arm, made)
+    assert not (tmp_path / "late.mcap").exists()
+    (tmp_path / "none.mcap").write_bytes(b"no log")
+    with pytest.raises(pliant.ConfigError, match="no log"):
+        read(tmp_path / "none.mcap")

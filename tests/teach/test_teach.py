@@ -1,0 +1,198 @@
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="the arm needs the extra sim")
+
+import pliant
+import pliant.robots
+from pliant.cli import main
+from pliant.sim import Course, Drag
+from pliant.teach import Motion, Replay, Teacher, teach
+
+START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
+MODEL = pliant.robots.so101()
+NAMES = tuple(MODEL.joint_names)
+SETTINGS = pliant.Settings(task="xyz", axes={"y": pliant.Axis(soft=2.0, profile="constant")})
+
+
+def wave(seconds=2.0, size=0.3):
+    time = np.linspace(0.0, seconds, 101)
+    q = np.tile(START, (101, 1))
+    q[:, 0] += 0.5 * size * (1.0 - np.cos(np.pi * time / seconds))
+    return Motion(NAMES, time, q, {"gripper": np.linspace(0.1, 0.5, 101)})
+
+
+def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **options):
+    """Play; rows of clock, tool (3,), force of the hand, and the motion's own tool (3,)."""
+    rows = []
+    with pliant.connect("sim:so101", q=START, scene=scene, exit="hold") as arm:
+        controller = pliant.Controller(arm.model, SETTINGS, arm.servos)
+        replay = Replay(controller, motion, **options)
+        for tick in pliant.Loop(arm, controller, duration=seconds):
+            tick.write(replay.step(tick.q, dt=tick.dt), replay.extra(arm))
+            plant = arm.drive.plant
+            force = float(np.linalg.norm(plant.hands[0].force)) if scene else 0.0
+            want = MODEL.forward_kinematics(motion.at(replay.time))[:3, 3]
+            rows.append((tick.time, replay.time, force, *plant.tool[:3, 3], *want))
+            during(replay, tick)
+            if replay.done:
+                break
+        return replay, np.array(rows), tick.state
+
+
+def test_a_hand_teaches_and_the_arm_repeats(tmp_path):
+    course = Course(start=9.0, rise=2.0, end=11.5)
+    hand = Drag(axis="y", distance=0.06, stiffness=2000.0, limit=60.0, at="tool", course=course)
+    with pliant.connect("sim:so101", q=START, scene=[hand], exit="hold") as arm:
+        motion = teach(arm, rest=1.0)
+        led = arm.drive.plant.tool[:3, 3]
+    ends = [MODEL.forward_kinematics(q)[:3, 3] for q in (motion.q[0], motion.q[-1])]
+    assert 1.5 < motion.duration < 3.5  # trimmed
+    assert ends[1][1] - ends[0][1] > 0.05
+    assert np.linalg.norm(ends[1] - led) < 0.005
+    motion.save(tmp_path / "m.json")
+    replay, rows, _ = play(Motion.load(tmp_path / "m.json"))
+    assert replay.done
+    error = np.linalg.norm(rows[:, 3:6] - rows[:, 6:9], axis=1)[rows[:, 1] > 0.0]
+    assert error.max() < 0.015
+    assert error[-1] < 0.005
+
+
+def test_a_blocked_replay_waits_without_force_and_goes_on():
+    free, _, _ = play(wave())
+    course = Course(start=3.0, rise=0.0, end=7.0)
+    wall = Drag(axis="y", distance=0.0, stiffness=3000.0, limit=60.0, at="tool", course=course)
+    replay, rows, _ = play(wave(4.0, 0.6), [wall])
+    blocked = (rows[:, 0] > 5.0) & (rows[:, 0] < 7.0)
+    assert free.waited == 0.0
+    assert np.ptp(rows[blocked, 1]) < 1e-9  # the clock stands
+    assert 0.5 < np.median(rows[blocked, 2]) < 3.0  # the cap is 2 N
+    assert np.ptp(rows[blocked, 2]) < 0.5
+    assert replay.done
+    assert np.linalg.norm(rows[-1, 3:6] - rows[-1, 6:9]) < 0.006
+    assert replay.waited > 1.5
+
+
+def test_speed_and_gripper():
+    slow, rows, state = play(wave(), speed=0.5)
+    fast, quick, _ = play(wave(), speed=2.0)
+    assert slow.done
+    assert fast.done
+    assert rows[-1, 0] - rows[0, 0] > 3.0 + (quick[-1, 0] - quick[0, 0]) - 1.0
+    assert state.extra["gripper"] == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_contact_stops_it_until_it_is_told_to_go_on():
+    course = Course(start=3.5, rise=0.2, end=5.0)
+    hand = pliant.sim.Push(force_vector=(0.0, 0.0, -15.0), course=course)
+    states = []
+
+    def note(replay, tick):
+        states.append(replay.state)
+        if replay.state == "stopped" and tick.time > 6.5:
+            replay.resume()
+
+    settled = wave(5.0, 0.4)
+    replay, rows, _ = play(settled, [hand], during=note, stop=5.0)
+    stopped = np.array([state == "stopped" for state in states])
+    assert replay.stops == 1
+    assert rows[stopped, 0].min() < 4.5
+    assert np.ptp(rows[stopped, 1]) == 0.0
+    assert replay.done
+    with pytest.raises(pliant.LimitError, match="touch"):
+        Replay(pliant.Controller(MODEL, SETTINGS), settled, stop=0.1)
+
+
+def test_a_press_of_the_gripper_counts_once():
+    with pliant.connect("sim:so101", q=START, exit="hold") as arm:
+        teacher, state = Teacher(arm), arm.read()
+        jaw = arm.gripper
+        shares = [0.5, 0.1, 0.05, 0.5, 0.0]
+        places = [jaw.closed + share * (jaw.opened - jaw.closed) for share in shares]
+        pressed = [teacher.pressed(replace(state, extra={"gripper": at})) for at in places]
+        assert pressed == [False, True, False, False, True]
+        assert teacher.extra(state)["gripper"][1] < 0.5 * jaw.limit
+
+
+def test_trim_smooth_and_interpolate():
+    time = np.arange(0.0, 6.0, 0.01)
+    q = np.zeros((600, 5))
+    q[:, 1] = np.clip(time - 2.0, 0.0, 1.0)
+    tremor = 0.004 * np.random.default_rng(1).standard_normal(600)
+    motion = replace(wave(), time=time, q=q, extra={})
+    trimmed = motion.trimmed()
+    assert trimmed.duration == pytest.approx(1.4, abs=0.06)
+    smooth = replace(trimmed, q=trimmed.q + tremor[: len(trimmed.time), None]).smoothed()
+    inside = slice(20, -20)
+    ideal = np.interp(smooth.time, trimmed.time, trimmed.q[:, 1])
+    assert np.abs(smooth.q[inside, 1] - ideal[inside]).max() < 0.003
+    exact = np.interp(0.777, wave().time, wave().q[:, 0])
+    assert wave().at(0.777)[0] == pytest.approx(exact, abs=1e-4)
+    np.testing.assert_array_equal(wave().at(wave().time[30]), wave().q[30])
+    np.testing.assert_array_equal(wave().at(99.0), wave().q[-1])
+    with pytest.raises(pliant.ConfigError, match="nothing moved"):
+        replace(motion, q=np.zeros((600, 5))).trimmed()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"joints": NAMES[:4]}, "4 joints"),
+        ({"time": np.zeros(101)}, "rise"),
+        ({"q": np.full((101, 5), np.nan)}, "finite"),
+        ({"extra": {"gripper": [0.0]}}, "as many"),
+    ],
+)
+def test_a_motion_that_is_none_is_refused(change, words):
+    with pytest.raises(pliant.ConfigError, match=words):
+        replace(wave(), **change)
+
+
+def test_a_motion_of_another_arm_is_refused(tmp_path):
+    controller = pliant.Controller(MODEL, SETTINGS)
+    with pytest.raises(pliant.ConfigError, match="this arm has"):
+        Replay(controller, replace(wave(), joints=("a", "b", "c", "d", "e")))
+    with pytest.raises(pliant.ConfigError, match="beyond its limits"):
+        Replay(controller, replace(wave(), q=wave().q + 3.0))
+    (tmp_path / "no.json").write_text("{}")
+    with pytest.raises(pliant.ConfigError, match=r"no\.json"):
+        Motion.load(tmp_path / "no.json")
+    with pliant.connect("sim:so101", q=START, exit="hold") as arm:
+        teacher = Teacher(arm)
+        with pytest.raises(pliant.ConfigError, match="swings"):
+            teacher.start()
+
+
+@pytest.mark.parametrize("backend", ["sim", "emulator"])
+def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
+    pytest.importorskip("rustypot")
+    pytest.importorskip("mcap")
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    file, log = tmp_path / "m.json", tmp_path / "run.mcap"
+    short = Motion(NAMES, [0.0, 0.4], [[0.0] * 5, [0.08] + [0.0] * 4], {"gripper": [0.1, 0.2]})
+    short.save(file)
+    arm = tmp_path / "arm.toml"
+    # Left held, not lowered: an emulated arm comes down as slowly as a real one. The machine that
+    # tests may be busy elsewhere.
+    life = '\n[life]\nexit = "hold"\n[loop]\npatience = 0.2\nhold_for = 10.0\n'
+    arm.write_text(pliant.config.ready.text("so101") + life)
+    flags = [
+        "replay",
+        str(arm),
+        str(file),
+        "--backend",
+        backend,
+        "--soft",
+        "y=2",
+        "--log",
+        str(log),
+    ]
+    assert main(flags) == 0
+    assert "done" in capsys.readouterr().out
+    assert main(["log", "info", str(log), "--rerun"]) == 0
+    assert "bit for bit" in capsys.readouterr().out
+    assert main(["replay", str(arm), str(file), "--backend", backend, "--soft", "y=a"]) == 2
+    assert main(["replay", str(arm), str(log), "--backend", backend, "--stop", "0.01"]) == 2
