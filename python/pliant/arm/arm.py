@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pliant import ConfigError, LimitError, ServoError
+from pliant import ConfigError, ServoError
 from pliant.arm.budget import Budget
 from pliant.arm.cycle import Cycle
 from pliant.arm.entry import hear_all, take_up
@@ -32,9 +32,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Exit = Literal["lower", "park", "hold"]
-
-#: How far outside of the limits a pose may be that is brought inside [rad].
-SLACK = 0.1
 
 #: Largest distance of a first goal from where its joint is [rad].
 LEAD = 0.1
@@ -97,7 +94,7 @@ class Arm:
         self._budget, self._jaws = budget or Budget(), dict(grippers or {})
         self._keeper = Keeper(self._leave)
         self._meet()
-        self.rest = None if rest is None else self._posture(rest, "rest")
+        self.rest = None if rest is None else self._cycle.posture(rest, "rest")
         self._points = Points(model)
         self.enabled = self._opened = False
 
@@ -200,7 +197,7 @@ class Arm:
         """
         if pose is None and self.rest is None:
             raise ConfigError("no pose to park in: arm.park([...]) or connect(..., rest=[...])")
-        self._descend(self.rest if pose is None else self._posture(pose, "pose"))
+        self._descend(self.rest if pose is None else self._cycle.posture(pose, "pose"))
 
     def hold(self) -> None:
         """Stay here with torque on, also when the program ends. Servos that hold get hot."""
@@ -388,19 +385,3 @@ class Arm:
     def _on(self) -> None:
         if not self.enabled:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
-
-    def _posture(self, value: ArrayLike, name: str) -> Array:
-        """Joint positions (n,) [rad] within their limits, but for what calibration may be off by.
-
-        Raises:
-            ShapeError, LimitError: It is none of this arm.
-        """
-        pose, model = self._cycle.vector(value, name), self.model
-        low, high = np.asarray(model.lower), np.asarray(model.upper)
-        for joint, q, least, most in zip(model.joint_names, pose, low, high, strict=True):
-            if not least - SLACK <= q <= most + SLACK:
-                raise LimitError(
-                    f"{name}: {joint} = {q:g} rad is outside of {least:.3g} to {most:.3g} rad"
-                    + (": are these degrees?" if abs(q) > 2.0 * np.pi else "")
-                )
-        return np.clip(pose, low, high)

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 EASE = 0.5
 #: A goal that lies this far outside of the limits is a mistake, not a lead [rad].
 FAR = 1.0
+#: How far outside of the limits a pose may be that is brought inside [rad].
+SLACK = 0.1
 
 
 class Cycle:
@@ -252,6 +254,22 @@ class Cycle:
         if not np.isfinite(array).all():
             raise LimitError(f"{name} is not finite, nothing was sent: {array.tolist()}")
         return array
+
+    def posture(self, value: ArrayLike, name: str) -> Array:
+        """A pose of this arm (n,) [rad], brought within the limits where it is just outside.
+
+        Raises:
+            ShapeError, LimitError: It is none.
+        """
+        pose, model = self.vector(value, name), self.model
+        low, high = np.asarray(model.lower), np.asarray(model.upper)
+        for joint, q, least, most in zip(model.joint_names, pose, low, high, strict=True):
+            if not least - SLACK <= q <= most + SLACK:
+                raise LimitError(
+                    f"{name}: {joint} = {q:g} rad is outside of {least:.3g} to {most:.3g} rad"
+                    + (": are these degrees?" if abs(q) > 2.0 * np.pi else "")
+                )
+        return np.clip(pose, low, high)
 
 
 def _row(value: ArrayLike, size: int) -> Array:

@@ -65,8 +65,9 @@ def run(
     settings = read.settings()
     if soft:
         asked = pliant.Settings.soft(soft, task=settings.task).axes
-        yielding = {name: axis for name, axis in asked.items() if axis.yields is not None}
-        settings = settings.replace(axes={**settings.axes, **yielding})
+        axes: dict[str, pliant.Axis] = {name: axis for name, axis in settings.axes.items()}
+        axes.update((name, axis) for name, axis in asked.items() if axis.yields is not None)
+        settings = settings.replace(axes=axes)
     if duration is not None and not duration > 0.0:
         raise pliant.ConfigError(f"--duration must be above 0 s, got {duration:g}")
     model = read.model()
