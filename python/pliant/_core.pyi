@@ -1069,7 +1069,7 @@ class Settings:
         damping_share: float = 0.8,
         prediction_share: float = 0.9,
         friction_speed: float = 0.05,
-        velocity_filter: float = 0.04,
+        velocity_filter: float = 0.02,
         delay: float = 0.0,
         goal_slew: float | None = 1.0,
         stiffening_time: float = 0.2,
