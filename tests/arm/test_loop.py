@@ -159,7 +159,7 @@ EXPECTED = {
     "no command for 1 s": ("is lowered", 0.01, 0.18),
     "no positions for 0.3 s": ("goes on", 0.01, 0.18),
     "no positions for 1 s": ("is lowered", 0.01, 0.18),
-    "no positions any more": ("is lowered", 0.01, 0.40),
+    "no positions any more": ("is lowered", 0.01, 0.18),
     "elbow does not answer any more": ("is lowered", 0.01, 0.20),
 }
 

@@ -70,13 +70,35 @@ def descend(model, grasp, reading, ticks=400, dt=0.01):
     return lowering, orders
 
 
-def test_positions_that_never_come_leave_an_open_ramp_from_the_weight(model, grasp):
-    lowering, orders = descend(model, grasp, lambda tick: np.full(7, np.nan))
+def test_positions_that_never_come_lead_down_the_path_of_the_model(model, grasp):
+    lowering, orders = descend(model, grasp, lambda tick: np.full(7, np.nan), ticks=6000)
     assert lowering.phase == "done"
-    assert 3.0 < 0.01 * len(orders) < 3.5
-    blind = [(goal, limit) for phase, goal, limit in orders if phase == "blind"]
-    assert np.all(blind[0][1] <= 1.1 * np.abs(model.gravity(grasp)))
-    assert np.all(np.diff([limit.sum() for _, limit in blind]) <= 1e-12)
+    assert lowering.blind
+    goals, limits = (np.array([order[i] for order in orders]) for i in (1, 2))
+    assert np.abs(np.diff(goals[:, :], axis=0)).max() < 0.02
+    path = [model.forward_kinematics(q)[:3, 3] for q in goals[100::100]]
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    assert steps.max() < 0.15 * 1.1
+    end = goals[-1]
+    assert np.all(np.abs(model.gravity(end)) < 1.6 * np.asarray(model.servos.friction))
+    assert np.all(limits[-1] < 0.05)
+
+
+def test_positions_that_come_again_are_where_the_descent_goes_on(model, grasp):
+    def reading(tick):
+        return np.full(7, np.nan) if tick < 150 else grasp
+
+    _, orders = descend(model, grasp, reading, ticks=152)
+    need = grasp + model.gravity(grasp) / np.asarray(model.servos.kp)
+    assert np.abs(orders[149][1] - need).max() > 0.1
+    assert np.abs(orders[150][1] - need).max() < 0.01
+
+
+@pytest.mark.parametrize("options", [{}, {"load": LOAD}])
+def test_an_arm_that_nobody_sees_comes_down_no_faster(grasp, options):
+    run = lower(grasp, blind=True, **options)
+    assert run.speed < 0.2
+    assert run.after < 0.1
 
 
 def test_every_order_is_finite_whatever_is_read(model, grasp):

@@ -4,8 +4,10 @@
 
 - `rest`: toward a rest pose, ``u = 4/s (q_rest − ref)``, if there is one;
 - `down`: the arm descends its own potential, ``u = −40/s g / k_p``; joints at a limit drop out;
-- `ramp`: the limits fall from 1.1 |g| to nothing within 3 s, and wait while anything moves;
-- `blind`: the same by time alone, where positions no longer arrive.
+- `ramp`: the limits fall from 1.1 |g| to nothing within 3 s, and wait while anything moves.
+
+Where positions no longer arrive, the arm of the model takes the place of the real one: it is where
+its goals are. What would have been sent to it is sent, down the path that it would have taken.
 
 ``ref ← q + clip(ref + dt s u − q)``, where s keeps every point of the arm below 0.8 of the speed
 allowed, and the clip is (usable − |g|)/k_p where it lifts and push/k_p where it presses. Then
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]
-    Phase = Literal["rest", "down", "ramp", "blind", "done"]
+    Phase = Literal["rest", "down", "ramp", "done"]
 
 #: Speed of the tool and every joint origin on the way down [m/s], and of any joint [rad/s].
 SPEED, JOINT_SPEED = 0.15, 0.5
@@ -48,7 +50,7 @@ PRESS = 0.5
 RAMP = 3.0
 #: Holding torque over gravity.
 SUPPORT = 1.1
-#: After this long without any position the ramp goes blind; a joint silent for as long is left
+#: After this long without any position the descent goes blind; a joint silent for as long is left
 #: alone [s].
 PATIENCE = 0.2
 #: Longest descent before the limits fall wherever the arm is [s].
@@ -67,8 +69,9 @@ class Lowering:
     """One descent, from where the arm is to limits of zero.
 
     Attributes:
-        phase: `rest`, `down`, `ramp`, `blind` or `done`.
-        share: Share of the weight that the limits still carry in `ramp` and `blind`, 1 to 0.
+        phase: `rest`, `down`, `ramp` or `done`.
+        share: Share of the weight that the limits still carry in `ramp`, 1 to 0.
+        blind: Whether no position has come for so long that the model's take their place.
     """
 
     def __init__(
@@ -102,6 +105,7 @@ class Lowering:
         self._q = np.array(q, dtype=np.float64)
         self._silence = np.zeros_like(self._q)
         self.share = self._support = 1.0
+        self.blind = False
         gravity = self._gravity()
         start = self._q if goal is None else np.asarray(goal) - gravity / self._kp
         self._ref = self._leash(start, gravity)
@@ -131,19 +135,22 @@ class Lowering:
         self._silence = np.where(good, 0.0, self._silence + dt)
         self._q = np.where(good, q, self._q)
         if good.any():
-            self._last = self._sighted(dt, good)
+            if self.blind:
+                # What carried the model may be far from where the arm is.
+                self.blind, self._ref = False, self._q.copy()
+            self._last = self._advance(dt, good, self._silence > PATIENCE)
         elif self._silence.min() > PATIENCE:
-            self._last = self._blind(dt)
+            self.blind = True
+            if self.phase != "ramp":
+                self._q = np.clip(self._ref, self._model.lower, self._model.upper)
+            self._last = self._advance(dt, ~good, good)
         return None if self.share <= 0.0 else self._last
 
-    def _sighted(self, dt: float, good: Flags) -> tuple[Array, Array]:
-        """Goals and limits while at least one position arrives."""
+    def _advance(self, dt: float, good: Flags, lost: Flags) -> tuple[Array, Array]:
+        """Goals and limits for new positions of some joints; lost ones keep their goal."""
         gravity = self._gravity()
-        if self.phase == "blind":
-            self._enter("ramp")
         self._age += dt
         self._total += dt
-        lost = self._silence > PATIENCE
         if self.phase in {"rest", "down"}:
             goal, limit = self._descend(dt, gravity, lost)
         else:
@@ -193,12 +200,6 @@ class Lowering:
             self.share -= dt / RAMP
         self._before = place if good.all() else None
         return self._release(gravity)
-
-    def _blind(self, dt: float) -> tuple[Array, Array]:
-        """An open ramp from what carried the arm at its last good position."""
-        self.phase = "blind"
-        self.share -= dt / RAMP
-        return self._release(self._gravity())
 
     def _release(self, gravity: Array) -> tuple[Array, Array]:
         """Goals and limits that carry a share of the weight."""

@@ -13,8 +13,7 @@ import numpy as np
 
 from pliant import robots
 from pliant.arm.arm import Arm
-from pliant.arm.simulated import SimDrive
-from pliant.experiments.mishaps import MISHAPS, suffer
+from pliant.experiments.mishaps import MISHAPS, SickDrive, suffer
 from pliant.experiments.setups import VERTICAL
 from pliant.sim import Plant, table
 
@@ -63,6 +62,7 @@ def lower(
     rest: Array | None = None,
     robot: str = "arm7",
     kp_scale: float = 1.0,
+    blind: bool = False,
 ) -> Lowered:
     """Enable an arm in q (n,) [rad], let it hold for half a second, and lower it.
 
@@ -74,6 +74,7 @@ def lower(
         rest: Where to go first (n,) [rad].
         robot: A built-in arm.
         kp_scale: True over believed stiffness of the servos.
+        blind: Let no position arrive any more.
 
     Returns:
         What happened.
@@ -89,7 +90,7 @@ def lower(
     if over_table:
         scene: Sequence[Hand] = table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE)
         plant.set_hands(scene)
-    drive = SimDrive(plant)
+    drive = SickDrive(plant)
     arm = Arm(model, drive, rest=rest, signals=False)
     speeds: list[float] = []
     forces: list[float] = [0.0]
@@ -101,6 +102,7 @@ def lower(
 
     arm.enable()
     drive.clock.on_tick = look
+    drive.silent = set(drive.names) if blind else set()
     begin = plant.time
     arm.lower()
     seconds, speed, force = plant.time - begin, max(speeds), max(forces)
@@ -134,6 +136,9 @@ CASES: tuple[tuple[str, dict[str, object]], ...] = (
     ("load, table, a tick each way", {"load": LOAD, "over_table": True, "ticks": 1}),
     ("table, servos 25 % stiffer than believed", {"over_table": True, "kp_scale": 1.25}),
     ("table, servos 20 % softer than believed", {"over_table": True, "kp_scale": 0.8}),
+    ("no positions any more", {"blind": True, "ticks": 1}),
+    ("no positions, load it does not know", {"blind": True, "load": LOAD, "ticks": 1}),
+    ("no positions, table", {"blind": True, "over_table": True, "ticks": 1}),
     ("to a rest pose", {"rest": np.array((-0.4, -0.1, 0.0, -0.8, 0.0, 0.0, 0.0))}),
 )
 
