@@ -99,7 +99,7 @@ def test_columns_are_what_the_loop_saw(file):
     assert log.q.shape == log.goal.shape == log.saturated.shape == (ticks, n)
     assert log.activation.shape == (ticks, n, k + 1)
     assert log.target.shape == (ticks, 4, 4)
-    assert log.run["joints"] == list(log.model().joint_names)
+    assert log.run["joints"] == log.model().joint_names
     np.testing.assert_allclose(np.diff(log.time), 0.01, atol=1e-9)
     np.testing.assert_allclose(log.activation.sum(axis=1), 1.0, atol=1e-9)
     update = next(call for call in log.calls if call.what == "update")
@@ -239,7 +239,7 @@ def test_a_soft_run_can_be_logged_from_the_shell(tmp_path):
     assert main([*flags, "--log", str(path)]) == 0
     log = read(path)
     assert log.run["config"] is not None
-    assert log.run["extra"] == ["gripper"]
+    assert log.run["extra"] == ("gripper",)
     assert rerun(log).same
 
 

@@ -196,3 +196,15 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     assert "bit for bit" in capsys.readouterr().out
     assert main(["replay", str(arm), str(file), "--backend", backend, "--soft", "y=a"]) == 2
     assert main(["replay", str(arm), str(log), "--backend", backend, "--stop", "0.01"]) == 2
+
+
+def test_the_command_teaches_nothing_without_a_hand(tmp_path, capsys):
+    file = tmp_path / "m.json"
+    flags = ["teach", "so101", str(file), "--backend", "sim", "--seconds", "1"]
+    assert main(flags) == 2
+    told = capsys.readouterr()
+    assert "do not touch" in told.out
+    assert "nothing moved" in told.err
+    assert not file.exists()
+    assert main(["teach", "so101", str(tmp_path / "m.txt"), "--backend", "sim"]) == 2
+    assert main(["teach", "arm7", str(file), "--by", "gripper"]) == 2

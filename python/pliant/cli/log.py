@@ -16,7 +16,11 @@ if TYPE_CHECKING:
 
 #: Figures of a log: column, and what its axis says.
 FIGURES = {
-    "joints": (("q", "position [rad]"), ("torque_limit", "torque limit [N·m]")),
+    "joints": (
+        ("q", "position [rad]"),
+        ("goal", "goal [rad]"),
+        ("torque_limit", "torque limit [N·m]"),
+    ),
     "task": (
         ("deviation", "deviation [m, rad]"),
         ("holding_torque", "cap [N, N·m]"),
@@ -124,7 +128,7 @@ def _plot(file: Path, log: Log) -> None:
     except ImportError as error:
         raise ImportError('plots need the extra "plot": pip install "pliant[plot]"') from error
     kinds = [kind for kind in FIGURES if kind == "joints" or log.run["axes"]]
-    rows = max(len(FIGURES[kind]) for kind in kinds)
+    rows = len(FIGURES["joints"])
     figure = Figure(figsize=(6.0 * len(kinds), 2.4 * rows), layout="constrained")
     grid = figure.subplots(rows, len(kinds), squeeze=False, sharex=True)
     time = log.time - log.time[0]
@@ -134,9 +138,7 @@ def _plot(file: Path, log: Log) -> None:
             grid[row, column].plot(time, log.columns[name], label=names, linewidth=1.0)
             grid[row, column].set_ylabel(label)
         grid[0, column].legend(fontsize="small", ncols=2)
-        grid[len(FIGURES[kind]) - 1, column].set_xlabel("time [s]")
-        for row in range(len(FIGURES[kind]), rows):
-            grid[row, column].set_visible(False)
+        grid[-1, column].set_xlabel("time [s]")
     figure.savefig(file)
 
 

@@ -26,7 +26,7 @@ def write(value: Any) -> str:
 
 
 def read(text: str) -> Any:
-    """What `write` was given; arrays and tuples come back as lists.
+    """What `write` was given; arrays come back as lists.
 
     Raises:
         ConfigError: No such text.
@@ -63,7 +63,9 @@ def _plain(value: Any) -> Any:
         return {"table": [[_plain(key), _plain(item)] for key, item in value.items()]}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    if isinstance(value, list | tuple):
+    if isinstance(value, tuple):
+        return {"tuple": [_plain(item) for item in value]}
+    if isinstance(value, list):
         return [_plain(item) for item in value]
     if value is None or isinstance(value, bool | int | float | str):
         return value
@@ -77,6 +79,8 @@ def _rich(value: Any) -> Any:
         return [_rich(item) for item in value]
     if not isinstance(value, dict):
         return value
+    if "tuple" in value:
+        return tuple(_rich(item) for item in value["tuple"])
     if "table" in value:
         return {_rich(key): _rich(item) for key, item in value["table"]}
     return _TYPES[value["type"]](**_rich({"table": list(value["fields"].items())}))
