@@ -106,6 +106,9 @@ class Promise:
         cap: F [N or N·m].
         guided: Whether springs held the other axes.
         refused: The limits cannot hold the cap here; nothing was run.
+        announced: Whether the report said, before the push, that a position limit is met on its
+            way (`stop_distance` of this axis and side is less than that way).
+        rubs: What it said the joints that are left rub there, `stop_friction` [N or N·m].
         promise: min(F, K_x h (1 - η)|e| / C_jj) at the deviation reached [N or N·m].
         felt: What the hand felt [N or N·m].
         friction: Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|), what the believed joints may hide [N or N·m].
@@ -125,6 +128,8 @@ class Promise:
     cap: float
     guided: bool
     refused: bool
+    announced: bool = False
+    rubs: float = 0.0
     promise: float = np.nan
     felt: float = np.nan
     friction: float = np.nan
@@ -146,6 +151,11 @@ class Promise:
     def kept(self) -> bool:
         """Whether the promise was kept."""
         return abs(self.felt - self.promise) <= self.band
+
+    @property
+    def kept_as_said(self) -> bool:
+        """Whether it was kept with the friction that the report announced beyond the stop."""
+        return abs(self.felt - self.promise) <= self.band + max(self.rubs - self.friction, 0.0)
 
     @property
     def stopped(self) -> bool:
@@ -282,6 +292,9 @@ class Bench:
         controller.reset(q)
         grip.hold(self.arm.rows if guided else [row])
         way, speed = self._way(q, row, cap)
+        report, side = controller.report(q), (self.arm.rows.index(row), int(sign > 0.0))
+        # The hand's own spring takes part of the way: the tool goes less far.
+        announced = bool(report.stop_distance[side] < way - cap / grip.stiffness[row])
         target = model.forward_kinematics(q)
         stop = START + way / speed
         end = stop if seen.moving else stop + REST
@@ -313,6 +326,8 @@ class Bench:
         return Promise(
             **named,
             refused=False,
+            announced=announced,
+            rubs=float(report.stop_friction[side]) if announced else 0.0,
             promise=min(cap, (1.0 - seen.eta) * float(np.mean(moved)) / c),
             felt=float(np.mean(felt)),
             friction=friction,
