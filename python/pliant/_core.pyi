@@ -1388,6 +1388,10 @@ class Report:
         0 where no joint stops.
         """
 
+    @property
+    def deviation_limit(self) -> _Array:
+        """Deviation beyond which the target waits or comes along (k, 2) [m, rad]; inf: none."""
+
     def sentences(self) -> list[str]:
         """One plain sentence per axis, and per thing that is in the way."""
 

@@ -27,6 +27,7 @@ SHAPES = {
     "stop_distance": (6, 2),
     "stop_room": (6, 2),
     "stop_friction": (6, 2),
+    "deviation_limit": (6, 2),
 }
 
 
@@ -134,6 +135,18 @@ def test_check_notes_a_stop_that_comes_before_the_whole_cap(model, q):
     distance = pliant.Controller(near, settings).report(q).stop_distance[1]
     np.testing.assert_array_equal(check.stop_distance[1], distance)
     assert np.isinf(check.stop_distance[0]).all(), "x does not yield"
+
+
+def test_deviation_limits_are_told(model, q):
+    held = pliant.Axis(deviation_limit=0.02, beyond="hold")
+    follows = pliant.Axis(deviation_limit=0.1)
+    settings = pliant.Settings(axes={"x": held, "yaw": follows, "y": pliant.Axis(soft=4.0)})
+    report = pliant.Controller(model, settings).report(q)
+    np.testing.assert_array_equal(report.deviation_limit[[0, 1, 5], 0], (0.02, np.inf, 0.1))
+    said = report.sentences()
+    assert "±x: pushed farther than 20 mm off its target, the whole target waits." in said
+    assert "±yaw: pushed farther than 0.10 rad off its target, its target comes along." in said
+    assert sum("off its target" in line for line in said) == 2
 
 
 def test_check_takes_a_posture_a_path_and_a_pose(controller, model, q):

@@ -110,7 +110,7 @@ macro_rules! attributes {
 
 attributes! {
     vectors: q, torque_limit, friction, friction_left;
-    pairs: static_force, capacity, coupling, thresholds, gravity_margin, dead_host, stop_distance, stop_room, stop_friction;
+    pairs: static_force, capacity, coupling, thresholds, gravity_margin, dead_host, stop_distance, stop_room, stop_friction, deviation_limit;
     flags: saturated, locked;
     numbers: sigma_min, condition, sigma_0;
 }

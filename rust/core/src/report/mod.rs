@@ -16,7 +16,7 @@ use crate::error::{Error, Result};
 use crate::kinematics::Frames;
 use crate::pose::COORDINATE_BOUND;
 use crate::settings::Law;
-use crate::task::axes::AXIS_NAMES;
+use crate::task::axes::{AXIS_NAMES, Beyond};
 use crate::{JointVec, MAX_JOINTS};
 
 pub use check::{Check, Finding};
@@ -85,6 +85,11 @@ pub struct Report {
     /// What the joints that are left rub along the axis there, in place of `friction`; ∞ where they cannot move it alone,
     /// so that the stop takes everything above the cap. 0 where no joint stops.
     pub stop_friction: Vec<[f64; 2]>,
+    /// Deviation [m, rad] beyond which the target of an axis waits or comes along; ∞ without such a limit and toward
+    /// sides that yield.
+    pub deviation_limit: Vec<[f64; 2]>,
+    /// What the target does there.
+    pub beyond: Vec<Beyond>,
     /// Joints that slide: theirs are metres.
     pub prismatic: Vec<bool>,
 }
@@ -157,8 +162,16 @@ impl Controller {
             stop_joint: Vec::with_capacity(k),
             stop_room: Vec::with_capacity(k),
             stop_friction: Vec::with_capacity(k),
+            deviation_limit: vec![[f64::INFINITY; 2]; k],
+            beyond: plan.axes.iter().map(|&axis| self.settings().axes[axis].beyond).collect(),
             prismatic: self.model().prismatic().to_vec(),
         };
+        for limit in &plan.deviation_limits {
+            for (slot, _) in report.deviation_limit.iter_mut().zip(&plan.axes).filter(|(_, axis)| **axis == limit.axis)
+            {
+                *slot = limit.most;
+            }
+        }
         let mut rubs = [0.0; MAX_JOINTS];
         (0..n).for_each(|i| rubs[i] = plan.servos.friction_at_rest(i, record.gravity[i]));
         let mut keeps = limit;

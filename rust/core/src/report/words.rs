@@ -6,6 +6,7 @@ use crate::report::Report;
 use crate::report::check::{Check, NEAR_SINGULAR};
 use crate::report::dead_host::TRAVEL;
 use crate::settings::Law;
+use crate::task::axes::Beyond;
 
 const SIDES: [&str; 2] = ["−", "+"];
 
@@ -67,6 +68,7 @@ impl Report {
                 out.extend([1, 0].map(|side| format!("{}{} {}", SIDES[side], self.axes[row], said[side])));
             }
             out.extend([1, 0].into_iter().filter_map(|side| self.stop_sentence(row, side)));
+            out.extend(self.deviation_sentence(row));
         }
         for (i, name) in self.joints.iter().enumerate() {
             let least = self.gravity_margin[i][0].min(self.gravity_margin[i][1]);
@@ -148,6 +150,24 @@ impl Report {
             rub => format!("the stop takes its part and the other joints rub {} {unit}", number(rub)),
         };
         Some(format!("{}{}: {} {from} {far}, {then}.", SIDES[side], self.axes[row], self.joints[joint]))
+    }
+
+    /// What the target does where the axis is held off too far.
+    fn deviation_sentence(&self, row: usize) -> Option<String> {
+        let [minus, plus] = self.deviation_limit[row];
+        let limit = minus.min(plus);
+        let side = match (minus.is_finite(), plus.is_finite()) {
+            (true, true) => "±",
+            (true, false) => SIDES[0],
+            (false, true) => SIDES[1],
+            (false, false) => return None,
+        };
+        let does = match self.beyond[row] {
+            Beyond::Hold => "the whole target waits",
+            Beyond::Follow => "its target comes along",
+        };
+        let far = length(if self.unit(row) == "N" { 0 } else { 3 }, limit);
+        Some(format!("{side}{}: pushed farther than {far} off its target, {does}.", self.axes[row]))
     }
 
     fn joint_sentence(&self, flags: &[bool], what: &str, out: &mut Vec<String>) {
