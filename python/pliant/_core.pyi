@@ -1393,6 +1393,34 @@ class Report:
     def dead_host(self) -> _Array:
         """Most that a hand meets on 0.15 m or 0.4 rad if the host dies now (k, 2)."""
 
+    @property
+    def stop_distance(self) -> _Array:
+        """How far each axis can be pushed until a joint meets its limit (k, 2) [m, rad].
+
+        The other axes in place; inf where no joint does on 0.15 m or 0.4 rad. From there on a cap
+        is not kept: the stop takes what it gets of a push.
+        """
+
+    @property
+    def stop_joint(self) -> list[tuple[str | None, str | None]]:
+        """The joint that does, per side."""
+
+    @property
+    def stop_room(self) -> _Array:
+        """How far that joint is from its limit now (k, 2) [rad or m]; inf for none."""
+
+    @property
+    def stop_friction(self) -> _Array:
+        """What the joints that are left rub along the axis there, in place of `friction` (k, 2).
+
+        inf where they cannot move the axis alone: then the stop takes everything above the cap.
+        0 where no joint stops.
+        """
+
+    @property
+    def deviation_limit(self) -> _Array:
+        """Deviation beyond which the target waits or comes along (k, 2) [m, rad]; inf: none."""
+
     def sentences(self) -> list[str]:
         """One plain sentence per axis, and per thing that is in the way."""
 
@@ -1464,6 +1492,10 @@ class Check:
     @property
     def friction_left(self) -> _Array:
         """Most friction left along each axis (k,): the least `soft` that can track."""
+
+    @property
+    def stop_distance(self) -> _Array:
+        """Least distance to a position limit of a joint, pushed along a yielding axis (k, 2)."""
 
     def __bool__(self) -> bool: ...
     def __eq__(self, other: object, /) -> bool: ...

@@ -53,6 +53,15 @@ def test_every_cap_is_kept_where_joints_are_clear_of_their_stops(nominal):
     assert np.median([abs(one.error) for one in clear]) < 0.06
 
 
+def test_what_no_stop_was_announced_for_is_kept(nominal):
+    announced = [one for one in ran(nominal) if one.announced]
+    rest = [one for one in ran(nominal) if not one.announced]
+    assert len(rest) > 60
+    assert np.mean([one.kept for one in rest]) >= 0.97  # (1.0)
+    assert np.mean([not one.kept for one in announced]) > 0.1
+    assert len(announced) < 0.5 * len(rest), "no blanket refusal"
+
+
 @pytest.mark.parametrize(
     "disturbance",
     [
@@ -96,7 +105,9 @@ def test_a_promise_repeats():
 def test_nominal_campaign_in_full():
     promises = tried("arm7", NOMINAL, range(200))
     row = table.summary("arm7", "nominal", promises)
-    assert row.kept >= 0.955  # (.964); the goal is .97
+    assert row.kept_rest >= 0.99  # (1.0)
+    assert row.announced < 0.09
+    assert row.kept >= 0.955  # (.964), strictly
     assert row.kept + row.stopped >= 0.97  # (.980)
     assert row.kept_clear >= 0.99  # (1.0)
     assert row.refused < 0.08

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pliant
+from pliant import robots
 
 SHAPES = {
     "q": (7,),
@@ -23,6 +24,10 @@ SHAPES = {
     "saturated": (7,),
     "locked": (7,),
     "dead_host": (6, 2),
+    "stop_distance": (6, 2),
+    "stop_room": (6, 2),
+    "stop_friction": (6, 2),
+    "deviation_limit": (6, 2),
 }
 
 
@@ -32,7 +37,7 @@ def test_report_has_everything_and_can_be_written_down(controller, q):
         assert getattr(report, name).shape == shape, name
     assert report.axes == ("x", "y", "z", "roll", "pitch", "yaw")
     assert len(report.joints) == len(report.q)
-    assert len(report.yields) == len(report.coupled_to) == 6
+    assert len(report.yields) == len(report.coupled_to) == len(report.stop_joint) == 6
     assert report.sigma_min > 0.0
     assert report.condition > 1.0
     assert json.loads(json.dumps(report.to_dict()))["axes"] == list(report.axes)
@@ -66,6 +71,82 @@ def test_sentences_say_it_plainly(controller, q):
     assert all(line.endswith(".") for line in said)
     assert all(line in str(report) for line in said)
     assert "Report" in repr(report)
+
+
+def along_y(model, q):
+    """How the joints turn when a push moves y by one metre, along the servos' springs."""
+    jacobian = model.jacobian(q)
+    springs = jacobian.T / np.asarray(model.servos.kp)[:, None]
+    return (springs @ np.linalg.inv(jacobian @ springs))[:, 1]
+
+
+def near_a_stop(model, q, room):
+    """The same arm with one joint, the one that +y turns most, so far from its upper limit."""
+    joint = int(np.argmax(along_y(model, q)))
+    limits = {name: (-50.0, 50.0) for name in model.joint_names}
+    limits[model.joint_names[joint]] = (-50.0, q[joint] + room)
+    return robots.arm7(limits=limits), joint
+
+
+def test_a_position_limit_is_announced_where_it_is_met(model, q):
+    settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
+    near, joint = near_a_stop(model, q, 0.035)
+    report = pliant.Controller(near, settings).report(q)
+    assert report.stop_joint[1] == (None, near.joint_names[joint])
+    way = report.stop_distance[1, 1]
+    assert 0.0 < way < 0.15
+    assert report.stop_room[1, 1] == pytest.approx(0.035)
+    # A push that far, one small step after another, ends at the limit.
+    at, steps = q.copy(), 1000
+    for _ in range(steps):
+        at += way / steps * along_y(near, at)
+    assert at[joint] == pytest.approx(q[joint] + 0.035, abs=1e-3)
+    # There the others are left, and what they rub.
+    left = np.linalg.pinv(np.delete(near.jacobian(at), joint, axis=1))[:, 1]
+    rubs = np.abs(left) @ np.delete(model.servos.friction, joint)
+    assert report.stop_friction[1, 1] == pytest.approx(rubs, rel=0.05)
+    start = f"+y: {near.joint_names[joint]} is 2.0° from its limit: pushed farther than "
+    (said,) = [line for line in report.sentences() if line.startswith(start)]
+    assert said.startswith(f"{start}{1e3 * way:.0f} mm, the stop takes")
+
+
+def test_an_axis_without_a_stop_in_its_way_announces_none(model, q):
+    settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
+    wide = {name: (-50.0, 50.0) for name in model.joint_names}
+    report = pliant.Controller(robots.arm7(limits=wide), settings).report(q)
+    assert np.isinf(report.stop_distance).all()
+    assert np.isinf(report.stop_room).all()
+    assert not report.stop_friction.any()
+    assert not any("limit:" in line for line in report.sentences())
+    report = pliant.Controller(near_a_stop(model, q, 0.0)[0], settings).report(q)
+    np.testing.assert_array_equal(report.stop_distance[1], (np.inf, 0.0))
+    assert any("is at its limit" in line for line in report.sentences())
+
+
+def test_check_notes_a_stop_that_comes_before_the_whole_cap(model, q):
+    settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
+    near, joint = near_a_stop(model, q, 0.035)
+    check = pliant.check(near, settings, np.array([q, q - 0.01]))
+    assert check.achievable, "a note, not a demand"
+    (note,) = [f for f in check.findings if "position limit when" in f.reason]
+    assert note.pose == 0
+    assert note.about == "+y"
+    assert near.joint_names[joint] in note.reason
+    distance = pliant.Controller(near, settings).report(q).stop_distance[1]
+    np.testing.assert_array_equal(check.stop_distance[1], distance)
+    assert np.isinf(check.stop_distance[0]).all(), "x does not yield"
+
+
+def test_deviation_limits_are_told(model, q):
+    held = pliant.Axis(deviation_limit=0.02, beyond="hold")
+    follows = pliant.Axis(deviation_limit=0.1)
+    settings = pliant.Settings(axes={"x": held, "yaw": follows, "y": pliant.Axis(soft=4.0)})
+    report = pliant.Controller(model, settings).report(q)
+    np.testing.assert_array_equal(report.deviation_limit[[0, 1, 5], 0], (0.02, np.inf, 0.1))
+    said = report.sentences()
+    assert "±x: pushed farther than 20 mm off its target, the whole target waits." in said
+    assert "±yaw: pushed farther than 0.10 rad off its target, its target comes along." in said
+    assert sum("off its target" in line for line in said) == 2
 
 
 def test_check_takes_a_posture_a_path_and_a_pose(controller, model, q):

@@ -1,7 +1,4 @@
-"""The bench of the cap campaign: one arm, one hand that moves one axis, and what the hand feels.
-
-The hand is made of MuJoCo's own actuators, so that a control period is one call.
-"""
+"""The bench of the cap campaign: one arm, one hand that moves one axis, and what the hand feels."""
 
 from __future__ import annotations
 
@@ -12,6 +9,7 @@ import numpy as np
 
 import pliant
 from pliant.experiments.campaign_arms import AXES
+from pliant.experiments.campaign_grip import OF_CAPACITY, Grip
 from pliant.experiments.laws import UNBLURRED
 from pliant.sim import Plant
 from pliant.sim._mujoco import mujoco
@@ -21,7 +19,6 @@ if TYPE_CHECKING:
 
     from pliant.experiments.campaign_arms import Arm
     from pliant.sim.friction import Friction
-    from pliant.sim.spec import Build
 
     Array = NDArray[np.float64]
 
@@ -29,9 +26,6 @@ if TYPE_CHECKING:
 WAY, MORE = 1.25, (0.005, 0.03)
 #: Farthest it goes, beyond which the pose is another one [m, rad].
 FARTHEST = (0.10, 0.40)
-#: Springs of hand and guide on `arm7` [N/m, N·m/rad], their damping, and the capacity of `arm7`
-#: [N] by which they grow on other arms.
-STIFFNESS, DAMPING, OF_CAPACITY = (3000.0, 60.0), (30.0, 0.5), 33.6
 #: Start of the motion, its length, rest, and how much of the end is looked at [s].
 START, RISE, REST, LOOK = 0.1, 0.7, 0.7, 0.15
 #: Speed of a hand that does not come to rest [m/s, rad/s].
@@ -106,6 +100,9 @@ class Promise:
         cap: F [N or N·m].
         guided: Whether springs held the other axes.
         refused: The limits cannot hold the cap here; nothing was run.
+        announced: Whether the report said, before the push, that a position limit is met on its
+            way (`stop_distance` of this axis and side is less than that way).
+        rubs: What it said the joints that are left rub there, `stop_friction` [N or N·m].
         promise: min(F, K_x h (1 - η)|e| / C_jj) at the deviation reached [N or N·m].
         felt: What the hand felt [N or N·m].
         friction: Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|), what the believed joints may hide [N or N·m].
@@ -125,6 +122,8 @@ class Promise:
     cap: float
     guided: bool
     refused: bool
+    announced: bool = False
+    rubs: float = 0.0
     promise: float = np.nan
     felt: float = np.nan
     friction: float = np.nan
@@ -148,6 +147,11 @@ class Promise:
         return abs(self.felt - self.promise) <= self.band
 
     @property
+    def kept_as_said(self) -> bool:
+        """Whether it was kept with the friction that the report announced beyond the stop."""
+        return abs(self.felt - self.promise) <= self.band + max(self.rubs - self.friction, 0.0)
+
+    @property
     def stopped(self) -> bool:
         """Whether it was not kept because a joint stood at its position limit, and provably so.
 
@@ -158,67 +162,6 @@ class Promise:
             return False
         band = self.band - self.friction + max(self.left, self.friction)
         return abs(self.felt - self.stop - self.promise) <= band
-
-
-class Grip:
-    """Springs between the tool and a place in the base, one per base axis; a scene's fixture.
-
-    The rest length of each is the integral of its control, so that a hand moves evenly.
-    """
-
-    passive = True
-
-    def __init__(self, scale: float) -> None:
-        """Make a hand for an arm `scale` times as strong as `arm7`."""
-        self.stiffness = np.repeat(np.array(STIFFNESS) * scale, 3)
-        self.damping = np.repeat(np.array(DAMPING) * scale, 3)
-
-    def add(self, build: Build) -> None:
-        """Add one actuator for each axis, all let go."""
-        # A place and a turn that coincide with nothing: MuJoCo would fold them into constants.
-        build.spec.worldbody.add_site(name="grip", pos=(1, 2, 3), quat=(0.5, 0.5, 0.5, 0.5))
-        for row, name in enumerate(AXES):
-            act = build.spec.add_actuator(name=f"grip:{name}", target=build.model.tip)
-            act.refsite, act.trntype = "grip", mujoco.mjtTrn.mjTRN_SITE
-            act.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
-            act.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-            act.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-            act.gear = np.eye(6)[row]
-
-    def place(self, plant: Plant) -> None:
-        """Take the tool's present pose as the place of all springs."""
-        model, tool = plant.mj_model, plant.tool
-        site = model.site("grip").id
-        model.site_pos[site] = tool[:3, 3]
-        mujoco.mju_mat2Quat(model.site_quat[site], tool[:3, :3].reshape(9))
-        self._ids = np.array([model.actuator(f"grip:{name}").id for name in AXES])
-        self._place = plant
-        # Gears are in the axes of the place; the hand's are the base's.
-        for row, index in enumerate(self._ids):
-            block = slice(3 * (row // 3), 3 * (row // 3) + 3)
-            model.actuator_gear[index] = 0.0
-            model.actuator_gear[index, block] = tool[row % 3, :3]
-
-    def hold(self, rows: list[int]) -> None:
-        """Hold these axes by springs, let the others go."""
-        model = self._place.mj_model
-        held = np.isin(np.arange(6), rows)
-        model.actuator_gainprm[self._ids, 0] = np.where(held, self.stiffness, 0.0)
-        model.actuator_biasprm[self._ids, 1] = np.where(held, -self.stiffness, 0.0)
-        model.actuator_biasprm[self._ids, 2] = np.where(held, -self.damping, 0.0)
-
-    def move(self, row: int, speed: float) -> None:
-        """Let the place of one axis go on at a speed [m/s or rad/s]."""
-        self._place.mj_data.ctrl[self._ids[row]] = speed
-
-    def force(self, row: int) -> float:
-        """What the hand exerts along an axis [N or N·m]."""
-        return float(self._place.mj_data.actuator_force[self._ids[row]])
-
-    def before(self, plant: Plant) -> None:
-        """Nothing: MuJoCo does it all."""
-
-    during = after = before
 
 
 class Bench:
@@ -282,6 +225,9 @@ class Bench:
         controller.reset(q)
         grip.hold(self.arm.rows if guided else [row])
         way, speed = self._way(q, row, cap)
+        report, side = controller.report(q), (self.arm.rows.index(row), int(sign > 0.0))
+        # The hand's own spring takes part of the way: the tool goes less far.
+        announced = bool(report.stop_distance[side] < way - cap / grip.stiffness[row])
         target = model.forward_kinematics(q)
         stop = START + way / speed
         end = stop if seen.moving else stop + REST
@@ -313,6 +259,8 @@ class Bench:
         return Promise(
             **named,
             refused=False,
+            announced=announced,
+            rubs=float(report.stop_friction[side]) if announced else 0.0,
             promise=min(cap, (1.0 - seen.eta) * float(np.mean(moved)) / c),
             felt=float(np.mean(felt)),
             friction=friction,

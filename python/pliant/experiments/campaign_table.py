@@ -34,6 +34,10 @@ class Row:
         refused: Share of the cases that the limits cannot hold.
         kept: Share in band, every pose and axis.
         kept_free, kept_guided: The same with the other axes free and held.
+        announced: Share of which the report said that a position limit is in the push's way.
+        kept_rest: Share in band of all others: what counts.
+        kept_announced: Share in band of the announced ones all the same.
+        as_said: Share of these in band with the friction that was announced.
         stopped: Share not in band, provably by a joint at its position limit.
         kept_clear: Share in band with every joint clear of its stops at the end.
         clear: Share of such cases.
@@ -53,6 +57,10 @@ class Row:
     kept: float
     kept_free: float
     kept_guided: float
+    announced: float
+    kept_rest: float
+    kept_announced: float
+    as_said: float
     stopped: float
     kept_clear: float
     clear: float
@@ -67,8 +75,8 @@ class Row:
 
     @property
     def met(self) -> bool:
-        """Whether enough promises were kept."""
-        return self.kept >= GOALS[self.disturbance != "nominal"]
+        """Whether enough promises were kept of which nothing else was announced."""
+        return self.kept_rest >= GOALS[self.disturbance != "nominal"]
 
 
 def summary(arm: str, disturbance: str, found: Sequence[Promise]) -> Row:
@@ -91,6 +99,10 @@ def summary(arm: str, disturbance: str, found: Sequence[Promise]) -> Row:
         kept=_share([p.kept for p in run]),
         kept_free=_share([p.kept for p in free]),
         kept_guided=_share([p.kept for p in run if p.guided]),
+        announced=_share([p.announced for p in run]),
+        kept_rest=_share([p.kept for p in run if not p.announced]),
+        kept_announced=_share([p.kept for p in run if p.announced]),
+        as_said=_share([p.kept_as_said for p in run if p.announced]),
         stopped=_share([p.stopped for p in run]),
         kept_clear=_share([p.kept for p in clear]),
         clear=len(clear) / max(len(run), 1),
@@ -118,17 +130,22 @@ def _quantile(values: Sequence[float], q: float) -> float:
 def text(rows: Sequence[Row]) -> str:
     """The table, as Markdown."""
     lines = [
-        "| arm | disturbance | poses | cases | refused % | in band % | free | guided | by a limit "
-        "| clear of stops | true friction | error: median % | 95th % | free: median | 95th "
-        "| drift 95th [mm] | < 5 mm % | met |",
-        "|---" * 18 + "|",
+        "| arm | disturbance | poses | cases | refused % | stop announced % "
+        "| in band % of the rest | strictly, of all | free | guided | of the announced | as said "
+        "| by a limit | clear of stops | true friction | error: median % | 95th % "
+        "| free: median | 95th | drift 95th [mm] | < 5 mm % | met |",
+        "|---" * 22 + "|",
     ]
     for r in rows:
         shares = (
             r.refused,
+            r.announced,
+            r.kept_rest,
             r.kept,
             r.kept_free,
             r.kept_guided,
+            r.kept_announced,
+            r.as_said,
             r.stopped,
             r.kept_clear,
             r.kept_truly,

@@ -72,6 +72,11 @@ macro_rules! attributes {
                 self.0.coupled_to.iter().map(|&[minus, plus]| (minus, plus)).collect()
             }
 
+            #[getter]
+            fn stop_joint(&self) -> Vec<(Option<&str>, Option<&str>)> {
+                stop_joints(&self.0)
+            }
+
             fn sentences(&self) -> Vec<String> {
                 self.0.sentences()
             }
@@ -87,6 +92,7 @@ macro_rules! attributes {
                 out.set_item("gives_way", &report.gives_way)?;
                 out.set_item("yields", &report.yields)?;
                 out.set_item("coupled_to", &report.coupled_to)?;
+                out.set_item("stop_joint", stop_joints(report))?;
                 out.set_item("sentences", report.sentences())?;
                 Ok(out)
             }
@@ -104,9 +110,15 @@ macro_rules! attributes {
 
 attributes! {
     vectors: q, torque_limit, friction, friction_left;
-    pairs: static_force, capacity, coupling, thresholds, gravity_margin, dead_host;
+    pairs: static_force, capacity, coupling, thresholds, gravity_margin, dead_host, stop_distance, stop_room, stop_friction, deviation_limit;
     flags: saturated, locked;
     numbers: sigma_min, condition, sigma_0;
+}
+
+/// Names of the joints that stop a push toward (−, +).
+fn stop_joints(report: &CoreReport) -> Vec<(Option<&str>, Option<&str>)> {
+    let name = |joint: Option<usize>| joint.map(|joint| report.joints[joint].as_str());
+    report.stop_joint.iter().map(|&[minus, plus]| (name(minus), name(plus))).collect()
 }
 
 fn pairs<'py>(py: Python<'py>, values: &[[f64; 2]]) -> Bound<'py, PyAny> {
@@ -198,6 +210,11 @@ impl Check {
     #[getter]
     fn friction_left<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[self.0.friction_left.len()], &self.0.friction_left)
+    }
+
+    #[getter]
+    fn stop_distance<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        pairs(py, &self.0.stop_distance)
     }
 
     fn __bool__(&self) -> bool {

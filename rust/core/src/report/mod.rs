@@ -7,6 +7,7 @@ mod check;
 mod dead_host;
 mod promise;
 mod statics;
+mod stops;
 mod tracking;
 mod words;
 
@@ -15,7 +16,7 @@ use crate::error::{Error, Result};
 use crate::kinematics::Frames;
 use crate::pose::COORDINATE_BOUND;
 use crate::settings::Law;
-use crate::task::axes::AXIS_NAMES;
+use crate::task::axes::{AXIS_NAMES, Beyond};
 use crate::{JointVec, MAX_JOINTS};
 
 pub use check::{Check, Finding};
@@ -23,6 +24,7 @@ pub use check::{Check, Finding};
 use dead_host::Dead;
 use promise::Pose;
 use statics::static_force;
+use stops::Way;
 
 /// What one pose can do under the settings in force; one entry per task axis, or per joint.
 ///
@@ -73,6 +75,23 @@ pub struct Report {
     pub locked: Vec<bool>,
     /// The largest force that a hand meets on 0.15 m or 0.4 rad along the axis if the host dies now, friction included.
     pub dead_host: Vec<[f64; 2]>,
+    /// How far the axis can be pushed, the others in place, until a joint meets its position limit [m, rad]; ∞ where none
+    /// does on 0.15 m or 0.4 rad. Up to there the stop takes nothing of a push, from there on what it gets.
+    pub stop_distance: Vec<[f64; 2]>,
+    /// The joint that does.
+    pub stop_joint: Vec<[Option<usize>; 2]>,
+    /// How far that joint is from its limit now [rad or m]; ∞ for none.
+    pub stop_room: Vec<[f64; 2]>,
+    /// What the joints that are left rub along the axis there, in place of `friction`; ∞ where they cannot move it alone,
+    /// so that the stop takes everything above the cap. 0 where no joint stops.
+    pub stop_friction: Vec<[f64; 2]>,
+    /// Deviation [m, rad] beyond which the target of an axis waits or comes along; ∞ without such a limit and toward
+    /// sides that yield.
+    pub deviation_limit: Vec<[f64; 2]>,
+    /// What the target does there.
+    pub beyond: Vec<Beyond>,
+    /// Joints that slide: theirs are metres.
+    pub prismatic: Vec<bool>,
 }
 
 impl Controller {
@@ -139,11 +158,27 @@ impl Controller {
             saturated: record.saturated[..n].to_vec(),
             locked: record.locked[..n].to_vec(),
             dead_host: Vec::with_capacity(k),
+            stop_distance: Vec::with_capacity(k),
+            stop_joint: Vec::with_capacity(k),
+            stop_room: Vec::with_capacity(k),
+            stop_friction: Vec::with_capacity(k),
+            deviation_limit: vec![[f64::INFINITY; 2]; k],
+            beyond: plan.axes.iter().map(|&axis| self.settings().axes[axis].beyond).collect(),
+            prismatic: self.model().prismatic().to_vec(),
         };
+        for limit in &plan.deviation_limits {
+            for (slot, _) in report.deviation_limit.iter_mut().zip(&plan.axes).filter(|(_, axis)| **axis == limit.axis)
+            {
+                *slot = limit.most;
+            }
+        }
+        let mut rubs = [0.0; MAX_JOINTS];
+        (0..n).for_each(|i| rubs[i] = plan.servos.friction_at_rest(i, record.gravity[i]));
         let mut keeps = limit;
-        (0..n).for_each(|i| keeps[i] += plan.servos.friction_at_rest(i, record.gravity[i]));
+        (0..n).for_each(|i| keeps[i] += rubs[i]);
         let mut frames = Frames::default();
         self.model().chain().forward(&record.q, &mut frames);
+        let way = self.way(&frames, &rubs);
         let dead = Dead {
             model: self.model(),
             plan,
@@ -164,8 +199,19 @@ impl Controller {
             report.coupling.push(coupling.map(|(force, _)| force));
             report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[plan.axes[other]])));
             report.dead_host.push([-1.0, 1.0].map(|sign| dead.largest(row, sign)));
+            let stops = [-1.0, 1.0].map(|sign| way.first_stop(row, sign));
+            report.stop_distance.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.distance)));
+            report.stop_joint.push(stops.map(|stop| stop.map(|stop| stop.joint)));
+            report.stop_room.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.room)));
+            report.stop_friction.push(stops.map(|stop| stop.map_or(0.0, |stop| stop.friction)));
         }
         report
+    }
+
+    /// The ways that pushes lead from the last step's pose; `friction` at rest [N·m].
+    fn way<'a>(&'a self, frames: &Frames, friction: &'a JointVec) -> Way<'a> {
+        let base_from_task = crate::task::base_from_task(&self.plan.frame, &frames.tool);
+        Way { model: self.model(), plan: &self.plan, base_from_task, q: &self.record().q, friction }
     }
 
     /// Limits of the last command.

@@ -101,6 +101,17 @@ impl<'a> Pose<'a> {
         most.min(step / (own + (1.0 - w) * damping))
     }
 
+    /// Deviation [m, rad] at which a yielding axis gives its whole cap under the laws that have one, as far as a hand goes.
+    pub(super) fn full(&self, row: usize, side: usize) -> f64 {
+        let axis = &self.plan.rows[row];
+        let travel = TRAVEL[usize::from(axis.axis >= 3)];
+        let [small, large] = self.gives_way(row, side);
+        let left = if self.settings.raw_deviation { 1.0 } else { 1.0 - axis.eta };
+        let from = if large > small { axis.d_plus / left } else { 0.0 };
+        let slope = self.cap(row, side, 1e-4) / 1e-4;
+        from.max(large / slope).min(travel)
+    }
+
     /// Static force that the limits would hold if axis `row` had this strength and the others what they have.
     fn with_strength(&self, row: usize, side: usize, most: f64) -> f64 {
         let mut all = self.record.holding_torque;

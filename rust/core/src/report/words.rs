@@ -6,12 +6,18 @@ use crate::report::Report;
 use crate::report::check::{Check, NEAR_SINGULAR};
 use crate::report::dead_host::TRAVEL;
 use crate::settings::Law;
+use crate::task::axes::Beyond;
 
 const SIDES: [&str; 2] = ["−", "+"];
 
 /// Unit of a strength along an axis.
 pub(super) fn unit(axis: usize) -> &'static str {
     if axis < 3 { "N" } else { "N·m" }
+}
+
+/// A displacement along an axis, in words.
+pub(super) fn length(axis: usize, value: f64) -> String {
+    if axis < 3 { format!("{:.0} mm", 1e3 * value) } else { format!("{} rad", number(value)) }
 }
 
 /// A number as one says it: two or three digits.
@@ -61,6 +67,8 @@ impl Report {
             } else {
                 out.extend([1, 0].map(|side| format!("{}{} {}", SIDES[side], self.axes[row], said[side])));
             }
+            out.extend([1, 0].into_iter().filter_map(|side| self.stop_sentence(row, side)));
+            out.extend(self.deviation_sentence(row));
         }
         for (i, name) in self.joints.iter().enumerate() {
             let least = self.gravity_margin[i][0].min(self.gravity_margin[i][1]);
@@ -94,7 +102,7 @@ impl Report {
     fn axis_sentence(&self, row: usize, side: usize) -> String {
         let (unit, [small, large]) = (self.unit(row), self.gives_way[row][side]);
         let translation = unit == "N";
-        let at = |d: f64| if translation { format!("{:.0} mm", 1e3 * d) } else { format!("{} rad", number(d)) };
+        let at = |d: f64| length(if translation { 0 } else { 3 }, d);
         if large < 0.0 && small < 0.0 {
             return format!("cannot hold itself: it lacks {} {unit}.", number(-large));
         }
@@ -120,6 +128,46 @@ impl Report {
             said.push("there the servos' torque ends".into());
         }
         said.join("; ") + "."
+    }
+
+    /// What a position limit will take of a push along a yielding axis.
+    fn stop_sentence(&self, row: usize, side: usize) -> Option<String> {
+        let joint = self.stop_joint[row][side].filter(|_| self.yields[row][side])?;
+        let (unit, room, distance) = (self.unit(row), self.stop_room[row][side], self.stop_distance[row][side]);
+        let from = if room > 1e-6 {
+            let away = if self.prismatic[joint] {
+                format!("{:.0} mm", 1e3 * room)
+            } else {
+                format!("{:.1}°", room.to_degrees())
+            };
+            format!("is {away} from its limit: pushed farther than")
+        } else {
+            "is at its limit: pushed farther than".into()
+        };
+        let far = length(if unit == "N" { 0 } else { 3 }, distance);
+        let then = match self.stop_friction[row][side] {
+            rub if rub.is_infinite() => "the stop takes what exceeds the cap".into(),
+            rub => format!("the stop takes its part and the other joints rub {} {unit}", number(rub)),
+        };
+        Some(format!("{}{}: {} {from} {far}, {then}.", SIDES[side], self.axes[row], self.joints[joint]))
+    }
+
+    /// What the target does where the axis is held off too far.
+    fn deviation_sentence(&self, row: usize) -> Option<String> {
+        let [minus, plus] = self.deviation_limit[row];
+        let limit = minus.min(plus);
+        let side = match (minus.is_finite(), plus.is_finite()) {
+            (true, true) => "±",
+            (true, false) => SIDES[0],
+            (false, true) => SIDES[1],
+            (false, false) => return None,
+        };
+        let does = match self.beyond[row] {
+            Beyond::Hold => "the whole target waits",
+            Beyond::Follow => "its target comes along",
+        };
+        let far = length(if self.unit(row) == "N" { 0 } else { 3 }, limit);
+        Some(format!("{side}{}: pushed farther than {far} off its target, {does}.", self.axes[row]))
     }
 
     fn joint_sentence(&self, flags: &[bool], what: &str, out: &mut Vec<String>) {
