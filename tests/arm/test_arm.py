@@ -240,3 +240,28 @@ def test_connect_by_name_and_by_parts():
     ):
         with pytest.raises(pliant.ConfigError, match=message):
             wrong()
+
+
+def test_degrees_are_refused_before_anything_is_sent():
+    with pytest.raises(pliant.LimitError, match="rest: .*degrees"):
+        pliant.connect("sim:so101", rest=[0, -90, 90, 40, 0])
+    with pliant.connect("sim:so101", signals=False) as arm:
+        goal = arm.read().q.copy()
+        goal[1] = -90.0
+        with pytest.raises(pliant.LimitError, match="goal of shoulder_lift .*degrees"):
+            arm.write(goal, np.ones(5))
+        with pytest.raises(pliant.LimitError, match="pose: "):
+            arm.park(goal)
+        arm.limp()
+
+
+def test_what_is_made_from_the_model_believes_the_arms_servos():
+    arm = pliant.connect("sim:so101", kp_scale=2.0)
+    assert arm.model.servos.kp.tolist() == arm.servos.kp.tolist()
+    assert arm.model.servos.kp.tolist() != pliant.robots.so101().servos.kp.tolist()
+
+
+def test_what_cannot_be_connected_is_named():
+    for nothing in (42, None):
+        with pytest.raises(pliant.ConfigError, match="cannot connect to"):
+            pliant.connect(nothing)

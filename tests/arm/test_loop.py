@@ -179,3 +179,13 @@ def test_nothing_that_goes_wrong_drops_the_arm(title):
     assert got.speed < meanwhile
     assert got.drop < 1e-3
     assert got.descent < descent
+
+
+def test_lost_readings_do_not_forgive_missing_commands():
+    arm = pliant.connect("sim:arm7", read_loss=0.1, seed=1, signals=False)
+    begin = arm.clock.now()
+    with arm, pytest.raises(pliant.ServoTimeout, match="no command could be sent"):
+        for tick in pliant.Loop(arm, rate=100.0, duration=5.0):
+            assert tick.q.size == arm.model.n
+    assert arm.clock.now() - begin < 30.0
+    assert not arm.enabled

@@ -144,3 +144,16 @@ def test_models_cannot_be_changed(model):
         model.n = 3
     with pytest.raises(TypeError):
         pliant.Model()
+
+
+def test_other_servos_leave_the_model_alone():
+    model = pliant.robots.so101()
+    table = model.servos.replace(kp=9.0, kp_known=False)
+    other = model.with_servos(table)
+    assert other.servos.kp.tolist() == [9.0] * 5
+    assert model.servos.kp.tolist() != [9.0] * 5
+    assert other.forward_kinematics(np.zeros(5)).tolist() == (
+        model.forward_kinematics(np.zeros(5)).tolist()
+    )
+    with pytest.raises(pliant.ShapeError):
+        model.with_servos(pliant.robots.arm7().servos)

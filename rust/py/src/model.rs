@@ -46,7 +46,7 @@ impl Model {
         text: String,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
-        let options = options.map(|options| options.copy()).transpose()?.map(Bound::unbind);
+        let options = options.map(PyDictMethods::copy).transpose()?.map(Bound::unbind);
         let spread = servos.map(|servos| servos.for_joints(core.n()).or_raise()).transpose()?;
         let servos = spread.map(|servos| Py::new(py, Servos(servos))).transpose()?;
         Ok(Self { core: Arc::new(core), servos, text, options, links: PyOnceLock::new(), joints: PyOnceLock::new() })
@@ -96,8 +96,17 @@ impl Model {
     }
 
     fn with_servos(&self, py: Python<'_>, servos: &Servos) -> PyResult<Self> {
-        let servos = Some(Py::new(py, Servos(servos.0.for_joints(self.core.n()).or_raise()?))?);
-        Ok(Self { core: Arc::clone(&self.core), servos, links: PyOnceLock::new(), joints: PyOnceLock::new() })
+        let servos = Py::new(py, Servos(servos.0.for_joints(self.core.n()).or_raise()?))?;
+        let options = self.options.as_ref().map_or_else(|| Ok(PyDict::new(py)), |options| options.bind(py).copy())?;
+        options.set_item("servos", &servos)?;
+        Ok(Self {
+            core: Arc::clone(&self.core),
+            servos: Some(servos),
+            text: self.text.clone(),
+            options: Some(options.unbind()),
+            links: PyOnceLock::new(),
+            joints: PyOnceLock::new(),
+        })
     }
 
     #[getter]

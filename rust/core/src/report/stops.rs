@@ -57,7 +57,7 @@ impl Way<'_> {
             let mut c = weighted_gram(&rows, &plan.servos.compliance, k, n);
             let most = (0..k).fold(0.0_f64, |most, r| most.max(c[r][r]));
             (0..k).for_each(|r| c[r][r] += DAMPING * most);
-            let mut way = transpose_times(&rows, &Cholesky::new(&c, k).solve(&along), k);
+            let mut way = transpose_times(&rows, &Cholesky::new(&c, k).solve(&along), k, n);
             (0..n).for_each(|i| way[i] *= plan.servos.compliance[i]);
             let (mut step, mut met) = (travel / f64::from(STEPS), None);
             for i in 0..n {
@@ -81,13 +81,13 @@ impl Way<'_> {
         let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
         chain.forward(q, &mut frames);
         chain.jacobian(&frames, &mut world);
-        crate::task::rows(&world, &self.base_from_task, &self.plan.axes)
+        crate::task::rows(&world, &self.base_from_task, &self.plan.axes, self.plan.n)
     }
 
     /// Friction along `row` of all joints but one.
     fn friction_without(&self, q: &JointVec, joint: usize, row: usize) -> f64 {
         let (plan, n, k) = (self.plan, self.plan.n, self.plan.k);
-        let mut scaled = plan.scale_rows(&self.rows(q));
+        let mut scaled = plan.scale_rows(&self.rows(q), n);
         for r in &mut scaled {
             r[joint] = 0.0;
         }
