@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from pliant import ConfigError, ServoError, ServoFault, ServoTimeout
+from pliant import Command, ConfigError, ServoError, ServoFault, ServoTimeout
 from pliant.arm.lateness import Lateness
 
 if TYPE_CHECKING:
@@ -251,7 +251,7 @@ class Loop:
         if old or not (np.isfinite(goal).all() and np.isfinite(limit).all()):
             self.refused += 1
             return False
-        self._arm.write(goal, limit, extra)
+        self._arm.write(goal, limit, extra, lead=isinstance(command, Command))
         self._measure(clock.now() - tick.state.time)
         return True
 

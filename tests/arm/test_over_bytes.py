@@ -74,7 +74,7 @@ def test_enabled_in_order_controlled_and_held(family):
 @pytest.mark.parametrize("family", [pytest.param("sts", marks=pytest.mark.full), "x"])
 def test_lowered_after_the_program_stalled(family):
     speeds = []
-    with arm_over_bytes(family, [0.0, 0.2, 0.0, 0.2, 0.0]) as (bus, arm):
+    with arm_over_bytes(family, [0.0, 0.2, 0.0, 0.2, 0.0], watchdog=0.2) as (bus, arm):
         arm.enable()
         arm.clock.wait_until(arm.clock.now() + 1.0)  # longer than any watchdog
         stalled = bus.time

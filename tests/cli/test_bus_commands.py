@@ -108,7 +108,7 @@ def test_run_follows_a_file(tmp_path, capsys):
     file = tmp_path / "targets.jsonl"
     file.write_text('{"q": [0.1, 0, 0, 0, 0]}\n' * 50)
     assert main(["run", "so101", "--backend", "sim", "--targets", str(file), "--quiet"]) == 0
-    assert "250 ticks" in capsys.readouterr().out
+    assert "251 ticks" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,9 @@ class Arm:
         hold_for: How long a silent bus or program is waited for before the arm is lowered [s].
         budget: What servos and supply give for long; None: the default.
         grippers: How joints off the chain open and close, by name; others take the model's limits.
-        watchdog: Silence after which servos that can stop by themselves do [s]; 0: never.
+        watchdog: Silence after which servos that can stop by themselves do [s]; 0: never. One that
+            stops holds the position where it is then and loses the lead that carries the weight:
+            the arm sinks by ``g/k_p``.
         signals: Whether SIGINT and SIGTERM lower the arm.
 
     Attributes:
@@ -77,7 +79,7 @@ class Arm:
         hold_for: float = 0.5,
         budget: Budget | None = None,
         grippers: Mapping[str, Jaw] | None = None,
-        watchdog: float = 0.2,
+        watchdog: float = 0.0,
         signals: bool = True,
     ) -> None:
         """Sort the joints; nothing is opened or moved yet."""
@@ -318,6 +320,8 @@ class Arm:
         goal: ArrayLike,
         limit: ArrayLike | None = None,
         extra: Mapping[str, tuple[float, float]] | None = None,
+        *,
+        lead: bool = False,
     ) -> None:
         """Send goals and torque limits, within position limits and budgets.
 
@@ -326,6 +330,8 @@ class Arm:
                 beyond them.
             limit: Torque limits (n,) [N·m]; None keeps the last.
             extra: Goal [rad] and limit [N·m] of joints off the chain by name; others keep theirs.
+            lead: Whether goals may lead beyond the position limits to exert a force: a `Controller`
+                sees to it that no joint is driven out by that, and `Tick.write` lets its commands.
 
         Raises:
             ShapeError, LimitError, ConfigError: What cannot be sent; nothing was.
@@ -334,7 +340,7 @@ class Arm:
         """
         with self._keeper:
             self._on()
-            self._cycle.write(goal, limit, extra)
+            self._cycle.write(goal, limit, extra, lead=lead)
 
     def watched(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
         """Inside, an arm in real time leaves by itself after so long without read or write [s].

@@ -151,26 +151,28 @@ class Cycle:
         goal: ArrayLike,
         limit: ArrayLike | None,
         extra: Mapping[str, tuple[float, float]] | None,
+        *,
+        lead: bool,
     ) -> None:
         """Check, cut and send; see `Arm.write`."""
         goal = self.vector(goal, "goal")
         limit = self.limit if limit is None else self.vector(limit, "limit")
         if limit.min() < 0.0:
             raise LimitError(f"limit must be at least 0 N·m, got {limit.min():g}")
-        self.orders = {**self.orders, **self.roster.check(extra or {})}
+        orders = self.roster.check(extra or {})
         gravity, model, chain = self.gravity(), self.model, self.roster.chain
-        need = gravity / self._kp[chain]
+        need, most = gravity / self._kp[chain], self._usable[chain] / self._kp[chain]
         far = np.maximum(model.lower - goal, goal - model.upper)
-        if far.max() > FAR + (self._usable[chain] / self._kp[chain])[far.argmax()]:
+        if far.max() > FAR + most[far.argmax()]:
             joint = int(far.argmax())
             raise LimitError(
                 f"goal of {model.joint_names[joint]} is {goal[joint]:g} rad, far outside of "
                 f"{model.lower[joint]:.3g} to {model.upper[joint]:.3g} rad: are these degrees? "
                 "Nothing was sent"
             )
-        goal = np.clip(
-            goal, model.lower + np.minimum(need, 0.0), model.upper + np.maximum(need, 0.0)
-        )
+        self.orders = {**self.orders, **orders}
+        out = (most, most) if lead else (np.maximum(-need, 0.0), np.maximum(need, 0.0))
+        goal = np.clip(goal, model.lower - out[0], model.upper + out[1])
         self.send(goal, self._cut(goal, limit, gravity))
 
     def _cut(self, goal: Array, limit: Array, gravity: Array) -> Array:

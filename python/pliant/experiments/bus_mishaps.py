@@ -65,6 +65,7 @@ class Mishap:
         state: `runs`: servos have power and torque, and a host; `dead host`: no host; `no torque`:
             a servo has no power or no torque any more.
         after: Called when control has ended, before time goes on.
+        watchdog: Of the arm [s].
     """
 
     title: str
@@ -72,6 +73,7 @@ class Mishap:
     family: str = "p1"
     state: Class = "runs"
     after: Callable[[ArmEmulator], None] | None = None
+    watchdog: float = 0.0
 
 
 def _once(do: Callable[[Scene], object]) -> Callable[[Scene], Array | None]:
@@ -190,7 +192,8 @@ MISHAPS: tuple[Mishap, ...] = (
         after=lambda bus: bus.put_back(),
     ),
     Mishap(title="SIGKILL", act=_die, state="dead host"),
-    Mishap(title="SIGKILL, Bus Watchdog", act=_die, state="dead host", family="x"),
+    Mishap(title="SIGKILL, X series", act=_die, state="dead host", family="x"),
+    Mishap(title="SIGKILL, Bus Watchdog", act=_die, state="dead host", family="x", watchdog=0.2),
     Mishap(title="the program stalls for 1 s", act=_stall),
     Mishap(title="an exception, Ctrl-C, SIGTERM", act=_interrupt),
     Mishap(title="a policy gives NaN for a target", act=_nan_target),

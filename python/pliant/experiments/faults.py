@@ -122,7 +122,10 @@ def suffer(mishap: Mishap, *, held: bool = False) -> Outcome:
         axis="y", distance=WAY, stiffness=3000.0, damping=30.0, limit=300.0, at=TOOL, course=course
     )
     options: dict[str, Any] = {"plant": {"scene": [hand] if held else []}}
-    with stepped(mishap.family, arm={"rate": RATE}, **options) as (bus, arm):
+    with stepped(mishap.family, arm={"rate": RATE, "watchdog": mishap.watchdog}, **options) as (
+        bus,
+        arm,
+    ):
         watcher = Watcher(bus, FALL if mishap.state == "no torque" else 0.0)
         reason, allowed, torque = _run(mishap, bus, arm, watcher, held)
     speed, lowered = watcher.speeds[False], watcher.speeds[True]
