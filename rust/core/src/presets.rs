@@ -45,7 +45,7 @@ impl Settings {
     /// The named axes yield both ways with the arm's default strengths and η = 0.9; the others hold.
     ///
     /// # Errors
-    /// [`Error::Config`](crate::Error::Config) for a key that is not understood.
+    /// [`Error::Config`] for a key that is not understood.
     pub fn soft(axes: &str) -> Result<Self> {
         let mut settings = Self::default();
         settings.set_axes(axes, yielding(ETA_SOFT))?;
