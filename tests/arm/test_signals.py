@@ -12,8 +12,10 @@ pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extr
 
 import pliant
 
+# A test run in the background is told to ignore Ctrl-C, and would hand that on.
 BEGIN = """
 import os, signal, sys, pliant
+signal.signal(signal.SIGINT, signal.default_int_handler)
 def report():
     plant = arm.drive.plant
     print(f"{arm.enabled} {arm.drive.enabled.any()} {plant.tool[2, 3] < start - 0.02}", flush=True)

@@ -116,7 +116,7 @@ def test_unknown_models_are_answered_with_near_ones():
     with pytest.raises(ConfigError, match="did you mean: XM430-W350"):
         find("XM430W350")
     with pytest.raises(ConfigError, match=r"STS3215-7\.4V"):
-        find("STS3215")
+        find("STS3212")
     with pytest.raises(ConfigError, match="there are: STS3215"):
         find("?")
     assert find("sts3215-c018") is find("STS3215-12V")

@@ -18,8 +18,10 @@ from soak.watched import so101
 
 from pliant.servo.emulator import Remote
 
+# A test run in the background is told to ignore Ctrl-C, and would hand that on.
 PROGRAM = """
-import os, sys, pliant
+import os, signal, sys, pliant
+signal.signal(signal.SIGINT, signal.default_int_handler)
 with pliant.connect("so101", port=sys.argv[1], hold_for=20.0) as arm:
     print("torque", flush=True)
     for tick in pliant.Loop(arm, stall=20.0):
