@@ -58,7 +58,8 @@ $(BIN)/python:
 	$(call say,virtual environment)
 	@command -v cargo >/dev/null || { echo "error: cargo not found; install Rust with rustup"; exit 1; }
 	@./tools/make_venv.sh $(VENV)
-	@$(PIP_INSTALL) 'maturin>=1.9.4,<2'
+	@# Without build isolation the vendor's drivers, which come as sources, need their builder here.
+	@$(PIP_INSTALL) 'maturin>=1.9.4,<2' setuptools wheel
 
 # Installs what the extras name and builds the module, editable: a change of a Python file needs nothing here.
 define install
