@@ -33,6 +33,16 @@ impl Command {
         Self { goal: array(core.goal()), torque_limit: array(core.torque_limit()), velocity: array(core.velocity()) }
     }
 
+    /// Of arrays that exist already.
+    pub(crate) fn of([goal, torque_limit, velocity]: [Py<PyAny>; 3]) -> Self {
+        Self { goal, torque_limit, velocity }
+    }
+
+    /// The arrays: goal, torque limit, velocity.
+    pub(crate) fn arrays(&self) -> [&Py<PyAny>; 3] {
+        [&self.goal, &self.torque_limit, &self.velocity]
+    }
+
     fn parts<'a>(&'a self, core: &'a CoreCommand) -> [(&'a Py<PyAny>, &'a [f64]); 3] {
         [(&self.goal, core.goal()), (&self.torque_limit, core.torque_limit()), (&self.velocity, core.velocity())]
     }

@@ -115,23 +115,28 @@ pub(crate) fn write_rows<const R: usize, const C: usize>(
     true
 }
 
-/// The numbers of a plain matrix of `columns`, without a copy; `None` for any other object.
+/// How many rows of shape `part` a plain array has, and its numbers, without a copy; `None` for any other object.
 ///
 /// Meant for batches, which other Python threads may run beside: as with NumPy's own functions, one that writes into the
 /// array meanwhile gets numbers computed from old and new ones.
-pub(crate) fn view<'a>(array: &'a Bound<'_, PyAny>, columns: usize) -> Option<&'a [f64]> {
+pub(crate) fn view<'a>(array: &'a Bound<'_, PyAny>, part: &[usize]) -> Option<(usize, &'a [f64])> {
     let fields = structure_of(array)?;
-    if fields.flags & READABLE != READABLE || fields.nd != 2 {
+    if fields.flags & READABLE != READABLE || usize::try_from(fields.nd) != Ok(part.len() + 1) {
         return None;
     }
-    // SAFETY: `dimensions` has `nd` entries, of which there are two.
-    let (rows, width) = unsafe { (*fields.dimensions, *fields.dimensions.add(1)) };
-    if usize::try_from(width) != Ok(columns) {
-        return None;
+    // SAFETY: `dimensions` has `nd` entries, and there is at least one.
+    let rows = usize::try_from(unsafe { *fields.dimensions }).ok()?;
+    let mut count = rows;
+    for (i, &size) in part.iter().enumerate() {
+        // SAFETY: as above; `nd` is one more than the length of `part`.
+        let dimension = unsafe { *fields.dimensions.add(i + 1) };
+        if usize::try_from(dimension) != Ok(size) {
+            return None;
+        }
+        count = count.checked_mul(size)?;
     }
-    let count = usize::try_from(rows).ok()?.checked_mul(columns)?;
     // SAFETY: the array is C-contiguous, aligned and holds `count` float64 values, as long as `array` is held.
-    Some(unsafe { std::slice::from_raw_parts(fields.data.cast::<f64>().cast_const(), count) })
+    Some((rows, unsafe { std::slice::from_raw_parts(fields.data.cast::<f64>().cast_const(), count) }))
 }
 
 /// The numbers of a plain, writable array of this shape, to be written; `None` for any other object.

@@ -1,6 +1,7 @@
 //! Python binding of `pliant-core`: every function converts, calls the core once, and converts back.
 #![deny(unsafe_code)]
 
+mod batch;
 mod command;
 mod contact;
 mod controller;
@@ -19,6 +20,7 @@ mod report;
 mod servos;
 mod settings;
 mod solution;
+mod step_batch;
 mod task;
 mod tree;
 mod words;
@@ -56,6 +58,8 @@ mod _core {
     use crate::settings::Settings;
     #[pymodule_export]
     use crate::solution::IkSolution;
+    #[pymodule_export]
+    use crate::step_batch::BatchState;
     #[pymodule_export]
     use crate::task::{Axis, Task};
     #[pymodule_export]
