@@ -6,6 +6,8 @@
 #![expect(unsafe_code, reason = "NumPy's C structure is read directly: a checked borrow costs four times as much")]
 #![expect(clippy::cast_ptr_alignment, reason = "the flag ALIGNED of the array is checked before its data are cast")]
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use numpy::npyffi::{
     NPY_ARRAY_ALIGNED, NPY_ARRAY_C_CONTIGUOUS, NPY_ARRAY_OWNDATA, NPY_ARRAY_WRITEABLE, NPY_TYPES, PyArrayObject,
     PyArrayObject_fields,
@@ -28,8 +30,13 @@ const WRITABLE: i32 = READABLE | NPY_ARRAY_WRITEABLE;
 /// Byte order that NumPy writes for the machine's own.
 const NATIVE: u8 = b'=';
 
-/// Looks `numpy.ndarray` up, once.
+/// Whether this Python may run without its interpreter lock: then no count of references says who holds what.
+static FREE_THREADED: AtomicBool = AtomicBool::new(false);
+
+/// Looks `numpy.ndarray` up, once, and how this Python was built.
 pub(crate) fn initialise(py: Python<'_>) -> PyResult<()> {
+    let version: String = py.import("sys")?.getattr("version")?.extract()?;
+    FREE_THREADED.store(version.contains("free-threading"), Ordering::Relaxed);
     let array_type = py.import("numpy")?.getattr("ndarray")?.cast_into::<PyType>()?;
     ARRAY_TYPE.get_or_init(py, || array_type.unbind());
     Ok(())
@@ -167,7 +174,7 @@ pub(crate) fn memory(array: &Bound<'_, PyAny>) -> Option<std::ops::Range<usize>>
 #[inline]
 pub(crate) fn overwrite(array: &Bound<'_, PyAny>, values: &[f64]) -> bool {
     let Some(fields) = structure(array, &[values.len()], WRITABLE | NPY_ARRAY_OWNDATA) else { return false };
-    if references(array) != 1 || !fields.weakreflist.is_null() {
+    if !only_reference(array) || !fields.weakreflist.is_null() {
         return false;
     }
     // SAFETY: as in `write`.
@@ -175,11 +182,11 @@ pub(crate) fn overwrite(array: &Bound<'_, PyAny>, values: &[f64]) -> bool {
     true
 }
 
-/// How many references an object has. With the interpreter lock held, 1 means that only the asking one is left.
+/// Whether the asking reference is the only one; never where Python may run without its interpreter lock.
 #[inline]
-pub(crate) fn references(object: &Bound<'_, PyAny>) -> isize {
+pub(crate) fn only_reference(object: &Bound<'_, PyAny>) -> bool {
     // SAFETY: the pointer is that of a living object.
-    unsafe { Py_REFCNT(object.as_ptr()) }
+    unsafe { Py_REFCNT(object.as_ptr()) == 1 && !FREE_THREADED.load(Ordering::Relaxed) }
 }
 
 /// A new array with these numbers, row by row.

@@ -27,7 +27,8 @@ mod words;
 
 /// The compiled part of `pliant`.
 ///
-/// Needs the interpreter lock: whether a command may be reused is read off reference counts.
+/// Declares that it needs the interpreter lock: arrays are read by their structure, and reference counts say whether a
+/// command may be reused.
 #[pyo3::pymodule(gil_used = true)]
 mod _core {
     use pyo3::exceptions::PyRuntimeWarning;
