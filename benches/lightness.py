@@ -2,12 +2,14 @@
 
     python benches/lightness.py
 
-Every start is a process of its own; medians of a few. Times are beyond what they stand on: the bare
-interpreter for NumPy, NumPy for pliant.
+Every start is a process of its own; medians of a few, of the processor's time, which others
+hardly change, and of the clock. Times are beyond what they stand on: the bare interpreter for
+NumPy, NumPy for pliant.
 """
 
 from __future__ import annotations
 
+import resource
 import statistics
 import subprocess
 import sys
@@ -34,24 +36,40 @@ for i in range(20_000):
 """
 
 
-def starts(*arguments: str) -> list[float]:
-    """Seconds from start to end of Python with these arguments."""
+def now() -> tuple[float, float]:
+    """Seconds that children have had of the processor, and of the clock."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime, time.perf_counter()
+
+
+def medians(times: list[tuple[float, float]]) -> tuple[float, float]:
+    """Of processor and clock."""
+    return statistics.median(t[0] for t in times), statistics.median(t[1] for t in times)
+
+
+def starts(*arguments: str) -> tuple[float, float]:
+    """Median seconds from start to end of Python with these arguments, of processor and clock."""
     out = []
     for _ in range(STARTS):
-        start = time.perf_counter()
+        start = now()
         subprocess.run([sys.executable, *arguments], capture_output=True, check=True)
-        out.append(time.perf_counter() - start)
-    return out
+        end = now()
+        out.append((end[0] - start[0], end[1] - start[1]))
+    return medians(out)
 
 
-def imports(code: str) -> float:
+def imports(code: str) -> tuple[float, float]:
     """Median seconds that a statement takes in a fresh interpreter that has NumPy."""
-    timed = f"import numpy, time; t = time.perf_counter(); {code}; print(time.perf_counter() - t)"
+    timed = (
+        "import numpy, time; p, t = time.process_time(), time.perf_counter(); "
+        f"{code}; print(time.process_time() - p, time.perf_counter() - t)"
+    )
     done = [
         subprocess.run([sys.executable, "-c", timed], capture_output=True, text=True, check=True)
         for _ in range(STARTS)
     ]
-    return statistics.median(float(one.stdout) for one in done)
+    words = [one.stdout.split() for one in done]
+    return medians([(float(own), float(clock)) for own, clock in words])
 
 
 def memory(before: str) -> float:
@@ -61,15 +79,21 @@ def memory(before: str) -> float:
     return float(done.stdout)
 
 
+def line(name: str, times: tuple[float, float]) -> None:
+    """Print times in milliseconds."""
+    print(f"{name:30}{1e3 * times[0]:6.1f} ms {1e3 * times[1]:6.1f} ms")
+
+
 def main() -> None:
     """Print one line each."""
-    bare = statistics.median(starts("-c", "pass"))
-    with_numpy = statistics.median(starts("-c", "import numpy"))
-    print(f"import numpy                  {1e3 * (with_numpy - bare):8.1f} ms beyond python")
-    print(f"import pliant                 {1e3 * imports('import pliant'):8.2f} ms beyond numpy")
+    print(f"{'':30}processor    clock")
+    bare = starts("-c", "pass")
+    line("python", bare)
+    numpy = starts("-c", "import numpy")
+    line("import numpy, beyond python", (numpy[0] - bare[0], numpy[1] - bare[1]))
+    line("import pliant, beyond numpy", imports("import pliant"))
     for flags in ("--version", "--help", "bench --help"):
-        took = statistics.median(starts("-m", "pliant.cli", *flags.split()))
-        print(f"pliant {flags:22} {1e3 * took:8.0f} ms, of which python {1e3 * bare:.0f}")
+        line(f"pliant {flags}", starts("-m", "pliant.cli", *flags.split()))
     numpy_alone = memory("")
     print(f"memory of numpy               {numpy_alone:8.1f} MB")
     more = memory(CONTROLLER) - numpy_alone
