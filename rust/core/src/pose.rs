@@ -75,36 +75,45 @@ impl Pose {
     }
 
     /// [`Pose::validate`] with the argument's name in the message.
+    #[inline]
     pub(crate) fn check(&self, name: &str) -> Result<()> {
+        let (r, p) = (&self.rotation, &self.position);
+        let mut fine = (p[0].abs() <= COORDINATE_BOUND) & (p[1].abs() <= COORDINATE_BOUND);
+        fine &= (p[2].abs() <= COORDINATE_BOUND) & (determinant(r) >= 0.0);
+        for i in 0..3 {
+            for j in 0..=i {
+                fine &= orthogonality_error(r, i, j) <= ROTATION_TOLERANCE;
+            }
+        }
+        if fine { Ok(()) } else { self.explain(name) }
+    }
+
+    /// What is wrong with a pose that is none.
+    #[cold]
+    #[inline(never)]
+    fn explain(&self, name: &str) -> Result<()> {
         for (axis, &value) in ["x", "y", "z"].iter().zip(&self.position) {
             if !(value.abs() <= COORDINATE_BOUND) {
                 return Err(Error::limit(format!("{name}: position {axis} [m]"), value, "±1e6, finite"));
             }
         }
-        let r = &self.rotation;
         let mut worst: f64 = 0.0;
         for i in 0..3 {
             for j in 0..3 {
-                let dot = r[0][i] * r[0][j] + r[1][i] * r[1][j] + r[2][i] * r[2][j];
-                let error = (dot - f64::from(u8::from(i == j))).abs();
+                let error = orthogonality_error(&self.rotation, i, j);
                 // `max` would drop a NaN.
                 worst = if error > worst || error.is_nan() { error } else { worst };
             }
         }
-        if !(worst <= ROTATION_TOLERANCE) {
-            return Err(Error::config(
-                name,
-                format!(
-                    "rotation part is not a rotation: largest entry of RᵀR − I is {worst:.3e}, at most {ROTATION_TOLERANCE:e}"
-                ),
-            ));
-        }
-        let det = r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1]) - r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0])
-            + r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0]);
-        if det < 0.0 {
+        if worst <= ROTATION_TOLERANCE {
             return Err(Error::config(name, "rotation part is a reflection (determinant −1); swap or negate an axis"));
         }
-        Ok(())
+        Err(Error::config(
+            name,
+            format!(
+                "rotation part is not a rotation: largest entry of RᵀR − I is {worst:.3e}, at most {ROTATION_TOLERANCE:e}"
+            ),
+        ))
     }
 
     /// As nalgebra's isometry.
@@ -127,4 +136,16 @@ impl Pose {
             position: [m[(0, 3)], m[(1, 3)], m[(2, 3)]],
         }
     }
+}
+
+/// Error of one entry of `RᵀR − I`.
+#[inline(always)]
+fn orthogonality_error(r: &[[f64; 3]; 3], i: usize, j: usize) -> f64 {
+    (r[0][i] * r[0][j] + r[1][i] * r[1][j] + r[2][i] * r[2][j] - f64::from(u8::from(i == j))).abs()
+}
+
+#[inline(always)]
+fn determinant(r: &[[f64; 3]; 3]) -> f64 {
+    r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1]) - r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0])
+        + r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0])
 }

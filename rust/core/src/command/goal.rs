@@ -1,59 +1,44 @@
 //! Goals: scaling of parts, joints at their position limits, slew.
 
-use crate::{JointVec, MAX_JOINTS, Rows};
+use crate::number::Lanes;
+use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Factors in [0, 1], one per part, so that `|base + Σ f_p part_p| ≤ bound` for every joint.
 ///
 /// Parts give way in their order: the second is scaled only when the first, gone altogether, was not enough.
 #[inline(always)]
-pub(crate) fn scale_to_fit<const P: usize>(
-    base: &JointVec,
-    parts: [&JointVec; P],
-    bound: &JointVec,
-    n: usize,
-) -> [f64; P] {
+pub(crate) fn scale_to_fit<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [f64; P] {
     // Nearly always everything fits: that is found out without a branch per joint.
-    let mut beyond = false;
-    for i in 0..n.min(MAX_JOINTS) {
-        let mut all = base[i];
-        for part in parts {
-            all += part[i];
-        }
-        beyond |= all.abs() > bound[i];
+    let mut all = base;
+    for part in parts {
+        all = all + part;
     }
-    if beyond { shrink(base, parts, bound, n) } else { [1.0; P] }
+    if bound.any_less(J::abs(all)) { shrink(base, parts, bound) } else { [1.0; P] }
 }
 
-#[inline(never)]
-fn shrink<const P: usize>(base: &JointVec, parts: [&JointVec; P], bound: &JointVec, n: usize) -> [f64; P] {
+#[inline(always)]
+fn shrink<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [f64; P] {
+    let (zero, one) = (J::splat(0.0), J::splat(1.0));
+    // A part that moves a joint by no more than rounding cannot mend it and must not vanish for it; nor may it for a sum
+    // that the part before has brought to the bound up to rounding.
+    let rounding = bound * J::splat(1e-9);
     let mut factors = [1.0; P];
     for p in 0..P {
-        let mut least: f64 = 1.0;
-        let mut fits = true;
-        for i in 0..n.min(MAX_JOINTS) {
-            let mut others = base[i];
-            for o in 0..P {
-                if o != p {
-                    others += factors[o] * parts[o][i];
-                }
-            }
-            let part = parts[p][i];
-            let all = others + part;
-            // A part that moves this joint by no more than rounding cannot mend it and must not vanish for it; nor may
-            // it for a sum that the part before has brought to the bound up to rounding.
-            let rounding = 1e-9 * bound[i];
-            if all.abs() > bound[i] + rounding {
-                fits = false;
-                if part.abs() > rounding {
-                    let edge = bound[i].copysign(all);
-                    least = least.min(((edge - others) / part).clamp(0.0, 1.0));
-                }
+        let mut others = base;
+        for o in 0..P {
+            if o != p {
+                others = J::fma(J::splat(factors[o]), parts[o], others);
             }
         }
-        if fits {
+        let (part, all) = (parts[p], others + parts[p]);
+        let most = bound + rounding;
+        if !most.any_less(J::abs(all)) {
             break;
         }
-        factors[p] = least;
+        let room = (J::copy_sign(bound, all) - others) / part;
+        let missing = one - J::at_most(J::at_least(room, zero), one);
+        let missing = J::if_less(rounding, J::abs(part), missing, zero);
+        factors[p] = 1.0 - J::if_less(most, J::abs(all), missing, zero).largest();
     }
     factors
 }
@@ -61,22 +46,23 @@ fn shrink<const P: usize>(base: &JointVec, parts: [&JointVec; P], bound: &JointV
 /// How far beyond its position limit [rad] a joint still pushes outward, where the delay lets it fade that fast.
 const STOP_WIDTH: f64 = 0.02;
 
-/// A `lead` [rad] that serves a force, of a joint at `q`: what points out of the limits shrinks once q is beyond them.
+/// A `lead` [rad] that serves a force, of joints at `q`: what points out of the limits shrinks once q is beyond them.
 ///
 /// It may pass the limit, for a joint at its stop could not exert a torque otherwise; but nothing is to push the joint
 /// itself farther out. `slope` is by how much it shrinks per rad at most: a stop stiffer than that rings with the delay.
 #[inline(always)]
-pub(crate) fn fade_beyond(lead: f64, q: f64, lower: f64, upper: f64, slope: f64) -> f64 {
-    let beyond = at_least(if lead > 0.0 { q - upper } else { lower - q }, 0.0);
-    let size = lead.abs();
-    at_least(size - at_most(size / STOP_WIDTH, slope) * beyond, 0.0).copysign(lead)
+pub(crate) fn fade_beyond<J: Lanes>(lead: J, q: J, lower: J, upper: J, slope: f64) -> J {
+    let zero = J::splat(0.0);
+    let beyond = J::at_least(J::if_less(zero, lead, q - upper, lower - q), zero);
+    let size = J::abs(lead);
+    let faded = J::fnma(J::at_most(size / J::splat(STOP_WIDTH), J::splat(slope)), beyond, size);
+    J::copy_sign(J::at_least(faded, zero), lead)
 }
 
 /// Finds joints that are to move beyond a position limit, and the lead that brings them onto the limit.
 ///
 /// Returns whether a joint was added to `locked`. A locked joint keeps the lead it still has and the others take over what
 /// it cannot do, so that the rest of the task stays right; it is not unlocked within a tick.
-#[inline(always)]
 pub(crate) fn lock(
     goal: &JointVec,
     without_lead: &JointVec,
@@ -84,10 +70,9 @@ pub(crate) fn lock(
     upper: &JointVec,
     locked: &mut [bool; MAX_JOINTS],
     fixed_lead: &mut JointVec,
-    n: usize,
 ) -> bool {
     let mut added = false;
-    for i in 0..n.min(MAX_JOINTS) {
+    for i in 0..MAX_JOINTS {
         if !locked[i] && (goal[i] > upper[i] || goal[i] < lower[i]) {
             locked[i] = true;
             fixed_lead[i] = goal[i].clamp(lower[i], upper[i]) - without_lead[i];
@@ -100,42 +85,25 @@ pub(crate) fn lock(
 /// Moves `from` by at most `step` toward `to` within `lower` and `upper`.
 ///
 /// A goal that starts outside them walks back in; it does not jump.
-/// A `to` that is not a number stays one (`f64::max` would drop it), so that the step can refuse to send it.
+/// A `to` that is not a number stays one, so that the step can refuse to send it.
 #[inline(always)]
-pub(crate) fn slew(from: f64, to: f64, step: f64, lower: f64, upper: f64) -> f64 {
-    at_most(at_least(at_most(at_least(to, lower), upper), from - step), from + step)
-}
-
-/// The larger of two numbers; NaN where `value` is.
-#[inline(always)]
-pub(crate) fn at_least(value: f64, bound: f64) -> f64 {
-    if value < bound { bound } else { value }
-}
-
-/// The smaller of two numbers; NaN where `value` is.
-#[inline(always)]
-pub(crate) fn at_most(value: f64, bound: f64) -> f64 {
-    if value > bound { bound } else { value }
-}
-
-/// `value` within ± `most`; NaN where `value` is, and no panic where `most` is.
-#[inline(always)]
-pub(crate) fn clip(value: f64, most: f64) -> f64 {
-    at_most(at_least(value, -most), most)
+pub(crate) fn slew<J: Lanes>(from: J, to: J, step: J, lower: J, upper: J) -> J {
+    J::at_most(J::at_least(J::at_most(J::at_least(to, lower), upper), from - step), from + step)
 }
 
 /// Joint speeds [rad/s] that keep the tool within its `[linear, angular]` speed by one joint alone, and the joint's own.
+///
+/// `world` is the Jacobian in base axes.
 #[inline(always)]
-pub(crate) fn register_speed(world: &Rows, tool: [f64; 2], joint: &JointVec, n: usize) -> JointVec {
-    let mut out = *joint;
-    for i in 0..n.min(MAX_JOINTS) {
-        let squared = |from: usize| {
-            world[from][i] * world[from][i]
-                + world[from + 1][i] * world[from + 1][i]
-                + world[from + 2][i] * world[from + 2][i]
-        };
-        let most = |speed: f64, squared: f64| speed / at_least(squared.sqrt(), 1e-9);
-        out[i] = at_most(at_most(joint[i], most(tool[0], squared(0))), most(tool[1], squared(3)));
+pub(crate) fn register_speed<J: Lanes>(world: &[J; MAX_AXES], tool: [f64; 2], joint: J) -> J {
+    let mut out = joint;
+    for block in 0..2 {
+        if tool[block].is_infinite() {
+            continue;
+        }
+        let [x, y, z] = [world[3 * block], world[3 * block + 1], world[3 * block + 2]];
+        let lever = J::sqrt(J::fma(z, z, J::fma(y, y, x * x)));
+        out = J::at_most(out, J::splat(tool[block]) / J::at_least(lever, J::splat(1e-9)));
     }
     out
 }
@@ -143,23 +111,32 @@ pub(crate) fn register_speed(world: &Rows, tool: [f64; 2], joint: &JointVec, n: 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::number::{Arithmetic, EveryJoint};
 
-    fn vector(values: &[f64]) -> JointVec {
+    fn array(values: &[f64]) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
         out[..values.len()].copy_from_slice(values);
         out
+    }
+
+    fn vector(values: &[f64]) -> EveryJoint {
+        EveryJoint::load(&array(values))
+    }
+
+    fn first(values: EveryJoint) -> f64 {
+        values.array()[0]
     }
 
     #[test]
     fn the_first_part_gives_way_first() {
         let base = vector(&[1.0, 0.0]);
         let (soft, stiff, bound) = (vector(&[4.0, 1.0]), vector(&[6.0, 1.0]), vector(&[9.0, 9.0]));
-        let factors = |bound: &JointVec| scale_to_fit(&base, [&soft, &stiff], bound, 2).map(f64::to_bits);
-        assert_eq!(factors(&bound), [0.5, 1.0].map(f64::to_bits));
+        let factors = |bound: EveryJoint| scale_to_fit(base, [soft, stiff], bound).map(f64::to_bits);
+        assert_eq!(factors(bound), [0.5, 1.0].map(f64::to_bits));
         let bound = vector(&[4.0, 9.0]);
-        assert_eq!(factors(&bound), [0.0, 0.5].map(f64::to_bits));
+        assert_eq!(factors(bound), [0.0, 0.5].map(f64::to_bits));
         let bound = vector(&[20.0, 9.0]);
-        assert_eq!(factors(&bound), [1.0, 1.0].map(f64::to_bits));
+        assert_eq!(factors(bound), [1.0, 1.0].map(f64::to_bits));
     }
 
     #[test]
@@ -167,8 +144,8 @@ mod tests {
         let base = vector(&[-4.1, 0.0]);
         for bound in [10.3, 10.7, 9.9, 6.4] {
             for soft in [17.3, 21.9, 30.1] {
-                let parts = [&vector(&[soft, 0.0]), &vector(&[1e-17, 3.0])];
-                let factors = scale_to_fit(&base, parts, &vector(&[bound, 9.0]), 2);
+                let parts = [vector(&[soft, 0.0]), vector(&[1e-17, 3.0])];
+                let factors = scale_to_fit(base, parts, vector(&[bound, 9.0]));
                 assert!((factors[1] - 1.0).abs() < 1e-9, "{factors:?}");
             }
         }
@@ -176,15 +153,22 @@ mod tests {
 
     #[test]
     fn what_is_not_a_number_is_not_hidden() {
-        assert!(slew(0.5, f64::NAN, 0.1, -1.0, 1.0).is_nan());
-        assert!((slew(0.5, 2.0, 0.1, -1.0, 1.0) - 0.6).abs() < 1e-15);
-        assert!((slew(0.5, -2.0, f64::INFINITY, -1.0, 1.0) + 1.0).abs() < 1e-15);
-        assert!((slew(3.0, 0.0, 0.1, -1.0, 1.0) - 2.9).abs() < 1e-15);
+        let at = |from, to, step| {
+            let [from, to, step, one] = [from, to, step, 1.0].map(EveryJoint::splat);
+            first(slew(from, to, step, -one, one))
+        };
+        assert!(at(0.5, f64::NAN, 0.1).is_nan());
+        assert!((at(0.5, 2.0, 0.1) - 0.6).abs() < 1e-15);
+        assert!((at(0.5, -2.0, f64::INFINITY) + 1.0).abs() < 1e-15);
+        assert!((at(3.0, 0.0, 0.1) - 2.9).abs() < 1e-15);
     }
 
     #[test]
     fn a_force_leads_beyond_the_limit_but_not_the_joint() {
-        let at = |lead, q, slope| fade_beyond(lead, q, -1.0, 1.0, slope);
+        let at = |lead: f64, q: f64, slope| {
+            let [lead, q, one] = [lead, q, 1.0].map(EveryJoint::splat);
+            first(fade_beyond(lead, q, -one, one, slope))
+        };
         for q in [-0.5, 1.0, -7.0] {
             assert!((at(0.1, q, 2.0) - 0.1).abs() < 1e-15, "inward or inside: untouched");
         }
@@ -196,15 +180,14 @@ mod tests {
 
     #[test]
     fn a_base_beyond_the_bound_leaves_nothing() {
-        let factors = scale_to_fit(&vector(&[5.0]), [&vector(&[1.0]), &vector(&[1.0])], &vector(&[2.0]), 1);
+        let factors = scale_to_fit(vector(&[5.0]), [vector(&[1.0]), vector(&[1.0])], vector(&[2.0]));
         assert_eq!(factors.map(f64::to_bits), [0, 0]);
     }
 
     #[test]
     fn a_goal_beyond_the_limit_keeps_the_lead_that_is_left() {
         let (mut locked, mut lead) = ([false; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        let added =
-            lock(&vector(&[1.2]), &vector(&[0.7]), &vector(&[-1.0]), &vector(&[1.0]), &mut locked, &mut lead, 1);
+        let added = lock(&array(&[1.2]), &array(&[0.7]), &array(&[-1.0]), &array(&[1.0]), &mut locked, &mut lead);
         assert!(added && locked[0] && (lead[0] - 0.3).abs() < 1e-15);
     }
 }

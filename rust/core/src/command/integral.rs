@@ -1,7 +1,7 @@
 //! The integrating goal of stiff axes, leashed to what the limits can use.
 
-use crate::command::goal::clip;
-use crate::law::inverse::{Cholesky, times, transpose_times, weighted_gram};
+use crate::law::inverse::{Factor, damped, load_rows, times, transpose_times, weighted_gram};
+use crate::number::{Arithmetic, EveryJoint, Lanes, Plain};
 use crate::plan::Plan;
 use crate::{AxisVec, JointVec, Rows};
 
@@ -34,23 +34,21 @@ impl Addition<'_> {
             let room = servos.torque[i] - self.gravity[i].abs();
             let usable = room.is_finite() && servos.has_kp;
             let leash = if usable { room.max(0.0) * servos.compliance[i] } else { LEAD_UNKNOWN };
-            stored[i] = clip(stored[i] + self.share * self.lead[i], leash);
+            stored[i] = Plain::clip(stored[i] + self.share * self.lead[i], leash);
         }
         let by_force = plan.law.by_force();
         if !by_force && self.softness.iter().all(|&w| w <= 0.0) {
             return;
         }
         // The wrench that the stored lead exerts, W = (C + λ²/k̄)⁻¹ J z, less what may stay of it.
-        let mut compliance = weighted_gram(self.rows, &servos.compliance, k, n);
-        for (r, row) in compliance.iter_mut().enumerate().take(k) {
-            row[r] += self.damping[r] / servos.kp_mean;
-        }
-        let mut wrench = Cholesky::new(&compliance, k).solve(&times(self.rows, stored, k, n));
+        let (rows, compliance) = (load_rows(self.rows), EveryJoint::load(&servos.compliance));
+        let c = damped(weighted_gram(&rows, compliance), &self.damping.map(|squared| squared / servos.kp_mean));
+        let mut wrench = Factor::new::<Plain>(&c).solve::<Plain>(&times(&rows, EveryJoint::load(stored)));
         for (r, row) in plan.rows.iter().enumerate().take(k) {
             let most = if by_force { row.hold } else { f64::INFINITY };
             wrench[r] -= (1.0 - self.softness[r]) * wrench[r].clamp(-most, most);
         }
-        let torque = transpose_times(self.rows, &wrench, k, n);
+        let torque = transpose_times(&rows, &wrench).array();
         (0..n).for_each(|i| stored[i] -= servos.compliance[i] * torque[i]);
     }
 }

@@ -6,7 +6,8 @@ use super::{Contact, ContactInput, HISTORY, Memory, Sent, Tare, WrenchEstimate};
 use crate::controller::Controller;
 use crate::error::{Error, Result};
 use crate::kinematics::Frames;
-use crate::law::feedforward::{SPEED_BOUND, VelocityFilter};
+use crate::law::feedforward::{Filtered, SPEED_BOUND, VelocityFilter};
+use crate::number::{EveryJoint, Lanes};
 use crate::pose::COORDINATE_BOUND;
 use crate::task::axes::AXIS_NAMES;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows, survey};
@@ -246,10 +247,11 @@ impl Contact {
             (memory.filter, memory.before) = (VelocityFilter::new(q), *q);
             (memory.slow, memory.started) = (dq.copied().unwrap_or_default(), true);
         }
-        match dq {
-            Some(dq) => memory.filter.set(q, dq),
-            None => memory.filter.update(q, &self.joints.count, filter, dt, self.joints.n),
-        }
+        let held = EveryJoint::load(q);
+        memory.filter.keep(match dq {
+            Some(dq) => Filtered { held, velocity: EveryJoint::load(dq) },
+            None => memory.filter.after(held, EveryJoint::load(&self.joints.count), filter, dt),
+        });
         let velocity = memory.filter.velocity;
         let mut motion = Motion { velocity, ..Motion::default() };
         motion.noise.reading = self.reading_noise(dt);
@@ -292,7 +294,7 @@ impl Contact {
                 payload[i] -= row[i] * g;
             }
         }
-        let rows = crate::task::rows(&world, &base_from_task, &self.axes, self.joints.n);
+        let rows = crate::task::rows(&world, &base_from_task, &self.axes);
         Seen { rows, base_from_task, gravity, payload, frames }
     }
 

@@ -1,7 +1,8 @@
 //! From residual joint torques to a wrench and its bound.
 
 use crate::kinematics::JointMatrix;
-use crate::law::inverse::{Cholesky, weighted_gram};
+use crate::law::inverse::{Factor, damped, load_rows, rows_array, weighted_gram};
+use crate::number::{EveryJoint, Lanes, Plain};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Linear estimate `F = G r` of `r = JᵀF + ε`, `|ε_i| ≤ u_i`, `|F_k| ≤ most_k`.
@@ -24,24 +25,19 @@ impl Estimator {
         for i in 0..n {
             weight[i] = 1.0 / (uncertainty[i] * uncertainty[i]);
         }
-        let mut m = weighted_gram(rows, &weight, k, n);
+        let mut prior = [0.0; MAX_AXES];
         for r in 0..k {
-            m[r][r] += 1.0 / (most[r] * most[r]);
+            prior[r] = 1.0 / (most[r] * most[r]);
         }
-        let mut weighted = *rows;
-        for row in weighted.iter_mut().take(k) {
-            for (value, weight) in row.iter_mut().zip(weight) {
-                *value *= weight;
-            }
-        }
-        let factor = Cholesky::new(&m, k);
-        let gain = factor.solve_rows(&weighted, n);
+        let (rows, weight) = (load_rows(rows), EveryJoint::load(&weight));
+        let factor = Factor::new::<Plain>(&damped(weighted_gram(&rows, weight), &prior));
+        let gain = rows_array(&factor.weighted_rows(&rows, weight));
         let mut blind = [0.0; MAX_AXES];
         for c in 0..k {
             // G Jᵀ − I = −(J W Jᵀ + P⁻¹)⁻¹ P⁻¹, without the cancellation.
-            let mut prior = [0.0; MAX_AXES];
-            prior[c] = 1.0 / (most[c] * most[c]);
-            let column = factor.solve(&prior);
+            let mut own = [0.0; MAX_AXES];
+            own[c] = prior[c];
+            let column = factor.solve::<Plain>(&own);
             for r in 0..k {
                 blind[r] += column[r].abs() * most[c];
             }

@@ -12,52 +12,48 @@ const SHORTEST_PERIOD: f64 = 1e-6;
 /// Longest time between two steps [s].
 const LONGEST_PERIOD: f64 = 10.0;
 
-/// A step's input, read and checked.
+/// A step's input, read and checked; what was not given is `None`.
+#[derive(Default)]
 pub(crate) struct Input {
     pub(super) dt: f64,
     pub(super) dq: Option<JointVec>,
     pub(super) twist: Option<AxisVec>,
-    pub(super) gradient: JointVec,
-    pub(super) rest: JointVec,
+    pub(super) gradient: Option<JointVec>,
+    pub(super) rest: Option<JointVec>,
 }
 
 impl Controller {
-    pub(crate) fn read(&self, input: &StepInput<'_>) -> Result<Input> {
+    /// Reads into `out`, which a step mostly leaves nearly empty: that is not moved about.
+    #[inline]
+    pub(crate) fn read(&self, input: &StepInput<'_>, out: &mut Input) -> Result<()> {
         let dt = input.dt.unwrap_or(1.0 / self.settings.rate);
         if !(dt > 0.0 && dt <= LONGEST_PERIOD) {
             return Err(Error::limit("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]")));
         }
-        for value in input.twist.into_iter().flatten() {
-            if !(value.abs() <= SPEED_BOUND) {
-                return Err(Error::limit("twist [m/s, rad/s]", *value, format!("±{SPEED_BOUND} and finite")));
-            }
+        out.dt = dt.max(SHORTEST_PERIOD);
+        if let Some(twist) = input.twist {
+            out.twist = Some(checked_twist(twist)?);
         }
-        let rest = match (input.posture, &self.settings.posture) {
-            (Some(posture), _) => self.positions("posture", posture)?,
-            (None, Some(posture)) => self.positions("posture", posture)?,
-            (None, None) => self.memory.rest,
-        };
-        Ok(Input {
-            dt: dt.max(SHORTEST_PERIOD),
-            dq: input.dq.map(|dq| self.joints("dq", dq, SPEED_BOUND)).transpose()?,
-            twist: input.twist.copied(),
-            gradient: match input.gradient {
-                Some(gradient) => self.joints("gradient", gradient, COORDINATE_BOUND)?,
-                None => [0.0; MAX_JOINTS],
-            },
-            rest,
-        })
+        if let Some(posture) = input.posture {
+            out.rest = Some(self.positions("posture", posture)?);
+        }
+        if let Some(dq) = input.dq {
+            out.dq = Some(self.joints("dq", dq, SPEED_BOUND)?);
+        }
+        if let Some(gradient) = input.gradient {
+            out.gradient = Some(self.joints("gradient", gradient, COORDINATE_BOUND)?);
+        }
+        Ok(())
     }
 
     /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
     #[inline]
     pub(crate) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
-        let [least, most] = &self.plan.readable;
-        let mut out = [0.0; MAX_JOINTS];
-        let mut fine = values.len() == self.plan.n;
-        for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
-            fine &= value >= least[i] && value <= most[i];
-            *slot = value;
+        let ([least, most], n) = (&self.plan.readable, self.plan.n.min(MAX_JOINTS));
+        let (mut out, mut fine) = ([0.0; MAX_JOINTS], values.len() == n);
+        for i in 0..n.min(values.len()) {
+            fine &= (values[i] >= least[i]) & (values[i] <= most[i]);
+            out[i] = values[i];
         }
         if fine { Ok(out) } else { self.explain(what, values) }
     }
@@ -98,4 +94,13 @@ impl Controller {
         }
         Ok(out)
     }
+}
+
+fn checked_twist(twist: &AxisVec) -> Result<AxisVec> {
+    for value in twist {
+        if !(value.abs() <= SPEED_BOUND) {
+            return Err(Error::limit("twist [m/s, rad/s]", *value, format!("±{SPEED_BOUND} and finite")));
+        }
+    }
+    Ok(*twist)
 }

@@ -1,6 +1,6 @@
 //! The control step: the staircase that calls each floor once and has no formula of its own.
 
-mod input;
+pub(crate) mod input;
 pub(crate) mod kept;
 pub(crate) mod memory;
 pub(crate) mod record;
@@ -12,7 +12,7 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use crate::error::{Error, Result};
-use crate::kinematics::{Frames, Masses};
+use crate::kinematics::{Frames, LookScratch, Masses};
 use crate::model::{Model, Payload};
 use crate::number::Instructions;
 use crate::plan::Plan;
@@ -24,7 +24,6 @@ use crate::{JointVec, MAX_JOINTS, survey};
 pub use record::Record;
 
 use memory::Memory;
-use step::Scratch;
 
 /// What the servos get: one entry per joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -84,7 +83,7 @@ pub struct Controller {
     record: Record,
     command: Command,
     instructions: Instructions,
-    scratch: Scratch,
+    scratch: LookScratch,
 }
 
 impl Controller {
@@ -99,7 +98,7 @@ impl Controller {
             survey::check_holding(&model, &plan.servos.torque, &masses, model.gravity_vector())?;
         }
         let zero = [0.0; MAX_JOINTS];
-        Ok(Self {
+        let controller = Self {
             gravity: model.gravity_vector(),
             delay: settings.delay,
             memory: Memory::new(),
@@ -107,13 +106,20 @@ impl Controller {
             command: Command { n: plan.n, goal: zero, torque_limit: zero, velocity: zero },
             captured: None,
             instructions: Instructions::chosen(),
-            scratch: Scratch::new(),
+            scratch: LookScratch::new(),
             model,
             settings,
             servos,
             plan,
             masses,
-        })
+        };
+        controller.check_posture(&controller.settings)?;
+        Ok(controller)
+    }
+
+    /// A rest posture is one that the joints could be read in.
+    fn check_posture(&self, settings: &Settings) -> Result<()> {
+        settings.posture.as_ref().map_or(Ok(()), |posture| self.positions("posture", posture).map(|_| ()))
     }
 
     /// The robot.
@@ -216,6 +222,7 @@ impl Controller {
     /// As [`Controller::new`]; the controller is then as before.
     pub fn update(&mut self, settings: Settings) -> Result<()> {
         let mut plan = Plan::new(&self.model, &settings, self.servos.as_ref(), self.captured.is_some())?;
+        self.check_posture(&settings)?;
         if let Some(kg) = self.captured {
             plan.kg = kg;
         }
@@ -226,8 +233,6 @@ impl Controller {
         plan.derate(self.delay, &settings);
         self.settings = settings;
         self.plan = plan;
-        // Rows that the new task has not got must be zero again.
-        self.scratch = Scratch::new();
         self.adapt_memory();
         Ok(())
     }

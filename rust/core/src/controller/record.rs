@@ -2,9 +2,10 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::law::activation::{Activation, activation, null_column, product, responsibility};
-use crate::law::inverse::pseudo_inverse;
-use crate::law::nullspace::{NullSpace, fade_squared};
+use crate::law::activation::{Activation, null_column, product, responsibility, row_lengths};
+use crate::law::inverse::{load_rows, pseudo_inverse, rows_array};
+use crate::law::nullspace::{JointSquare, fade_squared, projector};
+use crate::number::{Arithmetic, EveryJoint, Lanes};
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::Projector;
@@ -99,34 +100,35 @@ impl Record {
 
     fn pseudo_inverse(&self, plan: &Plan) -> Rows {
         let squared = plan.damping_scale.map(|scale| scale * self.damping * self.damping);
-        pseudo_inverse(&self.rows, &plan.joint_weight, &squared, plan.k, plan.n)
+        pseudo_inverse(&self.rows, &plan.joint_weight, &squared)
     }
 
     /// N as the settings have it.
-    fn projector(&self, plan: &Plan) -> crate::law::nullspace::JointSquare {
+    fn projector(&self, plan: &Plan) -> JointSquare {
+        let size = (plan.k, plan.n);
         match plan.projector {
             Projector::Paper => {
                 let squared = plan.damping_scale.map(|scale| scale * self.damping * self.damping);
-                NullSpace::new(&self.rows, &plan.joint_weight, &squared, plan.k, plan.n).matrix()
+                projector(&self.rows, &plan.joint_weight, &squared, size)
             }
             Projector::Exact => {
-                let scaled = plan.scale_rows(&self.rows, plan.n);
+                let scaled = rows_array(&plan.scale_rows(&load_rows::<EveryJoint>(&self.rows)));
                 let [smallest, largest] = self.sigma(plan);
                 let mu_squared = fade_squared(smallest, largest);
-                NullSpace::new(&scaled, &plan.joint_weight, &[mu_squared; MAX_AXES], plan.k, plan.n).matrix()
+                projector(&scaled, &plan.joint_weight, &[mu_squared; MAX_AXES], size)
             }
         }
     }
 
     /// A of (10) over all joints, locked ones too.
-    pub(crate) fn shares(&self, plan: &Plan) -> Activation {
+    pub(crate) fn shares(&self, plan: &Plan) -> Activation<EveryJoint> {
         let null = if plan.k < plan.n {
             let projector = self.projector(plan);
-            null_column(&product(&projector, &self.gradient, plan.n), || projector, plan.n)
+            null_column(EveryJoint::load(&product(&projector, &self.gradient)), || row_lengths(&projector))
         } else {
-            [0.0; MAX_JOINTS]
+            EveryJoint::splat(0.0)
         };
-        activation(&self.pseudo_inverse(plan), null, plan.k, plan.n)
+        Activation::new(&load_rows(&self.pseudo_inverse(plan)), null)
     }
 
     /// Activation matrix A of (10), n × (k + 1), the null-space column last.
@@ -136,8 +138,8 @@ impl Record {
 
     /// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|` and `|α N∇g|`.
     pub(crate) fn responsibility(&self, plan: &Plan) -> DMatrix<f64> {
-        let null = product(&self.projector(plan), &self.gradient, plan.n);
-        responsibility(&self.pseudo_inverse(plan), &self.dx, &null, plan.alpha, plan.k).matrix(plan.k, plan.n)
+        let null = product(&self.projector(plan), &self.gradient);
+        responsibility(&self.pseudo_inverse(plan), &self.dx, &null, plan.alpha, (plan.k, plan.n))
     }
 
     /// The task rows, k × n.
@@ -147,7 +149,7 @@ impl Record {
 
     /// All singular values of the scaled task rows, largest first (an SVD: off the hot path).
     pub(crate) fn singular_values(&self, plan: &Plan) -> DVector<f64> {
-        let scaled = plan.scale_rows(&self.rows, plan.n);
-        crate::law::svd::singular_values(&DMatrix::from_fn(plan.k, plan.n, |r, i| scaled[r][i]))
+        let scaled = |r: usize, i: usize| plan.row_scale[r] * self.rows[r][i];
+        crate::law::svd::singular_values(&DMatrix::from_fn(plan.k, plan.n, scaled))
     }
 }

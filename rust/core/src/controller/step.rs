@@ -1,18 +1,20 @@
 //! One tick, from reading to command.
 
-use crate::command::goal::{clip, register_speed, slew};
+use crate::command::goal::{register_speed, slew};
 use crate::command::integral::Addition;
-use crate::command::limits::{Load, finish, within};
+use crate::command::limits::{Load, finish};
 use crate::controller::input::Input;
 use crate::controller::memory::Memory;
 use crate::controller::record::Record;
-use crate::controller::solve::{Solution, solve};
+use crate::controller::solve::{Solution, solve, without_locked};
 use crate::controller::{Command, Controller, StepInput};
 use crate::error::{Error, Result};
-use crate::kinematics::{Frames, Masses};
-use crate::law::inverse::transpose_times;
+use crate::kinematics::{Frames, LookScratch, Masses, View};
+use crate::law::feedforward::Filtered;
+use crate::law::inverse::{axes, rows_array, transpose_times};
+use crate::law::singular::SingularValues;
 use crate::model::Chain;
-use crate::number::{Kernel, Machine};
+use crate::number::{Arithmetic, EveryJoint, Kernel, LANES, Lanes, Machine, Pair, Wide};
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::{Law, LimitRule, Settings};
@@ -29,53 +31,28 @@ const LONGEST_SLEW: f64 = 0.1;
 /// Lead [rad] allowed under law `paper` where nothing is known of the servos.
 const LEAD_UNKNOWN: f64 = 0.3;
 
-/// What a step works in; nothing of it outlives the step.
-#[derive(Debug, Clone)]
-pub(super) struct Scratch {
-    frames: Frames,
-    seen: Seen,
-    /// Task rows, columns of locked joints zero.
-    free: Rows,
-}
-
-impl Scratch {
-    pub(super) fn new() -> Self {
-        let (rows, joints) = ([[0.0; MAX_JOINTS]; MAX_AXES], [0.0; MAX_JOINTS]);
-        let seen = Seen {
-            q: joints,
-            world: rows,
-            base_from_task: Pose::IDENTITY.rotation,
-            rows,
-            error: [0.0; MAX_AXES],
-            reference: Pose::IDENTITY,
-            limited: [false; MAX_AXES],
-            holding: joints,
-            gravity_in_goal: joints,
-            gravity_in_limit: joints,
-        };
-        Self { frames: Frames::default(), seen, free: rows }
-    }
-}
-
 /// Line 2: the arm at the predicted positions.
-#[derive(Debug, Clone)]
-pub(super) struct Seen {
+#[derive(Clone, Copy)]
+pub(super) struct Seen<J> {
     /// q̂ [rad].
-    pub(super) q: JointVec,
-    /// Jacobian in base axes (6 × n).
-    pub(super) world: Rows,
+    pub(super) q: J,
+    /// Pose of the tool, Jacobian, torques that hold the arm.
+    pub(super) view: View<J>,
     pub(super) base_from_task: [[f64; 3]; 3],
     /// Jacobian rows of the task's axes, in the task frame (k × n).
-    pub(super) rows: Rows,
+    pub(super) rows: [J; MAX_AXES],
+    pub(super) gravity_in_goal: J,
+    gravity_in_limit: J,
+}
+
+/// Where the tool is to go. Apart from [`Seen`], for deviation limits may change it: only what nobody else holds the
+/// address of stays in registers.
+struct Aim {
+    reference: Pose,
     /// Deviation (6,) in the task frame.
     error: AxisVec,
-    reference: Pose,
     /// Which of x, y, z, roll, pitch, yaw met its deviation limit.
     limited: [bool; MAX_AXES],
-    /// Torques that hold the arm [N·m].
-    holding: JointVec,
-    pub(super) gravity_in_goal: JointVec,
-    gravity_in_limit: JointVec,
 }
 
 impl Controller {
@@ -86,22 +63,25 @@ impl Controller {
     }
 
     pub(crate) fn advance(&mut self, q: &JointVec, target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
-        let before = self.memory;
-        if !before.started {
-            self.restart(q);
+        if !self.memory.started {
+            return self.start(q, target, input);
         }
-        let done = self.read(input).and_then(|input| {
-            let instructions = self.instructions;
-            if instructions.run_single(self.cycle(q, target, &input)) {
-                Ok(())
-            } else {
-                Err(Error::config(
-                    "step",
-                    "the command is not finite for this q, target and settings: nothing was sent",
-                ))
-            }
-        });
-        if let Err(error) = done {
+        let asked = input;
+        let mut input = Input::default();
+        self.read(asked, &mut input)?;
+        let instructions = self.instructions;
+        if instructions.run_single(self.cycle(q, target, &input)) {
+            return Ok(&self.command);
+        }
+        Err(Error::config("step", "the command is not finite for this q, target and settings: nothing was sent"))
+    }
+
+    /// The first step, which resets.
+    #[cold]
+    fn start(&mut self, q: &JointVec, target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
+        let before = self.memory;
+        self.restart(q);
+        if let Err(error) = self.advance(q, target, input).map(|_| ()) {
             self.memory = before;
             return Err(error);
         }
@@ -139,185 +119,274 @@ struct Cycle<'a> {
     target: &'a Pose,
     input: &'a Input,
     memory: &'a mut Memory,
-    scratch: &'a mut Scratch,
+    scratch: &'a mut LookScratch,
     record: &'a mut Record,
     command: &'a mut Command,
 }
 
 impl Kernel for Cycle<'_> {
-    /// Whether the command can be sent: record and command are the last tick's where it cannot, memory is spoilt.
+    /// Whether the command can be sent: memory, record and command are the last tick's where it cannot.
     type Output = bool;
 
     #[inline(always)]
     fn run<M: Machine>(mut self) -> bool {
-        // Loops over a constant number of joints become straight vector code.
-        if self.plan.n <= 8 { self.tick::<M>(8) } else { self.tick::<M>(self.plan.n) }
+        if self.plan.n <= LANES { self.tick::<M::Eight>() } else { self.tick::<Pair<M::Eight>>() }
     }
 }
 
 impl Cycle<'_> {
-    /// Lines 1 to 12; `n` and the number of rows are constants where this is compiled, see [`crate::law::Tick`].
+    /// Lines 1 to 12.
     #[inline(always)]
-    fn tick<M: Machine>(&mut self, n: usize) -> bool {
-        let (plan, settings, k) = (self.plan, self.settings, MAX_AXES);
+    fn tick<J: Lanes>(&mut self) -> bool {
+        let (plan, settings) = (self.plan, self.settings);
         let dt = self.input.dt.min(LONGEST_SLEW);
 
-        let predicted = self.predict(n);
+        let filtered = self.filter::<J>();
+        let q = self.predict(&filtered);
         let speed = settings.max_tool_speed;
-        let before = self.memory.governor.pose();
-        let reference = self.memory.governor.follow(self.target, speed, settings.max_tool_acceleration, dt);
-        self.look::<M>(&predicted, reference, n);
-        let Scratch { frames, seen, free } = &mut *self.scratch;
+        let mut governor = self.memory.governor;
+        let reference = governor.follow(self.target, speed, settings.max_tool_acceleration, dt);
+        let seen = self.look(q);
+        let error = into_frame(&seen.base_from_task, &pose_error(&seen.view.tool, &reference));
+        let mut aim = Aim { reference, error, limited: [false; MAX_AXES] };
         if !plan.deviation_limits.is_empty() {
-            limit_deviation(plan, &before, &frames.tool, seen, &mut self.memory.governor);
+            let (tool, base_from_task) = (seen.view.tool, seen.base_from_task);
+            let pushed = Pushed { tool: &tool, base_from_task: &base_from_task, before: &self.memory.governor.pose() };
+            limit_deviation(plan, &pushed, &mut aim, &mut governor);
         }
         let twist = match &self.input.twist {
-            Some(twist) => into_frame(&seen.base_from_task, &self.memory.governor.velocity(twist, speed)),
+            Some(twist) => into_frame(&seen.base_from_task, &governor.velocity(twist, speed)),
             None => [0.0; MAX_AXES],
         };
-        let wish = Wish::new(plan, settings, &seen.error, &twist);
-        let solution = solve(plan, settings, (k, n), self.input, seen, &wish, self.memory, free);
-        let mut wrench = [0.0; MAX_AXES];
-        for r in 0..k {
-            wrench[r] = solution.motion.wrench.soft[r] + solution.motion.wrench.stiff[r];
-        }
+        let wish = Wish::new(plan, settings, &aim.error, &twist);
+        let mut singular = self.memory.singular;
+        let solution = solve(plan, settings, self.input, &seen, &wish, self.memory, &filtered, &mut singular);
 
-        let wanted = self.wanted_limits(&wish, &solution, &wrench, n);
-        let mut rise = [0.0; MAX_JOINTS];
-        for i in 0..n {
-            rise[i] = plan.rise[i] * dt;
-        }
-        let limit = finish(&wanted, self.memory.limit.as_ref(), &plan.floor, &plan.servos.torque, &rise, n);
+        let wanted = self.wanted_limits(&seen, &wish, &solution, &singular);
+        let (floor, ceiling) = (J::load(&plan.floor), J::load(&plan.servos.torque));
+        let rise = J::load(&plan.rise) * J::splat(dt);
+        let before = self.memory.limit.as_ref().map(J::load);
+        let limit = finish(wanted, before, floor, ceiling, rise);
         let mut goal = solution.goal;
         if plan.law == Law::Paper {
-            for i in 0..n {
-                let (lead, most) = (solution.motion.lead[i] + solution.motion.null[i], self.lead_limit(i, limit[i]));
-                goal[i] += clip(lead, most) - lead;
-            }
+            let lead = solution.motion.lead + solution.motion.null;
+            goal = goal + (J::clip(lead, self.lead_limit(limit)) - lead);
         }
-        let (mut saturated, mut finite, slack) = ([false; MAX_JOINTS], true, settings.goal_slew * dt);
-        for i in 0..n {
-            let (lower, upper) = (plan.lower[i] - plan.beyond[i], plan.upper[i] + plan.beyond[i]);
-            goal[i] = slew(self.memory.goal[i], goal[i], slack, lower, upper);
-        }
-        for i in 0..plan.n {
-            saturated[i] = limit[i] >= plan.servos.torque[i];
-            finite &= goal[i].is_finite() & limit[i].is_finite();
-        }
-        if !finite {
+        let beyond = J::load(&plan.beyond);
+        let (lower, upper) = (J::load(&plan.lower) - beyond, J::load(&plan.upper) + beyond);
+        goal = slew(J::load(&self.memory.goal), goal, J::splat(settings.goal_slew * dt), lower, upper);
+        // Neither an infinity nor what is not a number is less than infinity.
+        let (endless, nothing) = (J::splat(f64::INFINITY), J::splat(0.0));
+        let size = J::abs(goal) + J::abs(limit);
+        if nothing.any_less(J::if_less(size, endless, nothing, endless)) {
             return false;
         }
+        self.memory.filter.keep(filtered);
+        self.memory.gamma = solution.gamma;
+        (self.memory.singular, self.memory.cold) = (singular, self.memory.cold && !plan.follows_sigma());
+        self.memory.governor = governor;
         // A deviation that a limit keeps up is not to be worked off.
-        if settings.integrate > 0.0 && !self.scratch.seen.limited.contains(&true) {
-            self.integrate(dt, &wish, &solution);
+        if settings.integrate > 0.0 && !aim.limited.contains(&true) {
+            self.integrate(dt, &seen, &wish, &solution);
         }
-        self.memory.goal = goal;
-        self.memory.limit = Some(limit);
-        let seen = &self.scratch.seen;
-        note(self.record, plan, seen, &wish, &solution, self.memory, settings.horizon, &wrench);
-        self.record.saturated = saturated;
-        self.command.goal = goal;
-        self.command.torque_limit = limit;
-        self.command.velocity = register_speed(&seen.world, speed, &plan.joint_speed, n);
+        goal.store(&mut self.memory.goal);
+        let mut kept = [0.0; MAX_JOINTS];
+        limit.store(&mut kept);
+        self.memory.limit = Some(kept);
+        goal.store(&mut self.command.goal);
+        limit.store(&mut self.command.torque_limit);
+        register_speed(&seen.view.world, speed, J::load(&plan.joint_speed)).store(&mut self.command.velocity);
+        self.note(&seen, &aim, &wish, &solution, &filtered);
+        for i in 0..plan.n.min(MAX_JOINTS) {
+            self.record.saturated[i] = kept[i] >= plan.servos.torque[i];
+        }
         true
     }
 
     /// What the stiff axes and the null space add to the stored lead.
-    fn integrate(&mut self, dt: f64, wish: &Wish, solution: &Solution) {
-        let Scratch { seen, free, .. } = &*self.scratch;
-        let mut lead = solution.motion.lead;
-        for i in 0..self.plan.n {
-            lead[i] = if solution.locked[i] { 0.0 } else { lead[i] + solution.motion.null[i] };
+    #[inline(always)]
+    fn integrate<J: Lanes>(&mut self, dt: f64, seen: &Seen<J>, wish: &Wish<J::Axes>, solution: &Solution<J>) {
+        let mut lead = (solution.motion.lead + solution.motion.null).array();
+        for (value, &locked) in lead.iter_mut().zip(&solution.locked) {
+            *value = if locked { 0.0 } else { *value };
         }
         let addition = Addition {
             lead: &lead,
             share: self.settings.integrate * dt,
-            gravity: &seen.holding.map(|g| self.settings.gravity_scale * g),
-            softness: &wish.softness,
-            rows: if solution.locked.contains(&true) { free } else { &seen.rows },
-            damping: &solution.row_damping,
+            gravity: &(seen.view.holding * J::splat(self.settings.gravity_scale)).array(),
+            softness: &axes(wish.softness),
+            rows: &without_locked(&rows_array(&seen.rows), &solution.locked),
+            damping: &axes(solution.row_damping),
         };
         addition.store(&mut self.memory.integral, self.plan);
     }
 
-    /// Line 1: filtered velocity, and the positions at which the goal will arrive.
+    /// Line 1: filtered velocity.
     #[inline(always)]
-    fn predict(&mut self, n: usize) -> JointVec {
-        let (plan, filter) = (self.plan, &mut self.memory.filter);
+    fn filter<J: Lanes>(&self) -> Filtered<J> {
+        let q = J::load(self.q);
         match &self.input.dq {
-            Some(dq) => filter.set(self.q, dq),
-            None => filter.update(self.q, &plan.servos.count, self.settings.velocity_filter, self.input.dt, n),
-        }
-        let mut predicted = *self.q;
-        if plan.law.by_force() {
-            let ahead = self.memory.gamma * self.settings.prediction_share * self.delay;
-            for i in 0..n {
-                predicted[i] += ahead * filter.velocity[i];
+            Some(dq) => Filtered { held: q, velocity: J::load(dq) },
+            None => {
+                let count = J::load(&self.plan.servos.count);
+                self.memory.filter.after(q, count, self.settings.velocity_filter, self.input.dt)
             }
         }
-        predicted
     }
 
-    /// Line 2: kinematics, gravity and deviation.
+    /// Line 1: the positions at which the goal will arrive.
     #[inline(always)]
-    fn look<M: Machine>(&mut self, q: &JointVec, reference: Pose, n: usize) {
-        let (chain, Scratch { frames, seen, .. }) = (self.chain, &mut *self.scratch);
-        chain.forward_by::<M::One>(q, frames);
-        chain.jacobian_by::<M::One>(frames, &mut seen.world);
-        chain.gravity_by::<M::One>(frames, self.masses, self.gravity, &mut seen.holding);
-        seen.q = *q;
-        seen.base_from_task = task::base_from_task(&self.plan.frame, &frames.tool);
-        task::rows_into(&seen.world, &seen.base_from_task, &self.plan.axes, n, &mut seen.rows);
-        seen.error = into_frame(&seen.base_from_task, &pose_error(&frames.tool, &reference));
-        seen.reference = reference;
-        seen.limited = [false; MAX_AXES];
-        let gravity = self.settings.gravity;
-        let (in_goal, in_limits) = (f64::from(u8::from(gravity.in_goal())), f64::from(u8::from(gravity.in_limits())));
-        for i in 0..n {
-            seen.gravity_in_goal[i] = in_goal * seen.holding[i];
-            seen.gravity_in_limit[i] = in_limits * seen.holding[i];
+    fn predict<J: Lanes>(&self, filtered: &Filtered<J>) -> J {
+        let q = J::load(self.q);
+        if !self.plan.law.by_force() {
+            return q;
         }
+        let ahead = self.memory.gamma * self.settings.prediction_share * self.delay;
+        J::fma(J::splat(ahead), filtered.velocity, q)
+    }
+
+    /// Line 2: kinematics and gravity.
+    #[inline(always)]
+    fn look<J: Lanes>(&mut self, q: J) -> Seen<J> {
+        let plan = self.plan;
+        let view = self.chain.look(q, self.masses, self.gravity, self.scratch);
+        let base_from_task = task::base_from_task(&plan.frame, &view.tool);
+        let rows = task::rows_in(&plan.frame, &view.world, &base_from_task, &plan.axes);
+        let gravity = self.settings.gravity;
+        let in_goal = J::splat(f64::from(u8::from(gravity.in_goal())));
+        let in_limit = J::splat(f64::from(u8::from(gravity.in_limits())));
+        let (gravity_in_goal, gravity_in_limit) = (in_goal * view.holding, in_limit * view.holding);
+        Seen { q, view, base_from_task, rows, gravity_in_goal, gravity_in_limit }
     }
 
     /// Line 12 before floor, ceiling and slew, or (11).
     #[inline(always)]
-    fn wanted_limits(&self, wish: &Wish, solution: &Solution, wrench: &AxisVec, n: usize) -> JointVec {
-        let (plan, k, motion, seen) = (self.plan, MAX_AXES, &solution.motion, &self.scratch.seen);
-        let (pull, mut offset) = (transpose_times(&seen.rows, wrench, k, n), [0.0; MAX_JOINTS]);
-        for i in 0..n {
-            // The null space, and what a position limit has taken of the joint's part of the wrench.
-            let lead = motion.lead[i] + motion.force_lead[i] + motion.null[i] - plan.servos.compliance[i] * pull[i];
-            offset[i] = plan.servos.kp[i] * (lead + self.memory.integral[i] + seen.q[i] - self.q[i]);
-        }
+    fn wanted_limits<J: Lanes>(
+        &self,
+        seen: &Seen<J>,
+        wish: &Wish<J::Axes>,
+        solution: &Solution<J>,
+        singular: &SingularValues,
+    ) -> J {
+        let (plan, motion) = (self.plan, &solution.motion);
+        let wrench = motion.wrench.whole();
+        let pull = transpose_times(&seen.rows, &wrench.numbers());
+        // The null space, and what a position limit has taken of the joint's part of the wrench.
+        let lead = J::fnma(J::load(&plan.servos.compliance), pull, motion.lead + motion.force_lead + motion.null);
+        let ahead = seen.q - J::load(self.q);
         let load = Load {
-            gravity: &seen.gravity_in_limit,
-            feed_forward: &solution.feed_forward,
-            task: &transpose_times(&seen.rows, &within(wrench, &wish.most, k), k, n),
-            offset: &offset,
+            gravity: seen.gravity_in_limit,
+            feed_forward: solution.feed_forward,
+            task: transpose_times(&seen.rows, &J::Axes::clip(wrench, wish.most).numbers()),
+            offset: J::load(&plan.servos.kp) * (lead + J::load(&self.memory.integral) + ahead),
             gravity_scale: self.settings.gravity_scale,
-            margin: &plan.margin,
+            margin: J::load(&plan.margin),
         };
-        match (&solution.budget, plan.limits) {
-            (Some(budget), _) => load.budget(budget, n),
-            (None, LimitRule::Demand) => load.demand(n),
+        match (solution.budget, plan.limits) {
+            (Some(budget), _) => load.budget(budget),
+            (None, LimitRule::Demand) => load.demand(),
             (None, LimitRule::Sum) => {
-                let mut record = Record::empty();
-                note(&mut record, plan, seen, wish, solution, self.memory, self.settings.horizon, wrench);
-                let null = record.shares(plan).null.map(|share| share * plan.null_torque);
-                load.sum(&seen.rows, &wish.most, &null, k, n)
+                let asked = Asked {
+                    rows: rows_array(&seen.rows),
+                    gradient: solution.gradient.array(),
+                    damping: solution.damping.sqrt(),
+                    sigma: [singular.smallest, singular.largest],
+                    most: axes(wish.most),
+                    gravity: seen.gravity_in_limit.every(),
+                    feed_forward: solution.feed_forward.every(),
+                };
+                J::load(&asked.sum(plan, self.settings.gravity_scale))
             }
         }
     }
 
-    /// How far the goal of joint i may lead under law `paper` [rad]: what the limit can use and a little more.
+    /// How far the goals may lead under law `paper` [rad]: what the limit can use and a little more.
     #[inline(always)]
-    fn lead_limit(&self, i: usize, limit: f64) -> f64 {
+    fn lead_limit<J: Lanes>(&self, limit: J) -> J {
         let plan = self.plan;
         match self.settings.lead_limit {
-            Some(lead) => lead,
-            None if plan.servos.has_kp => (limit + plan.margin[i]) * plan.servos.compliance[i],
-            None => LEAD_UNKNOWN,
+            Some(lead) => J::splat(lead),
+            None if plan.servos.has_kp => (limit + J::load(&plan.margin)) * J::load(&plan.servos.compliance),
+            None => J::splat(LEAD_UNKNOWN),
         }
+    }
+
+    /// Everything that a tick came to.
+    #[inline(always)]
+    fn note<J: Lanes>(
+        &mut self,
+        seen: &Seen<J>,
+        aim: &Aim,
+        wish: &Wish<J::Axes>,
+        solution: &Solution<J>,
+        filtered: &Filtered<J>,
+    ) {
+        let (plan, record, motion) = (self.plan, &mut *self.record, &solution.motion);
+        seen.q.store(&mut record.q);
+        filtered.velocity.store(&mut record.velocity);
+        record.deviation = axes(wish.deviation);
+        record.adapted_deviation = axes(wish.adapted);
+        record.dx = axes(wish.bounded * J::Axes::splat(1.0 / self.settings.horizon));
+        record.softness = axes(wish.softness);
+        record.compliance = axes(wish.compliance);
+        record.holding_torque = axes(wish.most);
+        record.wrench = axes(motion.wrench.whole());
+        seen.view.holding.store(&mut record.gravity);
+        solution.feed_forward.store(&mut record.feed_forward);
+        solution.gradient.store(&mut record.gradient);
+        for r in 0..MAX_AXES {
+            seen.rows[r].store(&mut record.rows[r]);
+        }
+        let SingularValues { smallest, largest, .. } = self.memory.singular;
+        record.followed_sigma = plan.follows_sigma().then_some([smallest, largest]);
+        record.damping = solution.damping.sqrt();
+        record.gamma = solution.gamma;
+        record.factors = motion.factors;
+        record.gain_factor = motion.gain_factor;
+        record.locked = solution.locked;
+        record.deviation_limited = [false; MAX_AXES];
+        if !plan.deviation_limits.is_empty() {
+            for (slot, &axis) in record.deviation_limited.iter_mut().zip(&plan.axes) {
+                *slot = aim.limited[axis];
+            }
+        }
+        record.reference = aim.reference;
+    }
+}
+
+/// What the sum rule is made from; a rule that few choose, compiled once.
+struct Asked {
+    rows: Rows,
+    gradient: JointVec,
+    damping: f64,
+    sigma: [f64; 2],
+    most: AxisVec,
+    gravity: EveryJoint,
+    feed_forward: EveryJoint,
+}
+
+impl Asked {
+    #[cold]
+    #[inline(never)]
+    fn sum(&self, plan: &Plan, gravity_scale: f64) -> JointVec {
+        let record = Record {
+            rows: self.rows,
+            gradient: self.gradient,
+            damping: self.damping,
+            followed_sigma: plan.follows_sigma().then_some(self.sigma),
+            ..Record::empty()
+        };
+        let null = record.shares(plan).null().map(|share| share * plan.null_torque);
+        let nothing = EveryJoint::splat(0.0);
+        let load = Load {
+            gravity: self.gravity,
+            feed_forward: self.feed_forward,
+            task: nothing,
+            offset: nothing,
+            gravity_scale,
+            margin: nothing,
+        };
+        load.sum(&self.rows, &self.most, &null)
     }
 }
 
@@ -326,55 +395,13 @@ impl Cycle<'_> {
 /// Kept out of the step, which mostly has no such axis.
 #[cold]
 #[inline(never)]
-fn limit_deviation(plan: &Plan, before: &Pose, tool: &Pose, seen: &mut Seen, governor: &mut Governor) {
-    let pushed = Pushed { tool, base_from_task: &seen.base_from_task, before };
-    if let Some(kept) = pushed.keep(&plan.deviation_limits, &seen.reference) {
-        let mut velocity = into_frame(&seen.base_from_task, &governor.own_velocity());
+fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, aim: &mut Aim, governor: &mut Governor) {
+    if let Some(kept) = pushed.keep(&plan.deviation_limits, &aim.reference) {
+        let mut velocity = into_frame(pushed.base_from_task, &governor.own_velocity());
         for (value, met) in velocity.iter_mut().zip(kept.met) {
             *value *= if met { 0.0 } else { kept.advance };
         }
-        governor.put(kept.reference, out_of_frame(&seen.base_from_task, &velocity));
-        (seen.reference, seen.error, seen.limited) = (kept.reference, kept.error, kept.met);
+        governor.put(kept.reference, out_of_frame(pushed.base_from_task, &velocity));
+        (aim.reference, aim.error, aim.limited) = (kept.reference, kept.error, kept.met);
     }
-}
-
-#[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "everything that a tick came to")]
-fn note(
-    record: &mut Record,
-    plan: &Plan,
-    seen: &Seen,
-    wish: &Wish,
-    solution: &Solution,
-    memory: &Memory,
-    horizon: f64,
-    wrench: &AxisVec,
-) {
-    let per_second = 1.0 / horizon;
-    for r in 0..MAX_AXES {
-        record.dx[r] = wish.bounded[r] * per_second;
-    }
-    record.deviation_limited = [false; MAX_AXES];
-    for (slot, &axis) in record.deviation_limited.iter_mut().zip(&plan.axes) {
-        *slot = seen.limited[axis];
-    }
-    record.q = seen.q;
-    record.velocity = memory.filter.velocity;
-    record.deviation = wish.deviation;
-    record.adapted_deviation = wish.adapted;
-    record.softness = wish.softness;
-    record.compliance = wish.compliance;
-    record.holding_torque = wish.most;
-    record.wrench = *wrench;
-    record.gravity = seen.holding;
-    record.feed_forward = solution.feed_forward;
-    record.gradient = solution.gradient;
-    record.rows = seen.rows;
-    record.followed_sigma = plan.follows_sigma().then_some([memory.singular.smallest, memory.singular.largest]);
-    record.damping = solution.condition.damping.sqrt();
-    record.gamma = memory.gamma;
-    record.factors = solution.motion.factors;
-    record.gain_factor = solution.motion.gain_factor;
-    record.locked = solution.locked;
-    record.reference = seen.reference;
 }

@@ -10,8 +10,9 @@ use nalgebra::{DMatrix, DVector};
 use crate::error::{Error, Result};
 use crate::law::activation::{self, Activation};
 use crate::law::inverse;
-use crate::law::nullspace::{NullSpace, fade_squared};
+use crate::law::nullspace::{self, fade_squared};
 use crate::law::svd::Svd;
+use crate::number::{Arithmetic, EveryJoint, Lanes};
 use crate::pose::Pose;
 use crate::settings::Projector;
 use crate::task::{adapt, compliance as task_compliance, deviation as task_deviation};
@@ -33,7 +34,7 @@ pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DM
     check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
     let squared = damping * damping;
     if squared > LOST_DAMPING * jacobian.norm_squared() {
-        let transposed = inverse::pseudo_inverse(&rows, &[1.0; MAX_JOINTS], &[squared; MAX_AXES], k, n);
+        let transposed = inverse::pseudo_inverse(&rows, &[1.0; MAX_JOINTS], &[squared; MAX_AXES]);
         return Ok(DMatrix::from_fn(n, k, |i, r| transposed[r][i]));
     }
     let svd = svd(jacobian)?;
@@ -57,7 +58,7 @@ pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Project
             check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
             let sigma = svd(jacobian)?.sigma;
             let added = [fade_squared(sigma.min(), sigma.max()); MAX_AXES];
-            let matrix = NullSpace::new(&rows, &[1.0; MAX_JOINTS], &added, k, n).matrix();
+            let matrix = nullspace::projector(&rows, &[1.0; MAX_JOINTS], &added, (k, n));
             Ok(DMatrix::from_fn(n, n, |i, j| matrix[i][j]))
         }
     }
@@ -79,8 +80,8 @@ pub fn responsibility(
     let projector = square("N", projector, n)?;
     let gradient: JointVec = array("gradient", gradient, n)?;
     check("alpha", alpha, alpha.is_finite(), "finite")?;
-    let motion = activation::product(&projector, &gradient, n);
-    Ok(activation::responsibility(&transposed, &dx, &motion, alpha, k).matrix(k, n))
+    let motion = activation::product(&projector, &gradient);
+    Ok(activation::responsibility(&transposed, &dx, &motion, alpha, (k, n)))
 }
 
 /// Activation matrix A of (10), n × (k + 1): the columns of `|J⁺|` divided by their sums, the null-space column last.
@@ -100,11 +101,12 @@ pub fn activation(
     let gradient: JointVec = gradient.map_or(Ok([0.0; MAX_JOINTS]), |gradient| array("gradient", gradient, n))?;
     // With as many axes as joints N is rounding error: there is nothing to share out.
     let null = if k < n {
-        activation::null_column(&activation::product(&projector, &gradient, n), || projector, n)
+        let motion = EveryJoint::load(&activation::product(&projector, &gradient));
+        activation::null_column(motion, || activation::row_lengths(&projector))
     } else {
-        [0.0; MAX_JOINTS]
+        EveryJoint::splat(0.0)
     };
-    Ok(activation::activation(&transposed, null, k, n).matrix(k, n))
+    Ok(Activation::new(&inverse::load_rows(&transposed), null).matrix(k, n))
 }
 
 /// Compliance c of (8), one entry per axis: 1 below `d_minus`, 0 above `d_plus`, linear between.
@@ -162,14 +164,15 @@ pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Resul
     finite("A", activation)?;
     let k = columns - 1;
     let all: [f64; MAX_AXES + 1] = array("strength", strength, columns)?;
-    let mut shares = Activation { task: [[0.0; MAX_JOINTS]; MAX_AXES], null: [0.0; MAX_JOINTS] };
+    let (mut task, mut null) = ([[0.0; MAX_JOINTS]; MAX_AXES], [0.0; MAX_JOINTS]);
     let mut budgets = [0.0; MAX_AXES];
     budgets[..k].copy_from_slice(&all[..k]);
     for i in 0..n {
-        (0..k).for_each(|r| shares.task[r][i] = activation[(i, r)]);
-        shares.null[i] = activation[(i, k)];
+        (0..k).for_each(|r| task[r][i] = activation[(i, r)]);
+        null[i] = activation[(i, k)];
     }
-    Ok(DVector::from_column_slice(&shares.distribute(&budgets, all[k], k, n)[..n]))
+    let torque = Activation::of(&task, &null).distribute(inverse::wide(&budgets), all[k]);
+    Ok(DVector::from_column_slice(&torque.array()[..n]))
 }
 
 /// The intermediate target of (12): `x_d + η (x − x_d)` on the compliant axes (x y z roll pitch yaw of the base).

@@ -117,7 +117,7 @@ fn gather<A: Wide>(q: &[f64], n: usize) -> [A::Real; MAX_JOINTS] {
     }
     let mut out = [A::splat(0.0); MAX_JOINTS];
     for k in 0..n.min(MAX_JOINTS) {
-        out[k] = A::load(&columns[k]);
+        out[k] = A::of(&columns[k]);
     }
     out
 }

@@ -14,12 +14,14 @@ mod gravity;
 mod inertia;
 mod inverse;
 mod jacobian;
+mod look;
 pub(crate) mod spatial;
 
 pub use forward::Frames;
 pub use gravity::Masses;
 pub(crate) use inertia::JointMatrix;
 pub use inverse::{IkOptions, IkReason, IkSolution};
+pub(crate) use look::{LookScratch, View};
 
 /// Axes of a Jacobian's rows; its reference point is the tool in both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

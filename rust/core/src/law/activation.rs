@@ -2,118 +2,110 @@
 
 use nalgebra::DMatrix;
 
+use crate::law::inverse::{load_rows, transpose_times};
 use crate::law::nullspace::JointSquare;
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::number::{Arithmetic, EveryJoint, LANES, Lanes, Wide};
+use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
 /// Size of `N∇g` [rad] below which the null column turns into the row norms of `N`.
 const GRADIENT_THRESHOLD: f64 = 1e-3;
 
 /// Activation matrix, transposed: row r holds the shares of task axis r, the last row those of the null-space motion.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Activation {
-    pub(crate) task: Rows,
-    pub(crate) null: JointVec,
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Activation<J> {
+    /// Shares before they are divided by their sums.
+    sizes: [J; MAX_AXES],
+    /// One over the sum of each row; 0 for a row of zeros.
+    per_sum: [f64; LANES],
+    null: J,
 }
 
-/// (10): the columns of `|J⁺|`, each divided by its sum, and the null-space column.
-///
-/// The size of Δx in (6) cancels, which also settles the 0/0 of an axis at rest.
-#[inline(always)]
-pub(crate) fn activation(pinv_transposed: &Rows, null: JointVec, k: usize, n: usize) -> Activation {
-    let mut task = [[0.0; MAX_JOINTS]; MAX_AXES];
-    for r in 0..k.min(MAX_AXES) {
-        task[r] = shares(&sizes(&pinv_transposed[r], n), n);
+impl<J: Lanes> Activation<J> {
+    /// (10): the columns of `|J⁺|`, each divided by its sum, and the null-space column.
+    ///
+    /// The size of Δx in (6) cancels, which also settles the 0/0 of an axis at rest.
+    #[inline(always)]
+    pub(crate) fn new(pinv_transposed: &[J; MAX_AXES], null: J) -> Self {
+        let zero = J::splat(0.0);
+        let mut sizes = [zero; MAX_AXES];
+        for r in 0..MAX_AXES {
+            sizes[r] = J::abs(pinv_transposed[r]);
+        }
+        let [a, b, c, d] = J::sums([sizes[0], sizes[1], sizes[2], sizes[3]]);
+        let [e, f, ..] = J::sums([sizes[4], sizes[5], zero, zero]);
+        let (sums, nothing) = (J::Axes::of(&[a, b, c, d, e, f, 0.0, 0.0]), J::Axes::splat(0.0));
+        let per_sum = J::Axes::if_less(nothing, sums, J::Axes::splat(1.0) / sums, nothing);
+        Self { sizes, per_sum: per_sum.numbers(), null }
     }
-    Activation { task, null }
+
+    /// (11): `τ^q = A τ^x` [N·m], the null-space torque last.
+    #[inline(always)]
+    pub(crate) fn distribute(&self, strength: J::Axes, null_torque: f64) -> J {
+        let per_size = (J::Axes::of(&self.per_sum) * strength).numbers();
+        J::fma(self.null, J::splat(null_torque), transpose_times(&self.sizes, &per_size))
+    }
 }
 
-/// (6), (7): `|J⁺ diag(Δx)|` and `|α N∇g|`, the shares of [`activation`] before they are divided by their sums.
+impl Activation<EveryJoint> {
+    /// From the shares themselves.
+    pub(crate) fn of(task: &Rows, null: &JointVec) -> Self {
+        Self { sizes: load_rows(task), per_sum: [1.0; LANES], null: EveryJoint::load(null) }
+    }
+
+    /// Shares of one task axis.
+    pub(crate) fn row(&self, axis: usize) -> JointVec {
+        (self.sizes[axis] * EveryJoint::splat(self.per_sum[axis])).array()
+    }
+
+    /// Shares in the null-space motion.
+    pub(crate) fn null(&self) -> JointVec {
+        self.null.array()
+    }
+
+    /// As an n × (k + 1) matrix, the null-space column last.
+    pub(crate) fn matrix(&self, k: usize, n: usize) -> DMatrix<f64> {
+        let columns: Vec<JointVec> = (0..k).map(|axis| self.row(axis)).chain([self.null()]).collect();
+        DMatrix::from_fn(n, k + 1, |i, r| columns[r][i])
+    }
+}
+
+/// (6), (7): `|J⁺ diag(Δx)|` and `|α N∇g|`, n × (k + 1): the shares of [`Activation`] before they are divided by their sums.
 pub(crate) fn responsibility(
     pinv_transposed: &Rows,
     dx: &AxisVec,
     null_motion: &JointVec,
     alpha: f64,
-    k: usize,
-) -> Activation {
-    let mut task = [[0.0; MAX_JOINTS]; MAX_AXES];
-    for (row, (source, speed)) in task.iter_mut().zip(pinv_transposed.iter().zip(dx)).take(k) {
-        *row = source.map(|value| (value * speed).abs());
-    }
-    Activation { task, null: null_motion.map(|motion| (alpha * motion).abs()) }
+    (k, n): (usize, usize),
+) -> DMatrix<f64> {
+    DMatrix::from_fn(n, k + 1, |i, r| {
+        if r < k { (pinv_transposed[r][i] * dx[r]).abs() } else { (alpha * null_motion[i]).abs() }
+    })
 }
 
-/// Shares of the joints in the null-space motion `N∇g`: its sizes, blended into the row norms of `N` where it vanishes.
+/// Shares of the joints in the null-space motion `N∇g`: its sizes, blended into the lengths of the rows of `N` where it
+/// vanishes.
 ///
-/// `projector` is asked only there: forming N costs more than all the rest.
+/// `row_lengths` is asked only there.
 #[inline(always)]
-pub(crate) fn null_column(motion: &JointVec, projector: impl FnOnce() -> JointSquare, n: usize) -> JointVec {
-    let motion = sizes(motion, n);
-    let size: f64 = motion.iter().take(n).sum();
-    let blend = ((size - GRADIENT_THRESHOLD) / GRADIENT_THRESHOLD).clamp(0.0, 1.0);
-    let motion = shares(&motion, n);
+pub(crate) fn null_column<J: Lanes>(motion: J, row_lengths: impl FnOnce() -> JointVec) -> J {
+    let sizes = J::abs(motion);
+    let sum = sizes.sum();
+    let blend = (sum - GRADIENT_THRESHOLD) / GRADIENT_THRESHOLD;
     if blend >= 1.0 {
-        return motion;
+        return sizes * J::splat(1.0 / sum);
     }
-    blended(&motion, blend, &projector(), n)
+    let (blend, lengths) = (blend.max(0.0), J::load(&row_lengths()));
+    // One over a denormal sum would be infinite, and infinity times a joint at rest is not a number.
+    let share = |part: f64, whole: f64| part / whole.max(f64::MIN_POSITIVE);
+    sizes * J::splat(share(blend, sum)) + lengths * J::splat(share(1.0 - blend, lengths.sum()))
 }
 
-#[cold]
-fn blended(motion: &JointVec, blend: f64, projector: &JointSquare, n: usize) -> JointVec {
-    let norms = projector.map(|row| row.iter().take(n).map(|x| x * x).sum::<f64>().sqrt());
-    let norms = shares(&norms, n);
-    let mut out = [0.0; MAX_JOINTS];
-    for i in 0..n.min(MAX_JOINTS) {
-        out[i] = blend * motion[i] + (1.0 - blend) * norms[i];
-    }
-    out
+/// Lengths of the rows of a matrix.
+pub(crate) fn row_lengths(matrix: &JointSquare) -> JointVec {
+    matrix.map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt())
 }
 
 /// `M v` of an n × n matrix.
-pub(crate) fn product(m: &JointSquare, v: &JointVec, n: usize) -> JointVec {
-    m.map(|row| row.iter().zip(v).take(n).map(|(a, b)| a * b).sum())
-}
-
-#[inline(always)]
-fn sizes(values: &JointVec, n: usize) -> JointVec {
-    let mut out = [0.0; MAX_JOINTS];
-    for i in 0..n.min(MAX_JOINTS) {
-        out[i] = values[i].abs();
-    }
-    out
-}
-
-#[inline(always)]
-fn shares(sizes: &JointVec, n: usize) -> JointVec {
-    let n = n.min(MAX_JOINTS);
-    let sum: f64 = sizes[..n].iter().sum();
-    // One over a denormal sum is infinite, and infinity times a joint at rest is not a number.
-    let factor = 1.0 / sum.max(f64::MIN_POSITIVE);
-    let mut out = [0.0; MAX_JOINTS];
-    for i in 0..n {
-        out[i] = factor * sizes[i];
-    }
-    out
-}
-
-impl Activation {
-    /// As an n × (k + 1) matrix, the null-space column last.
-    pub(crate) fn matrix(&self, k: usize, n: usize) -> DMatrix<f64> {
-        DMatrix::from_fn(n, k + 1, |i, r| if r < k { self.task[r][i] } else { self.null[i] })
-    }
-
-    /// (11): `τ^q = A τ^x` [N·m], the null-space torque last.
-    #[inline(always)]
-    pub(crate) fn distribute(&self, strength: &AxisVec, null_torque: f64, k: usize, n: usize) -> JointVec {
-        let n = n.min(MAX_JOINTS);
-        let mut out = [0.0; MAX_JOINTS];
-        for i in 0..n {
-            out[i] = self.null[i] * null_torque;
-        }
-        for r in 0..k.min(MAX_AXES) {
-            for i in 0..n {
-                out[i] += self.task[r][i] * strength[r];
-            }
-        }
-        out
-    }
+pub(crate) fn product(m: &JointSquare, v: &JointVec) -> JointVec {
+    m.map(|row| row.iter().zip(v).map(|(a, b)| a * b).sum())
 }

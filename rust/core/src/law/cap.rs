@@ -1,48 +1,43 @@
 //! Law `cap`: each task axis pushes back with at most a given force. Lines 7 and 8 of the control step.
 
-use crate::command::goal::clip;
-use crate::law::inverse::{Cholesky, Square, weighted_gram};
+use crate::law::inverse::{Factor, Square, axes, damped, diagonal, weighted_gram, wide};
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
+use crate::number::{Lanes, Wide};
 use crate::settings::Follow;
-use crate::{AxisVec, MAX_AXES};
 
 /// One tick of one task, rows of the task's axes.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Demand<'a> {
+pub(crate) struct Demand<'a, W> {
     /// `C = J K_p⁻¹ Jᵀ`: how far the servos let each axis go per unit of force.
     pub(crate) compliance: &'a Square,
     /// `λ²/k̄` of each row, in its units.
-    pub(crate) damping: &'a AxisVec,
+    pub(crate) damping: W,
     /// Step `s = h (K_x ẽ + twist)` [m, rad].
-    pub(crate) step: &'a AxisVec,
+    pub(crate) step: W,
     /// The step within its per-axis limits.
-    pub(crate) bounded_step: &'a AxisVec,
+    pub(crate) bounded_step: W,
     /// Softness w ∈ [0, 1].
-    pub(crate) softness: &'a AxisVec,
+    pub(crate) softness: W,
     /// Cap F of the yielding axis [N, N·m].
-    pub(crate) cap: &'a AxisVec,
+    pub(crate) cap: W,
 }
 
-impl Demand<'_> {
+impl<W: Wide> Demand<'_, W> {
     /// The wrench that the servos are to exert.
     #[inline(always)]
-    pub(crate) fn wrench(&self, follow: Follow, k: usize) -> Wrench {
+    pub(crate) fn wrench(&self, follow: Follow) -> Wrench<W> {
         match follow {
-            Follow::Free => Wrench { soft: self.soft_force(k), stiff: self.stiff_force(k) },
-            Follow::Hold => self.all_rows(k),
+            Follow::Free => Wrench { soft: self.soft_force(), stiff: self.stiff_force() },
+            Follow::Hold => self.all_rows(),
         }
     }
 
     /// `w clip(s / C, ±F)`: what a soft axis exerts, whatever else is constrained.
     #[inline(always)]
-    fn soft_force(&self, k: usize) -> AxisVec {
-        let mut out = [0.0; MAX_AXES];
-        for j in 0..k.min(MAX_AXES) {
-            let force = self.step[j] / self.compliance[j][j].max(f64::MIN_POSITIVE);
-            out[j] = self.softness[j] * clip(force, self.cap[j]);
-        }
-        out
+    fn soft_force(&self) -> W {
+        let own = W::at_least(diagonal(self.compliance), W::splat(f64::MIN_POSITIVE));
+        self.softness * W::clip(self.step / own, self.cap)
     }
 
     /// `(C + diag(C_jj w / (1 − w)) + λ²/k̄)⁻¹ s` over the rows with w < 1.
@@ -50,71 +45,54 @@ impl Demand<'_> {
     /// Solved in `y = W / √(1 − w)`: the added diagonal then stays finite and a row at w = 1 drops out by itself, so
     /// that softness may change over without a branch.
     #[inline(always)]
-    pub(crate) fn stiff_force(&self, k: usize) -> AxisVec {
-        let k = k.min(MAX_AXES);
-        let mut root = [0.0; MAX_AXES];
-        for r in 0..k {
-            root[r] = (1.0 - self.softness[r]).max(0.0).sqrt();
-        }
-        let mut m = [[0.0; MAX_AXES]; MAX_AXES];
-        let mut b = [0.0; MAX_AXES];
-        for r in 0..k {
+    pub(crate) fn stiff_force(&self) -> W {
+        let root = W::sqrt(W::at_least(W::splat(1.0) - self.softness, W::splat(0.0)));
+        let own = W::at_least(diagonal(self.compliance), W::splat(f64::MIN_POSITIVE));
+        let added = W::fma(root * root, self.damping, self.softness * own);
+        let (roots, mut m) = (root.numbers(), *self.compliance);
+        for (r, row) in m.iter_mut().enumerate() {
             for c in 0..=r {
-                m[r][c] = root[r] * self.compliance[r][c] * root[c];
+                row[c] *= roots[r] * roots[c];
             }
-            let own = self.compliance[r][r];
-            m[r][r] += root[r] * root[r] * self.damping[r] + self.softness[r] * own.max(f64::MIN_POSITIVE);
-            b[r] = root[r] * self.bounded_step[r];
         }
-        let mut out = Cholesky::new(&m, k).solve(&b);
-        for r in 0..k {
-            out[r] *= root[r];
-        }
-        out
+        let y = Factor::new::<W::One>(&damped(m, &axes(added))).solve::<W::One>(&axes(root * self.bounded_step));
+        root * wide(&y)
     }
 
     /// `(C + λ²/k̄)⁻¹ s` over all rows, soft steps clamped to ±F C_jj.
     #[inline(always)]
-    fn all_rows(&self, k: usize) -> Wrench {
-        let k = k.min(MAX_AXES);
-        let mut m = *self.compliance;
-        let mut b = [0.0; MAX_AXES];
-        for r in 0..k {
-            m[r][r] += self.damping[r];
-            let most = self.cap[r] * self.compliance[r][r];
-            let w = self.softness[r];
-            b[r] = (1.0 - w) * self.bounded_step[r] + w * clip(self.bounded_step[r], most);
-        }
-        let all = Cholesky::new(&m, k).solve(&b);
-        let mut out = Wrench::default();
-        for r in 0..k {
-            out.soft[r] = self.softness[r] * all[r];
-            out.stiff[r] = (1.0 - self.softness[r]) * all[r];
-        }
-        out
+    fn all_rows(&self) -> Wrench<W> {
+        let (w, stiff) = (self.softness, W::splat(1.0) - self.softness);
+        let most = self.cap * diagonal::<W>(self.compliance);
+        let b = W::fma(w, W::clip(self.bounded_step, most), stiff * self.bounded_step);
+        let factor = Factor::new::<W::One>(&damped(*self.compliance, &axes(self.damping)));
+        let all: W = wide(&factor.solve::<W::One>(&axes(b)));
+        Wrench { soft: w * all, stiff: stiff * all }
     }
 }
 
 /// Goals' lead of law `cap`: the wrench through the joints, scaled to torque ceilings and speed limits.
 #[inline(always)]
-pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
+pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
     let plan = tick.plan;
-    let compliance = weighted_gram(tick.rows, &plan.servos.compliance, tick.k, tick.n);
-    let damping = plan.per_stiffness(tick.damping);
     let demand = Demand {
-        compliance: &compliance,
-        damping: &damping,
-        step: tick.step,
-        bounded_step: tick.bounded_step,
-        softness: tick.softness,
-        cap: tick.strength,
+        compliance: &weighted_gram(tick.rows, J::load(&plan.servos.compliance)),
+        damping: plan.per_stiffness(tick.damping),
+        step: tick.wish.step,
+        bounded_step: tick.wish.bounded,
+        softness: tick.wish.softness,
+        cap: tick.wish.strength,
     };
-    tick.exert(demand.wrench(plan.follow, tick.k), tick.null_motion())
+    tick.exert(demand.wrench(plan.follow), tick.null_motion())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::number::{Arithmetic, EveryJoint};
+    use crate::{AxisVec, MAX_AXES};
+
+    type Axes = <EveryJoint as Lanes>::Axes;
 
     fn case() -> (Square, AxisVec) {
         let mut c = [[0.0; MAX_AXES]; MAX_AXES];
@@ -132,13 +110,13 @@ mod tests {
         let softness = [0.5, 1.0, 0.0, 0.0, 0.25, 0.0];
         let demand = Demand {
             compliance: &c,
-            damping: &[1e-3; 6],
-            step: &s,
-            bounded_step: &s,
-            softness: &softness,
-            cap: &[5.0; 6],
+            damping: Axes::splat(1e-3),
+            step: wide(&s),
+            bounded_step: wide(&s),
+            softness: wide(&softness),
+            cap: Axes::splat(5.0),
         };
-        let stiff = demand.stiff_force(6);
+        let stiff = axes(demand.stiff_force());
         let rows = [0, 2, 3, 4, 5];
         let matrix = nalgebra::DMatrix::from_fn(5, 5, |i, j| {
             let (r, k) = (rows[i], rows[j]);
@@ -150,7 +128,7 @@ mod tests {
             assert!((stiff[r] - expected[i]).abs() < 1e-14);
         }
         assert!(stiff[1].abs() < f64::MIN_POSITIVE);
-        assert!((demand.wrench(Follow::Free, 6).soft[1] + 0.1).abs() < 1e-15);
+        assert!((axes(demand.wrench(Follow::Free).soft)[1] + 0.1).abs() < 1e-15);
     }
 
     #[test]
@@ -158,12 +136,12 @@ mod tests {
         let (c, _) = case();
         let demand = Demand {
             compliance: &c,
-            damping: &[0.0; 6],
-            step: &[100.0; 6],
-            bounded_step: &[0.1; 6],
-            softness: &[1.0; 6],
-            cap: &[5.0; 6],
+            damping: Axes::splat(0.0),
+            step: Axes::splat(100.0),
+            bounded_step: Axes::splat(0.1),
+            softness: Axes::splat(1.0),
+            cap: Axes::splat(5.0),
         };
-        assert!(demand.wrench(Follow::Free, 6).soft.iter().all(|f| (f - 5.0).abs() < 1e-15));
+        assert!(axes(demand.wrench(Follow::Free).soft).iter().all(|f| (f - 5.0).abs() < 1e-15));
     }
 }

@@ -1,6 +1,6 @@
 //! Velocity, prediction over the known delay, and what the joints themselves resist: lines 1 and 10.
 
-use crate::number::tanh;
+use crate::number::{Lanes, tanh};
 use crate::servos::ServoArrays;
 use crate::{JointVec, MAX_JOINTS};
 
@@ -25,67 +25,66 @@ impl VelocityFilter {
         Self { held: *q, velocity: [0.0; MAX_JOINTS] }
     }
 
-    /// Takes one reading `q` after `dt` [s]; `count` is the play on each side, `time_constant` T_f [s].
+    /// One reading `q` after `dt` [s] later; `count` is the play on each side, `time_constant` T_f [s].
     #[inline(always)]
-    pub(crate) fn update(&mut self, q: &JointVec, count: &JointVec, time_constant: f64, dt: f64, n: usize) {
-        let (share, per_second) = (dt / (time_constant + dt), 1.0 / dt);
-        for i in 0..n.min(MAX_JOINTS) {
-            let held = self.held[i].max(q[i] - count[i]).min(q[i] + count[i]);
-            // Nothing turns faster: a vanishing dt must not make an infinity that the filter would keep.
-            let raw = ((held - self.held[i]) * per_second).clamp(-SPEED_BOUND, SPEED_BOUND);
-            self.velocity[i] += share * (raw - self.velocity[i]);
-            self.held[i] = held;
-        }
+    pub(crate) fn after<J: Lanes>(&self, q: J, count: J, time_constant: f64, dt: f64) -> Filtered<J> {
+        let (share, per_second) = (J::splat(dt / (time_constant + dt)), J::splat(1.0 / dt));
+        let (before, velocity) = (J::load(&self.held), J::load(&self.velocity));
+        let held = J::at_most(J::at_least(before, q - count), q + count);
+        // Nothing turns faster: a vanishing dt must not make an infinity that the filter would keep.
+        let raw = J::clip((held - before) * per_second, J::splat(SPEED_BOUND));
+        Filtered { held, velocity: J::fma(share, raw - velocity, velocity) }
     }
 
-    /// Takes a velocity that the caller knows better.
+    /// Goes on from there.
     #[inline(always)]
-    pub(crate) fn set(&mut self, q: &JointVec, dq: &JointVec) {
-        self.held = *q;
-        self.velocity = *dq;
+    pub(crate) fn keep<J: Lanes>(&mut self, filtered: Filtered<J>) {
+        filtered.held.store(&mut self.held);
+        filtered.velocity.store(&mut self.velocity);
     }
+}
+
+/// What a filter has come to.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Filtered<J> {
+    pub(crate) held: J,
+    pub(crate) velocity: J,
 }
 
 /// What the joints resist with, as far as it is fed forward.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Resistance {
+pub(crate) struct Resistance<J> {
     /// Whatever the joints carry [N·m].
-    pub(crate) idle: JointVec,
+    idle: J,
     /// In addition per N·m that they carry.
-    pub(crate) loaded: JointVec,
+    loaded: J,
 }
 
-impl Resistance {
+impl<J: Lanes> Resistance<J> {
     /// Of nothing.
-    pub(crate) const NONE: Self = Self { idle: [0.0; MAX_JOINTS], loaded: [0.0; MAX_JOINTS] };
+    #[inline(always)]
+    pub(crate) fn none() -> Self {
+        Self { idle: J::splat(0.0), loaded: J::splat(0.0) }
+    }
 
     /// `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and `γ b_f (μ + s μ_s) tanh(v/v₀)`, `s = 1/(1 + x + x²)`, `x = |v|/v_s`:
     /// what friction at rest has more than in motion fades with the speed.
     #[inline(always)]
-    pub(crate) fn new(
-        v: &JointVec,
-        servos: &ServoArrays,
-        shares: (f64, f64),
-        friction_speed: f64,
-        gamma: f64,
-        n: usize,
-    ) -> Self {
-        let (mut out, slope) = (Self::NONE, 1.0 / friction_speed);
-        for i in 0..n.min(MAX_JOINTS) {
-            let x = v[i].abs() * servos.stribeck_slowness[i];
-            let at_rest = 1.0 / (1.0 + x + x * x);
-            let way = tanh(v[i] * slope);
-            let dry = servos.friction[i] + at_rest * servos.stribeck[i];
-            out.idle[i] = gamma * (shares.0 * dry * way + shares.1 * servos.damping[i] * v[i]);
-            out.loaded[i] = gamma * shares.0 * (servos.load_friction[i] + at_rest * servos.load_stribeck[i]) * way;
-        }
-        out
+    pub(crate) fn new(v: J, servos: &ServoArrays, shares: (f64, f64), friction_speed: f64, gamma: f64) -> Self {
+        let one = J::splat(1.0);
+        let x = J::abs(v) * J::load(&servos.stribeck_slowness);
+        let at_rest = one / J::fma(x, x, one + x);
+        let way = tanh::<J>(v * J::splat(1.0 / friction_speed)) * J::splat(gamma * shares.0);
+        let dry = J::fma(at_rest, J::load(&servos.stribeck), J::load(&servos.friction));
+        let per_load = J::fma(at_rest, J::load(&servos.load_stribeck), J::load(&servos.load_friction));
+        let damping = J::load(&servos.damping) * v * J::splat(gamma * shares.1);
+        Self { idle: J::fma(dry, way, damping), loaded: per_load * way }
     }
 
-    /// The torque of joint `i` that carries `torque` [N·m].
+    /// The torque of joints that carry `torque` [N·m].
     #[inline(always)]
-    pub(crate) fn under(&self, i: usize, torque: f64) -> f64 {
-        self.idle[i] + self.loaded[i] * torque.abs()
+    pub(crate) fn under(&self, torque: J) -> J {
+        J::fma(self.loaded, J::abs(torque), self.idle)
     }
 }
 
@@ -109,18 +108,19 @@ pub(crate) fn damping_squared(sigma: f64, lambda_0: f64, sigma_0: f64, lambda_ma
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::number::{Arithmetic, EveryJoint};
 
     #[test]
     fn a_toggling_count_gives_no_velocity_and_a_steady_motion_the_right_one() {
-        let count = [1e-3; MAX_JOINTS];
+        let count = EveryJoint::splat(1e-3);
         let mut filter = VelocityFilter::new(&[0.0; MAX_JOINTS]);
         for tick in 0..100 {
-            let q = [if tick % 2 == 0 { 1e-3 } else { -1e-3 }; MAX_JOINTS];
-            filter.update(&q, &count, 0.02, 0.01, 1);
+            let q = EveryJoint::splat(if tick % 2 == 0 { 1e-3 } else { -1e-3 });
+            filter.keep(filter.after(q, count, 0.02, 0.01));
         }
         assert!(filter.velocity[0].abs() < 1e-9);
         for tick in 0..200 {
-            filter.update(&[0.005 * f64::from(tick); MAX_JOINTS], &count, 0.02, 0.01, 1);
+            filter.keep(filter.after(EveryJoint::splat(0.005 * f64::from(tick)), count, 0.02, 0.01));
         }
         assert!((filter.velocity[0] - 0.5).abs() < 1e-9);
     }

@@ -1,10 +1,10 @@
 //! Law `impedance`: a spring and a damper on each task axis, no solve. Takes the place of lines 6 to 8 of the control step.
 
-use crate::command::goal::clip;
-use crate::law::inverse::{Square, times, weighted_gram};
+use crate::MAX_AXES;
+use crate::law::inverse::{times, weighted_gram, wide};
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::number::{Arithmetic, Lanes, Wide};
 
 /// Squarings by which the largest eigenvalue is singled out: powers of 2⁶ = 64.
 const SQUARINGS: usize = 6;
@@ -14,107 +14,83 @@ const SQUARINGS: usize = 6;
 /// Never below the largest eigenvalue and at most 3 % above it (six equal ones); smooth where two of them cross, and
 /// without memory. `compliance` holds 1/k_p.
 #[inline(always)]
-pub(crate) fn rho(rows: &Rows, compliance: &JointVec, stiffness: &AxisVec, k: usize, n: usize) -> f64 {
+pub(crate) fn rho<J: Lanes>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> f64 {
     // √K C √K has the same eigenvalues, and is symmetric.
-    let k = k.min(MAX_AXES);
-    let mut m = weighted_gram(rows, compliance, k, n);
-    let mut root = [0.0; MAX_AXES];
-    for r in 0..k {
-        root[r] = stiffness[r].sqrt();
-    }
-    for r in 0..k {
-        for c in 0..k {
-            m[r][c] *= root[r] * root[c];
-        }
+    let (root, c) = (J::Axes::sqrt(stiffness), weighted_gram(rows, compliance));
+    let roots = root.numbers();
+    let mut m = [root; MAX_AXES];
+    for r in 0..MAX_AXES {
+        m[r] = wide::<J::Axes>(&c[r]) * root * J::Axes::splat(roots[r]);
     }
     // The trace is taken out before each squaring, so that nothing overflows.
-    let mut traces = [0.0; SQUARINGS + 1];
-    for trace in &mut traces[..SQUARINGS] {
-        *trace = take_trace(&mut m, k);
+    let mut traces = [0.0; SQUARINGS];
+    for trace in &mut traces {
+        *trace = trace_of(&m);
         if *trace <= 0.0 {
             return 0.0;
         }
-        m = squared(&m, k);
+        m = squared(&m, 1.0 / trace.max(f64::MIN_POSITIVE));
     }
-    traces[SQUARINGS] = (0..k).map(|i| m[i][i]).sum();
-    traces[..SQUARINGS].iter().rev().fold(traces[SQUARINGS], |power, trace| trace * power.sqrt())
+    traces.iter().rev().fold(trace_of(&m), |power, trace| trace * power.sqrt())
 }
 
-/// Divides a matrix by its trace, which is returned.
 #[inline(always)]
-fn take_trace(m: &mut Square, k: usize) -> f64 {
-    let trace: f64 = (0..k).map(|i| m[i][i]).sum();
-    let inverse = 1.0 / trace.max(f64::MIN_POSITIVE);
-    for row in m {
-        for c in 0..k {
-            row[c] *= inverse;
-        }
+fn trace_of<W: Wide>(m: &[W; MAX_AXES]) -> f64 {
+    let mut sum = 0.0;
+    for r in 0..MAX_AXES {
+        sum += m[r].numbers()[r];
     }
-    trace
+    sum
 }
 
-/// `M M` of a symmetric matrix.
+/// `(f M)²` of a symmetric matrix.
 #[inline(always)]
-fn squared(m: &Square, k: usize) -> Square {
-    let mut out = [[0.0; MAX_AXES]; MAX_AXES];
-    for r in 0..k {
-        for c in 0..=r {
-            let mut sum = 0.0;
-            for inner in 0..k {
-                sum += m[r][inner] * m[c][inner];
-            }
-            (out[r][c], out[c][r]) = (sum, sum);
+fn squared<W: Wide>(m: &[W; MAX_AXES], factor: f64) -> [W; MAX_AXES] {
+    let mut out = [W::splat(0.0); MAX_AXES];
+    for r in 0..MAX_AXES {
+        let row = (m[r] * W::splat(factor) * W::splat(factor)).numbers();
+        for c in 0..MAX_AXES {
+            out[r] = W::fma(W::splat(row[c]), m[c], out[r]);
         }
     }
     out
+}
+
+/// Factor ≤ 1 that brings `ρ` of these gains within `bound`.
+#[inline(always)]
+fn share<J: Lanes>(tick: &Tick<'_, J>, gains: J::Axes, bound: f64) -> f64 {
+    if !J::Axes::splat(0.0).any_less(gains) {
+        return 1.0;
+    }
+    let rho = rho(tick.rows, J::load(&tick.plan.servos.compliance), gains);
+    if rho > bound { bound / rho } else { 1.0 }
 }
 
 /// `F = clip(f K ẽ + f_D D (twist − v), ±most)` per axis, and `f` ≤ 1; f and f_D keep `f ρ(K)` and `f_D ρ(D)` within
 /// their bounds at this pose.
 #[inline(always)]
-pub(crate) fn force(tick: &Tick<'_>) -> (AxisVec, f64) {
-    let (plan, k, n) = (tick.plan, tick.k.min(MAX_AXES), tick.n);
-    let share = |gains: &AxisVec, bound: f64| {
-        if gains.iter().all(|&gain| gain <= 0.0) {
-            return 1.0;
-        }
-        let rho = rho(tick.rows, &plan.servos.compliance, gains, k, n);
-        if rho > bound { bound / rho } else { 1.0 }
-    };
-    let [most_stiff, most_damped] = plan.impedance_bounds;
-    let (stiff, damped) = (share(tick.stiffness, most_stiff), share(tick.viscosity, most_damped));
-    let velocity = times(tick.rows, tick.velocity, k, n);
-    let mut out = [0.0; MAX_AXES];
-    for r in 0..k {
-        let spring = stiff * tick.stiffness[r] * tick.adapted[r];
-        let damper = damped * tick.viscosity[r] * (tick.twist[r] - velocity[r]);
-        out[r] = clip(spring + damper, tick.most[r]);
-    }
-    (out, stiff)
-}
-
-/// Null-space motion of a given stiffness, `−κ K_p⁻¹ N ∇cost` [rad]: its torque does no work on the task.
-#[inline(always)]
-fn null_spring(tick: &Tick<'_>, stiffness: f64) -> JointVec {
-    let plan = tick.plan;
-    let mut out = tick.null_space().project(tick.gradient);
-    for i in 0..tick.n.min(MAX_JOINTS) {
-        out[i] *= -stiffness * plan.servos.compliance[i];
-    }
-    out
+fn force<J: Lanes>(tick: &Tick<'_, J>) -> (J::Axes, f64) {
+    let (wish, [most_stiff, most_damped]) = (tick.wish, tick.plan.impedance_bounds);
+    let stiff = share(tick, wish.stiffness, most_stiff);
+    let damped = share(tick, wish.viscosity, most_damped);
+    let velocity: J::Axes = wide(&times(tick.rows, tick.velocity));
+    let spring = J::Axes::splat(stiff) * wish.stiffness * wish.adapted;
+    let force = J::Axes::fma(J::Axes::splat(damped) * wish.viscosity, wish.twist - velocity, spring);
+    (J::Axes::clip(force, wish.most), stiff)
 }
 
 /// Goals' lead of law `impedance`: `K_p⁻¹ Jᵀ F`, scaled to torque ceilings and speed limits.
 #[inline(always)]
-pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
+pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
     let (force, gain_factor) = force(tick);
-    let mut wrench = Wrench::default();
-    for r in 0..tick.k.min(MAX_AXES) {
-        wrench.soft[r] = tick.softness[r] * force[r];
-        wrench.stiff[r] = (1.0 - tick.softness[r]) * force[r];
-    }
+    let softness = tick.wish.softness;
+    let wrench = Wrench { soft: softness * force, stiff: (J::Axes::splat(1.0) - softness) * force };
     let null = match tick.plan.null_stiffness {
-        Some(stiffness) => null_spring(tick, stiffness),
+        // A motion of a given stiffness, `−κ K_p⁻¹ N ∇cost` [rad]: its torque does no work on the task.
+        Some(stiffness) => {
+            let compliance = J::load(&tick.plan.servos.compliance);
+            tick.null_space().project(tick.gradient) * J::splat(-stiffness) * compliance
+        }
         None => tick.null_motion(),
     };
     Motion { gain_factor, ..tick.exert(wrench, null) }
@@ -123,6 +99,9 @@ pub(crate) fn motion(tick: &Tick<'_>) -> Motion {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::law::inverse::load_rows;
+    use crate::number::EveryJoint;
+    use crate::{JointVec, MAX_JOINTS};
 
     #[test]
     fn rho_is_just_above_the_largest_eigenvalue() {
@@ -132,15 +111,17 @@ mod tests {
                 *value = ((3 * r + 5 * i) as f64).sin();
             }
         }
-        let mut compliance = [1.0; MAX_JOINTS];
+        let mut compliance: JointVec = [1.0; MAX_JOINTS];
         compliance[..7].copy_from_slice(&[1.0 / 150.0, 1.0 / 150.0, 1e-2, 1e-2, 1.0 / 60.0, 1.0 / 60.0, 1.0 / 60.0]);
+        let of =
+            |stiffness: &[f64; 6]| rho::<EveryJoint>(&load_rows(&rows), EveryJoint::load(&compliance), wide(stiffness));
         for stiffness in [[800.0_f64, 800.0, 800.0, 20.0, 20.0, 20.0], [0.0, 1e9, 1e-3, 5.0, 0.0, 0.0], [1.0; 6]] {
             let j = nalgebra::DMatrix::from_fn(6, 7, |r, i| rows[r][i] * stiffness[r].sqrt());
             let c = nalgebra::DVector::from_column_slice(&compliance[..7]);
             let largest = (&j * nalgebra::DMatrix::from_diagonal(&c) * j.transpose()).symmetric_eigenvalues().max();
-            let got = rho(&rows, &compliance, &stiffness, 6, 7);
+            let got = of(&stiffness);
             assert!(got >= largest * (1.0 - 1e-12) && got <= 1.0285 * largest, "{got} {largest}");
         }
-        assert!(rho(&rows, &compliance, &[0.0; 6], 6, 7) < f64::MIN_POSITIVE);
+        assert!(of(&[0.0; 6]) < f64::MIN_POSITIVE);
     }
 }

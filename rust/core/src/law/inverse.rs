@@ -1,20 +1,14 @@
 //! Small symmetric systems and the damped pseudo-inverse.
 
-use crate::{AxisVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::number::{Arithmetic, EveryJoint, Lanes, Wide};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// A symmetric matrix of task axes.
 pub(crate) type Square = [[f64; MAX_AXES]; MAX_AXES];
 
-/// The body six times over, for index 0 to 5: triangular loops within it then have constant bounds, and their numbers stay
-/// in registers.
-macro_rules! six {
-    ($i:ident => $body:block) => {
-        six!(@ $i $body 0 1 2 3 4 5);
-    };
-    (down $i:ident => $body:block) => {
-        six!(@ $i $body 5 4 3 2 1 0);
-    };
-    (@ $i:ident $body:block $($index:literal)*) => {
+/// The body once for each index: triangular loops within it then have constant bounds, and their numbers stay in registers.
+macro_rules! unrolled {
+    ($i:ident in $($index:literal)* => $body:block) => {
         $({
             let $i: usize = $index;
             $body
@@ -22,149 +16,156 @@ macro_rules! six {
     };
 }
 
-/// `Σ a_i b_i` over the first `n` joints and, being zero, those that fill up the last four.
-///
-/// Four sums side by side, as vector code wants them.
+/// Rows from memory.
 #[inline(always)]
-fn product(a: &[f64; MAX_JOINTS], b: &[f64; MAX_JOINTS], n: usize) -> f64 {
-    let mut sums = [a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]];
-    for block in 1..n.div_ceil(4).min(MAX_JOINTS / 4) {
-        for i in 0..4 {
-            sums[i] += a[4 * block + i] * b[4 * block + i];
-        }
+pub(crate) fn load_rows<J: Lanes>(rows: &Rows) -> [J; MAX_AXES] {
+    let mut out = [J::splat(0.0); MAX_AXES];
+    for r in 0..MAX_AXES {
+        out[r] = J::load(&rows[r]);
     }
-    (sums[0] + sums[2]) + (sums[1] + sums[3])
+    out
 }
 
-/// `J diag(d) Jᵀ` of the first `k` rows, whose columns beyond `n` are 0.
+/// Rows to memory, 0 beyond.
 #[inline(always)]
-pub(crate) fn weighted_gram(rows: &Rows, d: &[f64; MAX_JOINTS], k: usize, n: usize) -> Square {
+pub(crate) fn rows_array<J: Lanes>(rows: &[J; MAX_AXES]) -> Rows {
+    let mut out = [[0.0; MAX_JOINTS]; MAX_AXES];
+    for r in 0..MAX_AXES {
+        rows[r].store(&mut out[r]);
+    }
+    out
+}
+
+/// `J diag(d) Jᵀ`.
+#[inline(always)]
+pub(crate) fn weighted_gram<J: Lanes>(rows: &[J; MAX_AXES], d: J) -> Square {
+    let zero = J::splat(0.0);
     let mut out = [[0.0; MAX_AXES]; MAX_AXES];
-    six!(r => {
-        if r < k {
-            let mut scaled = [0.0; MAX_JOINTS];
-            for i in 0..n.min(MAX_JOINTS) {
-                scaled[i] = rows[r][i] * d[i];
-            }
-            for c in 0..=r {
-                let sum = product(&scaled, &rows[c], n);
-                (out[r][c], out[c][r]) = (sum, sum);
-            }
+    let mut products = [zero; 24];
+    unrolled!(r in 0 1 2 3 4 5 => {
+        let scaled = rows[r] * d;
+        for c in 0..=r {
+            products[r * (r + 1) / 2 + c] = scaled * rows[c];
+        }
+    });
+    let mut sums = [0.0; 24];
+    unrolled!(b in 0 1 2 3 4 5 => {
+        let four = J::sums([products[4 * b], products[4 * b + 1], products[4 * b + 2], products[4 * b + 3]]);
+        for i in 0..4 {
+            sums[4 * b + i] = four[i];
+        }
+    });
+    unrolled!(r in 0 1 2 3 4 5 => {
+        for c in 0..=r {
+            let sum = sums[r * (r + 1) / 2 + c];
+            (out[r][c], out[c][r]) = (sum, sum);
         }
     });
     out
 }
 
-/// `Jᵀ w` of the first `k` rows and `n` columns.
+/// `Jᵀ w`.
 #[inline(always)]
-pub(crate) fn transpose_times(rows: &Rows, w: &AxisVec, k: usize, n: usize) -> [f64; MAX_JOINTS] {
-    let mut out = [0.0; MAX_JOINTS];
-    for r in 0..k.min(MAX_AXES) {
-        for i in 0..n.min(MAX_JOINTS) {
-            out[i] += rows[r][i] * w[r];
-        }
+pub(crate) fn transpose_times<J: Lanes, const K: usize>(rows: &[J; MAX_AXES], w: &[f64; K]) -> J {
+    const { assert!(K >= MAX_AXES) }
+    let (mut even, mut odd) = (rows[0] * J::splat(w[0]), rows[1] * J::splat(w[1]));
+    for pair in 1..MAX_AXES / 2 {
+        even = J::fma(rows[2 * pair], J::splat(w[2 * pair]), even);
+        odd = J::fma(rows[2 * pair + 1], J::splat(w[2 * pair + 1]), odd);
     }
-    out
+    even + odd
 }
 
-/// `J v` of the first `k` rows, whose columns beyond `n` are 0.
+/// `J v`.
 #[inline(always)]
-pub(crate) fn times(rows: &Rows, v: &[f64; MAX_JOINTS], k: usize, n: usize) -> AxisVec {
-    let mut out = [0.0; MAX_AXES];
-    for r in 0..k.min(MAX_AXES) {
-        out[r] = product(&rows[r], v, n);
-    }
-    out
+pub(crate) fn times<J: Lanes>(rows: &[J; MAX_AXES], v: J) -> AxisVec {
+    let zero = J::splat(0.0);
+    let [a, b, c, d] = J::sums([rows[0] * v, rows[1] * v, rows[2] * v, rows[3] * v]);
+    let [e, f, ..] = J::sums([rows[4] * v, rows[5] * v, zero, zero]);
+    [a, b, c, d, e, f]
 }
 
-/// Cholesky factor of a symmetric, positive definite k × k matrix, of which the lower half is read.
+/// The task axes of a wide number.
+#[inline(always)]
+pub(crate) fn axes<W: Wide>(values: W) -> AxisVec {
+    let n = values.numbers();
+    [n[0], n[1], n[2], n[3], n[4], n[5]]
+}
+
+/// A wide number of task axes, 0 beyond.
+#[inline(always)]
+pub(crate) fn wide<W: Wide>(v: &AxisVec) -> W {
+    W::of(&[v[0], v[1], v[2], v[3], v[4], v[5], 0.0, 0.0])
+}
+
+/// The diagonal of a matrix, 0 beyond.
+#[inline(always)]
+pub(crate) fn diagonal<W: Wide>(m: &Square) -> W {
+    wide(&[m[0][0], m[1][1], m[2][2], m[3][3], m[4][4], m[5][5]])
+}
+
+/// Smallest pivot: its square is still a number, and so is its inverse's.
+const LEAST_PIVOT: f64 = 1e-100;
+
+/// Factor `L D Lᵀ` of a symmetric, positive definite matrix, of which the lower half is read.
 ///
-/// A pivot that rounding has eaten is replaced by a tiny positive one, so that a singular matrix gives large but finite
-/// answers instead of NaN. A row of zeros gives zeros where the right side is zero there.
+/// `D` has blocks of 2 × 2, so that three divisions follow one another and not six. A pivot that rounding has eaten is
+/// replaced by a tiny positive one: a singular matrix gives large but finite answers instead of NaN. A row of zeros gives
+/// zeros where the right side is zero there, so that a task of fewer axes needs no other code.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Cholesky {
+pub(crate) struct Factor {
+    /// `L`, below the blocks of its diagonal.
     l: Square,
-    inverse_pivot: AxisVec,
-    k: usize,
+    /// `[a, b, c]` of each block's inverse `[[a, b], [b, c]]`.
+    inverse: [[f64; 3]; MAX_AXES / 2],
 }
 
-impl Cholesky {
+impl Factor {
     #[inline(always)]
-    pub(crate) fn new(m: &Square, k: usize) -> Self {
-        let k = k.min(MAX_AXES);
-        let mut l = [[0.0; MAX_AXES]; MAX_AXES];
-        let mut inverse_pivot = [0.0; MAX_AXES];
-        six!(j => {
-            if j < k {
-                let mut pivot = m[j][j];
-                for c in 0..j {
-                    pivot -= l[j][c] * l[j][c];
-                }
-                let least = (1e-15 * m[j][j]).max(1e-200);
-                let inverse = 1.0 / pivot.max(least).sqrt();
-                inverse_pivot[j] = inverse;
-                for i in j + 1..MAX_AXES {
-                    let mut sum = m[i][j];
-                    for c in 0..j {
-                        sum -= l[i][c] * l[j][c];
-                    }
-                    l[i][j] = sum * inverse;
+    pub(crate) fn new<A: Arithmetic<Real = f64>>(m: &Square) -> Self {
+        let (mut s, mut l) = (*m, [[0.0; MAX_AXES]; MAX_AXES]);
+        let mut inverse = [[0.0; 3]; MAX_AXES / 2];
+        unrolled!(block in 0 1 2 => {
+            let (i, j) = (2 * block, 2 * block + 1);
+            let least = [A::at_least(1e-15 * m[i][i], LEAST_PIVOT), A::at_least(1e-15 * m[j][j], LEAST_PIVOT)];
+            let (a, b, c) = (A::at_least(s[i][i], least[0]), s[j][i], A::at_least(s[j][j], least[1]));
+            let determinant = A::at_least(A::fnma(b, b, a * c), a * least[1]);
+            let scale = 1.0 / determinant;
+            let [x, y, z] = [c * scale, -b * scale, a * scale];
+            inverse[block] = [x, y, z];
+            for r in j + 1..MAX_AXES {
+                let (u, v) = (s[r][i], s[r][j]);
+                l[r][i] = A::fma(u, x, v * y);
+                l[r][j] = A::fma(u, y, v * z);
+                for c in j + 1..=r {
+                    s[r][c] = A::fnma(l[r][j], s[c][j], A::fnma(l[r][i], s[c][i], s[r][c]));
                 }
             }
         });
-        Self { l, inverse_pivot, k }
+        Self { l, inverse }
     }
 
-    /// Solves `M x = b`.
+    /// Solves `M X = B` for one number in each row of `B`, or for one per joint.
     #[inline(always)]
-    pub(crate) fn solve(&self, b: &AxisVec) -> AxisVec {
-        let mut x = [0.0; MAX_AXES];
-        six!(i => {
-            if i < self.k {
-                let mut sum = b[i];
-                for c in 0..i {
-                    sum -= self.l[i][c] * x[c];
-                }
-                x[i] = sum * self.inverse_pivot[i];
+    pub(crate) fn solve<A: Arithmetic>(&self, b: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
+        let mut x = *b;
+        unrolled!(block in 0 1 => {
+            let (i, j) = (2 * block, 2 * block + 1);
+            for r in j + 1..MAX_AXES {
+                x[r] = A::fnma(A::splat(self.l[r][j]), x[j], A::fnma(A::splat(self.l[r][i]), x[i], x[r]));
             }
         });
-        six!(down i => {
-            if i < self.k {
-                let mut sum = x[i];
-                for r in i + 1..MAX_AXES {
-                    sum -= self.l[r][i] * x[r];
-                }
-                x[i] = sum * self.inverse_pivot[i];
-            }
+        unrolled!(block in 0 1 2 => {
+            let ((i, j), [a, b, c]) = ((2 * block, 2 * block + 1), self.inverse[block]);
+            let (u, v) = (x[i], x[j]);
+            x[i] = A::fma(A::splat(a), u, A::splat(b) * v);
+            x[j] = A::fma(A::splat(b), u, A::splat(c) * v);
         });
-        x
-    }
-
-    /// Solves `M X = B` for the rows of `B` (k × n).
-    #[inline(always)]
-    pub(crate) fn solve_rows(&self, b: &Rows, n: usize) -> Rows {
-        let n = n.min(MAX_JOINTS);
-        let mut x = [[0.0; MAX_JOINTS]; MAX_AXES];
-        six!(i => {
-            if i < self.k {
-                for j in 0..n {
-                    let mut sum = b[i][j];
-                    for c in 0..i {
-                        sum -= self.l[i][c] * x[c][j];
-                    }
-                    x[i][j] = sum * self.inverse_pivot[i];
-                }
-            }
-        });
-        six!(down i => {
-            if i < self.k {
-                for j in 0..n {
-                    let mut sum = x[i][j];
-                    for r in i + 1..MAX_AXES {
-                        sum -= self.l[r][i] * x[r][j];
-                    }
-                    x[i][j] = sum * self.inverse_pivot[i];
-                }
+        unrolled!(block in 1 0 => {
+            let (i, j) = (2 * block, 2 * block + 1);
+            for r in j + 1..MAX_AXES {
+                x[i] = A::fnma(A::splat(self.l[r][i]), x[r], x[i]);
+                x[j] = A::fnma(A::splat(self.l[r][j]), x[r], x[j]);
             }
         });
         x
@@ -172,60 +173,60 @@ impl Cholesky {
 
     /// `M⁻¹ J D`: the transposed pseudo-inverse that belongs to this factor of `J D Jᵀ`.
     #[inline(always)]
-    pub(crate) fn weighted_rows(&self, rows: &Rows, joint_weight: &[f64; MAX_JOINTS], n: usize) -> Rows {
-        let mut out = self.solve_rows(rows, n);
+    pub(crate) fn weighted_rows<J: Lanes>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
+        let mut out = self.solve::<J>(rows);
         for row in &mut out {
-            for i in 0..n.min(MAX_JOINTS) {
-                row[i] *= joint_weight[i];
-            }
+            *row = *row * joint_weight;
         }
         out
     }
 
     /// Diagonal of `M⁻¹`.
     #[inline(always)]
-    pub(crate) fn inverse_diagonal(&self) -> AxisVec {
+    pub(crate) fn inverse_diagonal<A: Arithmetic<Real = f64>>(&self) -> AxisVec {
         let mut out = [0.0; MAX_AXES];
-        for (i, value) in out.iter_mut().enumerate().take(self.k) {
+        for i in 0..MAX_AXES {
             let mut unit = [0.0; MAX_AXES];
             unit[i] = 1.0;
-            *value = self.solve(&unit)[i];
+            out[i] = self.solve::<A>(&unit)[i];
         }
         out
     }
+}
+
+/// `M + Λ`, `Λ` diagonal.
+#[inline(always)]
+pub(crate) fn damped(mut m: Square, damping: &AxisVec) -> Square {
+    for r in 0..MAX_AXES {
+        m[r][r] += damping[r];
+    }
+    m
 }
 
 /// Transposed damped pseudo-inverse of (3): row r holds column r of `J⁺ = D Jᵀ (J D Jᵀ + Λ)⁻¹`.
 ///
 /// `joint_weight` holds the diagonal of `D` (1 where joints count alike), `damping` the diagonal of `Λ` (λ², in the
 /// squared units of its row).
-#[inline(always)]
-pub(crate) fn pseudo_inverse(
-    rows: &Rows,
-    joint_weight: &[f64; MAX_JOINTS],
-    damping: &AxisVec,
-    k: usize,
-    n: usize,
-) -> Rows {
-    let mut m = weighted_gram(rows, joint_weight, k, n);
-    for r in 0..k.min(MAX_AXES) {
-        m[r][r] += damping[r];
-    }
-    Cholesky::new(&m, k).weighted_rows(rows, joint_weight, n)
+pub(crate) fn pseudo_inverse(rows: &Rows, joint_weight: &JointVec, damping: &AxisVec) -> Rows {
+    type One = <EveryJoint as Lanes>::One;
+    let (rows, weight) = (load_rows::<EveryJoint>(rows), EveryJoint::load(joint_weight));
+    let factor = Factor::new::<One>(&damped(weighted_gram(&rows, weight), damping));
+    rows_array(&factor.weighted_rows(&rows, weight))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::number::Plain;
 
-    fn rows() -> Rows {
+    fn rows() -> [EveryJoint; MAX_AXES] {
         let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
         for (r, row) in rows.iter_mut().enumerate() {
             for (i, value) in row.iter_mut().enumerate().take(7) {
                 *value = ((r * 7 + i) as f64 * 0.7).sin();
             }
         }
-        rows
+        load_rows(&rows)
     }
 
     fn x_times(m: &Square, x: &AxisVec) -> AxisVec {
@@ -233,24 +234,37 @@ mod tests {
     }
 
     #[test]
-    fn solve_and_solve_rows_invert() {
-        let mut m = weighted_gram(&rows(), &[1.0; MAX_JOINTS], 6, 7);
-        (0..6).for_each(|i| m[i][i] += 0.1);
-        let factor = Cholesky::new(&m, 6);
+    fn solutions_of_numbers_and_of_rows_invert() {
+        let m = damped(weighted_gram(&rows(), EveryJoint::splat(1.0)), &[0.1; MAX_AXES]);
+        let factor = Factor::new::<Plain>(&m);
         let x = [1.0, -2.0, 3.0, 0.5, 0.0, 1.5];
-        let back = factor.solve(&x_times(&m, &x));
+        let back = factor.solve::<Plain>(&x_times(&m, &x));
         assert!(x.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-12));
         let mut identity = [[0.0; MAX_JOINTS]; MAX_AXES];
         (0..6).for_each(|i| identity[i][i] = 1.0);
-        let inverse = factor.solve_rows(&identity, MAX_JOINTS);
-        for (i, value) in factor.inverse_diagonal().iter().enumerate() {
+        let inverse = rows_array(&factor.solve::<EveryJoint>(&load_rows(&identity)));
+        for (i, value) in factor.inverse_diagonal::<Plain>().iter().enumerate() {
             assert!((value - inverse[i][i]).abs() < 1e-12);
         }
     }
 
     #[test]
     fn a_singular_matrix_gives_finite_answers() {
-        let factor = Cholesky::new(&[[0.0; MAX_AXES]; MAX_AXES], 6);
-        assert!(factor.solve(&[1.0; MAX_AXES]).iter().all(|x| x.is_finite()));
+        let factor = Factor::new::<Plain>(&[[0.0; MAX_AXES]; MAX_AXES]);
+        assert!(factor.solve::<Plain>(&[1.0; MAX_AXES]).iter().all(|x| x.is_finite()));
+        let factor = Factor::new::<Plain>(&[[1.0; MAX_AXES]; MAX_AXES]);
+        assert!(factor.solve::<Plain>(&[1.0, -1.0, 1.0, 0.0, 0.0, 2.0]).iter().all(|x| x.is_finite()));
+    }
+
+    #[test]
+    fn a_row_of_zeros_changes_nothing_for_the_others() {
+        for zero in 0..MAX_AXES {
+            let mut m = damped(weighted_gram(&rows(), EveryJoint::splat(1.0)), &[0.1; MAX_AXES]);
+            (0..MAX_AXES).for_each(|i| (m[i][zero], m[zero][i]) = (0.0, 0.0));
+            let mut x = [1.0, -2.0, 3.0, 0.5, 0.3, 1.5];
+            x[zero] = 0.0;
+            let back = Factor::new::<Plain>(&m).solve::<Plain>(&x_times(&m, &x));
+            assert!(x.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-11), "{zero}: {back:?}");
+        }
     }
 }

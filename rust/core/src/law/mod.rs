@@ -13,80 +13,65 @@ pub(crate) mod takeover;
 pub(crate) mod wrench;
 
 use crate::law::feedforward::Resistance;
+use crate::law::inverse::axes;
 use crate::law::nullspace::{NullSpace, manipulability_gradient};
 use crate::law::singular::Condition;
 use crate::law::wrench::Wrench;
+use crate::number::Lanes;
 use crate::plan::Plan;
 use crate::settings::{Law, Projector};
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::task::wish::Wish;
+use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// What every law is given: one tick, rows of the task's axes, at the predicted positions.
+///
+/// Rows behind the task's axes and numbers behind the arm's joints are zero and stay zero.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Tick<'a> {
+pub(crate) struct Tick<'a, J: Lanes> {
     pub(crate) plan: &'a Plan,
-    /// Rows and columns that are worked through: constants where this is compiled, so at least the task's axes and the
-    /// arm's joints. What is beyond those is zero and stays zero.
-    pub(crate) k: usize,
-    pub(crate) n: usize,
     pub(crate) horizon: f64,
     /// Task rows.
-    pub(crate) rows: &'a Rows,
+    pub(crate) rows: &'a [J; MAX_AXES],
     /// The same with translations divided by the arm's length.
-    pub(crate) scaled_rows: &'a Rows,
+    pub(crate) scaled_rows: &'a [J; MAX_AXES],
     pub(crate) condition: &'a Condition,
     /// λ² of each row.
-    pub(crate) damping: &'a AxisVec,
-    /// Softness w of each row.
-    pub(crate) softness: &'a AxisVec,
-    /// Strength F of each row where it yields.
-    pub(crate) strength: &'a AxisVec,
-    /// Strength in force, w F + (1 − w) hold.
-    pub(crate) most: &'a AxisVec,
-    /// h (K_x ẽ + twist), within the limits of soft axes.
-    pub(crate) step: &'a AxisVec,
-    /// The same within all per-axis limits.
-    pub(crate) bounded_step: &'a AxisVec,
-    /// ẽ of each row.
-    pub(crate) adapted: &'a AxisVec,
-    /// Stiffness K of each row [N/m, N·m/rad] (law `impedance`).
-    pub(crate) stiffness: &'a AxisVec,
-    /// Its damping D [N·s/m, N·m·s/rad].
-    pub(crate) viscosity: &'a AxisVec,
-    /// Velocity of the target along each row.
-    pub(crate) twist: &'a AxisVec,
+    pub(crate) damping: J::Axes,
+    /// What each axis wants.
+    pub(crate) wish: &'a Wish<J::Axes>,
     /// Filtered joint velocity.
-    pub(crate) velocity: &'a JointVec,
+    pub(crate) velocity: J,
     /// Gradient of the null-space cost.
-    pub(crate) gradient: &'a JointVec,
+    pub(crate) gradient: J,
     /// Gravity in the goals.
-    pub(crate) gravity: &'a JointVec,
-    pub(crate) resistance: &'a Resistance,
+    pub(crate) gravity: J,
+    pub(crate) resistance: Resistance<J>,
     /// Lead that the integrating goal has stored [rad].
-    pub(crate) integral: &'a JointVec,
+    pub(crate) integral: J,
 }
 
 /// What a law hands to the command floor.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Motion {
+pub(crate) struct Motion<J: Lanes> {
     /// Lead of the goals that is to move the arm: that of stiff axes, under law `paper` of all [rad].
-    pub(crate) lead: JointVec,
+    pub(crate) lead: J,
     /// Lead of the goals that is to exert a force, whether the arm moves or not: that of soft axes [rad].
-    pub(crate) force_lead: JointVec,
+    pub(crate) force_lead: J,
     /// Null-space part of the goals [rad].
-    pub(crate) null: JointVec,
+    pub(crate) null: J,
     /// Wrench of the laws that speak of forces [N, N·m].
-    pub(crate) wrench: Wrench,
+    pub(crate) wrench: Wrench<J::Axes>,
     /// Factors by which null-space, soft and stiff part were scaled.
     pub(crate) factors: [f64; 3],
     /// Feed-forward of what the joints resist with [N·m].
-    pub(crate) feed_forward: JointVec,
+    pub(crate) feed_forward: J,
     /// Factor ≤ 1 on the gain of the stiff axes that delay and pose demand.
     pub(crate) gain_factor: f64,
 }
 
 /// Runs the law; the joint budgets τ^q of (11) come along where the law makes its limits from them.
 #[inline(always)]
-pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Option<JointVec>) {
+pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, Option<J>) {
     match tick.plan.law {
         Law::Cap => (cap::motion(tick), None),
         Law::Impedance => (impedance::motion(tick), None),
@@ -97,50 +82,36 @@ pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, Option<JointVec>) {
     }
 }
 
-impl Tick<'_> {
+impl<J: Lanes> Tick<'_, J> {
     /// The null-space projector that the settings ask for.
     #[inline(always)]
-    pub(crate) fn null_space(&self) -> NullSpace<'_> {
-        let (plan, k, n) = (self.plan, self.k, self.n);
-        let space = match plan.projector {
-            Projector::Paper => NullSpace::new(self.rows, &plan.joint_weight, self.damping, k, n),
-            Projector::Exact => match &self.condition.factor {
-                // With joints that count alike and μ = 0 it is the matrix whose singular values were followed.
-                Some(factor) if plan.law.by_force() && self.condition.mu_squared <= 0.0 => {
-                    NullSpace::of(self.scaled_rows, &plan.joint_weight, factor, k, n)
-                }
-                _ => self.faded_null_space(),
-            },
-        };
-        space.padded(plan.k, plan.n)
-    }
-
-    /// The exact projector where it cannot share a factor.
-    #[inline(never)]
-    fn faded_null_space(&self) -> NullSpace<'_> {
-        let mut added = [0.0; MAX_AXES];
-        added[..self.plan.k].fill(self.condition.mu_squared);
-        NullSpace::new(self.scaled_rows, &self.plan.joint_weight, &added, self.k, self.n)
+    pub(crate) fn null_space(&self) -> NullSpace<'_, J> {
+        let (plan, size) = (self.plan, (self.plan.k, self.plan.n));
+        let weight = J::load(&plan.joint_weight);
+        match (plan.projector, &self.condition.factor) {
+            (Projector::Paper, _) => NullSpace::new(self.rows, weight, &axes(self.damping), size),
+            // With joints that count alike and μ = 0 it is the matrix whose singular values were followed.
+            (Projector::Exact, Some(factor)) if plan.law.by_force() && self.condition.mu_squared <= 0.0 => {
+                NullSpace::of(self.scaled_rows, weight, factor, size)
+            }
+            (Projector::Exact, _) => {
+                NullSpace::new(self.scaled_rows, weight, &[self.condition.mu_squared; MAX_AXES], size)
+            }
+        }
     }
 
     /// Line 9: `−α h N ∇cost` [rad], before any scaling.
     #[inline(always)]
-    pub(crate) fn null_motion(&self) -> JointVec {
+    pub(crate) fn null_motion(&self) -> J {
         let step = self.plan.alpha * self.horizon;
-        if step == 0.0 {
-            return [0.0; MAX_JOINTS];
-        }
-        let mut out = self.null_space().project(self.gradient);
-        for i in 0..self.n.min(MAX_JOINTS) {
-            out[i] *= -step;
-        }
-        out
+        if step == 0.0 { J::splat(0.0) } else { self.null_space().project(self.gradient) * J::splat(-step) }
     }
 }
 
 /// Gradient of the manipulability cost at the present rows, times its weight.
 ///
 /// `world` is the 6 × n Jacobian in base axes; `p` its weights there, see [`manipulability_gradient`].
+#[cold]
 #[inline(never)]
 pub(crate) fn weighted_manipulability(
     plan: &Plan,
@@ -149,8 +120,7 @@ pub(crate) fn weighted_manipulability(
     base_from_task: &[[f64; 3]; 3],
     mu_squared: f64,
 ) -> JointVec {
-    let ones = [1.0; MAX_JOINTS];
-    let pinv = NullSpace::new(scaled_rows, &ones, &[mu_squared; MAX_AXES], plan.k, plan.n).pseudo_inverse();
+    let pinv = inverse::pseudo_inverse(scaled_rows, &[1.0; MAX_JOINTS], &[mu_squared; MAX_AXES]);
     let mut p = [[0.0; MAX_JOINTS]; MAX_AXES];
     for (r, &axis) in plan.axes.iter().enumerate().take(MAX_AXES) {
         let (block, column) = if axis < 3 { (0, axis) } else { (3, axis - 3) };

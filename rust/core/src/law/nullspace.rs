@@ -1,6 +1,7 @@
 //! Redundancy: the projector of (4) and the cost that is descended in it, line 9.
 
-use crate::law::inverse::{Cholesky, times, transpose_times, weighted_gram};
+use crate::law::inverse::{Factor, damped, load_rows, times, transpose_times, weighted_gram};
+use crate::number::{EveryJoint, Lanes};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// An n × n matrix over the joints.
@@ -11,12 +12,10 @@ pub(crate) type JointSquare = [[f64; MAX_JOINTS]; MAX_JOINTS];
 /// With μ = 0 it is exact. μ = μ₁ clip(2 − σ/μ₁, 0, 1) with μ₁ = 10⁻³ σ_max fades it at singular poses, where the exact
 /// one jumps.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct NullSpace<'a> {
-    rows: &'a Rows,
-    weight: &'a JointVec,
-    factor: Cholesky,
-    k: usize,
-    n: usize,
+pub(crate) struct NullSpace<'a, J> {
+    rows: &'a [J; MAX_AXES],
+    weight: J,
+    factor: Factor,
     /// Whether there are more rows than joints.
     empty: bool,
 }
@@ -32,63 +31,86 @@ pub(crate) fn fade_squared(smallest: f64, largest: f64) -> f64 {
     mu * mu
 }
 
-impl<'a> NullSpace<'a> {
-    /// Of `k` rows over `n` joints; `added` holds what is added to the diagonal of `J D Jᵀ`.
+impl<'a, J: Lanes> NullSpace<'a, J> {
+    /// Of `task` rows over `joints`; `added` holds what is added to the diagonal of `J D Jᵀ`.
     #[inline(always)]
-    pub(crate) fn new(rows: &'a Rows, weight: &'a JointVec, added: &AxisVec, k: usize, n: usize) -> Self {
-        let mut gram = weighted_gram(rows, weight, k, n);
-        for r in 0..k.min(MAX_AXES) {
-            gram[r][r] += added[r];
-        }
-        Self::of(rows, weight, &Cholesky::new(&gram, k), k, n)
+    pub(crate) fn new(rows: &'a [J; MAX_AXES], weight: J, added: &AxisVec, (task, joints): (usize, usize)) -> Self {
+        let factor = Factor::new::<J::One>(&damped(weighted_gram(rows, weight), added));
+        Self::of(rows, weight, &factor, (task, joints))
     }
 
     /// The same of a matrix that is factored already.
     #[inline(always)]
-    pub(crate) fn of(rows: &'a Rows, weight: &'a JointVec, factor: &Cholesky, k: usize, n: usize) -> Self {
-        Self { rows, weight, factor: *factor, k, n, empty: k > n }
-    }
-
-    /// The same, if `k` and `n` are larger than the task and the arm.
-    #[inline(always)]
-    pub(crate) fn padded(self, task: usize, joints: usize) -> Self {
-        Self { empty: task > joints, ..self }
+    pub(crate) fn of(rows: &'a [J; MAX_AXES], weight: J, factor: &Factor, (task, joints): (usize, usize)) -> Self {
+        Self { rows, weight, factor: *factor, empty: task > joints }
     }
 
     /// `N v`; zero where there are more rows than joints, as there is no redundancy then.
     #[inline(always)]
-    pub(crate) fn project(&self, v: &JointVec) -> JointVec {
+    pub(crate) fn project(&self, v: J) -> J {
         if self.empty {
-            return [0.0; MAX_JOINTS];
+            return J::splat(0.0);
         }
-        let along = self.factor.solve(&times(self.rows, v, self.k, self.n));
-        let back = transpose_times(self.rows, &along, self.k, self.n);
-        let mut out = [0.0; MAX_JOINTS];
-        for i in 0..self.n.min(MAX_JOINTS) {
-            out[i] = v[i] - self.weight[i] * back[i];
-        }
-        out
+        let along = self.factor.solve::<J::One>(&times(self.rows, v));
+        J::fnma(self.weight, transpose_times(self.rows, &along), v)
     }
 
-    /// N itself.
-    #[cold]
-    pub(crate) fn matrix(&self) -> JointSquare {
-        let mut out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
-        for j in 0..self.n.min(MAX_JOINTS) {
-            let mut unit = [0.0; MAX_JOINTS];
-            unit[j] = 1.0;
-            for (row, value) in out.iter_mut().zip(self.project(&unit)) {
-                row[j] = value;
-            }
+    /// The same where the pseudo-inverse is known, `N = I − J⁺J`: without another solution.
+    #[inline(always)]
+    pub(crate) fn project_by(&self, pinv_transposed: &[J; MAX_AXES], v: J) -> J {
+        if self.empty { J::splat(0.0) } else { v - transpose_times(pinv_transposed, &times(self.rows, v)) }
+    }
+
+    /// Length of each row of `N = I − J⁺J`.
+    #[inline(always)]
+    pub(crate) fn row_lengths(&self, joints: usize) -> JointVec {
+        let mut lengths = [0.0; MAX_JOINTS];
+        if self.empty {
+            return lengths;
         }
-        out
+        let (mut columns, pinv_transposed) = ([[0.0; MAX_JOINTS]; MAX_AXES], self.pseudo_inverse());
+        for r in 0..MAX_AXES {
+            pinv_transposed[r].store(&mut columns[r]);
+        }
+        for i in 0..joints.min(MAX_JOINTS) {
+            let mut unit = [0.0; MAX_JOINTS];
+            unit[i] = 1.0;
+            let mut row = J::load(&unit);
+            for r in 0..MAX_AXES {
+                row = J::fnma(J::splat(columns[r][i]), self.rows[r], row);
+            }
+            lengths[i] = (row * row).sum().sqrt();
+        }
+        lengths
     }
 
     /// Transposed pseudo-inverse that belongs to this projector.
     #[inline(always)]
-    pub(crate) fn pseudo_inverse(&self) -> Rows {
-        self.factor.weighted_rows(self.rows, self.weight, self.n)
+    pub(crate) fn pseudo_inverse(&self) -> [J; MAX_AXES] {
+        self.factor.weighted_rows(self.rows, self.weight)
     }
+}
+
+/// N itself, of rows in memory.
+#[cold]
+#[inline(never)]
+pub(crate) fn projector(
+    rows: &Rows,
+    weight: &JointVec,
+    added: &AxisVec,
+    (task, joints): (usize, usize),
+) -> JointSquare {
+    let rows = load_rows::<EveryJoint>(rows);
+    let space = NullSpace::new(&rows, EveryJoint::load(weight), added, (task, joints));
+    let mut out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+    for j in 0..joints.min(MAX_JOINTS) {
+        let mut unit = [0.0; MAX_JOINTS];
+        unit[j] = 1.0;
+        for (row, value) in out.iter_mut().zip(space.project(EveryJoint::load(&unit)).array()) {
+            row[j] = value;
+        }
+    }
+    out
 }
 
 /// The parts of the null-space cost that depend on the arm alone.
@@ -107,12 +129,9 @@ pub(crate) struct Cost {
 impl Cost {
     /// Gradient of posture and joint-limit cost at `q`.
     #[inline(always)]
-    pub(crate) fn gradient(&self, q: &JointVec, rest: &JointVec, n: usize) -> JointVec {
-        let mut out = [0.0; MAX_JOINTS];
-        for i in 0..n.min(MAX_JOINTS) {
-            out[i] = self.posture[i] * (q[i] - rest[i]) + self.limits[i] * (q[i] - self.middle[i]);
-        }
-        out
+    pub(crate) fn gradient<J: Lanes>(&self, q: J, rest: J) -> J {
+        let toward_middle = J::load(&self.limits) * (q - J::load(&self.middle));
+        J::fma(J::load(&self.posture), q - rest, toward_middle)
     }
 }
 

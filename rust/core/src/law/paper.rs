@@ -1,146 +1,105 @@
 //! Law `paper`: velocity-based task-space control with torque budgets, equations (3)–(11).
 
-use crate::command::goal::{clip, scale_to_fit};
-use crate::law::activation::{activation, null_column};
+use crate::command::goal::scale_to_fit;
+use crate::law::activation::{Activation, null_column};
 use crate::law::cap::Demand;
-use crate::law::inverse::{Cholesky, Square, transpose_times, weighted_gram};
+use crate::law::inverse::{Factor, axes, damped, transpose_times, weighted_gram, wide};
 use crate::law::nullspace::NullSpace;
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
+use crate::number::{Arithmetic, Lanes, Wide};
 use crate::plan::Plan;
 use crate::settings::{Follow, Projector};
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::{MAX_AXES, MAX_JOINTS};
 
-/// `J⁺ Δx` of (5) [rad/s].
-#[inline(always)]
-pub(crate) fn joint_velocity(pinv_transposed: &Rows, dx: &AxisVec, k: usize, n: usize) -> JointVec {
-    transpose_times(pinv_transposed, dx, k, n)
-}
-
-/// Task velocity within what the budgets can do: `|Δx_j| ≤ τ_j / (h Σ_i k_i |J⁺_ij|)`.
+/// Task step within what the budgets can do: `|s_j| ≤ τ_j / Σ_i k_i |J⁺_ij|`.
 ///
 /// A box of joint limits has no directions; the same budget on the goal keeps the signs of `J⁺`, so (8) and (9) act on
 /// one axis alone.
-#[inline(never)]
-pub(crate) fn within_budget(
-    pinv_transposed: &Rows,
-    dx: &AxisVec,
-    budget: &AxisVec,
-    kp: &JointVec,
-    horizon: f64,
-    (k, n): (usize, usize),
-) -> AxisVec {
-    let mut out = *dx;
-    for r in 0..k.min(MAX_AXES) {
-        let mut cost = 0.0;
-        for i in 0..n.min(MAX_JOINTS) {
-            cost += kp[i] * pinv_transposed[r][i].abs();
-        }
-        let most = budget[r] / (horizon * cost).max(f64::MIN_POSITIVE);
-        out[r] = clip(dx[r], most);
+#[inline(always)]
+fn within_budget<J: Lanes>(pinv_transposed: &[J; MAX_AXES], step: J::Axes, budget: J::Axes, kp: J) -> J::Axes {
+    let (zero, mut cost) = (J::splat(0.0), [J::splat(0.0); MAX_AXES]);
+    for r in 0..MAX_AXES {
+        cost[r] = kp * J::abs(pinv_transposed[r]);
     }
-    out
+    let [a, b, c, d] = J::sums([cost[0], cost[1], cost[2], cost[3]]);
+    let [e, f, ..] = J::sums([cost[4], cost[5], zero, zero]);
+    let cost = J::Axes::at_least(wide(&[a, b, c, d, e, f]), J::Axes::splat(f64::MIN_POSITIVE));
+    J::Axes::clip(step, budget / cost)
 }
 
 /// Lead of the goals when yielding rows leave the inverse kinematics [rad]:
 /// `K_p⁻¹ J_rᵀ (C_rr + λ²/k̄)⁻¹ s_r + Σ_S K_p⁻¹ J_jᵀ κ_j s_j` with `κ_j = [(C + λ²/k̄)⁻¹]_jj`.
-#[inline(never)]
-pub(crate) fn free_lead(rows: &Rows, compliance: &JointVec, demand: &Demand<'_>, k: usize, n: usize) -> JointVec {
-    let mut wrench = demand.stiff_force(k);
-    let mut m: Square = *demand.compliance;
-    for r in 0..k.min(MAX_AXES) {
-        m[r][r] += demand.damping[r];
-    }
-    let stiffness = Cholesky::new(&m, k).inverse_diagonal();
-    for r in 0..k.min(MAX_AXES) {
-        wrench[r] += demand.softness[r] * stiffness[r] * demand.bounded_step[r];
-    }
-    let mut lead = transpose_times(rows, &wrench, k, n);
-    for i in 0..n.min(MAX_JOINTS) {
-        lead[i] *= compliance[i];
-    }
-    lead
+#[inline(always)]
+fn free_lead<J: Lanes>(tick: &Tick<'_, J>, step: J::Axes) -> J {
+    let compliance = J::load(&tick.plan.servos.compliance);
+    let c = weighted_gram(tick.rows, compliance);
+    let demand = Demand {
+        compliance: &c,
+        damping: tick.plan.per_stiffness(tick.damping),
+        step,
+        bounded_step: step,
+        softness: tick.wish.softness,
+        cap: tick.wish.strength,
+    };
+    let factor = Factor::new::<J::One>(&damped(c, &axes(demand.damping)));
+    let soft = demand.softness * wide(&factor.inverse_diagonal::<J::One>()) * step;
+    compliance * transpose_times(tick.rows, &(demand.stiff_force() + soft).numbers())
 }
 
 /// Goals' lead of law `paper`, `h K_q (J⁺Δx − α N∇g)`, and the joint budgets τ^q of (11).
 ///
 /// With `budget_on_goal` each axis' step is clamped to its τ^x.
 #[inline(always)]
-pub(crate) fn motion(tick: &Tick<'_>) -> (Motion, JointVec) {
-    let plan = tick.plan;
-    let (k, n, h) = (tick.k, tick.n, tick.horizon);
-    let damped = NullSpace::new(tick.rows, &plan.joint_weight, tick.damping, k, n).padded(plan.k, plan.n);
+pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, J) {
+    let (plan, h) = (tick.plan, tick.horizon);
+    let size = (plan.k, plan.n);
+    let damped = NullSpace::new(tick.rows, J::load(&plan.joint_weight), &axes(tick.damping), size);
     let pinv = damped.pseudo_inverse();
-    let mut dx = [0.0; MAX_AXES];
-    for r in 0..k {
-        dx[r] = tick.bounded_step[r] / h;
-    }
+    let mut step = tick.wish.bounded;
     if plan.budget_on_goal {
-        dx = within_budget(&pinv, &dx, tick.most, &plan.servos.kp, h, (k, n));
-    }
-    let mut step = [0.0; MAX_AXES];
-    for r in 0..k {
-        step[r] = dx[r] * h;
+        step = within_budget(&pinv, step, tick.wish.most, J::load(&plan.servos.kp));
     }
     let task = match plan.follow {
-        Follow::Hold => joint_velocity(&pinv, &step, k, n),
-        Follow::Free => {
-            let compliance = weighted_gram(tick.rows, &plan.servos.compliance, k, n);
-            let damping = plan.per_stiffness(tick.damping);
-            let demand = Demand {
-                compliance: &compliance,
-                damping: &damping,
-                step: &step,
-                bounded_step: &step,
-                softness: tick.softness,
-                cap: tick.strength,
-            };
-            free_lead(tick.rows, &plan.servos.compliance, &demand, k, n)
+        Follow::Hold => transpose_times(&pinv, &step.numbers()),
+        Follow::Free => free_lead(tick, step),
+    };
+    let (null_space, along) = match plan.projector {
+        Projector::Paper => (damped, damped.project_by(&pinv, tick.gradient)),
+        Projector::Exact => {
+            let exact = tick.null_space();
+            (exact, exact.project(tick.gradient))
         }
     };
-    let null_space = match plan.projector {
-        Projector::Paper => damped,
-        Projector::Exact => tick.null_space(),
-    };
-    let along = null_space.project(tick.gradient);
-    let mut null = [0.0; MAX_JOINTS];
-    for i in 0..n {
-        null[i] = -plan.alpha * h * along[i];
-    }
-    let mut lead = gained(plan, &task, n);
-    let mut null = gained(plan, &null, n);
-    plan.bound_null_speed(&mut null, h, n);
-    let reach = plan.reach(h, n);
-    let [null_factor, task_factor] = scale_to_fit(&[0.0; MAX_JOINTS], [&null, &lead], &reach, n);
-    for i in 0..n {
-        lead[i] *= task_factor;
-        null[i] *= null_factor;
-    }
+    let (lead, null) = (gained(plan, task), gained(plan, along * J::splat(-plan.alpha * h)));
+    let null = plan.bound_null_speed(null, h);
+    let [null_factor, task_factor] = scale_to_fit(J::splat(0.0), [null, lead], plan.reach(h));
     let null_shares =
-        if plan.k < plan.n { null_column(&along, || null_space.matrix(), plan.n) } else { [0.0; MAX_JOINTS] };
-    let budget = activation(&pinv, null_shares, k, n).distribute(tick.most, plan.null_torque, k, n);
-    let factors = [null_factor, task_factor, task_factor];
-    let (force_lead, feed_forward) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-    let motion = Motion { lead, force_lead, null, wrench: Wrench::default(), factors, feed_forward, gain_factor: 1.0 };
+        if plan.k < plan.n { null_column(along, || null_space.row_lengths(plan.n)) } else { J::splat(0.0) };
+    let budget = Activation::new(&pinv, null_shares).distribute(tick.wish.most, plan.null_torque);
+    let motion = Motion {
+        lead: lead * J::splat(task_factor),
+        force_lead: J::splat(0.0),
+        null: null * J::splat(null_factor),
+        wrench: Wrench::none(),
+        factors: [null_factor, task_factor, task_factor],
+        feed_forward: J::splat(0.0),
+        gain_factor: 1.0,
+    };
     (motion, budget)
 }
 
 /// `K_q v`.
 #[inline(always)]
-fn gained(plan: &Plan, v: &JointVec, n: usize) -> JointVec {
-    let n = n.min(MAX_JOINTS);
-    let mut out = *v;
+fn gained<J: Lanes>(plan: &Plan, v: J) -> J {
     match plan.kq_scalar {
-        Some(gain) => {
-            for i in 0..n {
-                out[i] *= gain;
-            }
-        }
-        None => {
-            for i in 0..n {
-                out[i] = (0..n).map(|j| plan.kq[i][j] * v[j]).sum();
-            }
-        }
+        Some(gain) => v * J::splat(gain),
+        None => J::load(&gained_by_matrix(plan, &v.array())),
     }
-    out
+}
+
+#[cold]
+#[inline(never)]
+fn gained_by_matrix(plan: &Plan, v: &[f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
+    plan.kq.map(|row| row.iter().zip(v).map(|(gain, value)| gain * value).sum())
 }

@@ -1,6 +1,7 @@
 //! The smallest and the largest singular value, followed from tick to tick.
 
-use crate::law::inverse::{Cholesky, Square};
+use crate::law::inverse::{Factor, Square};
+use crate::number::Arithmetic;
 use crate::{AxisVec, MAX_AXES};
 
 /// Estimates of the largest and the smallest singular value of scaled task rows, with the vectors to start from.
@@ -24,27 +25,39 @@ impl SingularValues {
         Self { weak, strong: weak[0], smallest: 0.0, largest: 0.0 }
     }
 
+    /// Forgets what lies behind the first `k` axes: there it has to stay zero.
+    pub(crate) fn restrict(&mut self, k: usize) {
+        for vector in self.weak.iter_mut().chain([&mut self.strong]) {
+            vector.iter_mut().skip(k).for_each(|value| *value = 0.0);
+        }
+    }
+
     /// Improves the estimates by `iterations` of the inverse and the power iteration on `gram`.
     ///
-    /// `gram` is `JJᵀ` (k × k), or `JᵀJ` where there are fewer joints than axes; `factor` is its own. Warm-started, one
+    /// `gram` is `JJᵀ` of `k` rows, or `JᵀJ` where there are fewer joints than axes; `factor` is its own. Warm-started, one
     /// iteration a tick follows a moving arm to about a percent.
     #[inline(always)]
-    pub(crate) fn update(&mut self, gram: &Square, factor: &Cholesky, k: usize, iterations: usize) {
-        let k = k.min(MAX_AXES);
+    pub(crate) fn update<A: Arithmetic<Real = f64>>(
+        &mut self,
+        gram: &Square,
+        factor: &Factor,
+        k: usize,
+        iterations: usize,
+    ) {
         for _ in 0..iterations {
             let [first, second] = self.weak;
-            let u = Image::new(factor.solve(&first), first, k);
-            let v = Image::new(factor.solve(&second), second, k);
-            let (weak, smallest) = match v.across(&u, k) {
-                Some(v) => weaker_first(&u, &v, k),
+            let u = Image::new(factor.solve::<A>(&first), first);
+            let v = Image::new(factor.solve::<A>(&second), second);
+            let (weak, smallest) = match v.across(&u) {
+                Some(v) => weaker_first(&u, &v),
                 None => restart(gram, &u.v, k),
             };
             (self.weak, self.smallest) = (weak, smallest);
-            let strong = apply(gram, &self.strong, k);
-            let size = norm(&strong, k);
+            let strong = apply(gram, &self.strong);
+            let size = norm(&strong);
             if size > 0.0 {
                 let inverse = 1.0 / size;
-                for i in 0..k {
+                for i in 0..MAX_AXES {
                     self.strong[i] = strong[i] * inverse;
                 }
             }
@@ -61,7 +74,9 @@ pub(crate) struct Condition {
     /// μ² of the exact projector.
     pub(crate) mu_squared: f64,
     /// Factor of the scaled rows' `JJᵀ`, where there is one.
-    pub(crate) factor: Option<Cholesky>,
+    pub(crate) factor: Option<Factor>,
+    /// γ: how much of feed-forward and prediction is used.
+    pub(crate) gamma: f64,
 }
 
 /// A unit vector `v` and `M v`, which an inverse iteration knows without a product.
@@ -74,25 +89,26 @@ struct Image {
 impl Image {
     /// `v = M⁻¹ b`, both divided by the length of `v`.
     #[inline(always)]
-    fn new(v: AxisVec, b: AxisVec, k: usize) -> Self {
-        let size = norm(&v, k);
+    fn new(v: AxisVec, b: AxisVec) -> Self {
+        let size = norm(&v);
         // A singular matrix gives lengths whose squares are too large for a number.
-        if size > 0.0 && size.is_finite() { Self { v, mv: b }.scaled(1.0 / size, k) } else { Self::huge(&v, &b, k) }
+        if size > 0.0 && size.is_finite() { Self { v, mv: b }.scaled(1.0 / size) } else { Self::huge(&v, &b) }
     }
 
     #[cold]
-    fn huge(v: &AxisVec, b: &AxisVec, k: usize) -> Self {
-        let scale = v.iter().take(k).fold(0.0_f64, |a, x| a.max(x.abs()));
+    #[inline(never)]
+    fn huge(v: &AxisVec, b: &AxisVec) -> Self {
+        let scale = v.iter().fold(0.0_f64, |a, x| a.max(x.abs()));
         if !(scale > 0.0 && scale.is_finite()) {
             return Self { v: *b, mv: [0.0; MAX_AXES] };
         }
-        let smaller = Self { v: *v, mv: *b }.scaled(1.0 / scale, k);
-        smaller.scaled(1.0 / norm(&smaller.v, k), k)
+        let smaller = Self { v: *v, mv: *b }.scaled(1.0 / scale);
+        smaller.scaled(1.0 / norm(&smaller.v))
     }
 
     #[inline(always)]
-    fn scaled(mut self, factor: f64, k: usize) -> Self {
-        for i in 0..k {
+    fn scaled(mut self, factor: f64) -> Self {
+        for i in 0..MAX_AXES {
             self.v[i] *= factor;
             self.mv[i] *= factor;
         }
@@ -101,25 +117,25 @@ impl Image {
 
     /// The part across the unit vector `u`, of length 1; `None` where that is nothing but rounding.
     #[inline(always)]
-    fn across(mut self, u: &Self, k: usize) -> Option<Self> {
+    fn across(mut self, u: &Self) -> Option<Self> {
         // Twice: what rounding leaves the first time along `u`.
         for _ in 0..2 {
-            let share = dot(&self.v, &u.v, k);
-            for i in 0..k {
+            let share = dot(&self.v, &u.v);
+            for i in 0..MAX_AXES {
                 self.v[i] -= share * u.v[i];
                 self.mv[i] -= share * u.mv[i];
             }
         }
-        let size = norm(&self.v, k);
-        (size > 1e-10).then(|| self.scaled(1.0 / size, k))
+        let size = norm(&self.v);
+        (size > 1e-10).then(|| self.scaled(1.0 / size))
     }
 }
 
 /// The pair of unit vectors turned in its plane (Rayleigh and Ritz), the one of the smaller value first, and the root of
 /// that value.
 #[inline(always)]
-fn weaker_first(u: &Image, v: &Image, k: usize) -> ([AxisVec; 2], f64) {
-    let (a, b, d) = (dot(&u.v, &u.mv, k), dot(&u.v, &v.mv, k), dot(&v.v, &v.mv, k));
+fn weaker_first(u: &Image, v: &Image) -> ([AxisVec; 2], f64) {
+    let (a, b, d) = (dot(&u.v, &u.mv), dot(&u.v, &v.mv), dot(&v.v, &v.mv));
     let half = 0.5 * (a - d);
     let root = (half * half + b * b).sqrt();
     // Eigenvector of [[a, b], [b, d]] for its smaller value, in the form that does not cancel.
@@ -127,28 +143,29 @@ fn weaker_first(u: &Image, v: &Image, k: usize) -> ([AxisVec; 2], f64) {
     let length = (x * x + y * y).sqrt();
     let (x, y) = if length > 0.0 { (x / length, y / length) } else { (1.0, 0.0) };
     let (mut weak, mut image) = ([[0.0; MAX_AXES]; 2], [0.0; MAX_AXES]);
-    for i in 0..k {
+    for i in 0..MAX_AXES {
         weak[0][i] = x * u.v[i] + y * v.v[i];
         weak[1][i] = x * v.v[i] - y * u.v[i];
         image[i] = x * u.mv[i] + y * v.mv[i];
     }
-    (weak, dot(&weak[0], &image, k).max(0.0).sqrt())
+    (weak, dot(&weak[0], &image).max(0.0).sqrt())
 }
 
 /// `u` and some unit vector across it, for the next tick to start from; zero where there is one axis alone.
 #[cold]
+#[inline(never)]
 fn restart(gram: &Square, u: &AxisVec, k: usize) -> ([AxisVec; 2], f64) {
     let mut unit = Image { v: [0.0; MAX_AXES], mv: [0.0; MAX_AXES] };
-    unit.v[(0..k).fold(0, |best, i| if u[i].abs() < u[best].abs() { i } else { best })] = 1.0;
-    let second = unit.across(&Image { v: *u, mv: [0.0; MAX_AXES] }, k).map_or([0.0; MAX_AXES], |image| image.v);
-    ([*u, second], dot(u, &apply(gram, u, k), k).max(0.0).sqrt())
+    unit.v[(0..k.min(MAX_AXES)).fold(0, |best, i| if u[i].abs() < u[best].abs() { i } else { best })] = 1.0;
+    let second = unit.across(&Image { v: *u, mv: [0.0; MAX_AXES] }).map_or([0.0; MAX_AXES], |image| image.v);
+    ([*u, second], dot(u, &apply(gram, u)).max(0.0).sqrt())
 }
 
 #[inline(always)]
-fn apply(m: &Square, v: &AxisVec, k: usize) -> AxisVec {
+fn apply(m: &Square, v: &AxisVec) -> AxisVec {
     let mut out = [0.0; MAX_AXES];
-    for j in 0..k {
-        for i in 0..k {
+    for j in 0..MAX_AXES {
+        for i in 0..MAX_AXES {
             out[i] += m[i][j] * v[j];
         }
     }
@@ -156,24 +173,25 @@ fn apply(m: &Square, v: &AxisVec, k: usize) -> AxisVec {
 }
 
 #[inline(always)]
-fn dot(a: &AxisVec, b: &AxisVec, k: usize) -> f64 {
+fn dot(a: &AxisVec, b: &AxisVec) -> f64 {
     let mut sum = 0.0;
-    for i in 0..k {
+    for i in 0..MAX_AXES {
         sum += a[i] * b[i];
     }
     sum
 }
 
 #[inline(always)]
-fn norm(v: &AxisVec, k: usize) -> f64 {
-    dot(v, v, k).sqrt()
+fn norm(v: &AxisVec) -> f64 {
+    dot(v, v).sqrt()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::MAX_JOINTS;
-    use crate::law::inverse::weighted_gram;
+    use crate::law::inverse::{load_rows, weighted_gram};
+    use crate::number::{EveryJoint, Plain};
 
     #[test]
     fn singular_values_agree_with_an_svd() {
@@ -183,10 +201,10 @@ mod tests {
                 *value = ((7 * r * r + 3 * i * i + r * i) as f64 * 0.7).sin();
             }
         }
-        let gram = weighted_gram(&rows, &[1.0; MAX_JOINTS], 6, 7);
+        let gram = weighted_gram(&load_rows(&rows), EveryJoint::splat(1.0));
         let exact = crate::law::svd::singular_values(&nalgebra::DMatrix::from_fn(6, 7, |r, c| rows[r][c]));
         let mut values = SingularValues::start();
-        values.update(&gram, &Cholesky::new(&gram, 6), 6, 200);
+        values.update::<Plain>(&gram, &Factor::new::<Plain>(&gram), 6, 200);
         assert!(exact.min() > 0.1, "the matrix has full rank");
         assert!((values.largest - exact.max()).abs() < 1e-9, "{} {exact}", values.largest);
         assert!((values.smallest - exact.min()).abs() < 1e-9, "{} {exact}", values.smallest);
@@ -196,7 +214,7 @@ mod tests {
     fn a_zero_matrix_has_a_zero_value() {
         let mut values = SingularValues::start();
         let zero = [[0.0; MAX_AXES]; MAX_AXES];
-        values.update(&zero, &Cholesky::new(&zero, 6), 6, 2);
+        values.update::<Plain>(&zero, &Factor::new::<Plain>(&zero), 6, 2);
         assert!(values.smallest.abs() < 1e-50);
     }
 }

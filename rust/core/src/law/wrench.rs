@@ -1,68 +1,70 @@
 //! From a wrench to the goals' lead, within torque ceilings and joint speeds: shared by the laws that speak of forces.
 
-use crate::command::goal::{clip, scale_to_fit};
+use crate::command::goal::scale_to_fit;
 use crate::law::inverse::transpose_times;
 use crate::law::{Motion, Tick};
-use crate::{AxisVec, JointVec, MAX_JOINTS};
+use crate::number::{Arithmetic, Lanes, Wide};
 
 /// Wrench on the target, in two parts that are scaled apart when a limit is met [N, N·m].
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(crate) struct Wrench {
-    pub(crate) soft: AxisVec,
-    pub(crate) stiff: AxisVec,
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Wrench<W> {
+    pub(crate) soft: W,
+    pub(crate) stiff: W,
 }
 
-impl Tick<'_> {
+impl<W: Wide> Wrench<W> {
+    /// No force at all.
+    #[inline(always)]
+    pub(crate) fn none() -> Self {
+        Self { soft: W::splat(0.0), stiff: W::splat(0.0) }
+    }
+
+    /// Both parts together.
+    #[inline(always)]
+    pub(crate) fn whole(&self) -> W {
+        self.soft + self.stiff
+    }
+}
+
+impl<J: Lanes> Tick<'_, J> {
     /// Goals' lead that exerts `wrench`, with `null` [rad] beside it; what does not fit gives way in its order.
     #[inline(always)]
-    pub(crate) fn exert(&self, mut wrench: Wrench, mut null: JointVec) -> Motion {
-        let plan = self.plan;
-        let (k, n, servos) = (self.k, self.n.min(MAX_JOINTS), &plan.servos);
-        self.bound_null(&mut null);
+    pub(crate) fn exert(&self, wrench: Wrench<J::Axes>, null: J) -> Motion<J> {
+        let (plan, servos) = (self.plan, &self.plan.servos);
+        let null = self.bound_null(null);
+        let (kp, compliance, torque) = (J::load(&servos.kp), J::load(&servos.compliance), J::load(&servos.torque));
 
         // Torque ceilings: the soft part gives way first, then the stiff one, gravity never.
-        let mut soft = transpose_times(self.rows, &wrench.soft, k, n);
-        let mut stiff = transpose_times(self.rows, &wrench.stiff, k, n);
-        let (mut base, mut feed_forward) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        for i in 0..n {
-            let lead = null[i] + self.integral[i];
-            feed_forward[i] = self.resistance.under(i, clip(self.gravity[i] + soft[i] + stiff[i], servos.torque[i]));
-            base[i] = self.gravity[i] + feed_forward[i] + servos.kp[i] * lead;
-        }
-        let [soft_torque, stiff_torque] = scale_to_fit(&base, [&soft, &stiff], &servos.torque, n);
+        let soft = transpose_times(self.rows, &wrench.soft.numbers());
+        let stiff = transpose_times(self.rows, &wrench.stiff.numbers());
+        let feed_forward = self.resistance.under(J::clip(self.gravity + soft + stiff, torque));
+        let base = J::fma(kp, null + self.integral, self.gravity + feed_forward);
+        let [soft_torque, stiff_torque] = scale_to_fit(base, [soft, stiff], torque);
         // Joint speeds: the null part first.
-        for i in 0..n {
-            soft[i] *= soft_torque * servos.compliance[i];
-            stiff[i] *= stiff_torque * servos.compliance[i];
-        }
-        let reach = plan.reach(self.horizon, n);
-        let [null_speed, soft_speed, stiff_speed] = scale_to_fit(&[0.0; MAX_JOINTS], [&null, &soft, &stiff], &reach, n);
+        let (soft, stiff) = (soft * compliance * J::splat(soft_torque), stiff * compliance * J::splat(stiff_torque));
+        let [null_speed, soft_speed, stiff_speed] =
+            scale_to_fit(J::splat(0.0), [null, soft, stiff], plan.reach(self.horizon));
         let factors = [null_speed, soft_torque * soft_speed, stiff_torque * stiff_speed];
-
-        for i in 0..n {
-            soft[i] *= soft_speed;
-            stiff[i] *= stiff_speed;
-            null[i] *= null_speed;
+        Motion {
+            lead: stiff * J::splat(stiff_speed),
+            force_lead: soft * J::splat(soft_speed),
+            null: null * J::splat(null_speed),
+            wrench: Wrench {
+                soft: wrench.soft * J::Axes::splat(factors[1]),
+                stiff: wrench.stiff * J::Axes::splat(factors[2]),
+            },
+            factors,
+            feed_forward,
+            gain_factor: plan.kx_derating,
         }
-        for r in 0..k {
-            wrench.soft[r] *= factors[1];
-            wrench.stiff[r] *= factors[2];
-        }
-        Motion { lead: stiff, force_lead: soft, null, wrench, factors, feed_forward, gain_factor: plan.kx_derating }
     }
 
     /// Scales the null-space motion to its torque, `Σ k_p |null| ≤ τ₀`, and to its speed limit.
     #[inline(always)]
-    fn bound_null(&self, null: &mut JointVec) {
+    fn bound_null(&self, null: J) -> J {
         let plan = self.plan;
-        let n = self.n.min(MAX_JOINTS);
-        let torque: f64 = (0..n).map(|i| plan.servos.kp[i] * null[i].abs()).sum();
-        if torque > plan.null_torque {
-            let scale = plan.null_torque / torque;
-            for i in 0..n {
-                null[i] *= scale;
-            }
-        }
-        plan.bound_null_speed(null, self.horizon, n);
+        let torque = (J::load(&plan.servos.kp) * J::abs(null)).sum();
+        let null = if torque > plan.null_torque { null * J::splat(plan.null_torque / torque) } else { null };
+        plan.bound_null_speed(null, self.horizon)
     }
 }

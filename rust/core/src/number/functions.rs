@@ -1,7 +1,7 @@
 //! Functions of one number without a call into the system's library: vector code over joints, the same on every system.
 #![forbid(unsafe_code)]
 
-use super::ROUND;
+use super::{Arithmetic, ROUND};
 
 /// tan(π/8): where the angle's series changes its centre.
 const TAN_EIGHTH: f64 = 0.414_213_562_373_095_05;
@@ -42,31 +42,34 @@ pub(crate) fn quadrant_angle(y: f64, x: f64) -> f64 {
 
 /// Hyperbolic tangent, to 5e-16 absolute; NaN where `x` is.
 #[inline(always)]
-pub(crate) fn tanh(x: f64) -> f64 {
+pub(crate) fn tanh<A: Arithmetic>(x: A::Real) -> A::Real {
     const LN_2: [f64; 2] = [6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10];
-    let twice = -2.0 * x.abs();
-    // Beyond, tanh is 1 to rounding; `max` would drop a NaN.
-    let y = if twice < -40.0 { -40.0 } else { twice };
-    let sum = y * std::f64::consts::LOG2_E + ROUND;
-    let halvings = sum - ROUND;
-    let r = (y - halvings * LN_2[0]) - halvings * LN_2[1];
+    let c = A::splat;
+    // Beyond, tanh is 1 to rounding.
+    let y = A::at_least(c(-2.0) * A::abs(x), c(-40.0));
+    let sum = A::fma(y, c(std::f64::consts::LOG2_E), c(ROUND));
+    let halvings = sum - c(ROUND);
+    let r = A::fnma(halvings, c(LN_2[1]), A::fnma(halvings, c(LN_2[0]), y));
     let r2 = r * r;
     let r4 = r2 * r2;
     // Taylor's series of the exponential function: its first term left out is below 1e-17.
-    let low = (1.0 + r) + r2 * (0.5 + r * (1.0 / 6.0));
-    let middle = (1.0 / 24.0 + r * (1.0 / 120.0)) + r2 * (1.0 / 720.0 + r * (1.0 / 5_040.0));
-    let high = (1.0 / 40_320.0 + r * (1.0 / 362_880.0)) + r2 * (1.0 / 3_628_800.0 + r * (1.0 / 39_916_800.0));
-    let top = 1.0 / 479_001_600.0 + r * (1.0 / 6_227_020_800.0);
-    let fraction = low + r4 * (middle + r4 * (high + r4 * top));
-    // The whole number stands in the last bits of the sum: moved up, it is an exponent.
-    let power = f64::from_bits((sum.to_bits() << 52).wrapping_add(1023 << 52));
-    let e = fraction * power;
-    ((1.0 - e) / (1.0 + e)).copysign(x)
+    let low = A::fma(r2, A::fma(r, c(1.0 / 6.0), c(0.5)), c(1.0) + r);
+    let middle = A::fma(r2, A::fma(r, c(1.0 / 5_040.0), c(1.0 / 720.0)), A::fma(r, c(1.0 / 120.0), c(1.0 / 24.0)));
+    let high = A::fma(
+        r2,
+        A::fma(r, c(1.0 / 39_916_800.0), c(1.0 / 3_628_800.0)),
+        A::fma(r, c(1.0 / 362_880.0), c(1.0 / 40_320.0)),
+    );
+    let top = A::fma(r, c(1.0 / 6_227_020_800.0), c(1.0 / 479_001_600.0));
+    let fraction = A::fma(r4, A::fma(r4, A::fma(r4, top, high), middle), low);
+    let e = fraction * A::power_of_two(sum);
+    A::copy_sign((c(1.0) - e) / (c(1.0) + e), x)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::number::Plain;
 
     #[test]
     fn angles_of_the_first_quadrant() {
@@ -85,10 +88,10 @@ mod tests {
     fn hyperbolic_tangents() {
         for i in -200_000..200_000 {
             let x = f64::from(i) * 1.7e-4;
-            let off = (tanh(x) - x.tanh()).abs();
+            let off = (tanh::<Plain>(x) - x.tanh()).abs();
             assert!(off <= 5e-16, "{x}: {off:e}");
         }
-        assert!((tanh(1e9) - 1.0).abs() < f64::EPSILON && (tanh(-1e300) + 1.0).abs() < f64::EPSILON);
-        assert!(tanh(f64::NAN).is_nan() && tanh(0.0).to_bits() == 0);
+        assert!((tanh::<Plain>(1e9) - 1.0).abs() < f64::EPSILON && (tanh::<Plain>(-1e300) + 1.0).abs() < f64::EPSILON);
+        assert!(tanh::<Plain>(f64::NAN).is_nan() && tanh::<Plain>(0.0).to_bits() == 0);
     }
 }

@@ -4,7 +4,11 @@
 use std::fmt;
 use std::sync::OnceLock;
 
-use super::{Arithmetic, Array, Plain, Wide};
+#[cfg(not(target_arch = "x86_64"))]
+use super::Array as PlainEight;
+#[cfg(target_arch = "x86_64")]
+use super::Sse2 as PlainEight;
+use super::{Arithmetic, Plain, Wide};
 #[cfg(target_arch = "x86_64")]
 use super::{Avx2, Avx512, Fused};
 
@@ -15,7 +19,7 @@ const FORCED: &str = "PLIANT_INSTRUCTIONS";
 pub(crate) trait Machine {
     /// One configuration.
     type One: Arithmetic<Real = f64>;
-    /// Eight configurations.
+    /// Eight configurations; or what one has per joint or per task axis.
     type Eight: Wide;
 }
 
@@ -28,12 +32,15 @@ pub(crate) trait Kernel {
     fn run<M: Machine>(self) -> Self::Output;
 }
 
+/// One number per joint of any arm, on any processor: for what is compiled once.
+pub(crate) type EveryJoint = super::Pair<PlainEight>;
+
 /// Any processor of the architecture.
-struct Baseline;
+pub(crate) struct Baseline;
 
 impl Machine for Baseline {
     type One = Plain;
-    type Eight = Array;
+    type Eight = PlainEight;
 }
 
 #[cfg(target_arch = "x86_64")]

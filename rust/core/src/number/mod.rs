@@ -14,27 +14,43 @@ mod functions;
 mod instructions;
 mod lanes;
 mod scalar;
+#[cfg(target_arch = "x86_64")]
+mod x86;
 
 pub(crate) use functions::{quadrant_angle, tanh};
 pub use instructions::Instructions;
-pub(crate) use instructions::{Kernel, Machine};
+pub(crate) use instructions::{EveryJoint, Kernel, Machine};
+#[cfg(not(target_arch = "x86_64"))]
 pub(crate) use lanes::Array;
-#[cfg(target_arch = "x86_64")]
-pub(crate) use lanes::{Avx2, Avx512};
+pub(crate) use lanes::{Lanes, Pair};
 pub(crate) use scalar::{Fused, Plain};
+#[cfg(target_arch = "x86_64")]
+pub(crate) use x86::{avx2::Avx2, avx512::Avx512, sse2::Sse2};
 
 /// How many configurations the wide numbers hold.
 pub(crate) const LANES: usize = 8;
 
+/// What has the operators.
+pub(crate) trait Number:
+    Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
+{
+}
+
+impl<T> Number for T where
+    T: Copy
+        + Debug
+        + Add<Output = Self>
+        + Sub<Output = Self>
+        + Mul<Output = Self>
+        + Div<Output = Self>
+        + Neg<Output = Self>
+{
+}
+
 /// A way to count with real numbers: one configuration (`Real = f64`) or eight at once.
 pub(crate) trait Arithmetic: Copy + Debug + 'static {
     /// The number: one value per configuration.
-    type Real: Copy
-        + Add<Output = Self::Real>
-        + Sub<Output = Self::Real>
-        + Mul<Output = Self::Real>
-        + Div<Output = Self::Real>
-        + Neg<Output = Self::Real>;
+    type Real: Number;
 
     /// Whether a number holds [`LANES`] configurations.
     const WIDE: bool;
@@ -48,17 +64,64 @@ pub(crate) trait Arithmetic: Copy + Debug + 'static {
     /// `c − a b`, fused where the machine can.
     fn fnma(a: Self::Real, b: Self::Real, c: Self::Real) -> Self::Real;
 
+    /// `√value`.
+    fn sqrt(value: Self::Real) -> Self::Real;
+
+    /// `|value|`.
+    fn abs(value: Self::Real) -> Self::Real;
+
+    /// The larger of two numbers; NaN where `value` is.
+    fn at_least(value: Self::Real, bound: Self::Real) -> Self::Real;
+
+    /// The smaller of two numbers; NaN where `value` is.
+    fn at_most(value: Self::Real, bound: Self::Real) -> Self::Real;
+
+    /// `value` within ± `most`; NaN where `value` is, and no panic where `most` is.
+    #[inline(always)]
+    fn clip(value: Self::Real, most: Self::Real) -> Self::Real {
+        Self::at_most(Self::at_least(value, -most), most)
+    }
+
+    /// `size` with the sign of `sign`.
+    fn copy_sign(size: Self::Real, sign: Self::Real) -> Self::Real;
+
+    /// `then` where `a < b`, else `otherwise`.
+    fn if_less(a: Self::Real, b: Self::Real, then: Self::Real, otherwise: Self::Real) -> Self::Real;
+
+    /// Two to the power of the whole number in the last bits of `sum`.
+    fn power_of_two(sum: Self::Real) -> Self::Real;
+
     /// `(s, c)` turned by as many quarters as the whole number in the last bits of `turns` says.
     fn turn(turns: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
 }
 
-/// Wide numbers between memory and registers.
-pub(crate) trait Wide: Arithmetic {
-    /// One value per configuration.
-    fn load(values: &[f64; LANES]) -> Self::Real;
+/// Eight numbers: one per configuration, per joint or per task axis.
+pub(crate) trait Wide: Arithmetic<Real = Self> + Number {
+    /// One number of the same machine.
+    type One: Arithmetic<Real = f64>;
+
+    /// From memory.
+    fn of(values: &[f64; LANES]) -> Self;
+
+    /// To memory.
+    fn put(self, values: &mut [f64; LANES]);
+
+    /// As an array.
+    #[inline(always)]
+    fn numbers(self) -> [f64; LANES] {
+        let mut out = [0.0; LANES];
+        self.put(&mut out);
+        out
+    }
+
+    /// Whether any of them is less than its counterpart.
+    fn less_anywhere(self, other: Self) -> bool;
+
+    /// The sum of each eight.
+    fn four_sums(numbers: [Self; 4]) -> [f64; 4];
 
     /// Eight numbers as eight rows of eight: row `i` holds what configuration `i` has of each.
-    fn transpose(numbers: &[Self::Real; LANES]) -> [[f64; LANES]; LANES];
+    fn transpose(numbers: &[Self; LANES]) -> [[f64; LANES]; LANES];
 }
 
 /// π/2 in three parts. The first two have 33 bits, so that their products with a whole number below 2²⁰ are exact.
@@ -107,7 +170,7 @@ mod tests {
 
         fn run<M: Machine>(self) -> Self::Output {
             let one = self.0.map(sin_cos::<M::One>);
-            let (s, c) = sin_cos::<M::Eight>(M::Eight::load(self.0));
+            let (s, c) = sin_cos::<M::Eight>(M::Eight::of(self.0));
             let rows = M::Eight::transpose(&[s, c, s, c, s, c, s, c]);
             [one, rows.map(|row| (row[0], row[1]))]
         }
@@ -161,7 +224,7 @@ mod tests {
         type Output = [[f64; LANES]; LANES];
 
         fn run<M: Machine>(self) -> Self::Output {
-            M::Eight::transpose(&self.0.map(|row| M::Eight::load(&row)))
+            M::Eight::transpose(&self.0.map(|row| M::Eight::of(&row)))
         }
     }
 

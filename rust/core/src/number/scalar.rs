@@ -47,6 +47,41 @@ macro_rules! scalar {
             }
 
             #[inline(always)]
+            fn sqrt(value: f64) -> f64 {
+                value.sqrt()
+            }
+
+            #[inline(always)]
+            fn abs(value: f64) -> f64 {
+                value.abs()
+            }
+
+            #[inline(always)]
+            fn at_least(value: f64, bound: f64) -> f64 {
+                if value < bound { bound } else { value }
+            }
+
+            #[inline(always)]
+            fn at_most(value: f64, bound: f64) -> f64 {
+                if value > bound { bound } else { value }
+            }
+
+            #[inline(always)]
+            fn copy_sign(size: f64, sign: f64) -> f64 {
+                size.copysign(sign)
+            }
+
+            #[inline(always)]
+            fn if_less(a: f64, b: f64, then: f64, otherwise: f64) -> f64 {
+                if a < b { then } else { otherwise }
+            }
+
+            #[inline(always)]
+            fn power_of_two(sum: f64) -> f64 {
+                f64::from_bits((sum.to_bits() << 52).wrapping_add(1023 << 52))
+            }
+
+            #[inline(always)]
             fn turn(turns: f64, s: f64, c: f64) -> (f64, f64) {
                 turn(turns, s, c)
             }

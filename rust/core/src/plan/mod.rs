@@ -1,5 +1,6 @@
 //! Settings, servos and model resolved into the arrays that the cycle reads.
 
+mod lanes;
 mod rows;
 mod scales;
 mod stiffness;
@@ -16,6 +17,7 @@ use crate::task::axes::{AXIS_NAMES, Frame};
 use crate::task::deviation_limit::DeviationLimit;
 
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
+pub(crate) use lanes::{AxisLanes, RowLanes};
 pub(crate) use rows::Row;
 use rows::{deviation_limits, resolve_rows};
 
@@ -50,6 +52,8 @@ pub(crate) struct Plan {
     /// Axis index of each row.
     pub(crate) axes: Vec<usize>,
     pub(crate) rows: [Row; MAX_AXES],
+    /// The same for vector code.
+    pub(crate) lanes: RowLanes,
     /// Axes with a deviation limit; where there are none, a step knows nothing of them.
     pub(crate) deviation_limits: Vec<DeviationLimit>,
     /// 1 / length for translations, 1 for rotations: what makes singular values of mixed rows comparable.
@@ -72,6 +76,8 @@ pub(crate) struct Plan {
     pub(crate) takeover_damping: f64,
     pub(crate) servos: ServoArrays,
     pub(crate) cost: Cost,
+    /// Rest posture; `None`: q at reset.
+    pub(crate) rest: Option<JointVec>,
     pub(crate) null_torque: f64,
     pub(crate) null_speed: f64,
     pub(crate) joint_weight: JointVec,
@@ -132,6 +138,8 @@ impl Plan {
                 format!("{k} task axes leave no null space on {n} joints: leave it out, or take away an axis"),
             ));
         }
+        let kx = settings.kx.spread("kx", if matches!(settings.kx, Gain::Scalar(_)) { MAX_AXES } else { k })?;
+        let kx = compact(&kx, k);
         let mut plan = Self {
             n,
             k,
@@ -141,11 +149,12 @@ impl Plan {
             projector: settings.projector,
             budget_on_goal: settings.budget_on_goal,
             frame: settings.task.frame,
+            lanes: RowLanes::new(&rows[..k], &damping_scale, &kx),
             rows,
             deviation_limits: deviation_limits(settings, &axes),
             row_scale,
             damping_scale,
-            kx: [[0.0; MAX_AXES]; MAX_AXES],
+            kx,
             kq: settings.kq.spread("kq", n)?,
             kq_scalar: match settings.kq {
                 Gain::Scalar(gain) => Some(gain),
@@ -158,6 +167,7 @@ impl Plan {
             takeover_damping: damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2),
             damping,
             cost: resolve_cost(model, settings)?,
+            rest: settings.posture.as_ref().map(|posture| list("posture", Some(posture), n, 0.0)).transpose()?,
             null_torque: settings.null_torque.unwrap_or(if redundant { 2.0 } else { 0.0 }),
             null_speed: settings.null_speed,
             joint_weight: list("joint_weights", settings.joint_weights.as_deref(), n, 1.0)?,
@@ -180,17 +190,12 @@ impl Plan {
         // The pseudo-inverse wants the inverse of the joints' cost; the others weigh them by the servos' stiffness instead.
         plan.joint_weight =
             if settings.law == Law::Paper { plan.joint_weight.map(|w| 1.0 / w) } else { [1.0; MAX_JOINTS] };
-        plan.kx =
-            compact(&settings.kx.spread("kx", if matches!(settings.kx, Gain::Scalar(_)) { MAX_AXES } else { k })?, k);
         check_gain(settings, &plan)?;
         plan.stop_slope = plan.gain_bound(settings.delay, 1.0 / settings.rate) - 1.0;
         if plan.law == Law::Impedance {
             stiffness::check(model, settings, &plan)?;
         }
         plan.follow_torques(settings);
-        if let Some(posture) = &settings.posture {
-            list("posture", Some(posture), n, 0.0)?;
-        }
         Ok(plan)
     }
 

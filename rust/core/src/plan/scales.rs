@@ -1,10 +1,11 @@
 //! What the cycle scales and bounds by constants of the plan.
 
 use crate::model::Model;
+use crate::number::{Lanes, Wide};
 use crate::plan::Plan;
 use crate::pose::COORDINATE_BOUND;
 use crate::settings::{Law, Projector};
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// How far a reading may lie beyond a joint's position limits [rad]: half a turn. Farther off it is in degrees, or of
 /// another robot.
@@ -25,34 +26,24 @@ pub(super) fn readable(model: &Model) -> [JointVec; 2] {
 impl Plan {
     /// Task rows with translations divided by the arm's length.
     #[inline(always)]
-    pub(crate) fn scale_rows(&self, rows: &Rows, n: usize) -> Rows {
-        let mut out = [[0.0; MAX_JOINTS]; MAX_AXES];
+    pub(crate) fn scale_rows<J: Lanes>(&self, rows: &[J; MAX_AXES]) -> [J; MAX_AXES] {
+        let mut out = *rows;
         for r in 0..MAX_AXES {
-            for i in 0..n.min(MAX_JOINTS) {
-                out[r][i] = self.row_scale[r] * rows[r][i];
-            }
+            out[r] = rows[r] * J::splat(self.row_scale[r]);
         }
         out
     }
 
     /// λ² of each row per mean stiffness, `λ²/k̄`.
     #[inline(always)]
-    pub(crate) fn per_stiffness(&self, squared: &AxisVec) -> AxisVec {
-        let mut out = [0.0; MAX_AXES];
-        for r in 0..MAX_AXES {
-            out[r] = squared[r] / self.servos.kp_mean;
-        }
-        out
+    pub(crate) fn per_stiffness<W: Wide>(&self, squared: W) -> W {
+        squared / W::splat(self.servos.kp_mean)
     }
 
     /// How far each joint may move within a horizon [rad].
     #[inline(always)]
-    pub(crate) fn reach(&self, horizon: f64, n: usize) -> JointVec {
-        let mut out = [0.0; MAX_JOINTS];
-        for i in 0..n.min(MAX_JOINTS) {
-            out[i] = self.joint_speed[i] * horizon;
-        }
-        out
+    pub(crate) fn reach<J: Lanes>(&self, horizon: f64) -> J {
+        J::load(&self.joint_speed) * J::splat(horizon)
     }
 
     /// Whether anything of a step depends on the singular values of its rows.
@@ -65,17 +56,11 @@ impl Plan {
 
     /// Scales a null-space motion [rad] to its speed limit.
     #[inline(always)]
-    pub(crate) fn bound_null_speed(&self, null: &mut JointVec, horizon: f64, n: usize) {
-        let (most, null) = (self.null_speed * horizon, &mut null[..n.min(MAX_JOINTS)]);
-        let mut fastest = 0.0;
-        for value in &*null {
-            let speed = value.abs();
-            fastest = if speed > fastest { speed } else { fastest };
+    pub(crate) fn bound_null_speed<J: Lanes>(&self, null: J, horizon: f64) -> J {
+        let most = self.null_speed * horizon;
+        if !J::splat(most).any_less(J::abs(null)) {
+            return null;
         }
-        if fastest > most {
-            for value in null {
-                *value *= most / fastest;
-            }
-        }
+        null * J::splat(most / J::abs(null).largest())
     }
 }

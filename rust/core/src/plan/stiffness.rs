@@ -2,13 +2,15 @@
 
 use crate::error::{Error, Result};
 use crate::law::impedance::rho;
+use crate::law::inverse::{load_rows, wide};
 use crate::model::Model;
+use crate::number::{EveryJoint, Lanes};
 use crate::plan::{GAIN_DELAY_BOUND, Plan, REFERENCE_REACH};
 use crate::servos::ServoArrays;
 use crate::settings::{Law, Settings};
 use crate::survey;
 use crate::task::axes::AXIS_NAMES;
-use crate::{AxisVec, MAX_AXES};
+use crate::{AxisVec, MAX_AXES, Rows};
 
 /// Stiffness of translations [N/m] and rotations [N·m/rad] of the arm on which they were found, and its mean k_p.
 const REFERENCE: [f64; 2] = [800.0, 20.0];
@@ -96,8 +98,9 @@ fn overshoot(model: &Model, plan: &Plan, gains: &AxisVec, most: f64) -> f64 {
     if most.is_infinite() || gains.iter().all(|&gain| gain <= 0.0) {
         return 0.0;
     }
-    let compliance = &plan.servos.compliance;
-    survey::median_over_rows(model, &plan.axes, &plan.frame, |rows| rho(rows, compliance, gains, plan.k, plan.n)) / most
+    let compliance = EveryJoint::load(&plan.servos.compliance);
+    let of = |rows: &Rows| rho(&load_rows(rows), compliance, wide(gains));
+    survey::median_over_rows(model, &plan.axes, &plan.frame, of) / most
 }
 
 fn why(settings: &Settings) -> String {

@@ -41,7 +41,7 @@ impl Dead<'_> {
             chain.forward(&q, &mut frames);
             chain.jacobian(&frames, &mut world);
             chain.gravity(&frames, self.masses, self.gravity, &mut holding);
-            let lever = crate::task::rows(&world, &self.base_from_task, &[axis], plan.n)[0];
+            let lever = crate::task::rows(&world, &self.base_from_task, &[axis])[0];
             let (force, weakest) = static_force(&lever, sign, &limit, &holding, plan.n);
             if force.is_infinite() {
                 break;

@@ -1,10 +1,11 @@
 //! What an axis pushes back with, and what the other axes add to it.
 
-use crate::command::limits::{Load, within};
+use crate::command::limits::Load;
 use crate::controller::Record;
 use crate::law::activation::Activation;
-use crate::law::inverse::{pseudo_inverse, transpose_times};
+use crate::law::inverse::{axes, load_rows, pseudo_inverse, rows_array, transpose_times, wide};
 use crate::law::nullspace::fade_squared;
+use crate::number::{Arithmetic, EveryJoint, Lanes};
 use crate::plan::Plan;
 use crate::report::dead_host::TRAVEL;
 use crate::report::statics::static_force;
@@ -12,13 +13,15 @@ use crate::settings::{Law, LimitRule, Settings};
 use crate::task::compliance::{compliance, strength};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
+type Axes = <EveryJoint as Lanes>::Axes;
+
 /// One step's pose, seen by the laws.
 pub(super) struct Pose<'a> {
     plan: &'a Plan,
     settings: &'a Settings,
     record: &'a Record,
     /// Only where the law makes its limits from it.
-    shares: Option<Activation>,
+    shares: Option<Activation<EveryJoint>>,
     /// Budget of the null-space motion under the sum rule [N·m].
     null: JointVec,
 }
@@ -27,17 +30,17 @@ impl<'a> Pose<'a> {
     pub(super) fn new(plan: &'a Plan, settings: &'a Settings, record: &'a Record) -> Self {
         let needed = plan.law == Law::Paper || plan.limits == LimitRule::Sum;
         let shares = needed.then(|| record.shares(plan));
-        let null = shares.map_or([0.0; MAX_JOINTS], |shares| shares.null.map(|share| share * plan.null_torque));
+        let null = shares.map_or([0.0; MAX_JOINTS], |shares| shares.null().map(|share| share * plan.null_torque));
         Self { plan, settings, record, shares: shares.filter(|_| plan.law == Law::Paper), null }
     }
 
     /// `Σ_i |J⁺_ij| τ_f,i` of each axis, friction at rest under the arm's weight: what moves the tool along it turns every joint against its friction.
     pub(super) fn friction(&self) -> AxisVec {
         let (plan, record) = (self.plan, self.record);
-        let scaled = plan.scale_rows(&record.rows, plan.n);
+        let scaled = rows_array(&plan.scale_rows(&load_rows::<EveryJoint>(&record.rows)));
         let [sigma_min, sigma_max] = record.sigma(plan);
         let squared = [fade_squared(sigma_min, sigma_max); MAX_AXES];
-        let inverse = pseudo_inverse(&scaled, &[1.0; MAX_JOINTS], &squared, plan.k, plan.n);
+        let inverse = pseudo_inverse(&scaled, &[1.0; MAX_JOINTS], &squared);
         let mut out = [0.0; MAX_AXES];
         for r in 0..plan.k.min(MAX_AXES) {
             let felt: f64 =
@@ -138,22 +141,21 @@ impl<'a> Pose<'a> {
 
     /// Static force along `row` that the limits of the law hold when each axis may ask for `most`.
     fn held(&self, row: usize, side: usize, most: &AxisVec) -> f64 {
-        let (plan, record) = (self.plan, self.record);
-        let (k, n) = (plan.k, plan.n);
-        let in_limits = self.settings.gravity.in_limits();
-        let nothing = [0.0; MAX_JOINTS];
+        let (plan, record, n) = (self.plan, self.record, self.plan.n);
+        let gravity = if self.settings.gravity.in_limits() { record.gravity } else { [0.0; MAX_JOINTS] };
+        let wrench: Axes = wide(&record.wrench);
         let load = Load {
-            gravity: if in_limits { &record.gravity } else { &nothing },
-            feed_forward: &record.feed_forward,
-            task: &transpose_times(&record.rows, &within(&record.wrench, most, k), k, n),
-            offset: &nothing,
+            gravity: EveryJoint::load(&gravity),
+            feed_forward: EveryJoint::load(&record.feed_forward),
+            task: transpose_times(&load_rows(&record.rows), &axes(Axes::clip(wrench, wide(most)))),
+            offset: EveryJoint::splat(0.0),
             gravity_scale: self.settings.gravity_scale,
-            margin: &plan.margin,
+            margin: EveryJoint::load(&plan.margin),
         };
         let mut limit = match (&self.shares, plan.limits) {
-            (Some(shares), _) => load.budget(&shares.distribute(most, plan.null_torque, k, n), n),
-            (None, LimitRule::Demand) => load.demand(n),
-            (None, LimitRule::Sum) => load.sum(&record.rows, most, &self.null, k, n),
+            (Some(shares), _) => load.budget(shares.distribute(wide(most), plan.null_torque)).array(),
+            (None, LimitRule::Demand) => load.demand().array(),
+            (None, LimitRule::Sum) => load.sum(&record.rows, most, &self.null),
         };
         for i in 0..n {
             limit[i] = limit[i].max(plan.floor[i]).min(plan.servos.torque[i]);

@@ -4,9 +4,10 @@ use nalgebra::DMatrix;
 
 use super::dead_host::TRAVEL;
 use crate::kinematics::Frames;
-use crate::law::inverse::{Cholesky, pseudo_inverse, transpose_times, weighted_gram};
+use crate::law::inverse::{Factor, load_rows, pseudo_inverse, rows_array, transpose_times, weighted_gram};
 use crate::law::svd::singular_values;
 use crate::model::Model;
+use crate::number::{EveryJoint, Lanes, Plain};
 use crate::plan::Plan;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -50,15 +51,16 @@ impl Way<'_> {
         let (plan, n, k) = (self.plan, self.plan.n, self.plan.k);
         let travel = TRAVEL[usize::from(plan.rows[row].axis >= 3)];
         let (mut q, mut gone) = (*self.q, 0.0);
+        let compliance = EveryJoint::load(&plan.servos.compliance);
         let mut along = [0.0; MAX_AXES];
         along[row] = sign;
         for _ in 0..STEPS {
-            let rows = self.rows(&q);
-            let mut c = weighted_gram(&rows, &plan.servos.compliance, k, n);
+            let rows = load_rows(&self.rows(&q));
+            let mut c = weighted_gram(&rows, compliance);
             let most = (0..k).fold(0.0_f64, |most, r| most.max(c[r][r]));
             (0..k).for_each(|r| c[r][r] += DAMPING * most);
-            let mut way = transpose_times(&rows, &Cholesky::new(&c, k).solve(&along), k, n);
-            (0..n).for_each(|i| way[i] *= plan.servos.compliance[i]);
+            let way = transpose_times(&rows, &Factor::new::<Plain>(&c).solve::<Plain>(&along));
+            let way = (way * compliance).array();
             let (mut step, mut met) = (travel / f64::from(STEPS), None);
             for i in 0..n {
                 let room = if way[i] > 0.0 { plan.upper[i] - q[i] } else { q[i] - plan.lower[i] };
@@ -81,13 +83,13 @@ impl Way<'_> {
         let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
         chain.forward(q, &mut frames);
         chain.jacobian(&frames, &mut world);
-        crate::task::rows(&world, &self.base_from_task, &self.plan.axes, self.plan.n)
+        crate::task::rows(&world, &self.base_from_task, &self.plan.axes)
     }
 
     /// Friction along `row` of all joints but one.
     fn friction_without(&self, q: &JointVec, joint: usize, row: usize) -> f64 {
         let (plan, n, k) = (self.plan, self.plan.n, self.plan.k);
-        let mut scaled = plan.scale_rows(&self.rows(q), n);
+        let mut scaled = rows_array(&plan.scale_rows(&load_rows::<EveryJoint>(&self.rows(q))));
         for r in &mut scaled {
             r[joint] = 0.0;
         }
@@ -96,7 +98,7 @@ impl Way<'_> {
         if smallest <= SINGULAR * largest {
             return f64::INFINITY;
         }
-        let inverse = pseudo_inverse(&scaled, &[1.0; MAX_JOINTS], &[0.0; MAX_AXES], k, n);
+        let inverse = pseudo_inverse(&scaled, &[1.0; MAX_JOINTS], &[0.0; MAX_AXES]);
         (0..n).map(|i| inverse[row][i].abs() * self.friction[i]).sum::<f64>() * plan.row_scale[row]
     }
 }

@@ -1,6 +1,8 @@
 //! Target adaptation, equation (12), and the softness that selects where it acts.
 
+use crate::number::{Arithmetic, Plain};
 use crate::pose::Pose;
+use crate::task::compliance::unit;
 use crate::task::deviation::{pose_error, rotation_matrix};
 
 /// Share of the strengths "pushed toward +", 0…1, for the deviation `e`.
@@ -8,20 +10,17 @@ use crate::task::deviation::{pose_error, rotation_matrix};
 /// Pushed toward + means that the tool is beyond its target, e < 0. Within ± `band` of zero the share is linear in `e`,
 /// so that encoder noise toggles nothing; with `band` = 0 it switches at zero.
 #[inline(always)]
-pub(crate) fn plus_share(e: f64, band: f64) -> f64 {
-    if band > 0.0 {
-        ((band - e) / (2.0 * band)).clamp(0.0, 1.0)
-    } else if e < 0.0 {
-        1.0
-    } else {
-        0.0
-    }
+pub(crate) fn plus_share<A: Arithmetic>(e: A::Real, band: A::Real) -> A::Real {
+    let (zero, one) = (A::splat(0.0), A::splat(1.0));
+    let linear = unit::<A>((band - e) / (band + band));
+    A::if_less(zero, band, linear, A::if_less(e, zero, one, zero))
 }
 
-/// Adapted deviation `ẽ = (1 − η w) e` of one axis: (12) in the form that is memoryless, hence independent of the rate.
+/// Adapted deviation `ẽ = (1 − η w) e` of one axis or of eight: (12) in the form that is memoryless, hence independent of
+/// the rate.
 #[inline(always)]
-pub fn adapt_deviation(e: f64, eta: f64, softness: f64) -> f64 {
-    (1.0 - eta * softness) * e
+pub(crate) fn adapt_deviation<A: Arithmetic>(e: A::Real, eta: A::Real, softness: A::Real) -> A::Real {
+    A::fnma(eta, softness, A::splat(1.0)) * e
 }
 
 /// The intermediate target of (12) as a pose: `x_d + η (x − x_d)` on the compliant axes, in base axes.
@@ -31,7 +30,7 @@ pub fn adapt_target(actual: &Pose, target: &Pose, eta: f64, compliant: [bool; 6]
     let e = pose_error(actual, target);
     let mut adapted = e;
     for (value, on) in adapted.iter_mut().zip(compliant) {
-        *value = adapt_deviation(*value, eta, f64::from(u8::from(on)));
+        *value = adapt_deviation::<Plain>(*value, eta, f64::from(u8::from(on)));
     }
     let turn = rotation_matrix([adapted[3], adapted[4], adapted[5]]);
     let mut out = *actual;
@@ -50,10 +49,10 @@ mod tests {
 
     #[test]
     fn direction_is_named_by_the_push() {
-        assert!((plus_share(-1.0, 0.001) - 1.0).abs() < f64::EPSILON);
-        assert!(plus_share(1.0, 0.001).abs() < f64::EPSILON);
-        assert!((plus_share(0.0, 0.001) - 0.5).abs() < f64::EPSILON);
-        assert!((plus_share(-1e-9, 0.0) - 1.0).abs() < f64::EPSILON);
+        assert!((plus_share::<Plain>(-1.0, 0.001) - 1.0).abs() < f64::EPSILON);
+        assert!(plus_share::<Plain>(1.0, 0.001).abs() < f64::EPSILON);
+        assert!((plus_share::<Plain>(0.0, 0.001) - 0.5).abs() < f64::EPSILON);
+        assert!((plus_share::<Plain>(-1e-9, 0.0) - 1.0).abs() < f64::EPSILON);
     }
 
     #[test]

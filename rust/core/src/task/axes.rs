@@ -154,6 +154,17 @@ pub enum Profile {
     Yielding,
 }
 
+impl Profile {
+    /// Strength at a small and at a large deviation.
+    pub(crate) fn ends(self, soft: f64, firm: f64) -> [f64; 2] {
+        match self {
+            Self::Firming => [soft, firm],
+            Self::Constant => [soft, soft],
+            Self::Yielding => [firm, soft],
+        }
+    }
+}
+
 /// What the target does where a stiff axis is beyond its deviation limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Beyond {

@@ -1,27 +1,40 @@
 //! Compliance (8) and holding torque (9).
 
+use crate::number::{Arithmetic, Plain};
 use crate::task::axes::Profile;
 
 /// Compliance c ∈ [0, 1] of (8) for a deviation of any sign: 1 below `d_minus`, 0 above `d_plus`, linear between.
 ///
 /// The paper prints d without absolute value, which would call every negative deviation fully compliant.
-#[inline(always)]
 pub fn compliance(deviation: f64, d_minus: f64, d_plus: f64) -> f64 {
-    ((d_plus - deviation.abs()) / (d_plus - d_minus)).clamp(0.0, 1.0)
+    compliance_by::<Plain>(deviation, d_minus, d_plus)
+}
+
+/// [`compliance`] of one axis or of eight.
+#[inline(always)]
+pub(crate) fn compliance_by<A: Arithmetic>(deviation: A::Real, d_minus: A::Real, d_plus: A::Real) -> A::Real {
+    unit::<A>((d_plus - A::abs(deviation)) / (d_plus - d_minus))
+}
+
+/// A number within [0, 1].
+#[inline(always)]
+pub(crate) fn unit<A: Arithmetic>(value: A::Real) -> A::Real {
+    A::at_most(A::at_least(value, A::splat(0.0)), A::splat(1.0))
+}
+
+/// `share · there + (1 − share) · here`.
+#[inline(always)]
+pub(crate) fn between<A: Arithmetic>(share: A::Real, here: A::Real, there: A::Real) -> A::Real {
+    A::fma(share, there, (A::splat(1.0) - share) * here)
 }
 
 /// Strength of a yielding axis, (9): `c soft + (1 − c) firm`, or another profile over the same two values.
-#[inline(always)]
 pub fn strength(c: f64, soft: f64, firm: f64, profile: Profile) -> f64 {
-    match profile {
-        Profile::Firming => c * soft + (1.0 - c) * firm,
-        Profile::Constant => soft,
-        Profile::Yielding => c * firm + (1.0 - c) * soft,
-    }
+    let [near, far] = profile.ends(soft, firm);
+    between::<Plain>(c, far, near)
 }
 
 /// Holding torque of one axis as in (9): interpolated where the axis is compliant, `hold` where it is not.
-#[inline(always)]
 pub fn holding_torque(c: f64, soft: f64, firm: f64, hold: f64, compliant: bool) -> f64 {
     if compliant { strength(c, soft, firm, Profile::Firming) } else { hold }
 }

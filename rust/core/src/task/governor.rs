@@ -83,7 +83,7 @@ impl Governor {
         if at_rotation {
             self.pose.rotation = target.rotation;
         } else {
-            let turn = rotation_matrix(angular.map(|w| w * dt));
+            let turn = rotation_matrix([angular[0] * dt, angular[1] * dt, angular[2] * dt]);
             self.pose.rotation = orthonormal(&multiply(&turn, &self.pose.rotation));
         }
         self.velocity = [linear[0], linear[1], linear[2], angular[0], angular[1], angular[2]];

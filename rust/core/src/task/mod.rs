@@ -9,9 +9,11 @@ pub(crate) mod deviation_limit;
 pub(crate) mod governor;
 pub(crate) mod wish;
 
+use crate::law::inverse::{load_rows, rows_array};
+use crate::number::{EveryJoint, Lanes};
 use crate::pose::Pose;
 use crate::task::axes::Frame;
-use crate::{MAX_AXES, MAX_JOINTS, Rows};
+use crate::{MAX_AXES, Rows};
 
 /// `base_from_task` of a task frame, given the pose of the tool.
 #[inline(always)]
@@ -23,22 +25,38 @@ pub(crate) fn base_from_task(frame: &Frame, tool: &Pose) -> [[f64; 3]; 3] {
     }
 }
 
-/// Jacobian rows of the task's axes in the task frame, from the 6 × n Jacobian in base axes.
-#[inline(always)]
-pub(crate) fn rows(world: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[usize], n: usize) -> Rows {
-    let mut out = [[0.0; MAX_JOINTS]; MAX_AXES];
-    rows_into(world, base_from_task, axes, n, &mut out);
-    out
+/// Jacobian rows of the task's axes in the task frame, from the 6 × n Jacobian in base axes; 0 behind them.
+pub(crate) fn rows(world: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[usize]) -> Rows {
+    rows_array(&turned_rows::<EveryJoint>(&load_rows(world), base_from_task, axes))
 }
 
-/// [`rows`] into an array whose rows behind the task's axes are 0.
+/// [`rows`] of a task in `frame`.
 #[inline(always)]
-pub(crate) fn rows_into(world: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[usize], n: usize, out: &mut Rows) {
-    for (row, &axis) in out.iter_mut().zip(axes) {
-        let (block, column) = if axis < 3 { (0, axis) } else { (3, (axis - 3) % 3) };
-        let factors = [base_from_task[0][column], base_from_task[1][column], base_from_task[2][column]];
-        for i in 0..n.min(MAX_JOINTS) {
-            row[i] = factors[0] * world[block][i] + factors[1] * world[block + 1][i] + factors[2] * world[block + 2][i];
-        }
+pub(crate) fn rows_in<J: Lanes>(
+    frame: &Frame,
+    world: &[J; MAX_AXES],
+    base_from_task: &[[f64; 3]; 3],
+    axes: &[usize],
+) -> [J; MAX_AXES] {
+    match frame {
+        // The six axes of the base are the world's rows themselves.
+        Frame::Base if axes.len() == MAX_AXES => *world,
+        _ => turned_rows(world, base_from_task, axes),
     }
+}
+
+#[inline(always)]
+fn turned_rows<J: Lanes>(world: &[J; MAX_AXES], base_from_task: &[[f64; 3]; 3], axes: &[usize]) -> [J; MAX_AXES] {
+    let mut out = [J::splat(0.0); MAX_AXES];
+    for r in 0..axes.len().min(MAX_AXES) {
+        let axis = axes[r];
+        let (block, column) = if axis < 3 { (0, axis) } else { (3, (axis - 3) % 3) };
+        let [x, y, z] = [
+            J::splat(base_from_task[0][column]),
+            J::splat(base_from_task[1][column]),
+            J::splat(base_from_task[2][column]),
+        ];
+        out[r] = J::fma(z, world[block + 2], J::fma(y, world[block + 1], x * world[block]));
+    }
+    out
 }

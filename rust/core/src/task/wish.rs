@@ -1,98 +1,91 @@
 //! What each axis wants at one tick: lines 3 to 6 of the control step.
 
-use crate::plan::Plan;
+use crate::number::Wide;
+use crate::plan::{AxisLanes, Plan};
 use crate::settings::Settings;
-use crate::task::{adapt, compliance};
+use crate::task::adapt::{adapt_deviation, plus_share};
+use crate::task::compliance::{between, compliance_by};
 use crate::{AxisVec, MAX_AXES};
 
-/// Deviation and what softness, compliance and gains make of it; one entry per task row.
+/// Deviation and what softness, compliance and gains make of it; one lane per task row, 0 behind the last.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Wish {
+pub(crate) struct Wish<W> {
     /// e [m, rad].
-    pub(crate) deviation: AxisVec,
+    pub(crate) deviation: W,
     /// ẽ = (1 − η w) e.
-    pub(crate) adapted: AxisVec,
+    pub(crate) adapted: W,
     /// w ∈ [0, 1].
-    pub(crate) softness: AxisVec,
+    pub(crate) softness: W,
     /// c ∈ [0, 1].
-    pub(crate) compliance: AxisVec,
+    pub(crate) compliance: W,
     /// F: strength where the axis yields.
-    pub(crate) strength: AxisVec,
+    pub(crate) strength: W,
     /// w F + (1 − w) hold.
-    pub(crate) most: AxisVec,
+    pub(crate) most: W,
     /// K [N/m, N·m/rad] for the side it is pushed from.
-    pub(crate) stiffness: AxisVec,
+    pub(crate) stiffness: W,
     /// D [N·s/m, N·m·s/rad] for that side.
-    pub(crate) viscosity: AxisVec,
+    pub(crate) viscosity: W,
     /// Velocity of the target [m/s, rad/s].
-    pub(crate) twist: AxisVec,
+    pub(crate) twist: W,
     /// s = h (K_x ẽ + twist), within the limit of soft axes.
-    pub(crate) step: AxisVec,
+    pub(crate) step: W,
     /// The same within the limits of stiff axes too.
-    pub(crate) bounded: AxisVec,
+    pub(crate) bounded: W,
 }
 
-impl Wish {
+impl<W: Wide> Wish<W> {
     /// From the deviation and the target's velocity (6,), both in the task frame.
     #[inline(always)]
     pub(crate) fn new(plan: &Plan, settings: &Settings, error: &AxisVec, twist: &AxisVec) -> Self {
-        let zero = [0.0; MAX_AXES];
-        let mut wish = Self {
-            deviation: zero,
-            adapted: zero,
-            softness: zero,
-            compliance: zero,
-            strength: zero,
-            most: zero,
-            stiffness: zero,
-            viscosity: zero,
-            twist: zero,
-            step: zero,
-            bounded: zero,
-        };
-        for (r, row) in plan.rows.iter().enumerate().take(plan.k) {
-            let e = error[row.axis];
-            let plus = adapt::plus_share(e, row.band);
-            let between = |pair: [f64; 2]| (1.0 - plus) * pair[0] + plus * pair[1];
-            let w = between(row.yields);
-            let adapted = adapt::adapt_deviation(e, row.eta, w);
-            let seen = if settings.raw_deviation { e } else { adapted };
-            let c = compliance::compliance(seen, row.d_minus, row.d_plus);
-            let strength = compliance::strength(c, between(row.soft), between(row.firm), row.profile);
-            wish.deviation[r] = e;
-            wish.adapted[r] = adapted;
-            wish.softness[r] = w;
-            wish.compliance[r] = c;
-            wish.strength[r] = strength;
-            wish.most[r] = w * strength + (1.0 - w) * row.hold;
-            wish.stiffness[r] = between(row.stiffness);
-            wish.viscosity[r] = between(row.viscosity);
-            wish.twist[r] = twist[row.axis];
+        let rows = &plan.lanes;
+        let (e, twist) = (plan.of_rows(error), plan.of_rows(twist));
+        let plus = plus_share::<W>(e, W::of(&rows.band));
+        let w = side(plus, &rows.yields);
+        let adapted = adapt_deviation::<W>(e, W::of(&rows.eta), w);
+        let seen = if settings.raw_deviation { e } else { adapted };
+        let c = compliance_by::<W>(seen, W::of(&rows.d_minus), W::of(&rows.d_plus));
+        let strength = between::<W>(c, side(plus, &rows.far), side(plus, &rows.near));
+        let step = W::splat(settings.horizon) * W::fma(W::splat(plan.kx_derating), pulled(plan, adapted), twist);
+        let soft_most = W::splat(settings.horizon) * W::of(&rows.soft_step_limit);
+        Self {
+            deviation: e,
+            adapted,
+            softness: w,
+            compliance: c,
+            strength,
+            most: between::<W>(w, W::of(&rows.hold), strength),
+            stiffness: side(plus, &rows.stiffness),
+            viscosity: side(plus, &rows.viscosity),
+            twist,
+            step: W::clip(step, soft_most),
+            bounded: W::clip(step, largest_step(w, W::splat(settings.horizon) * W::of(&rows.step_limit), soft_most)),
         }
-        wish.take_steps(plan, settings.horizon, twist);
-        wish
     }
+}
 
-    /// Line 6: the step and its per-axis limits. Whole vectors are never scaled by their norm, which would spend the
-    /// stiff axes' share on the soft ones.
-    #[inline(always)]
-    fn take_steps(&mut self, plan: &Plan, h: f64, twist: &AxisVec) {
-        for (r, row) in plan.rows.iter().enumerate().take(plan.k) {
-            let pull: f64 = (0..plan.k).map(|c| plan.kx[r][c] * self.adapted[c]).sum();
-            let step = h * (plan.kx_derating * pull + twist[row.axis]);
-            let (w, soft_most) = (self.softness[r], h * row.soft_step_limit);
-            let most = if w <= 0.0 {
-                h * row.step_limit
-            } else if w >= 1.0 {
-                soft_most
-            } else if soft_most.is_finite() && row.step_limit.is_finite() {
-                (1.0 - w) * h * row.step_limit + w * soft_most
-            } else {
-                // Between the two the stiff part of the axis keeps its own limit.
-                h * row.step_limit
-            };
-            self.step[r] = step.clamp(-soft_most, soft_most);
-            self.bounded[r] = step.clamp(-most, most);
-        }
+/// What holds for the side that an axis is pushed from.
+#[inline(always)]
+fn side<W: Wide>(plus: W, pair: &[AxisLanes; 2]) -> W {
+    between::<W>(plus, W::of(&pair[0]), W::of(&pair[1]))
+}
+
+/// `K_x ẽ`.
+#[inline(always)]
+fn pulled<W: Wide>(plan: &Plan, adapted: W) -> W {
+    let (adapted, mut pull) = (adapted.numbers(), W::splat(0.0));
+    for c in 0..MAX_AXES {
+        pull = W::fma(W::of(&plan.lanes.kx[c]), W::splat(adapted[c]), pull);
     }
+    pull
+}
+
+/// Per-axis limits of the step of line 6. Whole vectors are never scaled by their norm, which would spend the stiff axes'
+/// share on the soft ones.
+#[inline(always)]
+fn largest_step<W: Wide>(w: W, stiff: W, soft: W) -> W {
+    let (zero, one, endless) = (W::splat(0.0), W::splat(1.0), W::splat(f64::INFINITY));
+    // Where one of the two has no limit, the stiff part of an axis between them keeps its own.
+    let mixed = W::if_less(W::at_least(stiff, soft), endless, between::<W>(w, stiff, soft), stiff);
+    W::if_less(zero, w, W::if_less(w, one, mixed, soft), stiff)
 }

@@ -1,0 +1,85 @@
+//! The task axes side by side, as vector code reads them.
+
+use crate::number::{LANES, Wide};
+use crate::plan::{Plan, Row};
+use crate::{AxisVec, MAX_AXES};
+
+/// One number per task row, then whatever keeps the spare lanes at zero.
+pub(crate) type AxisLanes = [f64; LANES];
+
+/// Every field of the [`Row`]s as one vector; pairs are (pushed toward −, toward +).
+#[derive(Debug, Clone)]
+pub(crate) struct RowLanes {
+    /// Index among x, y, z, roll, pitch, yaw, 6 for a spare row.
+    axis: [usize; MAX_AXES],
+    pub(crate) yields: [AxisLanes; 2],
+    /// Strength at a small and at a large deviation.
+    pub(crate) near: [AxisLanes; 2],
+    pub(crate) far: [AxisLanes; 2],
+    pub(crate) hold: AxisLanes,
+    pub(crate) stiffness: [AxisLanes; 2],
+    pub(crate) viscosity: [AxisLanes; 2],
+    pub(crate) eta: AxisLanes,
+    pub(crate) d_minus: AxisLanes,
+    pub(crate) d_plus: AxisLanes,
+    pub(crate) band: AxisLanes,
+    pub(crate) step_limit: AxisLanes,
+    pub(crate) soft_step_limit: AxisLanes,
+    pub(crate) damping_scale: AxisLanes,
+    /// Columns of K_x.
+    pub(crate) kx: [AxisLanes; MAX_AXES],
+}
+
+impl RowLanes {
+    pub(crate) fn new(rows: &[Row], damping_scale: &AxisVec, kx: &[[f64; MAX_AXES]; MAX_AXES]) -> Self {
+        let of = |field: &dyn Fn(&Row) -> f64| {
+            let mut out = [0.0; LANES];
+            for (slot, row) in out.iter_mut().zip(rows) {
+                *slot = field(row);
+            }
+            out
+        };
+        let ends = |row: &Row, side: usize| -> [f64; 2] { row.profile.ends(row.soft[side], row.firm[side]) };
+        let mut d_plus = of(&|row| row.d_plus);
+        d_plus[rows.len()..].fill(1.0);
+        let mut spread_damping = [0.0; LANES];
+        spread_damping[..MAX_AXES].copy_from_slice(damping_scale);
+        let (mut columns, mut axis) = ([[0.0; LANES]; MAX_AXES], [MAX_AXES; MAX_AXES]);
+        for (r, row) in rows.iter().enumerate() {
+            axis[r] = row.axis;
+            (0..MAX_AXES).for_each(|c| columns[c][r] = kx[r][c]);
+        }
+        Self {
+            axis,
+            yields: [0, 1].map(|side| of(&|row| row.yields[side])),
+            near: [0, 1].map(|side| of(&|row| ends(row, side)[0])),
+            far: [0, 1].map(|side| of(&|row| ends(row, side)[1])),
+            hold: of(&|row| row.hold),
+            stiffness: [0, 1].map(|side| of(&|row| row.stiffness[side])),
+            viscosity: [0, 1].map(|side| of(&|row| row.viscosity[side])),
+            eta: of(&|row| row.eta),
+            d_minus: of(&|row| row.d_minus),
+            d_plus,
+            band: of(&|row| row.band),
+            step_limit: of(&|row| row.step_limit),
+            soft_step_limit: of(&|row| row.soft_step_limit),
+            damping_scale: spread_damping,
+            kx: columns,
+        }
+    }
+}
+
+impl Plan {
+    /// The entries of a vector over x, y, z, roll, pitch, yaw that the task has, in the order of its rows.
+    #[inline(always)]
+    pub(crate) fn of_rows<W: Wide>(&self, v: &AxisVec) -> W {
+        if self.k == MAX_AXES {
+            return W::of(&[v[0], v[1], v[2], v[3], v[4], v[5], 0.0, 0.0]);
+        }
+        let (all, mut out) = ([v[0], v[1], v[2], v[3], v[4], v[5], 0.0, 0.0], [0.0; LANES]);
+        for r in 0..MAX_AXES {
+            out[r] = all[self.lanes.axis[r] % LANES];
+        }
+        W::of(&out)
+    }
+}
