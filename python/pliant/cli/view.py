@@ -1,0 +1,111 @@
+"""`pliant view`: a page in the browser to push an arm and see why it is soft."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from pliant import ConfigError, PliantError
+
+if TYPE_CHECKING:
+    from pliant.view.source import Source
+
+
+def run(
+    arm: Annotated[str, tyro.conf.Positional] = "",
+    *,
+    robot: Literal["arm7", "so101", "koch"] = "arm7",
+    scene: str = "free",
+    rate: float = 100.0,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    browser: bool = False,
+    serial: Annotated[str | None, tyro.conf.arg(name="serial-port")] = None,
+    backend: str | None = None,
+    urdf: Path | None = None,
+    calibration: Path | None = None,
+) -> None:
+    """Show an arm on a page, control it from there until Ctrl-C, and lower it.
+
+    Without a configuration it is a simulated arm with scenes to play with. The page asks for the
+    token in its link. It can be reached from this machine alone unless --host says otherwise; then
+    everybody on that network who has the link can move the arm, and it travels unencrypted.
+
+    Args:
+        arm: Configuration file, or the name of a ready one; nothing: a simulated --robot.
+        robot: Built-in arm on the simulator.
+        scene: Where it starts: free, door, drawer, wall or hand-over.
+        rate: Of the simulated arm's control [Hz].
+        host: Address to listen on; 0.0.0.0 opens the page to the network.
+        port: Of the page; the next free one is taken.
+        browser: Open the page in the browser.
+        serial: Device in place of the file's.
+        backend: bus, emulator or sim in place of the file's.
+        urdf: URDF in place of the file's.
+        calibration: LeRobot's calibration file in place of the file's.
+    """
+    _needs()
+    from pliant.view.gate import is_loopback
+    from pliant.view.link import Link
+    from pliant.view.session import Session
+
+    source = _source(arm, robot, scene, rate, serial, backend, urdf, calibration)
+    console = Console()
+    with Link(host, port) as link:
+        console.print(f"{link.address}", highlight=False, soft_wrap=True)
+        if not is_loopback(host):
+            console.print(
+                f"[bold]Open to the network on {host}:[/bold] whoever has this link can move the "
+                "arm, and reads and writes pass unencrypted. Ctrl-C lowers the arm and ends it.",
+                highlight=False,
+            )
+        if browser:
+            import webbrowser
+
+            webbrowser.open(link.address)
+        Session(source, link).run()
+
+
+def _source(
+    arm: str,
+    robot: str,
+    scene: str,
+    rate: float,
+    port: str | None,
+    backend: str | None,
+    urdf: Path | None,
+    calibration: Path | None,
+) -> Source:
+    """A configuration, or a simulated arm."""
+    from pliant.view.source import Configured, Simulated
+
+    if not arm:
+        given = {"--serial-port": port, "--backend": backend, "--urdf": urdf}
+        given["--calibration"] = calibration
+        odd = [flag for flag, value in given.items() if value is not None]
+        if odd:
+            raise ConfigError(
+                f"{odd[0]} belongs to a configuration: pliant view so101 {odd[0]} ..."
+            )
+        return Simulated(robot, scene, rate)
+    from pliant import config
+
+    return Configured(
+        config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
+    )
+
+
+def _needs() -> None:
+    """Say in one line how to get what the extra brings."""
+    from importlib import import_module
+
+    for needed in ("viser", "mjviser"):
+        try:
+            import_module(needed)
+        except ImportError as error:
+            raise PliantError(
+                f"the page needs {error.name or needed}: pip install 'pliant[view]'"
+            ) from error
