@@ -1,10 +1,11 @@
-"""What a visitor can turn: stop, scene, settings, push."""
+"""What a visitor can turn: scene, settings, push."""
 
 from __future__ import annotations
 
 import itertools
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import viser
 
 from pliant.view import orders
@@ -29,6 +30,8 @@ WORDS = {value: key for key, value in YIELDS.items()}
 HOLDING, COUNTS = 10.0, 0.4
 #: Length of a push that needs no holding [s].
 PUSH = 2.0
+#: Share of the largest push at which its slider begins.
+FIRST = 0.15
 
 
 class Controls:
@@ -39,24 +42,12 @@ class Controls:
         self._gui, self._stage, self._tell = server.gui, stage, tell
         self._numbers = itertools.count(1)
         self._said = 0
-        self._stop()
         self._scene()
         self._softness()
         if stage.strong is not None:
             self._push(stage.strong)
 
     # Building.
-
-    def _stop(self) -> None:
-        gui = self._gui
-        self.stop = gui.add_button(
-            "STOP", color="red", icon=viser.Icon.HAND_STOP, hint="Lower the arm, then torque off"
-        )
-        self.stop.on_click(lambda _: self._tell(orders.Stop()))
-        self.start = gui.add_button(
-            "Torque on", color="green", icon=viser.Icon.PLAYER_PLAY, visible=False
-        )
-        self.start.on_click(lambda _: self._tell(orders.Start()))
 
     def _scene(self) -> None:
         gui, stage = self._gui, self._stage
@@ -123,22 +114,31 @@ class Controls:
             sides = [f"{sign}{name}" for name in axes for sign in "+−"]
             first = "+y" if "+y" in sides else sides[0]
             self.side = gui.add_dropdown("Toward", tuple(sides), initial_value=first)
-            self.force = gui.add_slider(
-                "Strength [%]", min=0, max=100, step=1, initial_value=30, hint=_most(axes, strong)
-            )
+            self.force = gui.add_slider("Force [N]", min=0.0, max=1.0, step=0.1, initial_value=0.0)
+            self._scale(strong)
+            self.side.on_update(lambda _: self._scale(strong))
             held = gui.add_button("Push while held down", icon=viser.Icon.HAND_FINGER)
-            held.on_hold(lambda _: self._tell(self._pushing(strong, COUNTS)), callback_hz=HOLDING)
+            held.on_hold(lambda _: self._tell(self._pushing(COUNTS)), callback_hz=HOLDING)
             timed = gui.add_button(f"Push for {PUSH:g} s", color="gray")
-            timed.on_click(lambda _: self._tell(self._pushing(strong, PUSH)))
+            timed.on_click(lambda _: self._tell(self._pushing(PUSH)))
 
-    def _pushing(self, strong: tuple[float, float], seconds: float) -> orders.Push:
+    def _scale(self, strong: tuple[float, float]) -> None:
+        """Newtons along an axis, newton metres about one."""
+        turning = self.side.value[1:] not in {"x", "y", "z"}
+        label = "Torque [N·m]" if turning else "Force [N]"
+        if self.force.label != label or self.force.value == 0.0:
+            most = strong[turning]
+            self.force.label, self.force.step = label, 10.0 ** np.floor(np.log10(most / 40.0))
+            self.force.max = float(np.round(most, 3))
+            self.force.value = float(np.round(FIRST * most, 3))
+
+    def _pushing(self, seconds: float) -> orders.Push:
         side = self.side.value
-        sign, name = (1.0 if side[0] == "+" else -1.0), side[1:]
-        place = ("x", "y", "z", "roll", "pitch", "yaw").index(name)
-        size = sign * self.force.value / 100.0 * strong[place >= 3]
-        wrench = [0.0] * 6
-        wrench[place] = size
-        return orders.Push((*wrench[:3],), (*wrench[3:],), seconds)  # type: ignore[arg-type]
+        wrench = np.zeros(6)
+        place = ("x", "y", "z", "roll", "pitch", "yaw").index(side[1:])
+        wrench[place] = self.force.value if side[0] == "+" else -self.force.value
+        x, y, z, *turn = wrench.tolist()
+        return orders.Push((x, y, z), (turn[0], turn[1], turn[2]), seconds)
 
     # Saying and showing.
 
@@ -175,8 +175,6 @@ class Controls:
 
     def show(self, now: Snapshot) -> None:
         """Bring controls to what is in force, unless a visitor's edit is still on its way."""
-        running = now.phase in {"starting", "running"}
-        self.stop.visible, self.start.visible = running, now.phase == "down"
         if now.shown is not None and now.edit >= self._said:
             self._bring(now.shown)
 
@@ -190,8 +188,3 @@ class Controls:
             for word in ("soft", "firm", "hold"):
                 if axis[word] is not None:
                     self.strength[name, word].value = axis[word]
-
-
-def _most(axes: tuple[str, ...], strong: tuple[float, float]) -> str:
-    turning = f", {strong[1]:.3g} N·m" if len(axes) > 3 else ""
-    return f"100 % is {strong[0]:.3g} N{turning}"

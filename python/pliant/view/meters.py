@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 #: Colours that are the same in words, bars and plots.
 SOFT, STIFF, FULL, TRACK = "#1c64c8", "#5b6675", "#d9480f", "rgba(130,140,155,0.18)"
+#: Curves of axes and joints, in their order.
+COLOURS = ("#d6336c", "#2f9e44", "#1c64c8", "#e8890c", "#7048e8", "#0b8a9a", "#5b6675", "#a61e4d")
 FONT = "font:12px/1.35 system-ui,sans-serif;font-variant-numeric:tabular-nums"
 #: Phase of the arm's life: what the page says, and the colour of the sign.
 PHASES = {
@@ -85,14 +88,14 @@ def axes(stage: Stage, shown: Shown, step: Step) -> str:
             "<tr>"
             f'<td style="font-weight:600;color:{colour}">{name}</td>'
             f"<td>{_bar(abs(away) / full, colour, marks)}</td>"
-            f'<td style="text-align:right">{scale * away:+.0f} {unit}</td>'
+            f'<td style="text-align:right;white-space:nowrap">{scale * away:+.0f} {unit}</td>'
             f"<td>{_bar(share, FULL if share > 0.98 else colour)}</td>"
             f'<td style="text-align:right;white-space:nowrap">{push}</td>'
             f'<td style="text-align:right">{step.compliance[i] * step.softness[i]:.0%}</td>'
             "</tr>"
         )
-    head = ("", "off its target", "", "pushes back", "", "soft")
-    return _table(head, rows, (14, 66, 52, 66, 84, 36))
+    head = ("", "deviation", "", "push-back", "of its cap", "soft")
+    return _table(head, rows, (32, 62, 50, 62, 86, 38))
 
 
 def joints(stage: Stage, step: Step) -> str:
@@ -103,8 +106,8 @@ def joints(stage: Stage, step: Step) -> str:
         note = "at a stop" if step.locked[i] else "at its ceiling" if step.saturated[i] else ""
         rows.append(
             "<tr>"
-            f'<td style="white-space:nowrap;overflow:hidden;text-overflow:ellipsis">'
-            f"{escape(name)}</td>"
+            f'<td style="white-space:nowrap;overflow:hidden;text-overflow:ellipsis;'
+            f'color:{COLOURS[i % len(COLOURS)]}">{escape(name)}</td>'
             f"<td>{_bar(share, FULL if note else SOFT)}</td>"
             f'<td style="text-align:right">{share:.0%}</td>'
             f'<td style="text-align:right;white-space:nowrap">{step.limit[i]:.2f} N·m</td>'
@@ -162,9 +165,8 @@ def _bar(share: float, colour: str, marks: tuple[float, ...] = ()) -> str:
 
 def _table(head: Sequence[str], rows: Sequence[str], widths: Sequence[int]) -> str:
     columns = "".join(f'<col style="width:{width}px">' for width in widths)
-    titles = "".join(
-        f'<th style="text-align:left;font-weight:500;opacity:0.65">{title}</th>' for title in head
-    )
+    style = "text-align:left;font-weight:500;opacity:0.6;white-space:nowrap"
+    titles = "".join(f'<th style="{style}">{title}</th>' for title in head)
     return _box(
         '<table style="width:100%;border-collapse:separate;border-spacing:4px 2px;'
         f'table-layout:fixed"><colgroup>{columns}</colgroup>'
@@ -174,3 +176,25 @@ def _table(head: Sequence[str], rows: Sequence[str], widths: Sequence[int]) -> s
 
 def _box(content: str) -> str:
     return f'<div style="{FONT};padding:2px 10px">{content}</div>'
+
+
+def faded(content: str) -> str:
+    """What was true before the torque went off."""
+    return f'<div style="opacity:0.35">{content}</div>'
+
+
+def caption(title: str, names: Sequence[str]) -> str:
+    """Title of a plot with the names of its curves in their colours."""
+    legend = " ".join(
+        f'<span style="color:{colour};white-space:nowrap">━ {escape(name)}</span>'
+        for name, colour in zip(names, itertools.cycle(COLOURS), strict=False)
+    )
+    return _box(f'<b style="font-weight:600">{escape(title)}</b> &nbsp; {legend}')
+
+
+def big_stop() -> str:
+    """Style of the button that follows: the biggest of the page."""
+    return (
+        '<i id="pliant-stop"></i><style>div:has(> #pliant-stop) + div button'
+        "{height:56px;font-size:22px;font-weight:700;letter-spacing:0.12em}</style>"
+    )

@@ -75,7 +75,7 @@ class Page:
     def farewell(self) -> None:
         """Say that the loop has ended."""
         if self.panel is not None:
-            self.panel.farewell()
+            self.panel.stop.farewell()
         self.server.flush()
         time.sleep(FAREWELL)
         self.server.stop()

@@ -10,6 +10,7 @@ import viser
 from pliant.view import meters
 from pliant.view.controls import Controls
 from pliant.view.plots import Plots
+from pliant.view.stop import StopPanel
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,9 +33,10 @@ class Panel:
         """Build both panels anew."""
         self._stage, gui = stage, server.gui
         gui.reset()
-        self._drawn, self._report, self._news = -np.inf, (), -1
-        self._status = gui.add_html("")
-        self._notice = gui.add_html("")
+        self._drawn = -np.inf
+        self._report: tuple[str, ...] = ()
+        self._last: tuple[str, str] | None = None
+        self.stop = StopPanel(server, stage, tell)
         self.controls = Controls(server, stage, tell)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(RIGHT)
@@ -53,27 +55,21 @@ class Panel:
 
     def show(self, now: Snapshot) -> None:
         """Bring everything up to a moment."""
+        self.stop.show(now)
         self.controls.show(now)
-        if now.said[0] != self._news:
-            self._news = now.said[0]
-            self._notice.content = meters.notice(now.said[1], now.said[2])
         if 0.0 <= now.time - self._drawn < DRAWN:
             return
         self._drawn = now.time
-        self._status.content = meters.status(self._stage, now)
         self._health.content = meters.health(now.health)
         if now.step is not None and now.shown is not None:
             self._axes.content = meters.axes(self._stage, now.shown, now.step)
             self._joints.content = meters.joints(self._stage, now.step)
             self._matrix.content = meters.matrix(self._stage, now.step)
             self._plots.show(now)
+            self._last = self._axes.content, self._joints.content
+        elif self._last is not None:
+            self._axes.content, self._joints.content = map(meters.faded, self._last)
+            self._last = None
         if now.report != self._report:
             self._report = now.report
             self._sentences.content = meters.sentences(now.report)
-
-    def farewell(self) -> None:
-        """The loop has ended."""
-        self._notice.content = meters.notice(
-            "The loop has ended. Servos that still have torque keep their last goal and limit.",
-            wrong=True,
-        )

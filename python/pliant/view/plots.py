@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from viser import uplot
 
+from pliant.view.meters import COLOURS, caption
+
 if TYPE_CHECKING:
     import viser
     from numpy.typing import NDArray
@@ -18,15 +20,22 @@ if TYPE_CHECKING:
 
 #: Length of a curve [s], and points per second.
 LENGTH, POINTS = 20.0, 10.0
-COLOURS = ("#d6336c", "#2f9e44", "#1c64c8", "#e8890c", "#7048e8", "#0b8a9a", "#5b6675", "#a61e4d")
-HEIGHT = 130
+HEIGHT = 118
+LIMITS = "Torque limits [%], joints coloured as above"
 
 
 class Plot:
     """Some curves over time."""
 
     def __init__(
-        self, gui: viser.GuiApi, title: str, names: tuple[str, ...], low: float, high: float
+        self,
+        gui: viser.GuiApi,
+        title: str,
+        names: tuple[str, ...],
+        low: float,
+        high: float,
+        *,
+        named: bool = True,
     ) -> None:
         """Add it; its scale holds `low` to `high` at least."""
         self._low, self._high = low, high
@@ -39,13 +48,13 @@ class Plot:
                 for i, name in enumerate(names)
             ),
         )
+        gui.add_html(caption(title, names if named else ()))
         self._plot = gui.add_uplot(
             data=(np.array((-LENGTH, 0.0)), *([empty] * len(names))),
             series=series,
-            title=title,
             scales=self._scales(low, high),
-            axes=(uplot.Axis(size=26), uplot.Axis(size=44)),
-            legend=uplot.Legend(show=True, live=False),
+            axes=(uplot.Axis(size=30), uplot.Axis(size=40)),
+            legend=uplot.Legend(show=False),
             padding=(4, 10, 0, 0),
             height=HEIGHT,
         )
@@ -83,9 +92,9 @@ class Plots:
         self._linear = [i for i, name in enumerate(stage.axes) if name in {"x", "y", "z"}]
         names = tuple(stage.axes[i] for i in self._linear)
         self._usable, self._last = stage.usable, -np.inf
-        self._away = Plot(gui, "off its target [mm]", names, -20.0, 20.0)
-        self._soft = Plot(gui, "softness × compliance [%]", stage.axes, 0.0, 100.0)
-        self._limit = Plot(gui, "torque limit of usable [%]", stage.joints, 0.0, 100.0)
+        self._away = Plot(gui, "Deviation [mm]", names, -20.0, 20.0)
+        self._soft = Plot(gui, "Soft [%]", stage.axes, 0.0, 100.0)
+        self._limit = Plot(gui, LIMITS, stage.joints, 0.0, 100.0, named=False)
 
     def show(self, now: Snapshot) -> None:
         """Add a moment, not more than ten per second."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 import pliant
-from pliant import PliantError
+from pliant import PliantError, ServoError
 from pliant.arm.drive import MonotonicClock
 from pliant.loop import Loop
 from pliant.view import orders, scenes
@@ -71,11 +72,20 @@ class Session:
 
         Raises:
             PageGone: The page has ended; the arm has been lowered.
-            ServoError: What the bus says.
+            PliantError: There is no arm to begin with.
         """
-        while lives is None or lives > 0:
-            self._live()
-            lives = None if lives is None else lives - 1
+        for life in itertools.count():
+            self._next = None
+            try:
+                self._live()
+            except ServoError as error:
+                if self._shown is None:
+                    raise
+                # Whoever looks at the page shall read it, and may try again.
+                self.say(str(error), wrong=True)
+            self.phase = "down"
+            if life + 1 == lives:
+                return
             self._wait()
 
     # One life.
@@ -85,28 +95,33 @@ class Session:
         arm = self._source.arm()
         self._tap = arm.drive = Tap(arm.drive)
         self._arm, self._body = arm, Body(arm)
-        self.phase, self._next = "starting", None
+        self.phase = "starting"
         self._step: Step | None = None
         with arm:
-            controller = self._begin(arm)
-            self.phase = "running"
-            loop = Loop(arm, controller, rate=self._source.rate)
-            for tick in loop:
-                self._take(controller)
-                self._scripted(tick.time)
-                command = controller.step(tick.q, self.target, dt=tick.dt)
-                tick.write(command)
-                if self._link.due():
-                    self._look(controller, command, loop)
-                    self._publish(tick)
-                if self._next is not None:
-                    break
+            try:
+                self._control(arm)
+            finally:
+                # Whatever ends it, the page sees the arm come down.
+                self.phase = "lowering"
+                self._tap.on_read = self._on_the_way_down
             if self._next == "scene":
                 arm.limp()
-            self.phase = "lowering"
-            self._tap.on_read = self._on_the_way_down
-        self.phase = "down"
-        self._publish_still()
+
+    def _control(self, arm: Arm) -> None:
+        """The loop."""
+        controller = self._begin(arm)
+        self.phase = "running"
+        loop = Loop(arm, controller, rate=self._source.rate)
+        for tick in loop:
+            self._take(controller)
+            self._scripted(tick.time)
+            command = controller.step(tick.q, self.target, dt=tick.dt)
+            tick.write(command)
+            if self._link.due():
+                self._look(controller, command, loop)
+                self._publish(tick)
+            if self._next is not None:
+                return
 
     def _begin(self, arm: Arm) -> Controller:
         """The controller, the hand, and what the page must know first."""

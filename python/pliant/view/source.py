@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import pliant
 from pliant import ConfigError
@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from pliant.arm import Arm
     from pliant.config import Config
     from pliant.view.scenes import Scene
+
+
+#: A simulated arm forgives a busy computer [s]; a real one has `loop.hold_for` of its file.
+PATIENCE = 10.0
 
 
 class Source(Protocol):
@@ -44,9 +48,18 @@ class Source(Protocol):
 
 
 class Simulated:
-    """A built-in arm on the simulator in real time, in one of its scenes."""
+    """A built-in arm on the simulator, in one of its scenes.
 
-    def __init__(self, robot: str, scene: str, rate: float) -> None:
+    Args:
+        robot: Its name.
+        scene: Where it begins.
+        rate: Control rate [Hz].
+        real_time: Whether simulated time is real time.
+    """
+
+    def __init__(
+        self, robot: str, scene: str = "free", rate: float = 100.0, *, real_time: bool = True
+    ) -> None:
         """Look the arm up.
 
         Raises:
@@ -55,6 +68,7 @@ class Simulated:
         from pliant.view.scenes import scenes
 
         self.where, self.rate, self.settings = "simulated", rate, None
+        self._real_time = real_time
         self.model, self.scenes = scenes(robot)
         if scene not in self.scenes:
             raise ConfigError(f"{robot} has no scene {scene!r}; it has {', '.join(self.scenes)}")
@@ -68,8 +82,15 @@ class Simulated:
     def arm(self) -> Arm:
         """A new simulation."""
         scene = self.scenes[self.name]
-        options: dict[str, Any] = {"rate": self.rate, "scene": scene.make(), "real_time": True}
-        return pliant.connect("sim", robot=self.model, q=scene.q, **options)
+        return pliant.connect(
+            "sim",
+            robot=self.model,
+            q=scene.q,
+            rate=self.rate,
+            scene=scene.make(),
+            real_time=self._real_time,
+            hold_for=PATIENCE,
+        )
 
 
 class Configured:
