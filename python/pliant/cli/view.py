@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -52,7 +52,8 @@ def run(
     from pliant.view.link import Link
     from pliant.view.session import Session
 
-    source = _source(arm, robot, scene, rate, serial, backend, urdf, calibration)
+    options = {"port": serial, "backend": backend, "urdf": urdf, "calibration": calibration}
+    source = _configured(arm, options) if arm else _simulated(robot, scene, rate, options)
     console = Console()
     with Link(host, port) as link:
         console.print(f"{link.address}", highlight=False, soft_wrap=True)
@@ -69,33 +70,23 @@ def run(
         Session(source, link).run()
 
 
-def _source(
-    arm: str,
-    robot: str,
-    scene: str,
-    rate: float,
-    port: str | None,
-    backend: str | None,
-    urdf: Path | None,
-    calibration: Path | None,
-) -> Source:
-    """A configuration, or a simulated arm."""
-    from pliant.view.source import Configured, Simulated
+def _simulated(robot: str, scene: str, rate: float, options: dict[str, Any]) -> Source:
+    """A built-in arm; what belongs to a configuration is refused."""
+    from pliant.view.source import Simulated
 
-    if not arm:
-        given = {"--serial-port": port, "--backend": backend, "--urdf": urdf}
-        given["--calibration"] = calibration
-        odd = [flag for flag, value in given.items() if value is not None]
-        if odd:
-            raise ConfigError(
-                f"{odd[0]} belongs to a configuration: pliant view so101 {odd[0]} ..."
-            )
-        return Simulated(robot, scene, rate)
+    odd = [name for name, value in options.items() if value is not None]
+    if odd:
+        flag = "--serial-port" if odd[0] == "port" else f"--{odd[0]}"
+        raise ConfigError(f"{flag} belongs to a configuration: pliant view so101 {flag} ...")
+    return Simulated(robot, scene, rate)
+
+
+def _configured(arm: str, options: dict[str, Any]) -> Source:
+    """The arm of a configuration."""
     from pliant import config
+    from pliant.view.source import Configured
 
-    return Configured(
-        config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
-    )
+    return Configured(config.load(arm, **options))
 
 
 def _needs() -> None:

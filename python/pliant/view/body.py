@@ -41,7 +41,7 @@ class Body:
     def pose(self, q: Array, extra: Mapping[str, float]) -> Array:
         """Coordinates of the figure; joints (n,) and those beside the chain [rad] of a real arm."""
         if self.simulated:
-            return self.plant.mj_data.qpos.copy()
+            return np.array(self.plant.mj_data.qpos)
         out: Array = self.plant.mj_model.qpos0.copy()
         known = {**dict(zip(self._model.joint_names, q.tolist(), strict=True)), **extra}
         for name, angle in {**known, **_followers(self._model, known)}.items():

@@ -103,6 +103,15 @@ class Controls:
             pair = gui.add_vector2(f"{word} [{unit}]", (0.0, 0.0), min=(0.0, 0.0), step=step)
             self.strength[name, word] = pair
             self._edits(pair, self._change(name, word, pair))
+        spring = gui.add_vector2(
+            f"stiffness [{'N/m' if unit == 'N' else 'N·m/rad'}]",
+            (0.0, 0.0),
+            min=(0.0, 0.0),
+            step=10.0 * step,
+            visible=False,
+        )
+        self.strength[name, "stiffness"] = spring
+        self._edits(spring, self._change(name, "stiffness", spring))
         hold = gui.add_number(f"hold [{unit}]", 0.0, min=0.0, step=step)
         self.strength[name, "hold"] = hold
         self._edits(hold, self._change(name, "hold", hold))
@@ -130,7 +139,7 @@ class Controls:
             most = strong[turning]
             self.force.label, self.force.step = label, 10.0 ** np.floor(np.log10(most / 40.0))
             self.force.max = float(np.round(most, 3))
-            self.force.value = float(np.round(FIRST * most, 3))
+            _put(self.force, float(np.round(FIRST * most, 3)))
 
     def _pushing(self, seconds: float) -> orders.Push:
         side = self.side.value
@@ -168,10 +177,11 @@ class Controls:
     def _by_hand(handle: Any, act: Callable[[], None]) -> None:
         """Act on what a visitor changes, not on what the page itself sets."""
 
-        @handle.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
+        def moved(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
                 act()
+
+        handle.on_update(moved)
 
     def show(self, now: Snapshot) -> None:
         """Bring controls to what is in force, unless a visitor's edit is still on its way."""
@@ -179,12 +189,20 @@ class Controls:
             self._bring(now.shown)
 
     def _bring(self, shown: Shown) -> None:
-        self.preset.value, self.law.value, self.firm.value = shown.preset, shown.law, shown.firm
+        _put(self.preset, shown.preset)
+        _put(self.law, shown.law)
+        _put(self.firm, shown.firm)
         yielding = [axis["eta"] for axis in shown.axes.values() if axis["yields"] != "none"]
         if yielding:
-            self.eta.value = max(yielding)
+            _put(self.eta, max(yielding))
         for name, axis in shown.axes.items():
-            self.yields[name].value = WORDS[axis["yields"]]
-            for word in ("soft", "firm", "hold"):
+            _put(self.yields[name], WORDS[axis["yields"]])
+            self.strength[name, "stiffness"].visible = shown.law == "impedance"
+            for word in ("soft", "firm", "hold", "stiffness"):
                 if axis[word] is not None:
-                    self.strength[name, word].value = axis[word]
+                    _put(self.strength[name, word], axis[word])
+
+
+def _put(handle: Any, value: Any) -> None:
+    """Show a value; viser's own types call it read-only."""
+    handle.value = value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import pliant
 from pliant import ConfigError, PliantError
@@ -81,14 +81,16 @@ class Desk:
         """The settings that a controller shall have."""
         if not self.firm:
             return self.settings
-        axes = {name: _still(axis) for name, axis in self.settings.axes.items()}
+        axes: dict[str, pliant.Axis] = {
+            name: axis.replace(yields="none", eta=0.0) for name, axis in self.settings.axes.items()
+        }
         return self.settings.replace(axes=axes)
 
     def take(self, order: orders.Edit, controller: Controller) -> None:
         """Change the settings of a controller.
 
         Raises:
-            PliantError: They are refused; controller and settings are as before.
+            ConfigError: They are refused; controller and settings are as before.
         """
         before = self.settings, self.preset, self.firm
         try:
@@ -96,45 +98,47 @@ class Desk:
             controller.update(self.effective)
         except (PliantError, TypeError, ValueError) as error:
             self.settings, self.preset, self.firm = before
-            raise error if isinstance(error, PliantError) else ConfigError(str(error)) from error
+            # The core calls an axis that is made by itself "axes.*".
+            where = f"axes.{order.axis}" if isinstance(order, orders.Change) else "axes.*"
+            raise ConfigError(str(error).replace("axes.*", where)) from error
 
     def _change(self, order: orders.Edit, controller: Controller) -> None:
+        axes: dict[str, pliant.Axis] = {name: axis for name, axis in self.settings.axes.items()}
         match order:
-            case orders.Preset(name=name):
-                self.begin(name)
+            case orders.Preset(name=preset):
+                self.begin(preset)
             case orders.Law(law=law):
                 bare: dict[str, Any] = dict.fromkeys(OF_THE_LAW)
-                axes = {
-                    name: pliant.Axis(**{**fields_of(axis), **bare})
-                    for name, axis in controller.strengths.items()
-                }
-                for name, axis in self.settings.axes.items():
-                    axes[name] = axes[name].replace(yields=yields_of(axis))
+                for name, axis in axes.items():
+                    axes[name] = pliant.Axis(
+                        **{**fields_of(axis), **bare, "yields": yields_of(axis)}
+                    )
                 self.settings = self.settings.replace(law=law, axes=axes)  # type: ignore[arg-type]
             case orders.Change(axis=name, fields=fields):
-                if name not in controller.strengths:
-                    there = ", ".join(controller.strengths)
+                strengths: dict[str, pliant.Axis] = {n: a for n, a in controller.strengths.items()}
+                if name not in strengths:
+                    there = ", ".join(strengths)
                     raise ConfigError(f"the task has no axis {name!r}; it has {there}")
-                filled = fields_of(controller.strengths[name])
-                if name in self.settings.axes:
-                    filled["yields"] = yields_of(self.settings.axes[name])
-                axis = {**filled, **fields}
-                if axis["yields"] == "none":
-                    axis["eta"] = 0.0
-                made = pliant.Axis(**axis)
-                self.settings = self.settings.replace(axes={**self.settings.axes, name: made})
+                made = fields_of(strengths[name])
+                if name in axes:
+                    made["yields"], made["eta"] = yields_of(axes[name]), axes[name].eta
+                made |= fields
+                if made["yields"] == "none":
+                    made["eta"] = 0.0
+                self.settings = self.settings.replace(axes={**axes, name: pliant.Axis(**made)})
             case orders.Eta(value=eta):
-                axes = {
-                    name: axis if yields_of(axis) == "none" else axis.replace(eta=eta)
-                    for name, axis in self.settings.axes.items()
-                }
+                for name, axis in axes.items():
+                    if yields_of(axis) != "none":
+                        axes[name] = axis.replace(eta=eta)
                 self.settings = self.settings.replace(axes=axes)
             case orders.Firm(on=on):
                 self.firm = on
 
     def show(self, controller: Controller) -> Shown:
         """The settings in force, for the controls."""
-        axes = {name: fields_of(axis) for name, axis in controller.strengths.items()}
+        axes: dict[str, dict[str, Any]] = {
+            name: fields_of(axis) for name, axis in controller.strengths.items()
+        }
         if self.firm:
             for name, axis in self.settings.axes.items():
                 if name in axes:
@@ -158,12 +162,7 @@ def fields_of(axis: pliant.Axis) -> dict[str, Any]:
     return {name: getattr(axis, name) for name in FIELDS}
 
 
-def _still(axis: pliant.Axis) -> pliant.Axis:
-    """The same axis, giving way to nothing."""
-    return axis.replace(yields="none", eta=0.0)
-
-
-def yields_of(axis: pliant.Axis) -> str:
+def yields_of(axis: pliant.Axis) -> Literal["both", "+", "-", "none"]:
     """The pushes it gives way to, said in full."""
     if axis.yields is not None:
         return axis.yields
@@ -174,18 +173,14 @@ def _presets(axes: str) -> dict[str, Callable[[], Settings]]:
     """What can be chosen; presets that speak of rotations need a task that has them."""
     task = pliant.Task(axes=axes)
     names = task.names
-    out: dict[str, Callable[[], Settings]] = {}
-    for name in ("y", "x", "z"):
-        if name in names:
-            out[f"soft {name}"] = lambda name=name: pliant.Settings.soft(name, task=task)
-    out["soft all"] = lambda: pliant.Settings.soft(" ".join(names), task=task)
-    out["firm"] = lambda: pliant.Settings.firm(task=task)
-    out["hand_guiding"] = lambda: pliant.Settings.hand_guiding(task=task)
-    out["hand_over"] = lambda: pliant.Settings.hand_over(task=task)
-    if len(names) == 6:
-        out["door"] = lambda: pliant.Settings.door(task=task)
-        out["drawer"] = lambda: pliant.Settings.drawer(task=task)
-        out["wipe"] = lambda: pliant.Settings.wipe(task=task)
-        out["plug"] = lambda: pliant.Settings.plug(task=task)
-        out["paper"] = lambda: pliant.Settings.paper(task=task)
-    return out
+
+    def soft(which: str) -> Callable[[], Settings]:
+        return lambda: pliant.Settings.soft(which, task=task)
+
+    def ready(which: str) -> Callable[[], Settings]:
+        return lambda: cast("Settings", getattr(pliant.Settings, which)(task=task))
+
+    out = {f"soft {name}": soft(name) for name in ("y", "x", "z") if name in names}
+    out["soft all"] = soft(" ".join(names))
+    more = ("door", "drawer", "wipe", "plug", "paper") if len(names) == 6 else ()
+    return {**out, **{name: ready(name) for name in ("firm", "hand_guiding", "hand_over", *more)}}

@@ -109,8 +109,7 @@ def scenes(robot: str) -> tuple[pliant.Model, Mapping[str, Scene]]:
         make=lambda: [Handed(course=NEVER)],
         play="A person takes it",
     )
-    arm = pliant.robots.arm7()
-    return arm, {
+    return pliant.robots.arm7(), {
         "free": free,
         "door": opens,
         "drawer": slides,

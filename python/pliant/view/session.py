@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pliant.view.source import Source
 
     Array = NDArray[np.float64]
+    Next = Literal["stop", "start", "scene"]
 
 #: How often the report is made anew [s].
 REPORT = 1.0
@@ -75,7 +76,7 @@ class Session:
             PliantError: There is no arm to begin with.
         """
         for life in itertools.count():
-            self._next = None
+            self._next: Next | None = None
             try:
                 self._live()
             except ServoError as error:
@@ -131,7 +132,8 @@ class Session:
         self._fresh = False
         controller = pliant.Controller(arm.model, self.desk.effective, arm.servos)
         self.home = np.asarray(arm.model.forward_kinematics(q))
-        self.target, self._played = self.home.copy(), None
+        self.target = self.home.copy()
+        self._played: float | None = None
         controller.step(q, self.target)
         strengths = controller.strengths
         strong = [STRONG * float(axis.hold or 0.0) for axis in strengths.values()]

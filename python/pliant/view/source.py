@@ -67,7 +67,8 @@ class Simulated:
         """
         from pliant.view.scenes import scenes
 
-        self.where, self.rate, self.settings = "simulated", rate, None
+        self.where, self.rate = "simulated", rate
+        self.settings: Settings | None = None
         self._real_time = real_time
         self.model, self.scenes = scenes(robot)
         if scene not in self.scenes:
@@ -98,7 +99,8 @@ class Configured:
 
     def __init__(self, config: Config) -> None:
         """Read what is needed before anything is opened."""
-        self.where, self.rate = config.backend, config.loop.rate
+        self.where: str = config.backend
+        self.rate = config.loop.rate
         self.settings: Settings | None = config.settings()
         self.axes = self.settings.task.axes
         self.scenes: Mapping[str, Scene] = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import viser
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 #: Width of its window, and its distance from the corner [px].
 WIDTH, GAP = 290, 12
 #: Its key.
-KEY = "S"
+KEY: Literal["S"] = "S"
 
 
 class StopPanel:
