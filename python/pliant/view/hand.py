@@ -75,12 +75,9 @@ class VisitorHand:
         """Force (3,), torque (3,) and point of attack (3,)."""
         frame = truth.frame(self.at)
         if self._toward is None:
-            wish = self._wrench if t < self._until else np.zeros(6)
-            share = min(max(t - self._before, 0.0) / RISE, 1.0)
-            most = np.abs(self._wrench).max() * share
+            if t < self._until or self.felt is not None:
+                self._ease(t, frame.position)
             self._before = t
-            self._now = self._now + np.clip(wish - self._now, -most, most)
-            self.felt = (frame.position.copy(), self._now[:3]) if self._now.any() else None
             return self._now[:3], self._now[3:], frame.position
         lever = frame.rotation @ self._local
         place = frame.position + lever
@@ -92,6 +89,13 @@ class VisitorHand:
         pull *= min(1.0, self.strong / max(size, 1e-9))
         self.felt = place, pull
         return pull, self._zero, place
+
+    def _ease(self, t: float, place: Vector) -> None:
+        """Let the push at a place (3,) come up or go away."""
+        wish = self._wrench if t < self._until else np.zeros(6)
+        most = np.abs(self._wrench).max() * min(max(t - self._before, 0.0) / RISE, 1.0)
+        self._now = self._now + np.clip(wish - self._now, -most, most)
+        self.felt = (place.copy(), self._now[:3]) if self._now.any() else None
 
 
 def frame_of(plant: Plant, body: int) -> str | None:

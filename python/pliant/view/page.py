@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import sys
 import time
 from typing import TYPE_CHECKING
@@ -86,6 +87,10 @@ def main(descriptor: int, host: str, port: int) -> int:
     ear = Ear(descriptor)
     os.nice(NICE)
     try:
+        # viser tries a thousand ports and then waits for ever.
+        family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.bind(address)
         page = Page(ear.say, host, port)
     except OSError as error:
         ear.say(Failed(f"the page cannot listen on {host}:{port}: {error}"))
