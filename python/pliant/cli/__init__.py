@@ -25,6 +25,7 @@ COMMANDS = {
     "view": ("pliant.cli.view", "push a simulated arm in the browser, or watch a real one"),
     "replay": ("pliant.cli.replay", "play a motion, softly: what is blocked waits"),
     "log": ("pliant.cli.log", "look at a log: info, plot, export; run it again"),
+    "report": ("pliant.cli.report", "say why a logged arm was soft or not, as a page"),
     "emulate": ("pliant.cli.emulate", "put an arm's servos on a serial port that is not there"),
 }
 #: Exit code of an error that was explained, as of a flag that does not exist.

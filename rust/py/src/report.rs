@@ -8,6 +8,7 @@ use pliant_core::{
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
+use crate::arguments;
 use crate::controller::Controller;
 use crate::convert::new_array;
 use crate::error::{OrRaise, shape};
@@ -17,7 +18,6 @@ use crate::read::{joints, numbers};
 use crate::servos::Servos;
 use crate::settings::Settings;
 
-/// What one pose can do under the settings in force.
 #[pyclass(module = "pliant", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Report(pub(crate) CoreReport);
@@ -125,7 +125,6 @@ fn pairs<'py>(py: Python<'py>, values: &[[f64; 2]]) -> Bound<'py, PyAny> {
     new_array(py, &[values.len(), 2], values.as_flattened())
 }
 
-/// One thing that a pose cannot do as asked.
 #[pyclass(module = "pliant", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Finding(CoreFinding);
@@ -168,7 +167,6 @@ impl Finding {
     }
 }
 
-/// Whether a pose or a path can do what the settings ask.
 #[pyclass(module = "pliant", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Check(CoreCheck);
@@ -292,14 +290,15 @@ pub(crate) fn check_with(
     }
 }
 
+#[doc = stub!(check)]
 #[pyfunction]
 #[pyo3(signature = (model, settings, path_or_pose, *, servos = None, q0 = None))]
 pub(crate) fn check(
     py: Python<'_>,
-    model: Py<Model>,
-    settings: Py<Settings>,
+    #[pyo3(from_py_with = arguments::model)] model: Py<Model>,
+    #[pyo3(from_py_with = arguments::settings)] settings: Py<Settings>,
     path_or_pose: &Bound<'_, PyAny>,
-    servos: Option<&Servos>,
+    #[pyo3(from_py_with = arguments::servos_or_none)] servos: Option<Py<Servos>>,
     q0: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Check> {
     Controller::new(py, model, Some(settings), servos)?.check(path_or_pose, q0)
