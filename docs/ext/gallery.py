@@ -18,6 +18,11 @@ def title(example):
     return " ".join(text.split("\n\n")[0].split()).rstrip(".")
 
 
+def short(example):
+    """Its name in the sidebar."""
+    return example.stem.replace("_", " ")
+
+
 def about(example):
     """The rest of its docstring."""
     text = ast.get_docstring(ast.parse(example.read_text(encoding="utf-8"))) or ""
@@ -52,7 +57,7 @@ def index(examples):
         shown = f"[![]({picture.name})]({example.stem}.md)" if picture.exists() else ""
         link = f"**[{example.stem[:2]}]({example.stem}.md)** {title(example)}"
         rows.append(f"| {link} | {shown} |")
-    pages = "\n".join(example.stem for example in examples)
+    pages = "\n".join(f"{short(example)} <{example.stem}>" for example in examples)
     return (
         "# Gallery\n\n"
         "The examples in order are the tutorial. Each runs as it stands on the simulated arm: "
