@@ -12,6 +12,7 @@ __version__: Final[str]
 
 __all__ = [
     "Axis",
+    "BatchState",
     "Check",
     "Command",
     "ConfigError",
@@ -1306,6 +1307,37 @@ class Command:
         """
 
 @final
+class BatchState:
+    """What many arms remember between batch steps; of `Controller.batch_state`.
+
+    Any controller of arms with as many joints can go on with it. Can be copied and pickled, to be
+    read by the same version; not to be used by two calls at once. `len` is the number of arms.
+
+    Args:
+        n: Joints of an arm.
+        numbers: What a pickle holds of them.
+    """
+
+    def __new__(cls, n: int, numbers: ArrayLike) -> BatchState: ...
+    def __len__(self) -> int: ...
+    def __getnewargs__(self) -> tuple[int, _Array]: ...
+    @property
+    def n(self) -> int:
+        """Number of joints of an arm."""
+
+    def reset(self, indices: ArrayLike | slice | None = None, Q: ArrayLike | None = None) -> None:
+        """Forget all of some arms: for episodes that begin.
+
+        Args:
+            indices: Which arms, as NumPy indexes: numbers, a mask (N,), a slice; None: all.
+            Q: Positions to start from, (count, n) or (n,) for all [rad]; None: those of the next
+                step.
+
+        Raises:
+            IndexError: No such arm. ShapeError, LimitError: `Q`; nothing is then changed.
+        """
+
+@final
 class Report:
     """What one pose can do under the settings in force.
 
@@ -1565,6 +1597,53 @@ class Controller:
         out: Command | None = None,
     ) -> Command:
         """One control step toward joint positions (n,): target and rest posture; else as `step`."""
+
+    def step_batch(
+        self,
+        Q: ArrayLike,
+        targets: _PoseLike | ArrayLike,
+        *,
+        state: BatchState | None = None,
+        dt: float | None = None,
+        dq: ArrayLike | None = None,
+        invalid: Literal["raise", "nan"] = "raise",
+        out: Command | tuple[_Array, _Array, _Array] | None = None,
+    ) -> Command:
+        """One control step of N arms, on every core while other Python threads run.
+
+        With a state each row is what `step` of a controller of its own would give, bit for bit.
+        Without one nothing is remembered: each row is the first step of a controller just reset to
+        its q, with `goal_slew` and `max_tool_speed` infinite: goals may jump, so not for a real
+        arm. This controller's own memory and readings stay as they are. `RAYON_NUM_THREADS` says
+        how many threads there are.
+
+        Args:
+            Q: Measured joint positions (N, n) [rad]; a plain float64 array is read in place.
+            targets: Poses (N, 4, 4), or positions (N, 3) for a task without rotations; or one for
+                all: whatever `step` takes.
+            state: What the arms remember, of `batch_state(N)`; changed in place.
+            dt: Time since the last step of all arms [s]; None: 1 / settings.rate.
+            dq: Joint velocities (N, n) [rad/s] in place of the filtered ones.
+            invalid: What becomes of rows whose q, target or dq cannot be used: ``"raise"`` an error
+                that names the first one before any arm is stepped, or ``"nan"``: their command is
+                NaN, their memory stays, and the others are stepped.
+            out: A command of a batch, or arrays (N, n) for goal, torque limit and velocity, to
+                write into: new memory costs up to a fifth.
+
+        Returns:
+            Command with arrays (N, n): `out` if it is one.
+
+        Raises:
+            ShapeError, LimitError, ConfigError, TypeError, ValueError: An argument or a row that
+                cannot be used, by name; `state` is then as before, `out` may hold anything.
+        """
+
+    def batch_state(self, count: int) -> BatchState:
+        """What `count` arms remember between calls of `step_batch`, of which nothing is known yet.
+
+        The first step of an arm resets it to its positions. 8 (52 + 6 n) bytes an arm: a million
+        arms of seven joints take 0.75 GB.
+        """
 
     def reset(self, q: ArrayLike) -> None:
         """Forget velocity, slew and gamma; goals start from `q` (n,).

@@ -19,6 +19,7 @@ use crate::record::readings;
 use crate::report::{Check, Report, check_with};
 use crate::servos::Servos;
 use crate::settings::Settings;
+use crate::step_batch::{BatchCall, BatchState};
 use crate::task::Axis;
 
 #[pyclass(module = "pliant")]
@@ -155,6 +156,32 @@ readings! {
             let out = out.map(|out| Command::writable(out, n)).transpose()?;
             let command = self.core.step_joints(&q[..n], &wanted[..n], &extras.input(n)).or_raise()?;
             hand_out(py, &mut self.pool, command, out)
+        }
+
+        #[pyo3(
+            signature = (Q, targets, *, state = None, dt = None, dq = None, invalid = None, out = None),
+            text_signature = "($self, Q, targets, *, state=None, dt=None, dq=None, invalid='raise', out=None)"
+        )]
+        #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+        #[expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
+        fn step_batch(
+            &self,
+            py: Python<'_>,
+            Q: &Bound<'_, PyAny>,
+            targets: &Bound<'_, PyAny>,
+            state: Option<&Bound<'_, BatchState>>,
+            dt: Option<&Bound<'_, PyAny>>,
+            dq: Option<&Bound<'_, PyAny>>,
+            invalid: Option<&Bound<'_, PyAny>>,
+            out: Option<&Bound<'_, PyAny>>,
+        ) -> PyResult<Py<Command>> {
+            let dt = Extras::read(self.n, dt, None, None, None)?.dt;
+            let call = BatchCall { targets, position_only: self.position_only, dt, dq, invalid, out };
+            call.run(py, &self.core, Q, state)
+        }
+
+        fn batch_state(&self, count: usize) -> PyResult<BatchState> {
+            BatchState::of(self.n, count)
         }
 
         fn reset(&mut self, q: &Bound<'_, PyAny>) -> PyResult<()> {

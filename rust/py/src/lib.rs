@@ -5,6 +5,7 @@
 mod docs;
 
 mod arguments;
+mod batch;
 mod command;
 mod contact;
 mod controller;
@@ -23,13 +24,15 @@ mod report;
 mod servos;
 mod settings;
 mod solution;
+mod step_batch;
 mod task;
 mod tree;
 mod words;
 
 /// The compiled part of `pliant`.
 ///
-/// Needs the interpreter lock: whether a command may be reused is read off reference counts.
+/// Declares that it needs the interpreter lock: arrays are read by their structure, and reference counts say whether a
+/// command may be reused.
 #[pyo3::pymodule(gil_used = true)]
 mod _core {
     use pyo3::exceptions::PyRuntimeWarning;
@@ -60,6 +63,8 @@ mod _core {
     use crate::settings::Settings;
     #[pymodule_export]
     use crate::solution::IkSolution;
+    #[pymodule_export]
+    use crate::step_batch::BatchState;
     #[pymodule_export]
     use crate::task::{Axis, Task};
     #[pymodule_export]

@@ -13,7 +13,7 @@ const SHORTEST_PERIOD: f64 = 1e-6;
 const LONGEST_PERIOD: f64 = 10.0;
 
 /// A step's input, read and checked.
-pub(super) struct Input {
+pub(crate) struct Input {
     pub(super) dt: f64,
     pub(super) dq: Option<JointVec>,
     pub(super) twist: Option<AxisVec>,
@@ -22,7 +22,7 @@ pub(super) struct Input {
 }
 
 impl Controller {
-    pub(super) fn read(&self, input: &StepInput<'_>) -> Result<Input> {
+    pub(crate) fn read(&self, input: &StepInput<'_>) -> Result<Input> {
         let dt = input.dt.unwrap_or(1.0 / self.settings.rate);
         if !(dt > 0.0 && dt <= LONGEST_PERIOD) {
             return Err(Error::limit("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]")));

@@ -1,6 +1,7 @@
 //! The control step: the staircase that calls each floor once and has no formula of its own.
 
 mod input;
+pub(crate) mod kept;
 pub(crate) mod memory;
 pub(crate) mod record;
 mod solve;
@@ -225,14 +226,25 @@ impl Controller {
         plan.derate(self.delay, &settings);
         self.settings = settings;
         self.plan = plan;
+        // Rows that the new task has not got must be zero again.
+        self.scratch = Scratch::new();
+        self.adapt_memory();
+        Ok(())
+    }
+
+    /// Gives up what memory holds of other settings.
+    pub(crate) fn adapt_memory(&mut self) {
         if self.settings.integrate <= 0.0 {
             self.memory.integral = [0.0; MAX_JOINTS];
         }
-        // Rows that the new task has not got must be zero again.
-        self.scratch = Scratch::new();
         self.memory.singular = crate::law::singular::SingularValues::start();
         self.memory.cold = true;
-        Ok(())
+    }
+
+    /// Takes all bounds on how fast goals and the tool's target may move.
+    pub(crate) fn forget_bounds(&mut self) {
+        self.settings.goal_slew = f64::INFINITY;
+        self.settings.max_tool_speed = [f64::INFINITY; 2];
     }
 
     /// Takes another payload: mass [kg] and centre of mass in the tool frame [m]; `None` for none.

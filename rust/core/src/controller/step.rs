@@ -85,7 +85,7 @@ impl Controller {
         self.memory = Memory::at(q, frames.tool, true);
     }
 
-    pub(super) fn advance(&mut self, q: &JointVec, target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
+    pub(crate) fn advance(&mut self, q: &JointVec, target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
         let before = self.memory;
         if !before.started {
             self.restart(q);

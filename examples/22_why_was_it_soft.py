@@ -2,7 +2,7 @@
 
 A hand pulls the tool sideways, where it yields, then down, where it should hold. On the shell:
 `pliant run my_arm.toml --log run.mcap`, then `pliant report run.mcap`. Needs the extras "log" and
-"plot". python examples/21_why_was_it_soft.py
+"plot". python examples/22_why_was_it_soft.py
 """
 
 import os
