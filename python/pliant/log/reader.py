@@ -46,7 +46,6 @@ class Log:
         whole: Whether the file was completed; else the program or the machine died.
         end: What was counted until the recorder was closed: `counters` of the bus and records
             `dropped`; empty where the program died before.
-        missing: Calls that were dropped.
     """
 
     run: dict[str, Any]

@@ -47,7 +47,6 @@ class Recorder:
     Attributes:
         path: The file.
         ticks: Ticks so far.
-        controller: The controller to be used; a `Journal`.
 
     Raises:
         ConfigError: The controller has made steps already, or belongs to another arm.
