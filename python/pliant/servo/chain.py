@@ -364,7 +364,7 @@ class ServoChain:
         for device in self._devices:
             port = self._port_of[id(device)]
             port.guard.begin()
-            device.accept(port.guard.read_in_turn(device.id, device.family.read))
+            device.accept(port.guard.read(device.id, *device.family.read))
         align_twins(self._joints)
 
     def _cap(self, velocity: ArrayLike | None) -> Array:

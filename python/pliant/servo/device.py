@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 #: Positions may run this much ahead of twice the no-load speed before a reading is disbelieved
 #: [rad].
 JUMP = 0.1
-#: A limit that reads back wrong this often in a row is a fault.
-MISMATCHES = 2
+#: A limit that reads back wrong after so many packets in a row is a fault: with one packet lost in a
+#: hundred, two happen within the hour.
+MISMATCHES = 3
 
 
 class Device:
@@ -223,6 +224,11 @@ class Device:
             self.rota[key] = text
         else:
             self.rota.pop(key, None)
+
+    @property
+    def doubted(self) -> bool:
+        """Whether its limit read other than written, and not often enough to be sure."""
+        return 0 < self._wrong < MISMATCHES
 
     def sent(self, limit: int) -> None:
         """A packet with this limit is on its way."""
