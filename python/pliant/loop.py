@@ -251,7 +251,10 @@ class Loop:
         if old or not (np.isfinite(goal).all() and np.isfinite(limit).all()):
             self.refused += 1
             return False
-        self._arm.write(goal, limit, extra, lead=isinstance(command, Command))
+        made = isinstance(command, Command)
+        self._arm.write(
+            goal, limit, extra, lead=made, velocity=command.velocity if made else None
+        )
         self._measure(clock.now() - tick.state.time)
         return True
 

@@ -233,7 +233,8 @@ class ServoChain:
             goal: Joint goals (n,) [rad]; clamped to the joint's range.
             limit: Torque limits (n,) [N·m], at least 0; rounded down to the register, clamped to
                 the servo's ceiling.
-            velocity: Fastest motion (n,) [rad/s] > 0, as the servo's own cap; default the chain's.
+            velocity: Fastest motion (n,) [rad/s] > 0, as the servo's own cap, at most the chain's;
+                default that.
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative. Nothing is sent.
@@ -368,13 +369,15 @@ class ServoChain:
         align_twins(self._joints)
 
     def _cap(self, velocity: ArrayLike | None) -> Array:
+        fastest = [joint[0].units.no_load_speed for joint in self._joints]
+        speeds = np.array(fastest if self._speed is None else [self._speed] * self.n)
         if velocity is None:
-            speeds = [joint[0].units.no_load_speed for joint in self._joints]
-            return np.array(speeds if self._speed is None else [self._speed] * self.n)
-        cap = self._vector(velocity, "velocity")
+            return speeds
+        # A speed that no servo reaches is none.
+        cap = self._vector(np.nan_to_num(velocity, nan=np.nan), "velocity")
         if np.any(cap < 0.0):
             raise ConfigError(f"velocity must be at least 0 rad/s, got {cap.min():g}")
-        return cap
+        return np.minimum(cap, speeds)
 
     def _chosen(self, names: Sequence[str] | None) -> list[Device]:
         if names is None:
