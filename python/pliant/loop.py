@@ -252,9 +252,7 @@ class Loop:
             self.refused += 1
             return False
         made = isinstance(command, Command)
-        self._arm.write(
-            goal, limit, extra, lead=made, velocity=command.velocity if made else None
-        )
+        self._arm.write(goal, limit, extra, lead=made, velocity=command.velocity if made else None)
         self._measure(clock.now() - tick.state.time)
         return True
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 #: Positions may run this much ahead of twice the no-load speed before a reading is disbelieved
 #: [rad].
 JUMP = 0.1
-#: A limit that reads back wrong after so many packets in a row is a fault: with one packet lost in a
-#: hundred, two happen within the hour.
+#: A limit that reads back wrong after so many packets in a row is a fault: with one packet lost in
+#: a hundred, two happen within the hour.
 MISMATCHES = 3
 
 
