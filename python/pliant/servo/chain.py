@@ -191,10 +191,14 @@ class ServoChain:
     def counters(self) -> dict[str, int]:
         """What has happened since open, all ports together.
 
-        As `pliant.servo.guard.Counters`, and `mismatches`: limits that read back other than
-        written.
+        As `pliant.servo.guard.Counters`; `mismatches`: limits that read back other than written;
+        `alerts`: how often a servo's status began to say that something is wrong, also where the
+        next answer said nothing of it: an overload that ends with the next order is seen here only.
         """
-        total = {"mismatches": sum(device.mismatches for device in self._devices)}
+        total = {
+            "mismatches": sum(device.mismatches for device in self._devices),
+            "alerts": sum(device.alerts for device in self._devices),
+        }
         for counters in self._counters:
             for name, value in asdict(counters).items():
                 total[name] = total.get(name, 0) + value
@@ -377,7 +381,8 @@ class ServoChain:
         cap = self._vector(np.nan_to_num(velocity, nan=np.nan), "velocity")
         if np.any(cap < 0.0):
             raise ConfigError(f"velocity must be at least 0 rad/s, got {cap.min():g}")
-        return np.minimum(cap, speeds)
+        slower: Array = np.minimum(cap, speeds)
+        return slower
 
     def _chosen(self, names: Sequence[str] | None) -> list[Device]:
         if names is None:

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from pliant.servo.models import Block, Family, ServoModel
     from pliant.servo.spec import ServoSpec
 
+#: A supply may be too low for so long [s].
+SAG = 0.5
 #: Positions may run this much ahead of twice the no-load speed before a reading is disbelieved
 #: [rad].
 JUMP = 0.1
@@ -36,6 +38,9 @@ class Device:
         ceiling: Largest limit the servo takes.
         gain: Gain register as read.
         low, high: Counts that goals stay within.
+        starved: Voltage below which it cannot be driven [V].
+        alerts: How often its status began to say that something is wrong, also where that was gone
+            again with the next answer.
         multi_turn: Whether goals may leave one turn.
         overload: Share of the full torque above which it protects itself, None where it does not.
         seam: Counts after which positions start again, None where they do not.
@@ -66,6 +71,8 @@ class Device:
         self.seam: int | None = self.row.counts + 1 if whole else None
         self.multi_turn = self.family.multi_turn
         self.overload: float | None = self.row.overload
+        self.starved, self._fed = 0.0, 0.0
+        self.alerts = 0
         self.turns = 0
         self.enabled = self.torque_on = False
         self.limit = 0
@@ -173,9 +180,10 @@ class Device:
     def note(self, reply: Reply) -> None:
         """Take in what a block tells of voltage, temperature, limit and health."""
         family, block = self.family, reply.block
-        self.conditions = words.conditions(family, reply.status)
+        before, self.conditions = self.conditions, words.conditions(family, reply.status)
+        self.alerts += bool(set(self.conditions) - set(before))
         if self._spans(block, "voltage"):
-            self.set_voltage(family.decode(block, reply.data, "voltage") / 10.0)
+            self.set_voltage(family.decode(block, reply.data, "voltage") / 10.0, reply.time)
         if self._spans(block, "temperature"):
             self.temperature = float(family.decode(block, reply.data, "temperature"))
         if self._spans(block, "limit"):
@@ -205,9 +213,20 @@ class Device:
             return self.units.sign * self.units.torque(self.current or 0)
         return self.units.sign * self.units.load(self.load)
 
-    def set_voltage(self, volts: float) -> None:
-        """Follow the supply: a duty gives a torque in proportion to it."""
+    def set_voltage(self, volts: float, time: float) -> None:
+        """Follow the supply: a duty gives a torque in proportion to it.
+
+        A sag of a moment is borne, one that lasts is a fault.
+        """
         self.voltage = volts
+        if volts >= self.starved:
+            self._fed = time
+        self.fault(
+            "voltage",
+            time - self._fed > SAG,
+            f"its supply is {volts:.1f} V and it needs {self.starved:.1f} V: a supply that is too "
+            "weak, or thin or long wires",
+        )
         if volts != self.units.voltage and volts > 0.0:
             self.units = replace(self.units, voltage=volts)
 
