@@ -326,7 +326,9 @@ impl Controller {
         // What the integrating goal holds of this offset must not count twice.
         if self.settings.gravity.in_goal() {
             for i in 0..self.plan.n {
-                self.memory.integral[i] -= holding[i] / kg[i] - holding[i] / self.plan.kg[i];
+                let more = holding[i] / kg[i] - holding[i] / self.plan.kg[i];
+                self.memory.integral[i] -= more;
+                self.memory.weight[i] += more;
             }
         }
         self.captured = Some(kg);

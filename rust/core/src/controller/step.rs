@@ -1,6 +1,6 @@
 //! One tick, from reading to command.
 
-use crate::command::goal::{clip, register_speed, slew};
+use crate::command::goal::{at_least, at_most, clip, register_speed, slew};
 use crate::command::integral::Addition;
 use crate::command::limits::{Load, finish, within};
 use crate::controller::input::Input;
@@ -195,11 +195,13 @@ impl Cycle<'_> {
                 goal[i] += clip(lead, most) - lead;
             }
         }
-        let (mut saturated, mut finite, slack) = ([false; MAX_JOINTS], true, settings.goal_slew * dt);
+        let (mut saturated, mut finite, mut weight) = ([false; MAX_JOINTS], true, [0.0; MAX_JOINTS]);
         for i in 0..n {
-            let (lower, upper) = (plan.lower[i] - plan.beyond[i], plan.upper[i] + plan.beyond[i]);
-            goal[i] = slew(self.memory.goal[i], goal[i], slack, lower, upper);
+            goal[i] = at_most(at_least(goal[i], plan.lower[i] - plan.beyond[i]), plan.upper[i] + plan.beyond[i]);
+            weight[i] = self.scratch.seen.gravity_in_goal[i] / plan.kg[i];
         }
+        let before = (&self.memory.goal, &self.memory.weight);
+        let weight = slew(before, &mut goal, &weight, settings.goal_slew * dt, n);
         for i in 0..plan.n {
             saturated[i] = limit[i] >= plan.servos.torque[i];
             finite &= goal[i].is_finite() & limit[i].is_finite();
@@ -211,7 +213,7 @@ impl Cycle<'_> {
         if settings.integrate > 0.0 && !self.scratch.seen.limited.contains(&true) {
             self.integrate(dt, &wish, &solution);
         }
-        self.memory.goal = goal;
+        (self.memory.goal, self.memory.weight) = (goal, weight);
         self.memory.limit = Some(limit);
         let seen = &self.scratch.seen;
         note(self.record, plan, seen, &wish, &solution, self.memory, settings.horizon, &wrench);
