@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pliant._core import (
     Axis,
+    BatchState,
     Check,
     Command,
     ConfigError,
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Axis",
+    "BatchState",
     "Check",
     "Command",
     "ConfigError",

@@ -12,6 +12,7 @@ __version__: Final[str]
 
 __all__ = [
     "Axis",
+    "BatchState",
     "Check",
     "Command",
     "ConfigError",
@@ -997,6 +998,7 @@ class _SettingsFields(TypedDict, total=False):
     joint_speed: ArrayLike | None
     floor: ArrayLike | None
     margin: float
+    dead_host_max: float | None
     direction_band: float | None
     raw_deviation: bool
     budget_on_goal: bool
@@ -1054,6 +1056,9 @@ class Settings:
         joint_speed: Joint speed limits (n,) [rad/s]; None: the model's.
         floor: Floor of the torque limits (n,) [N m]; None: the servos' friction.
         margin: Margin of the limits as a share of the usable torque.
+        dead_host_max: Most that a hand shall meet along the task's translations if the host dies
+            [N]: the limits give up their margin first, then what they have beyond the arm's weight;
+            None: no such bound. Costs some 0.3 ms a step, 1 ms where it acts.
         direction_band: Half-width of the band in which an axis that yields to one side changes
             over, as a share of `d_minus`; None: 0.1, under law paper 0.
         raw_deviation: Compliance from the raw instead of the adapted deviation.
@@ -1107,6 +1112,7 @@ class Settings:
         joint_speed: ArrayLike | None = None,
         floor: ArrayLike | None = None,
         margin: float = 0.1,
+        dead_host_max: float | None = None,
         direction_band: float | None = None,
         raw_deviation: bool = False,
         budget_on_goal: bool = False,
@@ -1269,6 +1275,8 @@ class Settings:
     @property
     def margin(self) -> float: ...
     @property
+    def dead_host_max(self) -> float | None: ...
+    @property
     def direction_band(self) -> float | None: ...
     @property
     def raw_deviation(self) -> bool: ...
@@ -1303,6 +1311,37 @@ class Command:
         """Speed for a servo's speed register (n,) [rad/s]: the most within the tool's speed.
 
         inf where neither tool nor joint has a speed limit.
+        """
+
+@final
+class BatchState:
+    """What many arms remember between batch steps; of `Controller.batch_state`.
+
+    Any controller of arms with as many joints can go on with it. Can be copied and pickled, to be
+    read by the same version; not to be used by two calls at once. `len` is the number of arms.
+
+    Args:
+        n: Joints of an arm.
+        numbers: What a pickle holds of them.
+    """
+
+    def __new__(cls, n: int, numbers: ArrayLike) -> BatchState: ...
+    def __len__(self) -> int: ...
+    def __getnewargs__(self) -> tuple[int, _Array]: ...
+    @property
+    def n(self) -> int:
+        """Number of joints of an arm."""
+
+    def reset(self, indices: ArrayLike | slice | None = None, Q: ArrayLike | None = None) -> None:
+        """Forget all of some arms: for episodes that begin.
+
+        Args:
+            indices: Which arms, as NumPy indexes: numbers, a mask (N,), a slice; None: all.
+            Q: Positions to start from, (count, n) or (n,) for all [rad]; None: those of the next
+                step.
+
+        Raises:
+            IndexError: No such arm. ShapeError, LimitError: `Q`; nothing is then changed.
         """
 
 @final
@@ -1391,7 +1430,23 @@ class Report:
 
     @property
     def dead_host(self) -> _Array:
-        """Most that a hand meets on 0.15 m or 0.4 rad if the host dies now (k, 2)."""
+        """Most that a hand meets on 0.15 m or 0.4 rad if the host dies now (k, 2) [N, N m].
+
+        At 25 mm/s or 0.067 rad/s, the gears' friction and damping included; inf where the arm
+        cannot be moved so far, because it is stretched out or its joints stand at their limits.
+        """
+
+    @property
+    def dead_host_max(self) -> float | None:
+        """What the settings allow of that along translations [N]."""
+
+    @property
+    def gain_factor(self) -> float:
+        """Factor on K_x, under law impedance on the stiffness, that delay and pose demand."""
+
+    @property
+    def damping_factor(self) -> float:
+        """The same on the damping of law impedance."""
 
     @property
     def stop_distance(self) -> _Array:
@@ -1565,6 +1620,53 @@ class Controller:
         out: Command | None = None,
     ) -> Command:
         """One control step toward joint positions (n,): target and rest posture; else as `step`."""
+
+    def step_batch(
+        self,
+        Q: ArrayLike,
+        targets: _PoseLike | ArrayLike,
+        *,
+        state: BatchState | None = None,
+        dt: float | None = None,
+        dq: ArrayLike | None = None,
+        invalid: Literal["raise", "nan"] = "raise",
+        out: Command | tuple[_Array, _Array, _Array] | None = None,
+    ) -> Command:
+        """One control step of N arms, on every core while other Python threads run.
+
+        With a state each row is what `step` of a controller of its own would give, bit for bit.
+        Without one nothing is remembered: each row is the first step of a controller just reset to
+        its q, with `goal_slew` and `max_tool_speed` infinite: goals may jump, so not for a real
+        arm. This controller's own memory and readings stay as they are. `RAYON_NUM_THREADS` says
+        how many threads there are.
+
+        Args:
+            Q: Measured joint positions (N, n) [rad]; a plain float64 array is read in place.
+            targets: Poses (N, 4, 4), or positions (N, 3) for a task without rotations; or one for
+                all: whatever `step` takes.
+            state: What the arms remember, of `batch_state(N)`; changed in place.
+            dt: Time since the last step of all arms [s]; None: 1 / settings.rate.
+            dq: Joint velocities (N, n) [rad/s] in place of the filtered ones.
+            invalid: What becomes of rows whose q, target or dq cannot be used: ``"raise"`` an error
+                that names the first one before any arm is stepped, or ``"nan"``: their command is
+                NaN, their memory stays, and the others are stepped.
+            out: A command of a batch, or arrays (N, n) for goal, torque limit and velocity, to
+                write into: new memory costs up to a fifth.
+
+        Returns:
+            Command with arrays (N, n): `out` if it is one.
+
+        Raises:
+            ShapeError, LimitError, ConfigError, TypeError, ValueError: An argument or a row that
+                cannot be used, by name; `state` is then as before, `out` may hold anything.
+        """
+
+    def batch_state(self, count: int) -> BatchState:
+        """What `count` arms remember between calls of `step_batch`, of which nothing is known yet.
+
+        The first step of an arm resets it to its positions. 8 (52 + 6 n) bytes an arm: a million
+        arms of seven joints take 0.75 GB.
+        """
 
     def reset(self, q: ArrayLike) -> None:
         """Forget velocity, slew and gamma; goals start from `q` (n,).

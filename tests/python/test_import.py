@@ -35,6 +35,27 @@ def test_import_is_light():
     assert set(run(code)) <= own | {"__future__", "importlib.metadata"}
 
 
+def test_a_second_interpreter_of_the_process_is_refused():
+    code = """
+import os
+try:
+    import _interpreters as interpreters
+except ImportError:
+    import _xxsubinterpreters as interpreters
+import pliant
+for what in ("pliant", "pliant._core"):
+    end, start = os.pipe()
+    inside = (
+        f"import os\\ntry: import {what}; word = 'imported'\\n"
+        f"except ImportError: word = 'refused'\\nos.write({start}, word.encode())"
+    )
+    interpreters.run_string(interpreters.create(), inside)
+    print(os.read(end, 100).decode())
+print(pliant.robots.arm7().gravity([0.0] * 7).shape)
+"""
+    assert run(code) == ["refused", "refused", "(7,)"]
+
+
 def test_parts_are_loaded_when_named():
     assert run("import pliant, sys; pliant.robots; print('pliant.robots' in sys.modules)") == [
         "True"

@@ -8,6 +8,7 @@ import pickle
 import sys
 import threading
 import weakref
+from queue import SimpleQueue
 
 import numpy as np
 import pytest
@@ -165,6 +166,30 @@ def test_one_controller_per_thread_gives_what_it_gives_alone(model, q, target):
         for x, y in zip(a, b, strict=True):
             assert np.array_equal(x.goal, y.goal)
             assert np.array_equal(x.torque_limit, y.torque_limit)
+
+
+def test_what_another_thread_holds_never_changes(controller, q, target):
+    queue, wrong = SimpleQueue(), []
+
+    def watch():
+        while (item := queue.get()) is not None:
+            wrong.extend(
+                before
+                for _ in range(20)
+                for view, before in zip(*item, strict=True)
+                if not np.array_equal(view, before)
+            )
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    for i in range(2000):
+        command = controller.step(q + 1e-4 * i, target)
+        queue.put(
+            ([getattr(command, field)[1:] for field in FIELDS], [v[1:] for v in values(command)])
+        )
+    queue.put(None)
+    thread.join()
+    assert not wrong
 
 
 def test_a_step_from_within_a_step_is_refused(controller, q, target):

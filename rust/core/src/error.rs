@@ -89,10 +89,11 @@ impl Error {
         Self::Config { key: key.into(), message: message.into() }
     }
 
-    /// A bound that is broken in row `row` of a batch.
+    /// What is wrong in row `row` of a batch.
     pub(crate) fn in_row(self, batch: &str, row: usize) -> Self {
         match self {
             Self::Limit { what, value, bound } => Self::Limit { what: format!("{batch}[{row}]: {what}"), value, bound },
+            Self::Config { key, message } => Self::Config { key: format!("{batch}[{row}]: {key}"), message },
             other => other,
         }
     }

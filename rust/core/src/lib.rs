@@ -8,6 +8,7 @@
 //! * [`law`]: deviation and strength → what each joint exerts and where it goes;
 //! * `command`: motion and force → goals and torque limits that a servo may be sent;
 //! * [`controller`]: calls each floor once per tick;
+//! * [`batch`]: the same for many arms at once;
 //! * [`contact`]: commands and positions → what pushes at the tool, beside the steps.
 //!
 //! [`settings`] and [`servos`] say what is asked and what is believed; a plan resolved from them, once, is what every floor
@@ -41,6 +42,7 @@
 //! taken at the tool, in base axes unless said otherwise; gravity torques are those that *hold* the arm.
 #![deny(unsafe_code)]
 
+pub mod batch;
 mod command;
 pub mod contact;
 pub mod controller;
@@ -60,7 +62,9 @@ pub mod servos;
 pub mod settings;
 mod survey;
 pub mod task;
+mod threads;
 
+pub use batch::{BatchCommand, BatchInput, BatchState, Invalid, Targets};
 pub use contact::{Contact, ContactInput, ContactOptions, WrenchEstimate};
 pub use controller::{Command, Controller, Record, StepInput};
 pub use error::{Error, Result};

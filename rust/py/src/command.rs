@@ -3,10 +3,9 @@
 use pliant_core::Command as CoreCommand;
 use pyo3::prelude::*;
 
-use crate::convert::{new_array, overwrite, references, writable, write};
+use crate::convert::{new_array, only_reference, overwrite, writable, write};
 use crate::error::wrong_type;
 
-/// What the servos get: one entry per joint.
 #[pyclass(module = "pliant", frozen)]
 #[derive(Debug)]
 pub(crate) struct Command {
@@ -31,6 +30,16 @@ impl Command {
     fn new(py: Python<'_>, core: &CoreCommand) -> Self {
         let array = |values: &[f64]| new_array(py, &[values.len()], values).unbind();
         Self { goal: array(core.goal()), torque_limit: array(core.torque_limit()), velocity: array(core.velocity()) }
+    }
+
+    /// Of arrays that exist already.
+    pub(crate) fn of([goal, torque_limit, velocity]: [Py<PyAny>; 3]) -> Self {
+        Self { goal, torque_limit, velocity }
+    }
+
+    /// The arrays: goal, torque limit, velocity.
+    pub(crate) fn arrays(&self) -> [&Py<PyAny>; 3] {
+        [&self.goal, &self.torque_limit, &self.velocity]
     }
 
     fn parts<'a>(&'a self, core: &'a CoreCommand) -> [(&'a Py<PyAny>, &'a [f64]); 3] {
@@ -67,7 +76,8 @@ impl Command {
 /// Three commands, taken in turn and reused only when nobody else holds the command or one of its arrays.
 ///
 /// A plain loop then allocates nothing, and a result that somebody keeps never changes. The count of references says
-/// who holds what only under the interpreter lock: the module declares that it needs it.
+/// who holds what only under the interpreter lock: the module declares that it needs it, and a Python that can do
+/// without gets a new command from every step.
 #[derive(Debug, Default)]
 pub(crate) struct Pool {
     slots: [Option<Py<Command>>; 3],
@@ -83,7 +93,7 @@ impl Pool {
         let slot = &mut self.slots[self.next];
         self.next = (self.next + 1) % 3;
         if let Some(command) = slot
-            && references(command.bind(py).as_any()) == 1
+            && only_reference(command.bind(py).as_any())
             && command.get().refill(py, core)
         {
             return Ok(command.clone_ref(py));

@@ -9,6 +9,7 @@ use pliant_core::{
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use crate::arguments;
 use crate::command::{Command, Pool};
 use crate::convert::new_array;
 use crate::error::{OrRaise, wrong_type};
@@ -18,9 +19,9 @@ use crate::record::readings;
 use crate::report::{Check, Report, check_with};
 use crate::servos::Servos;
 use crate::settings::Settings;
+use crate::step_batch::{BatchCall, BatchState};
 use crate::task::Axis;
 
-/// Compliant task-space controller of one arm.
 #[pyclass(module = "pliant")]
 pub(crate) struct Controller {
     pub(crate) core: CoreController,
@@ -94,9 +95,9 @@ readings! {
         #[pyo3(signature = (model, settings = None, servos = None))]
         pub(crate) fn new(
             py: Python<'_>,
-            model: Py<Model>,
-            settings: Option<Py<Settings>>,
-            servos: Option<&Servos>,
+            #[pyo3(from_py_with = arguments::model)] model: Py<Model>,
+            #[pyo3(from_py_with = arguments::settings_or_none)] settings: Option<Py<Settings>>,
+            #[pyo3(from_py_with = arguments::servos_or_none)] servos: Option<Py<Servos>>,
         ) -> PyResult<Self> {
             let settings = match settings {
                 Some(settings) => settings,
@@ -105,7 +106,7 @@ readings! {
             let arm = &model.get().core;
             let n = arm.n();
             let servos = match servos {
-                Some(servos) => Some(Py::new(py, Servos(servos.0.for_joints(n).or_raise()?))?),
+                Some(servos) => Some(Py::new(py, Servos(servos.get().0.for_joints(n).or_raise()?))?),
                 None => model.get().servos.as_ref().map(|servos| servos.clone_ref(py)),
             };
             let (wanted, table) = (settings.get().0.clone(), servos.as_ref().map(|servos| servos.get().0.clone()));
@@ -157,12 +158,38 @@ readings! {
             hand_out(py, &mut self.pool, command, out)
         }
 
+        #[pyo3(
+            signature = (Q, targets, *, state = None, dt = None, dq = None, invalid = None, out = None),
+            text_signature = "($self, Q, targets, *, state=None, dt=None, dq=None, invalid='raise', out=None)"
+        )]
+        #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+        #[expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
+        fn step_batch(
+            &self,
+            py: Python<'_>,
+            Q: &Bound<'_, PyAny>,
+            targets: &Bound<'_, PyAny>,
+            state: Option<&Bound<'_, BatchState>>,
+            dt: Option<&Bound<'_, PyAny>>,
+            dq: Option<&Bound<'_, PyAny>>,
+            invalid: Option<&Bound<'_, PyAny>>,
+            out: Option<&Bound<'_, PyAny>>,
+        ) -> PyResult<Py<Command>> {
+            let dt = Extras::read(self.n, dt, None, None, None)?.dt;
+            let call = BatchCall { targets, position_only: self.position_only, dt, dq, invalid, out };
+            call.run(py, &self.core, Q, state)
+        }
+
+        fn batch_state(&self, count: usize) -> PyResult<BatchState> {
+            BatchState::of(self.n, count)
+        }
+
         fn reset(&mut self, q: &Bound<'_, PyAny>) -> PyResult<()> {
             let n = self.n;
             self.core.reset(&joints("q", q, n)?[..n]).or_raise()
         }
 
-        fn update(&mut self, settings: Py<Settings>) -> PyResult<()> {
+        fn update(&mut self, #[pyo3(from_py_with = arguments::settings)] settings: Py<Settings>) -> PyResult<()> {
             self.core.update(settings.get().0.clone()).or_raise()?;
             self.position_only = position_only(&settings.get().0);
             self.settings = settings;

@@ -1,10 +1,12 @@
-//! NumPy arrays by their C structure: the one module of the binding with unsafe code.
+//! NumPy arrays by their C structure: with [`crate::docs`] the only unsafe code of the binding.
 //!
 //! What is read and written here is checked first: exact type `numpy.ndarray`, native float64, aligned, C order, the
 //! shape asked for. Everything else is refused here and converted or explained by [`crate::read`]. Numbers are copied
 //! before use, so that another thread that writes into an array during a call changes numbers and nothing else.
 #![expect(unsafe_code, reason = "NumPy's C structure is read directly: a checked borrow costs four times as much")]
 #![expect(clippy::cast_ptr_alignment, reason = "the flag ALIGNED of the array is checked before its data are cast")]
+
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use numpy::npyffi::{
     NPY_ARRAY_ALIGNED, NPY_ARRAY_C_CONTIGUOUS, NPY_ARRAY_OWNDATA, NPY_ARRAY_WRITEABLE, NPY_TYPES, PyArrayObject,
@@ -28,8 +30,13 @@ const WRITABLE: i32 = READABLE | NPY_ARRAY_WRITEABLE;
 /// Byte order that NumPy writes for the machine's own.
 const NATIVE: u8 = b'=';
 
-/// Looks `numpy.ndarray` up, once.
+/// Whether this Python may run without its interpreter lock: then no count of references says who holds what.
+static FREE_THREADED: AtomicBool = AtomicBool::new(false);
+
+/// Looks `numpy.ndarray` up, once, and how this Python was built.
 pub(crate) fn initialise(py: Python<'_>) -> PyResult<()> {
+    let version: String = py.import("sys")?.getattr("version")?.extract()?;
+    FREE_THREADED.store(version.contains("free-threading"), Ordering::Relaxed);
     let array_type = py.import("numpy")?.getattr("ndarray")?.cast_into::<PyType>()?;
     ARRAY_TYPE.get_or_init(py, || array_type.unbind());
     Ok(())
@@ -115,23 +122,28 @@ pub(crate) fn write_rows<const R: usize, const C: usize>(
     true
 }
 
-/// The numbers of a plain matrix of `columns`, without a copy; `None` for any other object.
+/// How many rows of shape `part` a plain array has, and its numbers, without a copy; `None` for any other object.
 ///
 /// Meant for batches, which other Python threads may run beside: as with NumPy's own functions, one that writes into the
 /// array meanwhile gets numbers computed from old and new ones.
-pub(crate) fn view<'a>(array: &'a Bound<'_, PyAny>, columns: usize) -> Option<&'a [f64]> {
+pub(crate) fn view<'a>(array: &'a Bound<'_, PyAny>, part: &[usize]) -> Option<(usize, &'a [f64])> {
     let fields = structure_of(array)?;
-    if fields.flags & READABLE != READABLE || fields.nd != 2 {
+    if fields.flags & READABLE != READABLE || usize::try_from(fields.nd) != Ok(part.len() + 1) {
         return None;
     }
-    // SAFETY: `dimensions` has `nd` entries, of which there are two.
-    let (rows, width) = unsafe { (*fields.dimensions, *fields.dimensions.add(1)) };
-    if usize::try_from(width) != Ok(columns) {
-        return None;
+    // SAFETY: `dimensions` has `nd` entries, and there is at least one.
+    let rows = usize::try_from(unsafe { *fields.dimensions }).ok()?;
+    let mut count = rows;
+    for (i, &size) in part.iter().enumerate() {
+        // SAFETY: as above; `nd` is one more than the length of `part`.
+        let dimension = unsafe { *fields.dimensions.add(i + 1) };
+        if usize::try_from(dimension) != Ok(size) {
+            return None;
+        }
+        count = count.checked_mul(size)?;
     }
-    let count = usize::try_from(rows).ok()?.checked_mul(columns)?;
     // SAFETY: the array is C-contiguous, aligned and holds `count` float64 values, as long as `array` is held.
-    Some(unsafe { std::slice::from_raw_parts(fields.data.cast::<f64>().cast_const(), count) })
+    Some((rows, unsafe { std::slice::from_raw_parts(fields.data.cast::<f64>().cast_const(), count) }))
 }
 
 /// The numbers of a plain, writable array of this shape, to be written; `None` for any other object.
@@ -162,7 +174,7 @@ pub(crate) fn memory(array: &Bound<'_, PyAny>) -> Option<std::ops::Range<usize>>
 #[inline]
 pub(crate) fn overwrite(array: &Bound<'_, PyAny>, values: &[f64]) -> bool {
     let Some(fields) = structure(array, &[values.len()], WRITABLE | NPY_ARRAY_OWNDATA) else { return false };
-    if references(array) != 1 || !fields.weakreflist.is_null() {
+    if !only_reference(array) || !fields.weakreflist.is_null() {
         return false;
     }
     // SAFETY: as in `write`.
@@ -170,11 +182,11 @@ pub(crate) fn overwrite(array: &Bound<'_, PyAny>, values: &[f64]) -> bool {
     true
 }
 
-/// How many references an object has. With the interpreter lock held, 1 means that only the asking one is left.
+/// Whether the asking reference is the only one; never where Python may run without its interpreter lock.
 #[inline]
-pub(crate) fn references(object: &Bound<'_, PyAny>) -> isize {
+pub(crate) fn only_reference(object: &Bound<'_, PyAny>) -> bool {
     // SAFETY: the pointer is that of a living object.
-    unsafe { Py_REFCNT(object.as_ptr()) }
+    unsafe { Py_REFCNT(object.as_ptr()) == 1 && !FREE_THREADED.load(Ordering::Relaxed) }
 }
 
 /// A new array with these numbers, row by row.

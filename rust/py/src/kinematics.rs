@@ -1,16 +1,14 @@
 //! Pose, Jacobian and gravity of a model, one configuration or many.
 
-use std::borrow::Cow;
-
-use pliant_core::{JointVec, MAX_AXES, MAX_JOINTS, Model as CoreModel, Pose, Reference, Rows};
-use pyo3::exceptions::PyValueError;
+use pliant_core::{JointVec, MAX_AXES, MAX_JOINTS, Model as CoreModel, Pose, Reference, Rows as JointRows};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-use crate::convert::{memory, view, view_mut, write, write_rows, zeros};
-use crate::error::{OrRaise, shape, tuple, wrong_type};
+use crate::batch::{Rows, disjoint, target, target_of, unfit};
+use crate::convert::{write, write_rows, zeros};
+use crate::error::{OrRaise, wrong_type};
 use crate::pose::matrix;
-use crate::read::{joints, numbers};
+use crate::read::joints;
 
 /// Joint positions, checked.
 pub(crate) fn positions(core: &CoreModel, q: &Bound<'_, PyAny>) -> PyResult<JointVec> {
@@ -19,7 +17,7 @@ pub(crate) fn positions(core: &CoreModel, q: &Bound<'_, PyAny>) -> PyResult<Join
 }
 
 #[inline]
-fn at(core: &CoreModel, q: &Bound<'_, PyAny>, reference: Reference, rows: &mut Rows) -> PyResult<Pose> {
+fn at(core: &CoreModel, q: &Bound<'_, PyAny>, reference: Reference, rows: &mut JointRows) -> PyResult<Pose> {
     let n = core.n();
     core.kinematics_into(&joints("q", q, n)?[..n], reference, rows).or_raise()
 }
@@ -57,16 +55,6 @@ fn pair<'py>(out: &Bound<'py, PyAny>) -> PyResult<(Bound<'py, PyAny>, Bound<'py,
     }
 }
 
-/// Why an array cannot be written into.
-#[cold]
-fn unfit(name: &str, array: &Bound<'_, PyAny>, expected: &[usize]) -> PyErr {
-    let got: Option<Vec<usize>> = array.getattr("shape").and_then(|shape| shape.extract()).ok();
-    match got {
-        Some(got) if got != expected => shape(name, &got, tuple(expected)),
-        _ => wrong_type(name, "a writable float64 array in C order", array),
-    }
-}
-
 /// Jacobian (6, n).
 pub(crate) fn jacobian<'py>(
     core: &CoreModel,
@@ -80,54 +68,6 @@ pub(crate) fn jacobian<'py>(
     Ok(jacobian)
 }
 
-/// Configurations (N, n) of a batch: the caller's memory if it is a plain array, a copy of anything else.
-struct Batch<'a> {
-    count: usize,
-    values: Cow<'a, [f64]>,
-}
-
-impl<'a> Batch<'a> {
-    fn read(core: &CoreModel, q: &'a Bound<'_, PyAny>, outs: &[&Bound<'_, PyAny>]) -> PyResult<Self> {
-        let n = core.n();
-        let own = memory(q);
-        let shared = |out: &&Bound<'_, PyAny>| match (&own, memory(out)) {
-            (Some(q), Some(out)) => q.start < out.end && out.start < q.end,
-            _ => false,
-        };
-        if let Some(values) = view(q, n)
-            && !outs.iter().any(shared)
-        {
-            return Ok(Self { count: values.len() / n, values: Cow::Borrowed(values) });
-        }
-        match numbers("Q", q)? {
-            (got, values) if got.len() == 2 && got[1] == n => Ok(Self { count: got[0], values: Cow::Owned(values) }),
-            (got, _) => Err(shape("Q", &got, format!("(N, {n})"))),
-        }
-    }
-
-    /// The caller's array, or a new one, of (N, …).
-    fn target<'py>(
-        &self,
-        py: Python<'py>,
-        name: &str,
-        out: Option<&Bound<'py, PyAny>>,
-        part: &[usize],
-    ) -> PyResult<Bound<'py, PyAny>> {
-        let shape: Vec<usize> = std::iter::once(self.count).chain(part.iter().copied()).collect();
-        match out {
-            None => Ok(zeros(py, &shape)),
-            Some(out) if crate::convert::writable(out, &shape) => Ok(out.clone()),
-            Some(out) => Err(unfit(name, out, &shape)),
-        }
-    }
-}
-
-/// The memory of an array of (N, …) that [`Batch::target`] gave.
-fn target_of<'a>(array: &'a Bound<'_, PyAny>, count: usize, part: &[usize]) -> &'a mut [f64] {
-    let shape: Vec<usize> = std::iter::once(count).chain(part.iter().copied()).collect();
-    view_mut(array, &shape).unwrap_or_default()
-}
-
 /// Poses (N, 4, 4) and Jacobians (N, 6, n).
 pub(crate) fn both_batch<'py>(
     core: &CoreModel,
@@ -138,17 +78,12 @@ pub(crate) fn both_batch<'py>(
     let (py, n) = (q.py(), core.n());
     let own = out.map(pair).transpose()?;
     let outs: Vec<_> = own.iter().flat_map(|(first, second)| [first, second]).collect();
-    let batch = Batch::read(core, q, &outs)?;
-    let poses = batch.target(py, "out[0]", own.as_ref().map(|own| &own.0), &[4, 4])?;
-    let jacobians = batch.target(py, "out[1]", own.as_ref().map(|own| &own.1), &[6, n])?;
-    if let (Some(a), Some(b)) = (memory(&poses), memory(&jacobians))
-        && a.start < b.end
-        && b.start < a.end
-    {
-        return Err(PyValueError::new_err("out[0] and out[1] must not share memory"));
-    }
-    let (to_poses, to_jacobians) =
-        (target_of(&poses, batch.count, &[4, 4]), target_of(&jacobians, batch.count, &[6, n]));
+    disjoint(&outs)?;
+    let batch = Rows::read("Q", q, &[n], &outs)?;
+    let count = batch.count;
+    let poses = target(py, "out[0]", own.as_ref().map(|own| &own.0), count, &[4, 4])?;
+    let jacobians = target(py, "out[1]", own.as_ref().map(|own| &own.1), count, &[6, n])?;
+    let (to_poses, to_jacobians) = (target_of(&poses, count, &[4, 4]), target_of(&jacobians, count, &[6, n]));
     let values: &[f64] = &batch.values;
     py.detach(|| core.kinematics_batch(values, reference, to_poses, to_jacobians)).or_raise()?;
     Ok((poses, jacobians))
@@ -163,8 +98,8 @@ fn one_batch<'py>(
     fill: impl FnOnce(&[f64], &mut [f64]) -> pliant_core::Result<()> + Send,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = q.py();
-    let batch = Batch::read(core, q, &out.into_iter().collect::<Vec<_>>())?;
-    let array = batch.target(py, "out", out, part)?;
+    let batch = Rows::read("Q", q, &[core.n()], &out.into_iter().collect::<Vec<_>>())?;
+    let array = target(py, "out", out, batch.count, part)?;
     let (values, to): (&[f64], _) = (&batch.values, target_of(&array, batch.count, part));
     py.detach(|| fill(values, to)).or_raise()?;
     Ok(array)

@@ -1,6 +1,11 @@
 //! Python binding of `pliant-core`: every function converts, calls the core once, and converts back.
 #![deny(unsafe_code)]
 
+#[macro_use]
+mod docs;
+
+mod arguments;
+mod batch;
 mod command;
 mod contact;
 mod controller;
@@ -19,13 +24,15 @@ mod report;
 mod servos;
 mod settings;
 mod solution;
+mod step_batch;
 mod task;
 mod tree;
 mod words;
 
 /// The compiled part of `pliant`.
 ///
-/// Needs the interpreter lock: whether a command may be reused is read off reference counts.
+/// Declares that it needs the interpreter lock: arrays are read by their structure, and reference counts say whether a
+/// command may be reused.
 #[pyo3::pymodule(gil_used = true)]
 mod _core {
     use pyo3::exceptions::PyRuntimeWarning;
@@ -57,6 +64,8 @@ mod _core {
     #[pymodule_export]
     use crate::solution::IkSolution;
     #[pymodule_export]
+    use crate::step_batch::BatchState;
+    #[pymodule_export]
     use crate::task::{Axis, Task};
     #[pymodule_export]
     use crate::tree::{Inertial, Joint, Link, Mimic};
@@ -67,6 +76,7 @@ mod _core {
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         crate::convert::initialise(py)?;
         crate::error::register(module)?;
+        crate::docs::attach(module)?;
         if cfg!(debug_assertions) {
             let category = py.get_type::<PyRuntimeWarning>();
             let text = c"pliant was built without optimisation: steps take a hundred times as long as they should";

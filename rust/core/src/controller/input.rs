@@ -23,6 +23,11 @@ pub(super) struct Input {
 }
 
 impl Controller {
+    /// Whether a step could use this.
+    pub(crate) fn check_input(&self, input: &StepInput<'_>) -> Result<()> {
+        self.read(input, &mut Input::default())
+    }
+
     /// Reads into `out`, which a step mostly leaves nearly empty: that is not moved about.
     #[inline]
     pub(super) fn read(&self, input: &StepInput<'_>, out: &mut Input) -> Result<()> {

@@ -8,6 +8,7 @@ use crate::error::{Error, Result};
 use crate::model::{Chain, Model};
 use crate::number::{Arithmetic, Instructions, Kernel, LANES, Machine, Wide};
 use crate::pose::COORDINATE_BOUND;
+use crate::threads::on_every_core;
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Configurations that a thread takes at once; fewer are done by the caller's thread.
@@ -87,7 +88,7 @@ impl Model {
                 (b, second) = second.split_at_mut(count * two);
                 parts.push((q, [a, b]));
             }
-            parts.into_par_iter().map(piece).reduce(|| true, |a, b| a & b)
+            on_every_core(|| parts.into_par_iter().map(piece).reduce(|| true, |a, b| a & b))?
         };
         if fine {
             return Ok(());

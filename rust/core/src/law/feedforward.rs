@@ -14,7 +14,7 @@ pub(crate) const SPEED_BOUND: f64 = 1e3;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VelocityFilter {
     /// Position behind the play [rad].
-    held: JointVec,
+    pub(crate) held: JointVec,
     /// Filtered velocity [rad/s].
     pub(crate) velocity: JointVec,
 }

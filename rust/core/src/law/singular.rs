@@ -10,8 +10,8 @@ use crate::{AxisVec, MAX_AXES};
 /// (an arm with planar joints crosses without mixing).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SingularValues {
-    weak: [AxisVec; 2],
-    strong: AxisVec,
+    pub(crate) weak: [AxisVec; 2],
+    pub(crate) strong: AxisVec,
     /// Smallest singular value.
     pub(crate) smallest: f64,
     /// Largest singular value.

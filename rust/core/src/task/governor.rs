@@ -6,14 +6,14 @@ use crate::task::deviation::{pose_error, rotation_matrix};
 /// Reference pose between the start and the target, with its velocity; bounded in speed and acceleration.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Governor {
-    pose: Pose,
+    pub(crate) pose: Pose,
     /// Linear [m/s] and angular [rad/s], base axes; zero where no speed is set.
-    velocity: [f64; 6],
+    pub(crate) velocity: [f64; 6],
     /// Whether the last step ended at the target: position, rotation.
-    arrived: [bool; 2],
+    pub(crate) arrived: [bool; 2],
     /// Target of the last step, and how fast it moved then [m/s, rad/s].
-    target: Pose,
-    target_speed: [f64; 2],
+    pub(crate) target: Pose,
+    pub(crate) target_speed: [f64; 2],
 }
 
 impl Governor {

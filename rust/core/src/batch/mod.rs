@@ -1,0 +1,281 @@
+//! Many arms at once: each row walks the staircase of the controller, pieces of them on every core.
+
+mod state;
+
+use std::sync::{Mutex, PoisonError};
+
+use rayon::prelude::*;
+
+use crate::controller::kept::{Kept, width};
+use crate::controller::memory::Memory;
+use crate::controller::{Controller, StepInput};
+use crate::error::{Error, Result};
+use crate::law::feedforward::SPEED_BOUND;
+use crate::pose::Pose;
+use crate::threads::on_every_core;
+
+pub use state::BatchState;
+
+/// Arms that a thread takes at once; so many are done by the caller's thread.
+const PIECE: usize = 64;
+
+/// Poses (`N`) toward which the arms are to go.
+#[derive(Debug, Clone, Copy)]
+pub enum Targets<'a> {
+    /// The same for all.
+    One(&'a Pose),
+    /// Homogeneous matrices (`N` × 4 × 4), row-major.
+    Poses(&'a [f64]),
+    /// Positions (`N` × 3) [m], for tasks without rotations.
+    Positions(&'a [f64]),
+}
+
+/// What becomes of an arm whose positions, target or velocity cannot be used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Invalid {
+    /// No arm is stepped: an error names the first such row.
+    #[default]
+    Refuse,
+    /// Its command is NaN and its memory stays; the others are stepped.
+    Nan,
+}
+
+/// Input of one step of `N` arms.
+#[derive(Debug, Clone, Copy)]
+pub struct BatchInput<'a> {
+    /// Measured joint positions (`N` × n) [rad].
+    pub q: &'a [f64],
+    /// Where to.
+    pub targets: Targets<'a>,
+    /// Time since the last step [s]; `None`: 1 / rate.
+    pub dt: Option<f64>,
+    /// Joint velocities (`N` × n) [rad/s] in place of the filtered ones.
+    pub dq: Option<&'a [f64]>,
+    /// What becomes of a row that cannot be used.
+    pub invalid: Invalid,
+}
+
+/// Commands of `N` arms, to be written: as [`Command`](crate::Command), one row (n) an arm.
+#[derive(Debug)]
+pub struct BatchCommand<'a> {
+    /// Goals of the position servos [rad].
+    pub goal: &'a mut [f64],
+    /// Torque limits [N·m].
+    pub torque_limit: &'a mut [f64],
+    /// Speeds for servos' speed registers [rad/s].
+    pub velocity: &'a mut [f64],
+}
+
+impl Controller {
+    /// One control step of `N` arms; the controller's own memory and record stay as they are.
+    ///
+    /// With a `state` each row is what a controller of its own would do, bit for bit. Without one there is no memory: each
+    /// row is the first step of a controller that has just been reset to its q, with `goal_slew` and `max_tool_speed`
+    /// without bounds.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where lengths do not fit together. With [`Invalid::Refuse`] the error of [`Controller::step`] for the
+    /// first row that cannot be used; then `state` is as before and `out` may hold anything.
+    pub fn step_batch(
+        &self,
+        input: &BatchInput<'_>,
+        state: Option<&mut BatchState>,
+        out: BatchCommand<'_>,
+    ) -> Result<()> {
+        let n = self.model().n();
+        if !input.q.len().is_multiple_of(n) {
+            return Err(Error::length("Q", input.q.len(), n));
+        }
+        let count = input.q.len() / n;
+        let same = |what: &str, got: usize, each: usize| {
+            if got == count * each { Ok(()) } else { Err(Error::length(what, got, count * each)) }
+        };
+        match input.targets {
+            Targets::One(pose) => pose.check("targets")?,
+            Targets::Poses(values) => same("targets", values.len(), 16)?,
+            Targets::Positions(values) => same("targets", values.len(), 3)?,
+        }
+        same("dq", input.dq.map_or(count * n, <[f64]>::len), n)?;
+        same("goal", out.goal.len(), n)?;
+        same("torque_limit", out.torque_limit.len(), n)?;
+        same("velocity", out.velocity.len(), n)?;
+        self.check_input(&StepInput { dt: input.dt, ..StepInput::default() })?;
+        match state {
+            None => {
+                let mut free = self.clone();
+                free.forget_bounds();
+                free.rows(input, None, false, out)
+            }
+            Some(state) => {
+                let changed = state.settings.as_deref().is_some_and(|before| before != self.settings());
+                let rows = state.rows_of(self, count)?;
+                if input.invalid == Invalid::Refuse {
+                    self.check_rows(input, rows)?;
+                }
+                self.rows(input, Some(rows), changed, out)?;
+                if changed || state.settings.is_none() {
+                    state.settings = Some(Box::new(self.settings().clone()));
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Whether every row can be used, before anything is changed.
+    fn check_rows(&self, input: &BatchInput<'_>, rows: &[f64]) -> Result<()> {
+        let (n, first) = (self.model().n(), First::default());
+        let check = |(index, rows): (usize, &[f64])| {
+            for (i, kept) in rows.chunks_exact(width(n)).enumerate() {
+                let row = index * PIECE + i;
+                let fine = input.row(self, row).and_then(|_| match Kept::of(kept, n) {
+                    Kept::Waiting(q) => self.positions("q", q).map(|_| ()).map_err(|error| error.in_row("state", row)),
+                    Kept::New | Kept::Running => Ok(()),
+                });
+                if let Err(error) = fine {
+                    first.report(row, error);
+                }
+            }
+        };
+        let pieces = rows.par_chunks(PIECE * width(n)).enumerate();
+        if rows.len() <= PIECE * width(n) {
+            check((0, rows))
+        } else {
+            on_every_core(|| pieces.for_each(check))?
+        }
+        first.result()
+    }
+
+    /// Steps every arm.
+    fn rows(
+        &self,
+        input: &BatchInput<'_>,
+        state: Option<&mut [f64]>,
+        changed: bool,
+        out: BatchCommand<'_>,
+    ) -> Result<()> {
+        let (n, first) = (self.model().n(), First::default());
+        let BatchCommand { goal, torque_limit, velocity } = out;
+        let step = |controller: &mut Self, index: usize, mut kept: Option<&mut [f64]>, outs: [&mut [f64]; 3]| {
+            let [goals, limits, velocities] = outs;
+            let outs = goals.chunks_exact_mut(n).zip(limits.chunks_exact_mut(n)).zip(velocities.chunks_exact_mut(n));
+            for (i, ((goal, limit), velocity)) in outs.enumerate() {
+                let row = index * PIECE + i;
+                let kept = kept.as_deref_mut().map(|rows| &mut rows[i * width(n)..][..width(n)]);
+                match controller.row(input, row, kept, changed) {
+                    Ok(()) => {
+                        let command = controller.last_command();
+                        goal.copy_from_slice(command.goal());
+                        limit.copy_from_slice(command.torque_limit());
+                        velocity.copy_from_slice(command.velocity());
+                    }
+                    Err(error) => {
+                        [goal, limit, velocity].into_iter().for_each(|out| out.fill(f64::NAN));
+                        if input.invalid == Invalid::Refuse {
+                            first.report(row, error);
+                        }
+                    }
+                }
+            }
+        };
+        let outs = [goal, torque_limit, velocity];
+        let size = PIECE * n;
+        if input.q.len() <= size {
+            step(&mut self.clone(), 0, state, outs);
+            return first.result();
+        }
+        let outs = outs.map(|out| out.par_chunks_mut(size));
+        let [goals, limits, velocities] = outs;
+        let outs = (goals, limits, velocities).into_par_iter().enumerate();
+        on_every_core(|| match state {
+            None => outs.for_each_init(|| self.clone(), |own, (index, (a, b, c))| step(own, index, None, [a, b, c])),
+            Some(state) => outs.zip(state.par_chunks_mut(PIECE * width(n))).for_each_init(
+                || self.clone(),
+                |own, ((index, (a, b, c)), kept)| step(own, index, Some(kept), [a, b, c]),
+            ),
+        })?;
+        first.result()
+    }
+
+    /// Steps one arm; its memory is `kept` only where that went well.
+    fn row(&mut self, input: &BatchInput<'_>, row: usize, kept: Option<&mut [f64]>, changed: bool) -> Result<()> {
+        let (n, one) = (self.model().n(), input.row(self, row)?);
+        match kept.as_deref() {
+            // The reference that moves to the target starts where it does not matter: there is no bound on its speed.
+            None if self.plan.deviation_limits.is_empty() => self.memory = Memory::at(&one.q, one.target, true),
+            None => self.memory = Memory::new(),
+            Some(kept) => match Kept::of(kept, n) {
+                Kept::New => self.memory = Memory::new(),
+                Kept::Waiting(q) => self.reset(q).map_err(|error| error.in_row("state", row))?,
+                Kept::Running => self.memory.recall(n, kept),
+            },
+        }
+        if changed {
+            self.adapt_memory();
+        }
+        self.advance(&one.q, &one.target, &one.input(input.dt)).map_err(|error| error.in_row("Q", row))?;
+        if let Some(kept) = kept {
+            self.memory.keep(n, kept);
+        }
+        Ok(())
+    }
+}
+
+/// Input of one arm.
+struct Row<'a> {
+    q: crate::JointVec,
+    target: Pose,
+    dq: Option<&'a [f64]>,
+}
+
+impl Row<'_> {
+    fn input(&self, dt: Option<f64>) -> StepInput<'_> {
+        StepInput { dt, dq: self.dq, ..StepInput::default() }
+    }
+}
+
+impl<'a> BatchInput<'a> {
+    /// Input of arm `row`, checked.
+    fn row(&self, controller: &Controller, row: usize) -> Result<Row<'a>> {
+        let n = controller.model().n();
+        let q = controller.positions("q", &self.q[row * n..][..n]).map_err(|error| error.in_row("Q", row))?;
+        let dq = self.dq.map(|dq| &dq[row * n..][..n]);
+        if let Some(dq) = dq {
+            controller.joints("dq", dq, SPEED_BOUND).map_err(|error| error.in_row("dq", row))?;
+        }
+        Ok(Row { q, target: self.target(row)?, dq })
+    }
+
+    fn target(&self, row: usize) -> Result<Pose> {
+        let named = |of: &dyn Fn(&str) -> Result<Pose>| of("").or_else(|_| of(&format!("targets[{row}]")));
+        match self.targets {
+            Targets::One(pose) => Ok(*pose),
+            Targets::Poses(values) => {
+                let m = &values[16 * row..][..16];
+                let line = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
+                named(&|name| Pose::from_rows_of(name, &[line(0), line(1), line(2), line(3)]))
+            }
+            Targets::Positions(values) => {
+                let p = &values[3 * row..][..3];
+                let pose = Pose { position: [p[0], p[1], p[2]], ..Pose::IDENTITY };
+                named(&|name| pose.check(name).map(|()| pose))
+            }
+        }
+    }
+}
+
+/// The first row that went wrong, whichever thread found it.
+#[derive(Default)]
+struct First(Mutex<Option<(usize, Error)>>);
+
+impl First {
+    fn report(&self, row: usize, error: Error) {
+        let mut slot = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if slot.as_ref().is_none_or(|(other, _)| row < *other) {
+            *slot = Some((row, error));
+        }
+    }
+
+    fn result(self) -> Result<()> {
+        self.0.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), |(_, error)| Err(error))
+    }
+}

@@ -1,0 +1,102 @@
+//! What many arms carry from one batch step to the next.
+
+use crate::controller::kept::{Kept, width};
+use crate::error::{Error, Result};
+use crate::pose::COORDINATE_BOUND;
+use crate::settings::Settings;
+use crate::{Controller, MAX_JOINTS};
+
+/// Memories of many arms, for [`Controller::step_batch`]: `8 (52 + 6 n)` bytes each.
+///
+/// Belongs to whoever steps the arms, not to a controller: any controller of arms with as many joints can go on with it.
+/// An arm of which nothing is known yet resets to the positions of its next step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BatchState {
+    n: usize,
+    pub(super) rows: Vec<f64>,
+    /// Settings of the last step: with others, singular vectors must be found anew.
+    pub(super) settings: Option<Box<Settings>>,
+}
+
+impl BatchState {
+    /// Of `count` arms of `n` joints, about which nothing is known yet.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] for a number of joints that no arm has, or for more arms than memory can hold.
+    pub fn new(n: usize, count: usize) -> Result<Self> {
+        if n == 0 || n > MAX_JOINTS {
+            return Err(Error::limit("joints", n as f64, format!("1 to {MAX_JOINTS}")));
+        }
+        let mut rows = Vec::new();
+        let room = count.checked_mul(width(n)).filter(|&size| rows.try_reserve_exact(size).is_ok());
+        let size = room.ok_or_else(|| {
+            Error::limit("arms", count as f64, format!("the free memory at {} bytes an arm", 8 * width(n)))
+        })?;
+        rows.resize(size, 0.0);
+        Ok(Self { n, rows, settings: None })
+    }
+
+    /// From what [`BatchState::numbers`] gave.
+    ///
+    /// # Errors
+    /// As [`BatchState::new`]; [`Error::Shape`] where the numbers are not those of whole arms of `n` joints.
+    pub fn from_numbers(n: usize, numbers: Vec<f64>) -> Result<Self> {
+        let empty = Self::new(n, 0)?;
+        if !numbers.len().is_multiple_of(width(n)) {
+            return Err(Error::length("state", numbers.len(), width(n)));
+        }
+        Ok(Self { rows: numbers, ..empty })
+    }
+
+    /// All that is kept, to be stored and read by the same version of this crate.
+    pub fn numbers(&self) -> &[f64] {
+        &self.rows
+    }
+
+    /// Number of joints of an arm.
+    pub fn n(&self) -> usize {
+        self.n
+    }
+
+    /// Number of arms.
+    pub fn len(&self) -> usize {
+        self.rows.len() / width(self.n)
+    }
+
+    /// Whether there are no arms.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// Forgets what was, of arm `index`: its next step starts from `q` (`n`) [rad], or from its own positions.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where there is no such arm or `q` is not finite, [`Error::Shape`] for a wrong length of `q`.
+    pub fn reset(&mut self, index: usize, q: Option<&[f64]>) -> Result<()> {
+        if let Some(q) = q {
+            if q.len() != self.n {
+                return Err(Error::length("Q", q.len(), self.n));
+            }
+            if let Some(&value) = q.iter().find(|value| !(value.abs() <= COORDINATE_BOUND)) {
+                return Err(Error::limit("q", value, format!("±{COORDINATE_BOUND:e} and finite")).in_row("Q", index));
+            }
+        }
+        let (width, count) = (width(self.n), self.len());
+        let missing = || Error::limit("arm", index as f64, format!("a state of {count} arms"));
+        Kept::renew(self.rows.chunks_exact_mut(width).nth(index).ok_or_else(missing)?, q);
+        Ok(())
+    }
+
+    /// Rows of `count` arms of this controller.
+    pub(super) fn rows_of(&mut self, controller: &Controller, count: usize) -> Result<&mut [f64]> {
+        let (n, got) = (controller.model().n(), self.len());
+        if self.n != n || got != count {
+            return Err(Error::Shape {
+                what: "state".into(),
+                got: format!("({got} arms of {} joints)", self.n),
+                expected: format!("({count} arms of {n} joints)"),
+            });
+        }
+        Ok(&mut self.rows)
+    }
+}

@@ -1,0 +1,40 @@
+//! The threads that batches run on: as many as the process has cores, started with the first large batch.
+
+use std::mem;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::error::{Error, Result};
+
+/// The pool, and the process that its threads live in.
+static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
+
+/// Runs `work` where `rayon`'s parallel iterators use every core; `RAYON_NUM_THREADS` says how many threads they are.
+///
+/// A forked process (Python's `multiprocessing` makes such) inherits a pool without its threads and would wait for them
+/// forever: it gets one of its own.
+///
+/// # Errors
+/// [`Error::Config`] where the system refuses to start a thread.
+pub(crate) fn on_every_core<T: Send>(work: impl FnOnce() -> T + Send) -> Result<T> {
+    Ok(pool()?.install(work))
+}
+
+fn pool() -> Result<Arc<ThreadPool>> {
+    let mut slot = POOL.lock().unwrap_or_else(PoisonError::into_inner);
+    let process = std::process::id();
+    if let Some((owner, pool)) = &*slot
+        && *owner == process
+    {
+        return Ok(Arc::clone(pool));
+    }
+    let made = ThreadPoolBuilder::new().thread_name(|i| format!("pliant {i}")).build();
+    let pool = Arc::new(made.map_err(|cause| {
+        let message = format!("no thread can be started ({cause}); set RAYON_NUM_THREADS to fewer");
+        Error::config("threads", message)
+    })?);
+    // A pool whose threads are in another process cannot be taken down.
+    mem::forget(slot.replace((process, Arc::clone(&pool))));
+    Ok(pool)
+}

@@ -1,0 +1,213 @@
+//! `Controller.step_batch` and `BatchState`.
+
+use std::borrow::Cow;
+
+use pliant_core::{
+    BatchCommand, BatchInput, BatchState as CoreState, Controller as CoreController, Invalid, Pose as CorePose, Targets,
+};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+use crate::batch::{Rows, disjoint, rows_of, target, target_of};
+use crate::command::Command;
+use crate::convert::{new_array, view};
+use crate::error::{OrRaise, shape, wrong_type};
+use crate::kinds::Kind;
+use crate::read::{numbers, pose};
+use crate::words::{Word, Words};
+
+impl Words for Invalid {
+    const WORDS: &'static [(&'static str, Self)] = &[("raise", Self::Refuse), ("nan", Self::Nan)];
+}
+
+/// What many arms carry from one batch step to the next.
+#[pyclass(module = "pliant")]
+#[derive(Debug)]
+pub(crate) struct BatchState(CoreState);
+
+impl BatchState {
+    /// Of arms of which nothing is known yet.
+    pub(crate) fn of(n: usize, count: usize) -> PyResult<Self> {
+        CoreState::new(n, count).or_raise().map(Self)
+    }
+}
+
+#[pymethods]
+impl BatchState {
+    #[new]
+    fn new(n: usize, numbers: &Bound<'_, PyAny>) -> PyResult<Self> {
+        CoreState::from_numbers(n, crate::read::numbers("numbers", numbers)?.1).or_raise().map(Self)
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> (usize, Bound<'py, PyAny>) {
+        let numbers = self.0.numbers();
+        (self.0.n(), new_array(py, &[numbers.len()], numbers))
+    }
+
+    #[getter]
+    fn n(&self) -> usize {
+        self.0.n()
+    }
+
+    fn __len__(&self) -> usize {
+        self.0.len()
+    }
+
+    #[pyo3(signature = (indices = None, Q = None))]
+    #[expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
+    fn reset(
+        &mut self,
+        py: Python<'_>,
+        indices: Option<&Bound<'_, PyAny>>,
+        Q: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let indices = picked(py, self.0.len(), indices)?;
+        let n = self.0.n();
+        let Some(given) = Q else {
+            return indices.into_iter().try_for_each(|index| self.0.reset(index, None)).or_raise();
+        };
+        let (got, values) = numbers("Q", given)?;
+        let one = got == [n];
+        if !one && got != [indices.len(), n] {
+            return Err(shape("Q", &got, format!("({}, {n}), or ({n},) for all", indices.len())));
+        }
+        // Checked before any arm is changed.
+        let mut tried = CoreState::new(n, 1).or_raise()?;
+        values.chunks_exact(n).try_for_each(|q| tried.reset(0, Some(q))).or_raise()?;
+        for (i, index) in indices.into_iter().enumerate() {
+            let from = if one { 0 } else { i * n };
+            self.0.reset(index, Some(&values[from..from + n])).or_raise()?;
+        }
+        Ok(())
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<BatchState of {} arms of {} joints>", self.0.len(), self.0.n())
+    }
+}
+
+/// Which of `count` arms an index of NumPy's means: a number, numbers, a slice, or a mask.
+fn picked(py: Python<'_>, count: usize, indices: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<usize>> {
+    let Some(indices) = indices else { return Ok((0..count).collect()) };
+    let numpy = py.import("numpy")?;
+    // An empty list would be an array of floats, which is no index.
+    let empty = indices.len().is_ok_and(|length| length == 0);
+    if empty {
+        return Ok(Vec::new());
+    }
+    let index = if indices.is_instance_of::<pyo3::types::PySlice>() {
+        indices.clone()
+    } else {
+        numpy.call_method1("asarray", (indices,))?
+    };
+    let options = PyDict::new(py);
+    options.set_item("ndmin", 1)?;
+    let found = numpy.call_method1("arange", (count,))?.get_item(index)?;
+    numpy.call_method("array", (found,), Some(&options))?.call_method0("tolist")?.extract()
+}
+
+/// The arguments of one call beside Q and the state.
+pub(crate) struct BatchCall<'a, 'py> {
+    pub(crate) targets: &'a Bound<'py, PyAny>,
+    /// Whether a target may be a position alone.
+    pub(crate) position_only: bool,
+    pub(crate) dt: Option<f64>,
+    pub(crate) dq: Option<&'a Bound<'py, PyAny>>,
+    pub(crate) invalid: Option<&'a Bound<'py, PyAny>>,
+    pub(crate) out: Option<&'a Bound<'py, PyAny>>,
+}
+
+/// Targets as the core takes them, in the caller's memory or in ours.
+enum Wanted<'a> {
+    One(CorePose),
+    Poses(Cow<'a, [f64]>),
+    Positions(Cow<'a, [f64]>),
+}
+
+impl BatchCall<'_, '_> {
+    /// Steps the arms while other Python threads run.
+    pub(crate) fn run(
+        &self,
+        py: Python<'_>,
+        core: &CoreController,
+        q: &Bound<'_, PyAny>,
+        state: Option<&Bound<'_, BatchState>>,
+    ) -> PyResult<Py<Command>> {
+        let n = core.model().n();
+        let own = self.out.map(arrays_of).transpose()?;
+        let outs: Vec<&Bound<'_, PyAny>> = own.iter().flatten().collect();
+        disjoint(&outs)?;
+        let rows = Rows::read("Q", q, &[n], &outs)?;
+        let count = rows.count;
+        let wanted = self.wanted(count, &outs)?;
+        let dq = self.dq.map(|dq| Rows::read("dq", dq, &[n], &outs)).transpose()?;
+        if let Some(dq) = &dq
+            && dq.count != count
+        {
+            return Err(shape("dq", &[dq.count, n], format!("({count}, {n})")));
+        }
+        let invalid = self.invalid.map_or(Ok(Invalid::Refuse), |word| Word::<Invalid>::read("invalid", word))?;
+        let mut arrays = Vec::with_capacity(3);
+        for i in 0..3 {
+            let own = own.as_ref().map(|own| &own[i]);
+            arrays.push(target(py, &format!("out[{i}]"), own, count, &[n])?);
+        }
+        let [goal, torque_limit, velocity] = [0, 1, 2].map(|i| target_of(&arrays[i], count, &[n]));
+        let input = BatchInput {
+            q: &rows.values,
+            targets: match &wanted {
+                Wanted::One(pose) => Targets::One(pose),
+                Wanted::Poses(values) => Targets::Poses(values),
+                Wanted::Positions(values) => Targets::Positions(values),
+            },
+            dt: self.dt,
+            dq: dq.as_ref().map(|dq| &*dq.values),
+            invalid,
+        };
+        let out = BatchCommand { goal, torque_limit, velocity };
+        let mut state = state.map(|state| state.try_borrow_mut()).transpose()?;
+        let state = state.as_deref_mut().map(|state| &mut state.0);
+        py.detach(|| core.step_batch(&input, state, out)).or_raise()?;
+        match self.out.and_then(|out| out.cast::<Command>().ok()) {
+            Some(command) => Ok(command.clone().unbind()),
+            None => Py::new(py, Command::of([0, 1, 2].map(|i| arrays[i].clone().unbind()))),
+        }
+    }
+
+    fn wanted(&self, count: usize, outs: &[&Bound<'_, PyAny>]) -> PyResult<Wanted<'_>> {
+        let (name, targets) = ("targets", self.targets);
+        let parts: &[&[usize]] = if self.position_only { &[&[4, 4], &[3]] } else { &[&[4, 4]] };
+        let fits = |got: &[usize]| parts.iter().find(|part| got.split_first().is_some_and(|(_, rest)| rest == **part));
+        let plain = parts.iter().find_map(|part| view(targets, part).map(|(rows, _)| (rows, *part)));
+        let (got, part) = match plain {
+            Some(found) => found,
+            // Neither one pose nor an array of many: what it is, NumPy says.
+            None => match numbers(name, targets) {
+                Ok((got, _)) if fits(&got).is_some() => (got[0], *fits(&got).unwrap_or(&parts[0])),
+                Ok((got, _)) if !matches!(got[..], [4, 4] | [3 | 7]) => {
+                    let many: Vec<String> = parts.iter().map(|part| rows_of(part)).collect();
+                    let one = if self.position_only { "(4, 4), (3,)" } else { "(4, 4)" };
+                    return Err(shape(name, &got, format!("{one}, {}", many.join(" or "))));
+                }
+                _ => return pose(name, targets, self.position_only).map(Wanted::One),
+            },
+        };
+        if got != count {
+            let expected = format!("{} with N = {count} as Q has, or one pose for all", rows_of(part));
+            return Err(shape(name, &[&[got], part].concat(), expected));
+        }
+        let values = Rows::read(name, targets, part, outs)?.values;
+        Ok(if part.len() == 2 { Wanted::Poses(values) } else { Wanted::Positions(values) })
+    }
+}
+
+/// The arrays of a command, or three arrays, to write into.
+fn arrays_of<'py>(out: &Bound<'py, PyAny>) -> PyResult<[Bound<'py, PyAny>; 3]> {
+    if let Ok(command) = out.cast::<Command>() {
+        return Ok(command.get().arrays().map(|array| array.bind(out.py()).clone()));
+    }
+    match out.cast::<PyTuple>() {
+        Ok(three) if three.len() == 3 => Ok([three.get_item(0)?, three.get_item(1)?, three.get_item(2)?]),
+        _ => Err(wrong_type("out", "a command of a batch, or arrays (goal, torque_limit, velocity)", out)),
+    }
+}

@@ -1,0 +1,400 @@
+"""Many arms in one call: bits of single steps, the caller's arrays, bad rows, threads, forks."""
+
+from __future__ import annotations
+
+import copy
+import os
+import pickle
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+
+import pliant
+
+FIELDS = ("goal", "torque_limit", "velocity")
+LAWS = {
+    "cap": pliant.Settings.soft("y"),
+    "paper": pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, eta=0.9)}),
+    "impedance": pliant.Settings(law="impedance", axes={"y": pliant.Axis(soft=4.0)}),
+}
+
+
+def arms(model, count, seed=3):
+    """Postures, some stretched out and some at their limits, and targets."""
+    rng = np.random.default_rng(seed)
+    q = model.lower + (model.upper - model.lower) * rng.uniform(0.1, 0.9, (count, model.n))
+    q[::7, 3:] = 0.0
+    q[1::7] = np.where(q[1::7] > 0.0, model.upper, model.lower)
+    targets = model.forward_kinematics_batch(q + rng.uniform(-0.2, 0.2, q.shape))
+    return q, targets
+
+
+def same(command, row, single):
+    return all(
+        getattr(command, field)[row].tobytes() == getattr(single, field).tobytes()
+        for field in FIELDS
+    )
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("count", [0, 1, 5, 200])
+def test_rows_have_the_bits_of_single_steps(model, law, count):
+    controller = pliant.Controller(model, LAWS[law])
+    state = controller.batch_state(count)
+    assert (len(state), state.n) == (count, 7)
+    alone = [pliant.Controller(model, LAWS[law]) for _ in range(min(count, 20))]
+    for tick in range(4):
+        q, targets = arms(model, count, tick)
+        dq = 0.1 * q if tick == 2 else None
+        command = controller.step_batch(q, targets, state=state, dt=0.005, dq=dq)
+        assert all(getattr(command, field).shape == (count, 7) for field in FIELDS)
+        for row, own in enumerate(alone):
+            speed = None if dq is None else dq[row]
+            assert same(command, row, own.step(q[row], targets[row], dt=0.005, dq=speed))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_without_a_state_rows_are_first_steps_without_slew(model, law):
+    controller = pliant.Controller(model, LAWS[law])
+    free = LAWS[law].replace(goal_slew=np.inf, max_tool_speed=(np.inf, np.inf))
+    q, targets = arms(model, 100)
+    controller.step(q[3], targets[3])
+    command = controller.step_batch(q, targets)
+    for row in range(100):
+        assert same(command, row, pliant.Controller(model, free).step(q[row], targets[row]))
+    assert np.array_equal(controller.q_predicted, q[3]), "its own readings stay"
+
+
+@budget(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(LAWS)), st.integers(1, 130))
+def test_any_batch_is_its_rows(seed, law, count):
+    model = pliant.robots.arm7()
+    controller = pliant.Controller(model, LAWS[law])
+    q, targets = arms(model, count, seed)
+    state = controller.batch_state(count)
+    state.reset(slice(None, None, 2), 0.5 * q[::2])
+    command = controller.step_batch(q, targets, state=state)
+    row = seed % count
+    alone = pliant.Controller(model, LAWS[law])
+    if row % 2 == 0:
+        alone.reset(0.5 * q[row])
+    assert same(command, row, alone.step(q[row], targets[row]))
+
+
+FORMS = {
+    "list": lambda a: a.tolist(),
+    "strided": lambda a: np.repeat(a, 2, axis=0)[::2],
+    "fortran": np.asfortranarray,
+    "big endian": lambda a: a.astype(">f8"),
+    "memoryview": memoryview,
+    "reversed": lambda a: a[::-1].copy()[::-1],
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_other_forms_of_arrays_give_the_same_bits(model, form):
+    controller = pliant.Controller(model, LAWS["cap"])
+    q, targets = arms(model, 9)
+    want = controller.step_batch(q, targets, dq=0.1 * q)
+    make = FORMS[form]
+    got = controller.step_batch(make(q), make(targets), dq=make(0.1 * q))
+    assert all(getattr(got, f).tobytes() == getattr(want, f).tobytes() for f in FIELDS)
+    single = q.astype(np.float32)
+    wide = controller.step_batch(single.astype(float), targets)
+    assert np.array_equal(controller.step_batch(single, targets).goal, wide.goal)
+
+
+def test_one_target_for_all_in_every_form_that_a_step_takes(model):
+    controller = pliant.Controller(model, LAWS["cap"])
+    q, targets = arms(model, 4)
+    one = targets[2].copy()
+    want = controller.step_batch(q, np.stack([one] * 4)).goal
+    for form in (one, one.tolist(), pliant.Pose(one), np.asfortranarray(one)):
+        assert np.array_equal(controller.step_batch(q, form).goal, want)
+    poses = [pliant.Pose(target) for target in targets]
+    assert np.array_equal(
+        controller.step_batch(q, poses).goal, controller.step_batch(q, targets).goal
+    )
+
+
+def test_positions_alone_where_no_rotation_is_controlled(model):
+    lateral = pliant.Controller(model, pliant.Settings(task=pliant.Task(axes="xyz")))
+    q, targets = arms(model, 4)
+    positions = targets[:, :3, 3]
+    turned = targets.copy()
+    turned[:, :3, :3] = np.eye(3)
+    want = lateral.step_batch(q, turned).goal
+    assert np.array_equal(lateral.step_batch(q, positions).goal, want)
+    assert np.array_equal(lateral.step_batch(q, positions.copy()).goal, want)
+    assert np.array_equal(
+        lateral.step_batch(q, positions[1]).goal,
+        lateral.step_batch(q, np.stack([positions[1]] * 4)).goal,
+    )
+    full = pliant.Controller(model, LAWS["cap"])
+    with pytest.raises(pliant.ShapeError, match=r"targets has shape \(4, 3\)"):
+        full.step_batch(q, positions)
+    with pytest.raises(pliant.ShapeError, match="says nothing of the task's rotations"):
+        full.step_batch(q, positions[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"Q": np.zeros((4, 6))}, r"Q has shape \(4, 6\), expected \(N, 7\)"),
+        ({"Q": np.zeros(7)}, r"Q has shape \(7,\), expected \(N, 7\)"),
+        ({"targets": np.zeros((3, 4, 4))}, r"targets has shape \(3, 4, 4\), expected \(N, 4, 4\) "),
+        ({"targets": np.zeros((4, 7))}, r"targets has shape \(4, 7\), expected \(4, 4\), \(N, 4"),
+        ({"targets": np.zeros(7)}, r"targets has shape \(7,\)"),
+        ({"dq": np.zeros((3, 7))}, r"dq has shape \(3, 7\), expected \(4, 7\)"),
+        ({"dt": -1.0}, r"dt \[s\] = -1 is outside"),
+        ({"state": 3}, r"state has shape \(3 arms of 7 joints\), expected \(4 arms"),
+        ({"Q": "words"}, "Q must be an array of numbers"),
+        ({"targets": None}, "targets must be an array of numbers"),
+        ({"dt": "soon"}, "dt must be a number"),
+        ({"invalid": "nam"}, "invalid: must be one of 'raise', 'nan', .*did you mean 'nan'"),
+        ({"out": np.zeros((4, 7))}, "out must be a command of a batch, or arrays"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_named(model, change, match):
+    controller = pliant.Controller(model, LAWS["cap"])
+    q, targets = arms(model, 4)
+    inputs = {"Q": q, "targets": targets} | change
+    if "state" in inputs:
+        inputs["state"] = controller.batch_state(inputs["state"])
+    with pytest.raises((pliant.PliantError, TypeError), match=match):
+        controller.step_batch(**inputs)
+
+
+def test_results_into_the_callers_arrays(model):
+    controller = pliant.Controller(model, LAWS["cap"])
+    q, targets = arms(model, 150)
+    want = controller.step_batch(q, targets)
+    mine = tuple(np.full((150, 7), -1.0) for _ in FIELDS)
+    command = controller.step_batch(q, targets, out=mine)
+    assert all(getattr(command, field) is array for field, array in zip(FIELDS, mine, strict=True))
+    again = controller.step_batch(q[::-1].copy(), targets[::-1].copy(), out=command)
+    assert again is command
+    assert all(np.array_equal(mine[i], getattr(want, f)[::-1]) for i, f in enumerate(FIELDS))
+    kept = [controller.step_batch(q, targets) for _ in range(5)]
+    assert len({id(command.goal) for command in kept}) == 5, (
+        "results that are kept are nobody else's"
+    )
+
+
+def test_arrays_that_cannot_be_written_are_refused(model):
+    controller = pliant.Controller(model, LAWS["cap"])
+    q, targets = arms(model, 4)
+    state = controller.batch_state(4)
+    kept = pickle.dumps(state)
+    good = [np.zeros((4, 7)) for _ in FIELDS]
+    readonly = np.zeros((4, 7))
+    readonly.flags.writeable = False
+    for bad, error in [
+        (np.zeros((4, 6)), r"out\[1\] has shape \(4, 6\), expected \(4, 7\)"),
+        (np.zeros((5, 7)), r"out\[1\] has shape \(5, 7\)"),
+        (np.zeros((4, 7), dtype=np.float32), r"out\[1\] must be a writable float64 array"),
+        (np.zeros((7, 4)).T, r"out\[1\] must be a writable float64 array in C order"),
+        (readonly, r"out\[1\] must be a writable"),
+        ([[0.0] * 7] * 4, r"out\[1\] must be a writable"),
+    ]:
+        with pytest.raises((pliant.ShapeError, TypeError), match=error):
+            controller.step_batch(q, targets, state=state, out=(good[0], bad, good[2]))
+    with pytest.raises(ValueError, match=r"out\[0\] and out\[2\] must not share memory"):
+        controller.step_batch(q, targets, state=state, out=(good[0], good[1], good[0]))
+    room = np.zeros((6, 7))
+    with pytest.raises(ValueError, match=r"out\[0\] and out\[1\] must not share memory"):
+        controller.step_batch(q, targets, state=state, out=(room[:4], room[2:], good[2]))
+    with pytest.raises(pliant.ShapeError, match=r"out\[0\] has shape \(7,\), expected \(4, 7\)"):
+        controller.step_batch(q, targets, state=state, out=controller.step(q[0], targets[0]))
+    assert pickle.dumps(state) == kept
+
+
+def test_results_may_overwrite_the_inputs(model):
+    controller = pliant.Controller(model, LAWS["cap"])
+    q, targets = arms(model, 150)
+    want = controller.step_batch(q, targets)
+    own = q.copy()
+    controller.step_batch(own, targets, out=(own, np.zeros_like(q), np.zeros_like(q)))
+    assert np.array_equal(own, want.goal)
+    room = targets.copy().reshape(-1)
+    inside = room[: q.size].reshape(q.shape)
+    overlapping = room.reshape(targets.shape)
+    controller.step_batch(q, overlapping, out=(np.zeros_like(q), inside, np.zeros_like(q)))
+    assert np.array_equal(inside, want.torque_limit)
+
+
+def test_a_bad_row_is_named_and_changes_nothing(model):
+    controller = pliant.Controller(model, LAWS["cap"])
+    q, targets = arms(model, 150)
+    state = controller.batch_state(150)
+    controller.step_batch(q, targets, state=state)
+    kept = pickle.dumps(state)
+    bad = q.copy()
+    bad[77, 2], bad[140, 0] = np.nan, np.inf
+    with pytest.raises(pliant.LimitError, match=r"^Q\[77\]: q\[2\] \(\w+\) = NaN is outside"):
+        controller.step_batch(bad, targets, state=state)
+    turned = targets.copy()
+    turned[5, 0, 0] += 0.1
+    with pytest.raises(pliant.ConfigError, match=r"^targets\[5\]: rotation part is not a rotation"):
+        controller.step_batch(q, turned, state=state)
+    with pytest.raises(pliant.LimitError, match=r"^dq\[77\]: dq\[2\]"):
+        controller.step_batch(q, targets, state=state, dq=bad)
+    assert pickle.dumps(state) == kept
+
+
+def test_bad_rows_are_nan_where_asked_for(model):
+    controller = pliant.Controller(model, LAWS["cap"])
+    q, targets = arms(model, 150)
+    state, other = controller.batch_state(150), controller.batch_state(150)
+    good = controller.step_batch(q, targets, state=other)
+    bad = q.copy()
+    bad[[0, 77, 149], 2] = np.nan
+    command = controller.step_batch(bad, targets, state=state, invalid="nan")
+    fine = np.ones(150, dtype=bool)
+    fine[[0, 77, 149]] = False
+    for field in FIELDS:
+        assert np.isnan(getattr(command, field)[~fine]).all()
+        assert np.array_equal(getattr(command, field)[fine], getattr(good, field)[fine])
+    # The others go on, and these begin with the next step.
+    again = controller.step_batch(q, targets, state=state)
+    onward = controller.step_batch(q, targets, state=other)
+    assert np.array_equal(again.goal[fine], onward.goal[fine])
+    assert np.array_equal(again.goal[~fine], good.goal[~fine])
+
+
+def test_states_can_be_reset_copied_and_pickled(model):
+    controller = pliant.Controller(model, LAWS["cap"])
+    q, targets = arms(model, 6)
+    state = controller.batch_state(6)
+    controller.step_batch(q, targets, state=state)
+    copies = [copy.copy(state), copy.deepcopy(state), pickle.loads(pickle.dumps(state))]
+    want = controller.step_batch(q, targets, state=state)
+    for other in copies:
+        assert np.array_equal(controller.step_batch(q, targets, state=other).goal, want.goal)
+    assert repr(state) == "<BatchState of 6 arms of 7 joints>"
+    fresh = controller.step_batch(q, targets, state=controller.batch_state(6))
+    for indices, rows in [
+        (None, range(6)),
+        ([0, -1], [0, 5]),
+        (np.array([True, False] * 3), [0, 2, 4]),
+        (slice(1, 3), [1, 2]),
+        (3, [3]),
+        ([], []),
+    ]:
+        tried = copy.copy(copies[0])
+        tried.reset(indices)
+        got = controller.step_batch(q, targets, state=tried)
+        kept = controller.step_batch(q, targets, state=copy.copy(copies[0]))
+        for row in range(6):
+            reference = fresh if row in rows else kept
+            assert np.array_equal(got.goal[row], reference.goal[row]), (indices, row)
+    with pytest.raises(IndexError):
+        state.reset(6)
+    with pytest.raises(IndexError):
+        state.reset(np.array([True, False]))
+    with pytest.raises(IndexError):
+        state.reset([0.5])
+    before = pickle.dumps(state)
+    with pytest.raises(pliant.ShapeError, match=r"Q has shape \(2, 7\), expected \(3, 7\), or"):
+        state.reset([0, 1, 2], q[:2])
+    with pytest.raises(pliant.LimitError, match="NaN"):
+        state.reset([0, 1], [q[0], np.full(7, np.nan)])
+    assert pickle.dumps(state) == before
+    with pytest.raises(pliant.LimitError, match="joints = 0"):
+        pliant.BatchState(0, [])
+
+
+def test_python_runs_meanwhile_and_a_state_is_not_shared(model):
+    controller = pliant.Controller(model, LAWS["cap"])
+    q, targets = arms(model, 60_000)
+    state, turns, errors = controller.batch_state(len(q)), [], []
+
+    def work():
+        try:
+            for _ in range(3):
+                controller.step_batch(q, targets, state=state)
+        except RuntimeError as error:
+            errors.append(str(error))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    while thread.is_alive():
+        turns.append(None)
+        try:
+            len(state)
+        except RuntimeError as error:
+            errors.append(str(error))
+    thread.join()
+    assert len(turns) > 100, "this thread had no turn"
+    assert errors
+    assert all("borrow" in error.lower() for error in errors)
+
+
+def test_threads_with_their_own_states_get_what_they_get_alone(model):
+    controller = pliant.Controller(model, LAWS["cap"])
+
+    def drive(seed, into):
+        state = controller.batch_state(200)
+        for tick in range(5):
+            into.append(controller.step_batch(*arms(model, 200, seed + tick), state=state).goal)
+
+    alone, together = [[] for _ in range(4)], [[] for _ in range(4)]
+    for seed, into in enumerate(alone):
+        drive(seed, into)
+    threads = [threading.Thread(target=drive, args=(i, t)) for i, t in enumerate(together)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for a, b in zip(alone, together, strict=True):
+        assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_process_has_threads_of_its_own():
+    code = """
+import os, signal
+import numpy as np, pliant
+model = pliant.robots.arm7()
+controller = pliant.Controller(model)
+q = np.tile(0.5 * (model.lower + model.upper), (9000, 1))
+targets = model.forward_kinematics(q[0])
+want = controller.step_batch(q, targets).goal
+if os.fork() == 0:
+    signal.alarm(20)
+    same = np.array_equal(controller.step_batch(q, targets).goal, want)
+    model.gravity_batch(q)
+    os._exit(0 if same else 1)
+print(os.waitstatus_to_exitcode(os.wait()[1]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.split() == ["0"]
+
+
+def test_many_arms_take_no_memory_beside_their_results():
+    code = """
+import resource, sys
+import numpy as np, pliant
+model = pliant.robots.arm7()
+controller = pliant.Controller(model, pliant.Settings.paper())
+q = np.tile(0.5 * (model.lower + model.upper), (400_000, 1))
+target = model.forward_kinematics(q[0])
+out = controller.step_batch(q[:10], target)
+out = tuple(np.zeros(q.shape) for _ in range(3))
+for array in out: array[:] = 1.0
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+controller.step_batch(q, target, out=out)
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert float(done.stdout) < 10.0  # [MB]
