@@ -38,7 +38,7 @@ export CARGO_INCREMENTAL := 0
 endif
 
 WHEELS := build/wheels
-RUST := $(shell find rust -name '*.rs') Cargo.toml $(wildcard Cargo.lock) $(wildcard rust/*/Cargo.toml)
+RUST := $(shell find rust -name '*.rs') Cargo.toml $(wildcard Cargo.lock) $(wildcard rust/*/Cargo.toml) python/pliant/_core.pyi
 PY_SOURCES := $(shell find python -type f ! -name '*.so' ! -path '*/__pycache__/*')
 # An editable install keeps the compiled module beside the sources: `git clean` can take it away.
 MISSING_CORE := $(if $(wildcard python/pliant/_core*.so),,FORCE)
@@ -47,7 +47,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs bench counts counts-check aarch64 peers soak wheel fmt clean FORCE
+.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs gallery bench counts counts-check aarch64 peers soak wheel fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -130,6 +130,10 @@ deny:
 docs: setup ## Build docs/_build/html; a warning is an error
 	$(call say,pages)
 	@$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
+
+gallery: setup ## Run the examples that changed, keep pictures and texts for the pages; ARGS=--all, ARGS=07
+	$(call say,gallery)
+	@$(BIN)/python tools/gallery.py $(ARGS)
 
 # --- the rest ------------------------------------------------------------------------------------------------------
 

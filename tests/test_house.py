@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import json
 import os
@@ -95,6 +96,16 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 def test_example_runs(example, tmp_path):
     done = run(str(example), cwd=tmp_path, PLIANT_SHORT="1")
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_gallery_is_of_this_example(example):
+    number, kept = example.stem[:2], ROOT / "docs" / "gallery" / f"{example.stem}.txt"
+    assert kept.exists(), f"{example.name} is not in the gallery: make gallery"
+    digest, *said = kept.read_text(encoding="utf-8").splitlines()
+    now = hashlib.sha256(example.read_bytes()).hexdigest()[:16]
+    assert digest == now, f"{example.name} changed since: make gallery ARGS={number}"
+    assert said, "it prints nothing"
 
 
 def built(pattern: str) -> Path:

@@ -22,8 +22,10 @@ COMMANDS = {
     "run": ("pliant.cli.run", "hold an arm compliantly, or let it follow targets"),
     "bench": ("pliant.cli.bench", "time a step on this machine: latency, loop rate"),
     "teach": ("pliant.cli.teach", "lead an arm by hand and keep the motion"),
+    "view": ("pliant.cli.view", "push a simulated arm in the browser, or watch a real one"),
     "replay": ("pliant.cli.replay", "play a motion, softly: what is blocked waits"),
     "log": ("pliant.cli.log", "look at a log: info, plot, export; run it again"),
+    "report": ("pliant.cli.report", "say why a logged arm was soft or not, as a page"),
     "emulate": ("pliant.cli.emulate", "put an arm's servos on a serial port that is not there"),
 }
 #: Exit code of an error that was explained, as of a flag that does not exist.

@@ -73,7 +73,6 @@ class Float:
     Attributes:
         ready: Whether the first swing is over; before, nobody may touch the arm.
         play: Play of each joint in this tick (n,) [rad].
-        stiffness: What k_p can be (2, n) [N·m/rad], lowest and highest.
 
     Raises:
         ConfigError: Nothing is known of the servos. LimitError: A number out of range.

@@ -9,8 +9,8 @@ import time
 from typing import IO
 
 HEAD = struct.Struct("<BI")
-#: Kinds of frames: what the run is, a tick, a step, another call.
-RUN, TICK, STEP, CALL = range(4)
+#: Kinds of frames: what the run is, a tick, a step, another call, what was counted.
+RUN, TICK, STEP, CALL, END = range(5)
 #: Most bytes that wait for the writer; what comes while it is that far behind is dropped.
 MOST = 8_000_000
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 #: Changes when a file of before cannot be read any more.
 VERSION = "1"
 #: Names of the attachments.
-RUN, URDF, SETTINGS, CONFIG = "run.json", "robot.urdf", "settings.txt", "config.json"
+RUN, URDF, SETTINGS = "run.json", "robot.urdf", "settings.txt"
+CONFIG, END = "config.json", "end.json"
 
 _LINE = "=" * 80
 _HEADER = f"""{_LINE}

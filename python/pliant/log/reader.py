@@ -44,13 +44,15 @@ class Log:
         columns: Arrays by name.
         calls: What the controller was told, in order: messages with the fields of a call.
         whole: Whether the file was completed; else the program or the machine died.
-        missing: Calls that were dropped.
+        end: What was counted until the recorder was closed: `counters` of the bus and records
+            `dropped`; empty where the program died before.
     """
 
     run: dict[str, Any]
     columns: dict[str, Array]
     calls: list[Any] = field(repr=False)
     whole: bool
+    end: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def __getattr__(self, name: str) -> Array:
         columns: dict[str, Array] = self.__dict__.get("columns", {})
@@ -98,13 +100,15 @@ def read(path: str | Path) -> Log:
     ticks: list[Any] = []
     calls: list[Any] = []
     rows = {"/pliant/tick": ticks, "/pliant/call": calls}
-    whole = False
+    whole, end = False, {}
     decode = _Decoder()
     with Path(path).open("rb") as stream:
         try:
             for record in StreamReader(stream).records:
                 if isinstance(record, Attachment) and record.name == layout.RUN:
                     run = words.read(record.data.decode())
+                elif isinstance(record, Attachment) and record.name == layout.END:
+                    end = words.read(record.data.decode())
                 elif isinstance(record, Schema):
                     decode.schemas[record.id] = record
                 elif isinstance(record, Channel):
@@ -125,7 +129,7 @@ def read(path: str | Path) -> Log:
             f"{path} has layout {run['version']}, this pliant reads {layout.VERSION}: read it with "
             f"pliant {run['pliant']}"
         )
-    return Log(run, _columns(run, ticks), calls, whole)
+    return Log(run, _columns(run, ticks), calls, whole, end)
 
 
 class _Decoder:

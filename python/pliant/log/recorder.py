@@ -16,6 +16,7 @@ from pliant.log import frames, layout, words
 from pliant.log.journal import Journal
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import TracebackType
 
     from pliant import Controller
@@ -46,7 +47,6 @@ class Recorder:
     Attributes:
         path: The file.
         ticks: Ticks so far.
-        controller: The controller to be used; a `Journal`.
 
     Raises:
         ConfigError: The controller has made steps already, or belongs to another arm.
@@ -74,6 +74,7 @@ class Recorder:
         wanted = arm.rate if controller is None else controller.settings.rate
         self.path, self.ticks = Path(path), 0
         self._extra = tuple(arm.grippers)
+        self._counters: Callable[[], dict[str, int]] = lambda: arm.counters
         axes = None if controller is None else controller.settings.task.names
         vector = layout.tick(arm.model.n, None if axes is None else len(axes), len(self._extra))
         self._row, self._axes = np.empty(vector.size), axes
@@ -172,6 +173,8 @@ class Recorder:
         process = self._process
         if process.stdin is None or process.stdin.closed:
             return
+        counted = {"counters": self._counters(), "dropped": self.dropped}
+        self._sender.send(frames.END, words.write(counted).encode())
         self._sender.finish(PATIENCE)
         process.stdin.close()
         try:

@@ -12,6 +12,8 @@ from pliant import ConfigError
 from pliant.log.reader import Log, arguments
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
@@ -55,6 +57,39 @@ def rerun(log: Log, settings: pliant.Settings | None = None) -> Rerun:
     Raises:
         ConfigError: The log was made without a controller, or by another version of pliant.
     """
+    goals, limits, differing, largest = [], [], 0, 0.0
+    for call, _, command in steps(log, settings):
+        pairs = [(np.array(getattr(call, name)), getattr(command, name)) for name in COMMAND]
+        differing += any(a.tobytes() != np.asarray(b).tobytes() for a, b in pairs)
+        largest = max(largest, float(np.abs(pairs[0][0] - pairs[0][1]).max()))
+        goals.append(np.array(command.goal))
+        limits.append(np.array(command.torque_limit))
+    n = len(log.run["joints"])
+    return Rerun(
+        steps=len(goals),
+        differing=differing,
+        goal=np.array(goals).reshape(-1, n),
+        torque_limit=np.array(limits).reshape(-1, n),
+        largest=largest,
+        missing=log.missing,
+    )
+
+
+def steps(
+    log: Log,
+    settings: pliant.Settings | None = None,
+    before: Callable[[Any, pliant.Controller], None] | None = None,
+) -> Iterator[tuple[Any, pliant.Controller, pliant.Command]]:
+    """The same one by one: the recorded call, the controller after it, what it commanded.
+
+    Args:
+        log: The log.
+        settings: As `rerun`.
+        before: Called with call and controller before every step, as a `Contact` wants it.
+
+    Raises:
+        ConfigError: As `rerun`.
+    """
     if log.settings is None:
         raise ConfigError("the log was made without a controller: there is nothing to run again")
     version = log.run["pliant"]
@@ -64,27 +99,14 @@ def rerun(log: Log, settings: pliant.Settings | None = None) -> Rerun:
             "version need give the same commands"
         )
     controller = pliant.Controller(log.model(), settings or log.settings, log.servos)
-    goals, limits, differing, largest = [], [], 0, 0.0
     for call in log.calls:
         if not call.what.startswith("step"):
             if not (settings is not None and call.what == "update"):
                 getattr(controller, call.what)(**arguments(call))
             continue
-        command = _step(controller, call)
-        pairs = [(np.array(getattr(call, name)), getattr(command, name)) for name in COMMAND]
-        differing += any(a.tobytes() != np.asarray(b).tobytes() for a, b in pairs)
-        largest = max(largest, float(np.abs(pairs[0][0] - pairs[0][1]).max()))
-        goals.append(np.array(command.goal))
-        limits.append(np.array(command.torque_limit))
-    n = controller.model.n
-    return Rerun(
-        steps=len(goals),
-        differing=differing,
-        goal=np.array(goals).reshape(-1, n),
-        torque_limit=np.array(limits).reshape(-1, n),
-        largest=largest,
-        missing=log.missing,
-    )
+        if before is not None:
+            before(call, controller)
+        yield call, controller, _step(controller, call)
 
 
 def _step(controller: pliant.Controller, call: Any) -> pliant.Command:

@@ -113,6 +113,10 @@ class Log:
         arguments = words.write(called.pop("arguments"))
         self._call({**empty, **called, "dt": np.nan, "arguments": arguments})
 
+    def end(self, body: bytes) -> None:
+        """What was counted during the run."""
+        self._writer.add_attachment(self._now, self._now, layout.END, "application/json", body)
+
     def finish(self) -> None:
         """Complete the file."""
         self._writer.finish()  # type: ignore[no-untyped-call]
@@ -180,7 +184,12 @@ def main() -> None:
         return
     with open(sys.argv[1], "wb") as stream:
         log = Log(stream, words.read(first[1].decode()))
-        take = {frames.TICK: log.tick, frames.STEP: log.step, frames.CALL: log.call}
+        take = {
+            frames.TICK: log.tick,
+            frames.STEP: log.step,
+            frames.CALL: log.call,
+            frames.END: log.end,
+        }
         while (frame := frames.receive(source)) is not None:
             kind, body = frame
             take[kind](body)

@@ -6,7 +6,6 @@ use pyo3::prelude::*;
 use crate::convert::{new_array, only_reference, overwrite, writable, write};
 use crate::error::wrong_type;
 
-/// What the servos get: one entry per joint.
 #[pyclass(module = "pliant", frozen)]
 #[derive(Debug)]
 pub(crate) struct Command {

@@ -6,6 +6,7 @@ use pliant_core::{Contact as CoreContact, ContactInput, ContactOptions, JointVec
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
+use crate::arguments;
 use crate::controller::Controller;
 use crate::convert::new_array;
 use crate::error::{OrRaise, config, wrong_type};
@@ -14,7 +15,6 @@ use crate::read::{joints, number, vector};
 /// Risk that is taken by name.
 const THRESHOLDS: &str = "thresholds";
 
-/// What pushes at the tool, and how sure that is.
 #[pyclass(module = "pliant", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct WrenchEstimate(CoreEstimate);
@@ -73,7 +73,6 @@ attributes! {
     flags: touch, stop;
 }
 
-/// Feels contacts of one arm through its position servos.
 #[pyclass(module = "pliant")]
 pub(crate) struct Contact {
     core: CoreContact,
@@ -118,7 +117,7 @@ impl Contact {
     #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn new(
         py: Python<'_>,
-        controller: Py<Controller>,
+        #[pyo3(from_py_with = arguments::controller)] controller: Py<Controller>,
         axes: Option<&str>,
         filter: f64,
         friction_error: f64,

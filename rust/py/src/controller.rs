@@ -9,6 +9,7 @@ use pliant_core::{
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use crate::arguments;
 use crate::command::{Command, Pool};
 use crate::convert::new_array;
 use crate::error::{OrRaise, wrong_type};
@@ -21,7 +22,6 @@ use crate::settings::Settings;
 use crate::step_batch::{BatchCall, BatchState};
 use crate::task::Axis;
 
-/// Compliant task-space controller of one arm.
 #[pyclass(module = "pliant")]
 pub(crate) struct Controller {
     pub(crate) core: CoreController,
@@ -95,9 +95,9 @@ readings! {
         #[pyo3(signature = (model, settings = None, servos = None))]
         pub(crate) fn new(
             py: Python<'_>,
-            model: Py<Model>,
-            settings: Option<Py<Settings>>,
-            servos: Option<&Servos>,
+            #[pyo3(from_py_with = arguments::model)] model: Py<Model>,
+            #[pyo3(from_py_with = arguments::settings_or_none)] settings: Option<Py<Settings>>,
+            #[pyo3(from_py_with = arguments::servos_or_none)] servos: Option<Py<Servos>>,
         ) -> PyResult<Self> {
             let settings = match settings {
                 Some(settings) => settings,
@@ -106,7 +106,7 @@ readings! {
             let arm = &model.get().core;
             let n = arm.n();
             let servos = match servos {
-                Some(servos) => Some(Py::new(py, Servos(servos.0.for_joints(n).or_raise()?))?),
+                Some(servos) => Some(Py::new(py, Servos(servos.get().0.for_joints(n).or_raise()?))?),
                 None => model.get().servos.as_ref().map(|servos| servos.clone_ref(py)),
             };
             let (wanted, table) = (settings.get().0.clone(), servos.as_ref().map(|servos| servos.get().0.clone()));
@@ -189,7 +189,7 @@ readings! {
             self.core.reset(&joints("q", q, n)?[..n]).or_raise()
         }
 
-        fn update(&mut self, settings: Py<Settings>) -> PyResult<()> {
+        fn update(&mut self, #[pyo3(from_py_with = arguments::settings)] settings: Py<Settings>) -> PyResult<()> {
             self.core.update(settings.get().0.clone()).or_raise()?;
             self.position_only = position_only(&settings.get().0);
             self.settings = settings;

@@ -1,4 +1,4 @@
-//! NumPy arrays by their C structure: the one module of the binding with unsafe code.
+//! NumPy arrays by their C structure: with [`crate::docs`] the only unsafe code of the binding.
 //!
 //! What is read and written here is checked first: exact type `numpy.ndarray`, native float64, aligned, C order, the
 //! shape asked for. Everything else is refused here and converted or explained by [`crate::read`]. Numbers are copied

@@ -20,49 +20,28 @@ static CLASSES: PyOnceLock<Classes> = PyOnceLock::new();
 /// Makes the classes and adds them to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();
-    let class = |name: &str, bases: &[&Bound<'_, PyType>], facts: &[&str], doc: &str| -> PyResult<Py<PyType>> {
+    let class = |name: &str, bases: &[&Bound<'_, PyType>], facts: &[&str]| -> PyResult<Py<PyType>> {
         let namespace = PyDict::new(py);
         for fact in facts {
             namespace.set_item(fact, py.None())?;
         }
         namespace.set_item("__module__", "pliant")?;
-        namespace.set_item("__doc__", doc)?;
         let made = py.get_type::<PyType>().call1((name, PyTuple::new(py, bases)?, namespace))?;
         let made = made.cast_into::<PyType>()?;
         module.add(name, &made)?;
         Ok(made.unbind())
     };
-    let base = class("PliantError", &[&py.get_type::<PyException>()], &[], "Everything that pliant raises.")?;
+    let base = class("PliantError", &[&py.get_type::<PyException>()], &[])?;
     let base = base.bind(py);
-    let servo = class("ServoError", &[base], &[], "A servo or its bus did not do what was asked.")?;
-    class("ServoTimeout", &[servo.bind(py)], &[], "A servo did not answer in time.")?;
-    class("ServoFault", &[servo.bind(py)], &[], "A servo reports a fault of its own.")?;
+    let servo = class("ServoError", &[base], &[])?;
+    class("ServoTimeout", &[servo.bind(py)], &[])?;
+    class("ServoFault", &[servo.bind(py)], &[])?;
     let classes = Classes {
-        urdf: class(
-            "UrdfError",
-            &[base],
-            &["source", "line", "column"],
-            "The robot description cannot be used: `source`, `line`, `column`.",
-        )?,
-        frame: class(
-            "FrameNotFound",
-            &[base],
-            &["frame", "available"],
-            "No such link: `frame`, and those there are: `available`.",
-        )?,
-        limit: class(
-            "LimitError",
-            &[base],
-            &["what", "value", "bound"],
-            "A number outside its bounds: `what`, `value`, `bound`.",
-        )?,
-        shape: class(
-            "ShapeError",
-            &[base, &py.get_type::<PyValueError>()],
-            &["what", "got", "expected"],
-            "An array of the wrong shape: `what`, `got`, `expected`.",
-        )?,
-        config: class("ConfigError", &[base], &["key"], "Settings, servos and model do not go together: `key`.")?,
+        urdf: class("UrdfError", &[base], &["source", "line", "column"])?,
+        frame: class("FrameNotFound", &[base], &["frame", "available"])?,
+        limit: class("LimitError", &[base], &["what", "value", "bound"])?,
+        shape: class("ShapeError", &[base, &py.get_type::<PyValueError>()], &["what", "got", "expected"])?,
+        config: class("ConfigError", &[base], &["key"])?,
     };
     CLASSES.get_or_init(py, || classes);
     Ok(())
@@ -157,11 +136,11 @@ pub(crate) fn tuple(shape: &[usize]) -> String {
     }
 }
 
-/// `; did you mean 'x'?` where one of the names is close, by Python's own difflib.
-pub(crate) fn suggestion(py: Python<'_>, word: &str, names: &[&str]) -> String {
+/// `; did you mean 'x'?` where one of the names is close, by Python's own difflib; else the `stop`.
+pub(crate) fn suggestion(py: Python<'_>, word: &str, names: &[&str], stop: &str) -> String {
     let close = || -> PyResult<Option<String>> {
         let matches = py.import("difflib")?.call_method1("get_close_matches", (word, names.to_vec(), 1))?;
         matches.extract::<Vec<String>>().map(|found| found.into_iter().next())
     };
-    close().ok().flatten().map_or_else(String::new, |name| format!("; did you mean '{name}'?"))
+    close().ok().flatten().map_or_else(|| stop.to_owned(), |name| format!("; did you mean '{name}'?"))
 }

@@ -30,7 +30,7 @@ pub(crate) trait Fields: Sized {
         for (key, value) in changes.into_iter().flatten() {
             let name: String = key.extract()?;
             if !Self::set(&mut base, &name, &value)? {
-                let hint = suggestion(key.py(), &name, Self::NAMES);
+                let hint = suggestion(key.py(), &name, Self::NAMES, ".");
                 let known = Self::NAMES.join(", ");
                 return Err(config(&name, format!("{} has no such field{hint} Fields: {known}", Self::CLASS)));
             }

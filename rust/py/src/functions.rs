@@ -14,12 +14,14 @@ use crate::pose::matrix as pose_matrix;
 use crate::read::{matrix, number, pose, vector};
 use crate::words::Word;
 
+#[doc = stub!(damped_pseudo_inverse)]
 #[pyfunction]
 pub(crate) fn damped_pseudo_inverse<'py>(J: &Bound<'py, PyAny>, damping: f64) -> PyResult<Bound<'py, PyAny>> {
     let inverse = core::damped_pseudo_inverse(&read(J, "J")?, damping).or_raise()?;
     Ok(table(J.py(), &inverse))
 }
 
+#[doc = stub!(null_space_projector)]
 #[pyfunction]
 #[pyo3(signature = (J, damping = 0.0, kind = None), text_signature = "(J, damping=0.0, kind='exact')")]
 pub(crate) fn null_space_projector<'py>(
@@ -32,6 +34,7 @@ pub(crate) fn null_space_projector<'py>(
     Ok(table(J.py(), &projector))
 }
 
+#[doc = stub!(responsibility)]
 #[pyfunction]
 pub(crate) fn responsibility<'py>(
     J_pinv: &Bound<'py, PyAny>,
@@ -46,6 +49,7 @@ pub(crate) fn responsibility<'py>(
     Ok(table(J_pinv.py(), &shares))
 }
 
+#[doc = stub!(activation)]
 #[pyfunction]
 #[pyo3(signature = (J_pinv, N, gradient = None))]
 pub(crate) fn activation<'py>(
@@ -59,6 +63,7 @@ pub(crate) fn activation<'py>(
     Ok(table(J_pinv.py(), &shares))
 }
 
+#[doc = stub!(compliance)]
 #[pyfunction]
 pub(crate) fn compliance<'py>(
     deviation: &Bound<'py, PyAny>,
@@ -71,6 +76,7 @@ pub(crate) fn compliance<'py>(
     like(deviation, &c)
 }
 
+#[doc = stub!(holding_torque)]
 #[pyfunction]
 pub(crate) fn holding_torque<'py>(
     c: &Bound<'py, PyAny>,
@@ -86,6 +92,7 @@ pub(crate) fn holding_torque<'py>(
     like(c, &torque)
 }
 
+#[doc = stub!(joint_torque_limits)]
 #[pyfunction]
 pub(crate) fn joint_torque_limits<'py>(
     A: &Bound<'py, PyAny>,
@@ -95,6 +102,7 @@ pub(crate) fn joint_torque_limits<'py>(
     Ok(new_array(A.py(), &[limits.len()], limits.as_slice()))
 }
 
+#[doc = stub!(adapt_target)]
 #[pyfunction]
 pub(crate) fn adapt_target<'py>(
     actual: &Bound<'py, PyAny>,
@@ -111,6 +119,7 @@ pub(crate) fn adapt_target<'py>(
     Ok(pose_matrix(actual.py(), &adapted))
 }
 
+#[doc = stub!(pose_error)]
 #[pyfunction]
 pub(crate) fn pose_error<'py>(actual: &Bound<'py, PyAny>, target: &Bound<'_, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     let (from, to) = (pose("actual", actual, false)?, pose("target", target, false)?);

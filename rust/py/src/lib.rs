@@ -1,6 +1,10 @@
 //! Python binding of `pliant-core`: every function converts, calls the core once, and converts back.
 #![deny(unsafe_code)]
 
+#[macro_use]
+mod docs;
+
+mod arguments;
 mod batch;
 mod command;
 mod contact;
@@ -72,6 +76,7 @@ mod _core {
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         crate::convert::initialise(py)?;
         crate::error::register(module)?;
+        crate::docs::attach(module)?;
         if cfg!(debug_assertions) {
             let category = py.get_type::<PyRuntimeWarning>();
             let text = c"pliant was built without optimisation: steps take a hundred times as long as they should";

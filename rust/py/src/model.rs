@@ -10,6 +10,7 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyTuple};
 
+use crate::arguments;
 use crate::convert::{freeze, new_array};
 use crate::error::OrRaise;
 use crate::kinds::Kind;
@@ -25,7 +26,6 @@ impl Words for Reference {
     const WORDS: &'static [(&'static str, Self)] = &[("world_aligned", Self::WorldAligned), ("local", Self::Local)];
 }
 
-/// One kinematic chain with every body it carries; immutable.
 #[pyclass(module = "pliant", frozen)]
 pub(crate) struct Model {
     pub(crate) core: Arc<CoreModel>,
@@ -95,8 +95,13 @@ impl Model {
         Ok((&self.text, options))
     }
 
-    fn with_servos(&self, py: Python<'_>, servos: &Servos) -> PyResult<Self> {
-        let servos = Py::new(py, Servos(servos.0.for_joints(self.core.n()).or_raise()?))?;
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    fn with_servos(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = arguments::servos)] servos: Py<Servos>,
+    ) -> PyResult<Self> {
+        let servos = Py::new(py, Servos(servos.get().0.for_joints(self.core.n()).or_raise()?))?;
         let options = self.options.as_ref().map_or_else(|| Ok(PyDict::new(py)), |options| options.bind(py).copy())?;
         options.set_item("servos", &servos)?;
         Ok(Self {

@@ -9,7 +9,6 @@ use crate::error::{OrRaise, config, shown, suggestion};
 use crate::read::{number, vector3};
 use crate::servos::Servos;
 
-/// A point mass in the tool frame.
 #[pyclass(name = "Payload", module = "pliant", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Payload(pub(crate) CorePayload);
@@ -75,7 +74,7 @@ pub(crate) fn read(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<(ModelOptio
             "gravity" => options.gravity = vector3("gravity", &value)?,
             "servos" => servos = Some(value.cast::<Servos>().map_err(|_| wrong("Servos"))?.get().0.clone()),
             _ => {
-                let hint = suggestion(value.py(), &name, &KEYWORDS);
+                let hint = suggestion(value.py(), &name, &KEYWORDS, ".");
                 return Err(config(&name, format!("no such keyword{hint} Keywords: {}", KEYWORDS.join(", "))));
             }
         }

@@ -9,7 +9,6 @@ use crate::error::OrRaise;
 use crate::fields::text;
 use crate::read::{array_into, vector3};
 
-/// Pose of one frame in another; for a tool, `base_from_tool`.
 #[pyclass(name = "Pose", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Pose(pub(crate) CorePose);
@@ -122,7 +121,7 @@ pub(crate) fn matrix<'py>(py: Python<'py>, pose: &CorePose) -> Bound<'py, PyAny>
     new_array(py, &[4, 4], pose.to_rows().as_flattened())
 }
 
-/// Anything that says where a frame is, as a `Pose`.
+#[doc = stub!(as_pose)]
 #[pyfunction]
 #[pyo3(signature = (pose, /))]
 pub(crate) fn as_pose(pose: &Bound<'_, PyAny>) -> PyResult<Pose> {

@@ -8,6 +8,7 @@ use pliant_core::{
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
+use crate::arguments;
 use crate::controller::Controller;
 use crate::convert::new_array;
 use crate::error::{OrRaise, shape};
@@ -17,7 +18,6 @@ use crate::read::{joints, numbers};
 use crate::servos::Servos;
 use crate::settings::Settings;
 
-/// What one pose can do under the settings in force.
 #[pyclass(module = "pliant", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Report(pub(crate) CoreReport);
@@ -63,6 +63,11 @@ macro_rules! attributes {
             }
 
             #[getter]
+            fn dead_host_max(&self) -> Option<f64> {
+                self.0.dead_host_max
+            }
+
+            #[getter]
             fn yields(&self) -> Vec<(bool, bool)> {
                 self.0.yields.iter().map(|&[minus, plus]| (minus, plus)).collect()
             }
@@ -90,6 +95,7 @@ macro_rules! attributes {
                 $(out.set_item(stringify!($flag), &report.$flag)?;)*
                 $(out.set_item(stringify!($number), report.$number)?;)*
                 out.set_item("gives_way", &report.gives_way)?;
+                out.set_item("dead_host_max", report.dead_host_max)?;
                 out.set_item("yields", &report.yields)?;
                 out.set_item("coupled_to", &report.coupled_to)?;
                 out.set_item("stop_joint", stop_joints(report))?;
@@ -112,7 +118,7 @@ attributes! {
     vectors: q, torque_limit, friction, friction_left;
     pairs: static_force, capacity, coupling, thresholds, gravity_margin, dead_host, stop_distance, stop_room, stop_friction, deviation_limit;
     flags: saturated, locked;
-    numbers: sigma_min, condition, sigma_0;
+    numbers: sigma_min, condition, sigma_0, gain_factor, damping_factor;
 }
 
 /// Names of the joints that stop a push toward (−, +).
@@ -125,7 +131,6 @@ fn pairs<'py>(py: Python<'py>, values: &[[f64; 2]]) -> Bound<'py, PyAny> {
     new_array(py, &[values.len(), 2], values.as_flattened())
 }
 
-/// One thing that a pose cannot do as asked.
 #[pyclass(module = "pliant", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Finding(CoreFinding);
@@ -168,7 +173,6 @@ impl Finding {
     }
 }
 
-/// Whether a pose or a path can do what the settings ask.
 #[pyclass(module = "pliant", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Check(CoreCheck);
@@ -292,14 +296,15 @@ pub(crate) fn check_with(
     }
 }
 
+#[doc = stub!(check)]
 #[pyfunction]
 #[pyo3(signature = (model, settings, path_or_pose, *, servos = None, q0 = None))]
 pub(crate) fn check(
     py: Python<'_>,
-    model: Py<Model>,
-    settings: Py<Settings>,
+    #[pyo3(from_py_with = arguments::model)] model: Py<Model>,
+    #[pyo3(from_py_with = arguments::settings)] settings: Py<Settings>,
     path_or_pose: &Bound<'_, PyAny>,
-    servos: Option<&Servos>,
+    #[pyo3(from_py_with = arguments::servos_or_none)] servos: Option<Py<Servos>>,
     q0: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Check> {
     Controller::new(py, model, Some(settings), servos)?.check(path_or_pose, q0)

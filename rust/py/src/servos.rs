@@ -9,7 +9,6 @@ use crate::fields::{Fields, fields};
 use crate::kinds::{Flag, Joints, Optional};
 use crate::words::Word;
 
-/// What the controller believes about the servos, one entry per joint.
 #[pyclass(name = "Servos", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Servos(pub(crate) CoreServos);
@@ -87,7 +86,7 @@ fields! {
             Self::with(CoreServos::new(Vec::new(), Vec::new()), fields)
         }
 
-        /// From servo models by name; the tables are Python's, and so is what reads them.
+        // The tables are Python's, and so is what reads them.
         #[staticmethod]
         #[pyo3(signature = (models, *, voltage=None, gains=None))]
         fn of<'py>(

@@ -6,6 +6,7 @@ use pliant_core::task::axes::{Axis, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
+use crate::arguments;
 use crate::error::{OrRaise, config};
 use crate::fields::{Fields, fields};
 use crate::kinds::{Dampings, Flag, Gains, Joints, Kind, Names, Number, Optional, Speeds};
@@ -15,7 +16,6 @@ use crate::servos::Servos;
 use crate::task::{AxesField, TaskField, merged};
 use crate::words::{Gravity, Word};
 
-/// All settings of a controller.
 #[pyclass(name = "Settings", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Settings(pub(crate) CoreSettings);
@@ -103,6 +103,7 @@ fields! {
         joint_speed: Optional<Joints>,
         floor: Optional<Joints>,
         margin: Number,
+        dead_host_max: Optional<Number>,
         direction_band: Optional<Number>,
         raw_deviation: Flag,
         budget_on_goal: Flag,
@@ -121,7 +122,7 @@ fields! {
                               null_stiffness=None, null_speed=None, gravity=True, gravity_scale=1.1, friction_share=0.9, damping_share=0.8, \
                               prediction_share=0.9, friction_speed=0.05, velocity_filter=0.02, delay=0.0, goal_slew=1.0, \
                               stiffening_time=0.2, max_tool_speed=(0.25, 1.0), max_tool_acceleration=(1.0, 4.0), \
-                              joint_speed=None, floor=None, margin=0.1, direction_band=None, raw_deviation=False, \
+                              joint_speed=None, floor=None, margin=0.1, dead_host_max=None, direction_band=None, raw_deviation=False, \
                               budget_on_goal=False, joint_weights=None, lead_limit=None, integrate=0.0, accept=())"
         )]
         fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
@@ -135,15 +136,17 @@ fields! {
         }
 
         #[pyo3(signature = (model, path = None, *, servos = None))]
+        #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
         fn tracking(
             &self,
             py: Python<'_>,
-            model: &Model,
+            #[pyo3(from_py_with = arguments::model)] model: Py<Model>,
             path: Option<&Bound<'_, PyAny>>,
-            servos: Option<&Servos>,
+            #[pyo3(from_py_with = arguments::servos_or_none)] servos: Option<Py<Servos>>,
         ) -> PyResult<Self> {
+            let model = model.get();
             let poses = path.map_or(Ok(Vec::new()), |path| postures("path", path, model.core.n()))?;
-            let servos = servos.or_else(|| model.servos.as_ref().map(Py::get)).map(|servos| &servos.0);
+            let servos = servos.as_ref().or(model.servos.as_ref()).map(|servos| &servos.get().0);
             py.detach(|| self.0.tracking(&model.core, servos, &poses)).or_raise().map(Self)
         }
 

@@ -9,7 +9,6 @@ use crate::kinds::{AxisKey, Kind};
 use crate::model::Model;
 use crate::read::{joints, pose};
 
-/// The closest joint positions that inverse kinematics found, and how close they are.
 #[pyclass(module = "pliant", frozen)]
 #[derive(Debug)]
 pub(crate) struct IkSolution(CoreSolution);

@@ -10,7 +10,6 @@ use crate::fields::{Fields, fields};
 use crate::kinds::{AxisKey, Kind, Number, Optional, Sides, TaskFrame};
 use crate::words::Word;
 
-/// Which axes are controlled, and in which frame.
 #[pyclass(name = "Task", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Task(pub(crate) CoreTask);
@@ -55,7 +54,6 @@ fields! {
     }
 }
 
-/// What is asked of one task axis; `None` takes the default, which for the strengths depends on law and arm.
 #[pyclass(name = "Axis", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Axis(pub(crate) CoreAxis);

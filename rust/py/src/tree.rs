@@ -6,7 +6,6 @@ use pyo3::prelude::*;
 use crate::convert::new_array;
 use crate::pose::Pose;
 
-/// Mass, centre of mass and inertia of a link.
 #[pyclass(module = "pliant", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Inertial(model::Inertial);
@@ -38,7 +37,6 @@ impl Inertial {
     }
 }
 
-/// A rigid body, or a mere frame.
 #[pyclass(module = "pliant", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Link(pub(crate) model::Link);
@@ -65,7 +63,6 @@ impl Link {
     }
 }
 
-/// A joint that follows another: `multiplier * q + offset`.
 #[pyclass(module = "pliant", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Mimic(model::Mimic);
@@ -92,7 +89,6 @@ impl Mimic {
     }
 }
 
-/// A joint of the tree.
 #[pyclass(module = "pliant", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Joint(pub(crate) model::Joint);

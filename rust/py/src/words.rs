@@ -29,7 +29,7 @@ impl<E: Words> Kind for Word<E> {
             return Ok(*found);
         }
         let names: Vec<&str> = E::WORDS.iter().map(|(known, _)| *known).collect();
-        let hint = word.map_or_else(String::new, |word| suggestion(value.py(), &word, &names));
+        let hint = word.map_or_else(String::new, |word| suggestion(value.py(), &word, &names, ""));
         let list = names.iter().map(|known| format!("'{known}'")).collect::<Vec<_>>().join(", ");
         Err(config(name, format!("must be one of {list}, got {}{hint}", shown(value))))
     }

@@ -57,7 +57,7 @@ class Studio:
     ) -> None:
         self._plant, self._size = plant, size
         spec = plant.spec.copy()
-        _furnish(spec, plant, handle=handle)
+        furnish(spec, plant, handle=handle)
         for start, end in pairwise(trail if trail is not None else ()):
             line = spec.worldbody.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_CAPSULE,
@@ -135,7 +135,7 @@ def _shrink(colours: Array, solid: Array) -> Pixels:
     return np.clip(np.rint(out), 0, 255).astype(np.uint8)
 
 
-def _furnish(spec: Any, plant: Plant, *, handle: bool) -> None:
+def furnish(spec: Any, plant: Plant, *, handle: bool) -> None:
     """Light, an off-screen buffer that is large enough, and visible joints and hand."""
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 4096, 4096
     spec.visual.headlight.ambient = (0.45, 0.45, 0.45)

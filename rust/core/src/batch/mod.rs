@@ -6,7 +6,6 @@ use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::controller::input::Input;
 use crate::controller::kept::{Kept, width};
 use crate::controller::memory::Memory;
 use crate::controller::{Controller, StepInput};
@@ -100,7 +99,7 @@ impl Controller {
         same("goal", out.goal.len(), n)?;
         same("torque_limit", out.torque_limit.len(), n)?;
         same("velocity", out.velocity.len(), n)?;
-        self.read(&StepInput { dt: input.dt, ..StepInput::default() }, &mut Input::default())?;
+        self.check_input(&StepInput { dt: input.dt, ..StepInput::default() })?;
         match state {
             None => {
                 let mut free = self.clone();

@@ -82,13 +82,28 @@ pub(crate) fn lock(
     added
 }
 
-/// Moves `from` by at most `step` toward `to` within `lower` and `upper`.
+/// Goals of the servos, and what of them carries the weight [rad].
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Goals<J> {
+    pub(crate) goal: J,
+    pub(crate) weight: J,
+}
+
+/// Moves the goals from `before` toward `to` by at most `step` [rad] each, all by the same share of what is left, and
+/// their weight toward that of `to`, each by itself and first.
 ///
-/// A goal that starts outside them walks back in; it does not jump.
-/// A `to` that is not a number stays one, so that the step can refuse to send it.
+/// Joints that went each as far as they may would take the tool off its path, and faster than its target moves: one that
+/// has farthest to go holds the others up. What carries the arm waits for nobody.
+/// A goal that is not a number stays one, so that the step can refuse to send it.
 #[inline(always)]
-pub(crate) fn slew<J: Lanes>(from: J, to: J, step: J, lower: J, upper: J) -> J {
-    J::at_most(J::at_least(J::at_most(J::at_least(to, lower), upper), from - step), from + step)
+pub(crate) fn slew<J: Lanes>(before: Goals<J>, to: Goals<J>, step: f64) -> Goals<J> {
+    let step = J::splat(step);
+    let lift = J::clip(to.weight - before.weight, step);
+    let motion = (to.goal - to.weight) - (before.goal - before.weight);
+    let (way, room) = (J::abs(motion), step - J::abs(lift));
+    let missing = J::if_less(room, way, J::splat(1.0) - room / way, J::splat(0.0));
+    let share = 1.0 - missing.largest();
+    Goals { goal: before.goal + lift + J::splat(share) * motion, weight: before.weight + lift }
 }
 
 /// Joint speeds [rad/s] that keep the tool within its `[linear, angular]` speed by one joint alone, and the joint's own.
@@ -151,16 +166,37 @@ mod tests {
         }
     }
 
+    /// Goals and weights after a slew by at most `step`.
+    fn slewed(goal: [f64; 2], weight: [f64; 2], to: [f64; 2], new: [f64; 2], step: f64) -> [[f64; 2]; 2] {
+        let goals = |goal: &[f64], weight: &[f64]| Goals { goal: vector(goal), weight: vector(weight) };
+        let out = slew(goals(&goal, &weight), goals(&to, &new), step);
+        [out.goal, out.weight].map(|values| [values.array()[0], values.array()[1]])
+    }
+
+    fn near(a: [f64; 2], b: [f64; 2]) -> bool {
+        a.iter().zip(b).all(|(x, y)| (x - y).abs() < 1e-14)
+    }
+
+    #[test]
+    fn goals_keep_their_direction_and_the_weight_comes_first() {
+        let none = [0.0; 2];
+        let [goal, _] = slewed([0.5, 0.2], none, [2.5, -0.3], none, 0.1);
+        assert!(near(goal, [0.6, 0.175]), "a twentieth of the way, for both: {goal:?}");
+        let [goal, _] = slewed([0.5, 0.2], none, [2.5, -0.3], none, f64::INFINITY);
+        assert!(near(goal, [2.5, -0.3]));
+        // The first joint takes up its weight; the second moves on with what is left to neither.
+        let [goal, weight] = slewed(none, none, [0.3, 0.02], [0.3, 0.0], 0.1);
+        assert!(near(weight, [0.1, 0.0]) && near(goal, [0.1, 0.02]), "{goal:?} {weight:?}");
+        let [goal, weight] = slewed([0.1, 0.0], [0.1, 0.0], [0.35, 0.02], [0.15, 0.0], 0.1);
+        assert!(near(weight, [0.15, 0.0]) && near(goal, [0.2, 0.005]), "{goal:?} {weight:?}");
+    }
+
     #[test]
     fn what_is_not_a_number_is_not_hidden() {
-        let at = |from, to, step| {
-            let [from, to, step, one] = [from, to, step, 1.0].map(EveryJoint::splat);
-            first(slew(from, to, step, -one, one))
-        };
-        assert!(at(0.5, f64::NAN, 0.1).is_nan());
-        assert!((at(0.5, 2.0, 0.1) - 0.6).abs() < 1e-15);
-        assert!((at(0.5, -2.0, f64::INFINITY) + 1.0).abs() < 1e-15);
-        assert!((at(3.0, 0.0, 0.1) - 2.9).abs() < 1e-15);
+        let none = [0.0; 2];
+        assert!(slewed(none, none, [f64::NAN, 0.0], none, 0.1)[0][0].is_nan());
+        assert!(slewed(none, none, [0.0, 0.0], [f64::NAN, 0.0], 0.1)[0][0].is_nan());
+        assert!(slewed(none, none, [f64::INFINITY, 0.0], none, 0.1)[0].iter().any(|goal| !goal.is_finite()));
     }
 
     #[test]

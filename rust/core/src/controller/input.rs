@@ -14,7 +14,7 @@ const LONGEST_PERIOD: f64 = 10.0;
 
 /// A step's input, read and checked; what was not given is `None`.
 #[derive(Default)]
-pub(crate) struct Input {
+pub(super) struct Input {
     pub(super) dt: f64,
     pub(super) dq: Option<JointVec>,
     pub(super) twist: Option<AxisVec>,
@@ -23,9 +23,14 @@ pub(crate) struct Input {
 }
 
 impl Controller {
+    /// Whether a step could use this.
+    pub(crate) fn check_input(&self, input: &StepInput<'_>) -> Result<()> {
+        self.read(input, &mut Input::default())
+    }
+
     /// Reads into `out`, which a step mostly leaves nearly empty: that is not moved about.
     #[inline]
-    pub(crate) fn read(&self, input: &StepInput<'_>, out: &mut Input) -> Result<()> {
+    pub(super) fn read(&self, input: &StepInput<'_>, out: &mut Input) -> Result<()> {
         let dt = input.dt.unwrap_or(1.0 / self.settings.rate);
         if !(dt > 0.0 && dt <= LONGEST_PERIOD) {
             return Err(Error::limit("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]")));

@@ -29,6 +29,8 @@ pub(super) struct Solution<J: Lanes> {
     pub(super) locked: [bool; MAX_JOINTS],
     /// Goals before the slew [rad]: what moves the arm within the position limits, what exerts a force beyond them too.
     pub(super) goal: J,
+    /// What of them carries the weight [rad].
+    pub(super) weight: J,
     pub(super) gradient: J,
     pub(super) feed_forward: J,
     /// λ².
@@ -77,7 +79,8 @@ pub(super) fn solve<J: Lanes>(
     let resistance = fade_beyond(all_joints.feed_forward * compliance, seen.q, lower, upper, plan.stop_slope);
     let feed_forward = kp * resistance;
     let without_lead = seen.q + integral;
-    let beside = force_lead + resistance + seen.gravity_in_goal / J::load(&plan.kg);
+    let weight = seen.gravity_in_goal / J::load(&plan.kg);
+    let beside = force_lead + resistance + weight;
     let (mut lead, mut null, mut stiff) = (all_joints.lead, all_joints.null, all_joints.wrench.stiff);
     let (mut goal, mut locked) = (without_lead + lead + null, [false; MAX_JOINTS]);
     if upper.any_less(goal) | goal.any_less(lower) {
@@ -102,6 +105,7 @@ pub(super) fn solve<J: Lanes>(
         budget,
         locked,
         goal: goal + beside,
+        weight,
         gradient,
         feed_forward,
         damping: condition.damping,

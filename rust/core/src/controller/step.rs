@@ -1,10 +1,11 @@
 //! One tick, from reading to command.
 
-use crate::command::goal::{register_speed, slew};
+use crate::command::goal::{Goals, register_speed, slew};
 use crate::command::integral::Addition;
 use crate::command::limits::{Load, finish};
 use crate::controller::input::Input;
 use crate::controller::memory::Memory;
+use crate::controller::rare::{Asked, limit_deviation};
 use crate::controller::record::Record;
 use crate::controller::solve::{Solution, solve, without_locked};
 use crate::controller::{Command, Controller, StepInput};
@@ -14,16 +15,15 @@ use crate::law::feedforward::Filtered;
 use crate::law::inverse::{axes, rows_array, transpose_times};
 use crate::law::singular::SingularValues;
 use crate::model::Chain;
-use crate::number::{Arithmetic, EveryJoint, Kernel, LANES, Lanes, Machine, Pair, Wide};
+use crate::number::{Arithmetic, Kernel, LANES, Lanes, Machine, Pair, Wide};
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::{Law, LimitRule, Settings};
 use crate::task;
-use crate::task::deviation::{into_frame, out_of_frame, pose_error};
+use crate::task::deviation::{into_frame, pose_error};
 use crate::task::deviation_limit::Pushed;
-use crate::task::governor::Governor;
 use crate::task::wish::Wish;
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Longest time [s] for which a slew or the integrating goal is advanced at once: a stalled host must not lunge.
 const LONGEST_SLEW: f64 = 0.1;
@@ -47,12 +47,12 @@ pub(super) struct Seen<J> {
 
 /// Where the tool is to go. Apart from [`Seen`], for deviation limits may change it: only what nobody else holds the
 /// address of stays in registers.
-struct Aim {
-    reference: Pose,
+pub(super) struct Aim {
+    pub(super) reference: Pose,
     /// Deviation (6,) in the task frame.
-    error: AxisVec,
+    pub(super) error: AxisVec,
     /// Which of x, y, z, roll, pitch, yaw met its deviation limit.
-    limited: [bool; MAX_AXES],
+    pub(super) limited: [bool; MAX_AXES],
 }
 
 impl Controller {
@@ -108,14 +108,14 @@ impl Controller {
 }
 
 /// One tick's work: what it reads, and what it changes.
-struct Cycle<'a> {
-    plan: &'a Plan,
-    settings: &'a Settings,
-    chain: &'a Chain,
-    masses: &'a Masses,
-    gravity: &'a [f64; 3],
+pub(super) struct Cycle<'a> {
+    pub(super) plan: &'a Plan,
+    pub(super) settings: &'a Settings,
+    pub(super) chain: &'a Chain,
+    pub(super) masses: &'a Masses,
+    pub(super) gravity: &'a [f64; 3],
     delay: f64,
-    q: &'a JointVec,
+    pub(super) q: &'a JointVec,
     target: &'a Pose,
     input: &'a Input,
     memory: &'a mut Memory,
@@ -166,7 +166,7 @@ impl Cycle<'_> {
         let (floor, ceiling) = (J::load(&plan.floor), J::load(&plan.servos.torque));
         let rise = J::load(&plan.rise) * J::splat(dt);
         let before = self.memory.limit.as_ref().map(J::load);
-        let limit = finish(wanted, before, floor, ceiling, rise);
+        let mut limit = finish(wanted, before, floor, ceiling, rise);
         let mut goal = solution.goal;
         if plan.law == Law::Paper {
             let lead = solution.motion.lead + solution.motion.null;
@@ -174,7 +174,14 @@ impl Cycle<'_> {
         }
         let beyond = J::load(&plan.beyond);
         let (lower, upper) = (J::load(&plan.lower) - beyond, J::load(&plan.upper) + beyond);
-        goal = slew(J::load(&self.memory.goal), goal, J::splat(settings.goal_slew * dt), lower, upper);
+        let to = Goals { goal: J::at_most(J::at_least(goal, lower), upper), weight: solution.weight };
+        let from = Goals { goal: J::load(&self.memory.goal), weight: J::load(&self.memory.weight) };
+        let Goals { goal, weight } = slew(from, to, settings.goal_slew * dt);
+        if let Some(most) = plan.dead_host_max {
+            let (holding, in_limit) = (seen.view.holding.array(), seen.gravity_in_limit.array());
+            let spared = self.spare(most, [&goal.array(), &limit.array()], [&holding, &in_limit], seen.base_from_task);
+            limit = J::load(&spared);
+        }
         // Neither an infinity nor what is not a number is less than infinity.
         let (endless, nothing) = (J::splat(f64::INFINITY), J::splat(0.0));
         let size = J::abs(goal) + J::abs(limit);
@@ -190,6 +197,7 @@ impl Cycle<'_> {
             self.integrate(dt, &seen, &wish, &solution);
         }
         goal.store(&mut self.memory.goal);
+        weight.store(&mut self.memory.weight);
         let mut kept = [0.0; MAX_JOINTS];
         limit.store(&mut kept);
         self.memory.limit = Some(kept);
@@ -351,57 +359,5 @@ impl Cycle<'_> {
             }
         }
         record.reference = aim.reference;
-    }
-}
-
-/// What the sum rule is made from; a rule that few choose, compiled once.
-struct Asked {
-    rows: Rows,
-    gradient: JointVec,
-    damping: f64,
-    sigma: [f64; 2],
-    most: AxisVec,
-    gravity: EveryJoint,
-    feed_forward: EveryJoint,
-}
-
-impl Asked {
-    #[cold]
-    #[inline(never)]
-    fn sum(&self, plan: &Plan, gravity_scale: f64) -> JointVec {
-        let record = Record {
-            rows: self.rows,
-            gradient: self.gradient,
-            damping: self.damping,
-            followed_sigma: plan.follows_sigma().then_some(self.sigma),
-            ..Record::empty()
-        };
-        let null = record.shares(plan).null().map(|share| share * plan.null_torque);
-        let nothing = EveryJoint::splat(0.0);
-        let load = Load {
-            gravity: self.gravity,
-            feed_forward: self.feed_forward,
-            task: nothing,
-            offset: nothing,
-            gravity_scale,
-            margin: nothing,
-        };
-        load.sum(&self.rows, &self.most, &null)
-    }
-}
-
-/// Bounds the deviation of stiff axes by moving the reference; its speed along these axes is then spent.
-///
-/// Kept out of the step, which mostly has no such axis.
-#[cold]
-#[inline(never)]
-fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, aim: &mut Aim, governor: &mut Governor) {
-    if let Some(kept) = pushed.keep(&plan.deviation_limits, &aim.reference) {
-        let mut velocity = into_frame(pushed.base_from_task, &governor.own_velocity());
-        for (value, met) in velocity.iter_mut().zip(kept.met) {
-            *value *= if met { 0.0 } else { kept.advance };
-        }
-        governor.put(kept.reference, out_of_frame(pushed.base_from_task, &velocity));
-        (aim.reference, aim.error, aim.limited) = (kept.reference, kept.error, kept.met);
     }
 }

@@ -15,7 +15,7 @@ const GRADIENT_THRESHOLD: f64 = 1e-3;
 pub(crate) struct Activation<J> {
     /// Shares before they are divided by their sums.
     sizes: [J; MAX_AXES],
-    /// One over the sum of each row; 0 for a row of zeros.
+    /// One over the sum of each row.
     per_sum: [f64; LANES],
     null: J,
 }
@@ -33,8 +33,9 @@ impl<J: Lanes> Activation<J> {
         }
         let [a, b, c, d] = J::sums([sizes[0], sizes[1], sizes[2], sizes[3]]);
         let [e, f, ..] = J::sums([sizes[4], sizes[5], zero, zero]);
-        let (sums, nothing) = (J::Axes::of(&[a, b, c, d, e, f, 0.0, 0.0]), J::Axes::splat(0.0));
-        let per_sum = J::Axes::if_less(nothing, sums, J::Axes::splat(1.0) / sums, nothing);
+        // One over a denormal sum is infinite, and infinity times a joint at rest is not a number.
+        let sums = J::Axes::at_least(J::Axes::of(&[a, b, c, d, e, f, 0.0, 0.0]), J::Axes::splat(f64::MIN_POSITIVE));
+        let per_sum = J::Axes::splat(1.0) / sums;
         Self { sizes, per_sum: per_sum.numbers(), null }
     }
 

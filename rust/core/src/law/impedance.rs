@@ -1,10 +1,11 @@
 //! Law `impedance`: a spring and a damper on each task axis, no solve. Takes the place of lines 6 to 8 of the control step.
 
-use crate::MAX_AXES;
-use crate::law::inverse::{times, weighted_gram, wide};
+use crate::law::inverse::{load_rows, times, weighted_gram, wide};
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
-use crate::number::{Arithmetic, Lanes, Wide};
+use crate::number::{Arithmetic, EveryJoint, Lanes, Wide};
+use crate::plan::Plan;
+use crate::{MAX_AXES, Rows};
 
 /// Squarings by which the largest eigenvalue is singled out: powers of 2⁶ = 64.
 const SQUARINGS: usize = 6;
@@ -79,6 +80,16 @@ fn force<J: Lanes>(tick: &Tick<'_, J>) -> (J::Axes, f64) {
     (J::Axes::clip(force, wish.most), stiff)
 }
 
+/// f_D of the dampers as they are set, of the firmer side where sides differ.
+pub(crate) fn damping_factor(plan: &Plan, rows: &Rows) -> f64 {
+    let (mut gains, [_, most]) = ([0.0; MAX_AXES], plan.impedance_bounds);
+    for (gain, row) in gains.iter_mut().zip(&plan.rows).take(plan.k) {
+        *gain = row.viscosity[0].max(row.viscosity[1]);
+    }
+    let rho = rho(&load_rows(rows), EveryJoint::load(&plan.servos.compliance), wide(&gains));
+    if rho > most { most / rho } else { 1.0 }
+}
+
 /// Goals' lead of law `impedance`: `K_p⁻¹ Jᵀ F`, scaled to torque ceilings and speed limits.
 #[inline(always)]
 pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
@@ -99,8 +110,6 @@ pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::law::inverse::load_rows;
-    use crate::number::EveryJoint;
     use crate::{JointVec, MAX_JOINTS};
 
     #[test]

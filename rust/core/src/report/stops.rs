@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use super::dead_host::TRAVEL;
+use crate::command::dead_host::TRAVEL;
 use crate::kinematics::Frames;
 use crate::law::inverse::{Factor, load_rows, pseudo_inverse, rows_array, transpose_times, weighted_gram};
 use crate::law::svd::singular_values;

@@ -1,0 +1,52 @@
+"""Why was the arm soft there, and firm here? A log of a run, and the page that answers.
+
+A hand pulls the tool sideways, where it yields, then down, where it should hold. On the shell:
+`pliant run my_arm.toml --log run.mcap`, then `pliant report run.mcap`. Needs the extras "log" and
+"plot". python examples/22_why_was_it_soft.py
+"""
+
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import pliant
+import pliant.log
+import pliant.sim
+from pliant.log import felt, findings
+from pliant.log.report import report
+
+SECONDS = 5.0 if os.environ.get("PLIANT_SHORT") else 8.0
+START = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]  # [rad]
+folder = Path(tempfile.mkdtemp())
+
+
+def pull(axis, start):
+    """A strong hand that moves the tool by 0.15 m within a second and lets go after another."""
+    course = pliant.sim.Course(start=start, rise=1.0, end=start + 2.0)
+    return pliant.sim.Drag(
+        axis=axis, distance=0.15, stiffness=3000.0, limit=60.0, at="tool", course=course
+    )
+
+
+settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})  # [N]
+with pliant.connect("sim:arm7", q=START, scene=[pull("y", 1.0), pull("z", 4.0)]) as arm:
+    made = pliant.Controller(arm.model, settings, arm.servos)
+    target = arm.model.forward_kinematics(arm.read().q)
+    with pliant.log.Recorder(folder / "run.mcap", arm, made, note="two pulls") as recorder:
+        controller = recorder.controller
+        for tick in pliant.Loop(arm, controller, duration=SECONDS):
+            command = controller.step(tick.q, target, dt=tick.dt)
+            tick.write(command)
+            recorder.add(tick, command)
+
+log = pliant.log.read(folder / "run.mcap")
+seen = felt.feel(log)  # the controller again, with a Contact beside it: no force was recorded
+for k in range(3):
+    force = float(np.abs(seen.force[:, k]).max())
+    print(findings.sentence(log, seen, k), f"Felt: {force:.0f} N at most.")
+for span in findings.spans(log)[:3]:
+    took = span.end - span.start
+    print(f"{span.joint} at its bound from {span.start:.2f} s for {took:.2f} s, by {span.axis}")
+print(f"the page: {report(log, folder / 'report', title='two pulls').name}")

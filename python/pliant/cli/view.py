@@ -1,0 +1,102 @@
+"""`pliant view`: a page in the browser to push an arm and see why it is soft."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+
+from pliant import ConfigError, PliantError
+
+if TYPE_CHECKING:
+    from pliant.view.source import Source
+
+
+def run(
+    arm: Annotated[str, tyro.conf.Positional] = "",
+    *,
+    robot: Literal["arm7", "so101", "koch"] = "arm7",
+    scene: str = "free",
+    rate: float = 100.0,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    browser: bool = False,
+    serial: Annotated[str | None, tyro.conf.arg(name="serial-port")] = None,
+    backend: str | None = None,
+    urdf: Path | None = None,
+    calibration: Path | None = None,
+) -> None:
+    """Show an arm on a page, control it from there until Ctrl-C, and lower it.
+
+    Without a configuration it is a simulated arm with scenes to play with. The page asks for the
+    token in its link. It can be reached from this machine alone unless --host says otherwise; then
+    everybody on that network who has the link can move the arm, and it travels unencrypted.
+
+    Args:
+        arm: Configuration file, or the name of a ready one; nothing: a simulated --robot.
+        robot: Built-in arm on the simulator.
+        scene: Where it starts: free, door, drawer, wall or hand-over.
+        rate: Of the simulated arm's control [Hz].
+        host: Address to listen on; 0.0.0.0 opens the page to the network.
+        port: Of the page; the next free one is taken.
+        browser: Open the page in the browser.
+        serial: Device in place of the file's.
+        backend: bus, emulator or sim in place of the file's.
+        urdf: URDF in place of the file's.
+        calibration: LeRobot's calibration file in place of the file's.
+    """
+    _needs()
+    from pliant.view.gate import is_loopback
+    from pliant.view.link import Link
+    from pliant.view.session import Session
+
+    options = {"port": serial, "backend": backend, "urdf": urdf, "calibration": calibration}
+    source = _configured(arm, options) if arm else _simulated(robot, scene, rate, options)
+    console = Console()
+    with Link(host, port) as link:
+        console.print(f"{link.address}", highlight=False, soft_wrap=True)
+        if not is_loopback(host):
+            console.print(
+                f"[bold]Open to the network on {host}:[/bold] whoever has this link can move the "
+                "arm, and reads and writes pass unencrypted. Ctrl-C lowers the arm and ends it.",
+                highlight=False,
+            )
+        if browser:
+            import webbrowser
+
+            webbrowser.open(link.address)
+        Session(source, link).run()
+
+
+def _simulated(robot: str, scene: str, rate: float, options: dict[str, Any]) -> Source:
+    """A built-in arm; what belongs to a configuration is refused."""
+    from pliant.view.source import Simulated
+
+    odd = [name for name, value in options.items() if value is not None]
+    if odd:
+        flag = "--serial-port" if odd[0] == "port" else f"--{odd[0]}"
+        raise ConfigError(f"{flag} belongs to a configuration: pliant view so101 {flag} ...")
+    return Simulated(robot, scene, rate)
+
+
+def _configured(arm: str, options: dict[str, Any]) -> Source:
+    """The arm of a configuration."""
+    from pliant import config
+    from pliant.view.source import Configured
+
+    return Configured(config.load(arm, **options))
+
+
+def _needs() -> None:
+    """Say in one line how to get what the extra brings."""
+    from importlib import import_module
+
+    for needed in ("viser", "mjviser"):
+        try:
+            import_module(needed)
+        except ImportError as error:
+            raise PliantError(
+                f"the page needs {error.name or needed}: pip install 'pliant[view]'"
+            ) from error

@@ -1,0 +1,136 @@
+"""Pictures of a log (extra `plot`): why it was soft, strength of the joints, loop and servos."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pliant.experiments.figures import style
+from pliant.log.findings import Span, health, since, unit
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from pliant.log.felt import Felt
+    from pliant.log.reader import Log
+
+    Array = NDArray[np.float64]
+
+#: Height of a row of axes [inch].
+ROW = 1.45
+#: Colours of joints, base to tip; after the last they begin again.
+COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.RED, style.PURPLE, style.SKY, style.MUTED)
+#: Least range of a deviation and of a force, so that noise at rest does not fill the picture.
+LEAST = {"mm": 2.0, "mrad": 8.0, "N": 2.0, "N·m": 0.4}
+
+
+def softness(folder: Path, log: Log, felt: Felt | None) -> None:
+    """Deviation against its thresholds, and the force that was felt against its cap, per axis."""
+    axes, time = log.run["axes"], since(log)
+    few = style.thin(time, rate=50.0)
+    with style.canvas(len(axes), 2, size=(style.WIDE, ROW * len(axes)), sharex=True) as (
+        figure,
+        grid,
+    ):
+        for k, name in enumerate(axes):
+            left, right = grid[k]
+            _deviation(left, name, time[few], 1e3 * log.deviation[few, k])
+            if felt is not None and log.softness[:, k].max() > 0.0:
+                for side in felt.report.thresholds[k]:
+                    for at in (-1e3 * side, 1e3 * side):
+                        left.axhline(at, color=style.MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
+            cap, newton = log.holding_torque[few, k], unit(name, force=True)
+            right.fill_between(time[few], -cap, cap, color=style.MUTED, alpha=0.15, linewidth=0)
+            most = float(cap.max())
+            if felt is not None:
+                force, bound = felt.force[few, k], felt.bound[few, k]
+                colour = style.AXIS_COLOURS[name]
+                right.plot(time[few], force, color=colour)
+                seen = np.isfinite(bound)
+                right.fill_between(
+                    time[few][seen], (force - bound)[seen], (force + bound)[seen],
+                    color=colour, alpha=0.15, linewidth=0,
+                )  # fmt: skip
+                most = max(most, float(np.abs(force).max()))
+            right.set_ylim(-1.15 * max(most, LEAST[newton]), 1.15 * max(most, LEAST[newton]))
+            right.set_ylabel(f"{name} [{newton}]")
+        grid[0, 0].set_title("deviation, with the thresholds of its strength")
+        grid[0, 1].set_title("force felt with its bound, in the band of the cap")
+        for ax in grid[-1]:
+            ax.set_xlabel("time [s]")
+            ax.set_xlim(0.0, time[-1])
+        style.save(figure, folder, "softness")
+
+
+def _deviation(ax: Axes, name: str, time: Array, off: Array) -> None:
+    ax.plot(time, off, color=style.AXIS_COLOURS[name])
+    most = 1.15 * max(float(np.abs(off).max()), LEAST[unit(name)])
+    ax.set_ylim(-most, most)
+    ax.set_ylabel(f"{name} [{unit(name)}]")
+
+
+def strength(folder: Path, log: Log, bounds: list[Span]) -> None:
+    """Torque limits as shares of what the servos have, and when joints were at a bound."""
+    joints, time = log.run["joints"], since(log)
+    few = style.thin(time)
+    usable = np.asarray(log.servos.torque) if log.servos is not None else np.nan
+    share = 100.0 * log.torque_limit / usable
+    ratios = {"height_ratios": (3.0, max(0.22 * len(joints), 1.0))}
+    size = (style.WIDE, 3.4 + 0.22 * len(joints))
+    with style.canvas(2, 1, size=size, sharex=True, gridspec_kw=ratios) as (figure, grid):
+        top, bottom = grid[:, 0]
+        for j in range(len(joints)):
+            top.plot(time[few], share[few, j], color=COLOURS[j % len(COLOURS)])
+        top.set_ylim(0.0, 105.0)
+        top.set_xlim(0.0, time[-1])
+        top.set_ylabel("torque limit [% of usable]")
+        ends = [
+            (float(share[-1, j]), name, COLOURS[j % len(COLOURS)]) for j, name in enumerate(joints)
+        ]
+        style.label_end(top, float(time[-1]), ends)
+        for span in bounds:
+            colour = style.RED if span.why == "torque" else style.PURPLE
+            bar = [(span.start, max(span.end - span.start, 0.004 * float(time[-1])))]
+            bottom.broken_barh(bar, (joints.index(span.joint) - 0.35, 0.7), color=colour)
+        bottom.set_yticks(range(len(joints)), joints)
+        bottom.set_ylim(len(joints) - 0.5, -0.5)
+        bottom.set_xlabel("time [s]")
+        bottom.set_title("at the torque ceiling (red), at a position limit (purple)")
+        style.save(figure, folder, "strength")
+
+
+def loop(folder: Path, log: Log) -> None:
+    """Time from tick to tick, and supply and temperature where servos tell."""
+    time, of = since(log), health(log)
+    told: list[tuple[str, Array, Any]] = [
+        (label, values, log.run["joints"])
+        for label, values in (
+            ("supply [V]", log.voltage),
+            ("temperature [°C]", log.temperature),
+        )
+        if np.isfinite(values).any()
+    ]
+    size = (style.WIDE, 1.8 * (1 + len(told)) + 0.3)
+    with style.canvas(1 + len(told), 1, size=size, sharex=True) as (figure, grid):
+        ax = grid[0, 0]
+        ax.plot(time[1:], 1e3 * of.gaps, color=style.BLUE, linewidth=0.8)
+        style.level(ax, 1e3 * of.period, "as asked")
+        ax.set_ylim(0.0, max(2.0 * 1e3 * of.period, 1.1e3 * float(of.gaps.max(initial=0.0))))
+        ax.set_ylabel("tick to tick [ms]")
+        ax.set_xlim(0.0, time[-1])
+        for (label, values, joints), row in zip(told, grid[1:, 0], strict=True):
+            for j in range(len(joints)):
+                row.plot(time, values[:, j], color=COLOURS[j % len(COLOURS)], linewidth=1.0)
+            last = [
+                (float(values[-1, j]), name, COLOURS[j % len(COLOURS)])
+                for j, name in enumerate(joints)
+                if np.isfinite(values[-1, j])
+            ]
+            row.set_ylabel(label)
+            style.label_end(row, float(time[-1]), last)
+        grid[-1, 0].set_xlabel("time [s]")
+        style.save(figure, folder, "loop")

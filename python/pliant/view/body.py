@@ -1,0 +1,65 @@
+"""What is drawn of an arm: a MuJoCo model, and its coordinates at joint positions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant.sim import Plant
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from pliant import Model
+    from pliant.arm import Arm
+
+    Array = NDArray[np.float64]
+
+
+class Body:
+    """The figure of an arm, real or simulated.
+
+    A simulated arm is drawn as it truly is, with its scene; a real one as its joints report.
+
+    Attributes:
+        plant: The simulation; of a real arm it is one that never runs.
+        simulated: Whether it is where the arm is.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        """Find the simulation, or build one to draw."""
+        plant = getattr(arm.drive, "plant", None)
+        self.simulated = plant is not None
+        self.plant: Plant = plant if plant is not None else Plant(arm.model)
+        self._model = arm.model
+        mj = self.plant.mj_model
+        self._at = {mj.joint(i).name: int(mj.jnt_qposadr[i]) for i in range(mj.njnt)}
+
+    def pose(self, q: Array, extra: Mapping[str, float]) -> Array:
+        """Coordinates of the figure; joints (n,) and those beside the chain [rad] of a real arm."""
+        if self.simulated:
+            return np.array(self.plant.mj_data.qpos)
+        out: Array = self.plant.mj_model.qpos0.copy()
+        known = {**dict(zip(self._model.joint_names, q.tolist(), strict=True)), **extra}
+        for name, angle in {**known, **_followers(self._model, known)}.items():
+            if name in self._at:
+                out[self._at[name]] = angle
+        return out
+
+    def mocap(self) -> tuple[Array, Array]:
+        """Positions (m, 3) [m] and quaternions wxyz (m, 4) of what is moved by prescription."""
+        data = self.plant.mj_data
+        return data.mocap_pos.copy(), data.mocap_quat.copy()
+
+
+def _followers(model: Model, known: Mapping[str, float]) -> dict[str, float]:
+    """Angles of mimic joints whose drivers are known."""
+    out = {}
+    for joint in model.joints:
+        rule = joint.mimic
+        if rule is not None and (driver := model.joints[rule.joint].name) in known:
+            out[joint.name] = rule.multiplier * known[driver] + rule.offset
+    return out

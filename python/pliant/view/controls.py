@@ -1,0 +1,210 @@
+"""What a visitor can turn: scene, settings, push."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import viser
+
+from pliant.view import meters, orders
+from pliant.view.desk import LAWS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pliant.view.snapshot import Shown, Snapshot, Stage
+
+    Tell = Callable[[orders.Order], None]
+
+#: What an axis gives way to: the word of the page, and that of `pliant.Axis`.
+YIELDS = {
+    "holds": "none",
+    "gives way": "both",
+    "gives way to +": "+",
+    "gives way to −": "-",
+}
+WORDS = {value: key for key, value in YIELDS.items()}
+#: How often a button that is held down says so [Hz], and how long one word counts [s].
+HOLDING, COUNTS = 10.0, 0.4
+#: Length of a push that needs no holding [s].
+PUSH = 2.0
+#: Share of the largest push at which its slider begins.
+FIRST = 0.15
+
+
+class Controls:
+    """The panel of controls; everything in it is said to the arm and shown as the arm has it."""
+
+    def __init__(self, server: viser.ViserServer, stage: Stage, tell: Tell) -> None:
+        """Add them to the container that is open."""
+        self._gui, self._stage, self._tell = server.gui, stage, tell
+        self._numbers = itertools.count(1)
+        self._said = 0
+        self._scene()
+        self._softness()
+        if stage.strong is not None:
+            self._push(stage.strong)
+
+    # Building.
+
+    def _scene(self) -> None:
+        gui, stage = self._gui, self._stage
+        with gui.add_folder("Scene" if stage.scenes else "Target"):
+            if stage.scenes:
+                scene = gui.add_dropdown("Scene", tuple(stage.scenes), initial_value=stage.scene)
+                self._by_hand(scene, lambda: self._tell(orders.Scene(scene.value)))
+                gui.add_markdown(stage.scenes[stage.scene])
+            if stage.play:
+                play = gui.add_button(stage.play, icon=viser.Icon.PLAYER_PLAY)
+                play.on_click(lambda _: self._tell(orders.Play()))
+            self._places = gui.add_html("")
+            home = gui.add_button("Target back to the start", icon=viser.Icon.HOME, color="gray")
+            home.on_click(lambda _: self._tell(orders.Home()))
+
+    def _softness(self) -> None:
+        gui, stage = self._gui, self._stage
+        with gui.add_folder("Softness"):
+            self.preset = gui.add_dropdown("Preset", stage.presets)
+            self._edits(self.preset, lambda n: orders.Preset(n, self.preset.value))
+            self.law = gui.add_dropdown("Law", LAWS)
+            self._edits(self.law, lambda n: orders.Law(n, self.law.value))
+            self.firm = gui.add_checkbox(
+                "All firm", initial_value=False, hint="The same pose with nothing that gives way"
+            )
+            self._edits(self.firm, lambda n: orders.Firm(n, self.firm.value))
+            self.eta = gui.add_slider(
+                "η",
+                min=0.0,
+                max=0.999,
+                step=0.001,
+                initial_value=0.9,
+                hint="0: comes back to the target; near 1: stays where it is put",
+            )
+            self._edits(self.eta, lambda n: orders.Eta(n, float(self.eta.value)))
+            self.yields = {}
+            for name in stage.axes:
+                choice = gui.add_dropdown(name, tuple(YIELDS))
+                self.yields[name] = choice
+                self._edits(choice, self._change(name, "yields", choice))
+        with gui.add_folder("Strength: pushed toward −, toward +", expand_by_default=False):
+            self.strength: dict[tuple[str, str], Any] = {}
+            tabs = gui.add_tab_group()
+            for name in stage.axes:
+                with tabs.add_tab(name):
+                    self._strengths(name)
+
+    def _strengths(self, name: str) -> None:
+        """Fields of one axis."""
+        gui = self._gui
+        unit = "N" if name in {"x", "y", "z"} else "N·m"
+        step = 0.5 if unit == "N" else 0.05
+        for word in ("soft", "firm"):
+            pair = gui.add_vector2(f"{word} [{unit}]", (0.0, 0.0), min=(0.0, 0.0), step=step)
+            self.strength[name, word] = pair
+            self._edits(pair, self._change(name, word, pair))
+        spring = gui.add_vector2(
+            f"stiffness [{'N/m' if unit == 'N' else 'N·m/rad'}]",
+            (0.0, 0.0),
+            min=(0.0, 0.0),
+            step=10.0 * step,
+            visible=False,
+        )
+        self.strength[name, "stiffness"] = spring
+        self._edits(spring, self._change(name, "stiffness", spring))
+        hold = gui.add_number(f"hold [{unit}]", 0.0, min=0.0, step=step)
+        self.strength[name, "hold"] = hold
+        self._edits(hold, self._change(name, "hold", hold))
+
+    def _push(self, strong: tuple[float, float]) -> None:
+        gui, axes = self._gui, self._stage.axes
+        with gui.add_folder("Push"):
+            gui.add_markdown("Drag any part of the arm with the mouse, or:")
+            sides = [f"{sign}{name}" for name in axes for sign in "+−"]
+            first = "+y" if "+y" in sides else sides[0]
+            self.side = gui.add_dropdown("Toward", tuple(sides), initial_value=first)
+            self.force = gui.add_slider("Force [N]", min=0.0, max=1.0, step=0.1, initial_value=0.0)
+            self._scale(strong)
+            self.side.on_update(lambda _: self._scale(strong))
+            held = gui.add_button("Push while held down", icon=viser.Icon.HAND_FINGER)
+            held.on_hold(lambda _: self._tell(self._pushing(COUNTS)), callback_hz=HOLDING)
+            timed = gui.add_button(f"Push for {PUSH:g} s", color="gray")
+            timed.on_click(lambda _: self._tell(self._pushing(PUSH)))
+
+    def _scale(self, strong: tuple[float, float]) -> None:
+        """Newtons along an axis, newton metres about one."""
+        turning = self.side.value[1:] not in {"x", "y", "z"}
+        label = "Torque [N·m]" if turning else "Force [N]"
+        if self.force.label != label or self.force.value == 0.0:
+            most = strong[turning]
+            self.force.label, self.force.step = label, 10.0 ** np.floor(np.log10(most / 40.0))
+            self.force.max = float(np.round(most, 3))
+            _put(self.force, float(np.round(FIRST * most, 3)))
+
+    def _pushing(self, seconds: float) -> orders.Push:
+        side = self.side.value
+        wrench = np.zeros(6)
+        place = ("x", "y", "z", "roll", "pitch", "yaw").index(side[1:])
+        wrench[place] = self.force.value if side[0] == "+" else -self.force.value
+        x, y, z, *turn = wrench.tolist()
+        return orders.Push((x, y, z), (turn[0], turn[1], turn[2]), seconds)
+
+    # Saying and showing.
+
+    def _change(self, axis: str, word: str, handle: Any) -> Callable[[int], orders.Edit]:
+        """A change of one field of an axis."""
+
+        def made(number: int) -> orders.Edit:
+            value = handle.value
+            value = YIELDS[value] if word == "yields" else value
+            fields = {word: value}
+            if word == "yields" and value != "none":
+                fields["eta"] = float(self.eta.value)
+            return orders.Change(number, axis, fields)
+
+        return made
+
+    def _edits(self, handle: Any, make: Callable[[int], orders.Edit]) -> None:
+        """Whoever moves a control tells the arm."""
+
+        def tell() -> None:
+            self._said = next(self._numbers)
+            self._tell(make(self._said))
+
+        self._by_hand(handle, tell)
+
+    @staticmethod
+    def _by_hand(handle: Any, act: Callable[[], None]) -> None:
+        """Act on what a visitor changes, not on what the page itself sets."""
+
+        def moved(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                act()
+
+        handle.on_update(moved)
+
+    def show(self, now: Snapshot) -> None:
+        """Bring controls to what is in force, unless a visitor's edit is still on its way."""
+        self._places.content = meters.places(now)
+        if now.shown is not None and now.edit >= self._said:
+            self._bring(now.shown)
+
+    def _bring(self, shown: Shown) -> None:
+        _put(self.preset, shown.preset)
+        _put(self.law, shown.law)
+        _put(self.firm, shown.firm)
+        yielding = [axis["eta"] for axis in shown.axes.values() if axis["yields"] != "none"]
+        if yielding:
+            _put(self.eta, max(yielding))
+        for name, axis in shown.axes.items():
+            _put(self.yields[name], WORDS[axis["yields"]])
+            self.strength[name, "stiffness"].visible = shown.law == "impedance"
+            for word in ("soft", "firm", "hold", "stiffness"):
+                if axis[word] is not None:
+                    _put(self.strength[name, word], axis[word])
+
+
+def _put(handle: Any, value: Any) -> None:
+    """Show a value; viser's own types call it read-only."""
+    handle.value = value

@@ -1,0 +1,186 @@
+"""The settings that a page changes: presets, law, one axis after the other, soft or firm."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import pliant
+from pliant import ConfigError, PliantError
+from pliant.view import orders
+from pliant.view.snapshot import Shown
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pliant import Controller, Settings
+
+LAWS = ("cap", "impedance", "paper")
+#: Preset that stands for the settings of a configuration file.
+OWN = "from the file"
+#: All fields of an axis.
+FIELDS = (
+    "soft",
+    "firm",
+    "hold",
+    "stiffness",
+    "damping",
+    "yields",
+    "eta",
+    "d_minus",
+    "d_plus",
+    "profile",
+    "step_limit",
+    "soft_step_limit",
+    "deviation_limit",
+    "beyond",
+)
+#: Those that depend on the law.
+OF_THE_LAW = ("soft", "firm", "hold", "stiffness", "damping")
+
+
+class Desk:
+    """Holds settings, passes changes to a controller, and keeps the old ones where it refuses.
+
+    Args:
+        axes: Task axes, as of `pliant.Task`.
+        rate: Of the controller [Hz].
+        own: Settings of a configuration file, None without one.
+
+    Attributes:
+        settings: The settings, whatever `firm` says.
+        preset: Name of the preset they began with.
+        firm: Whether nothing yields for now.
+        presets: Names of presets.
+    """
+
+    def __init__(self, axes: str, rate: float, own: Settings | None = None) -> None:
+        """Begin with the file's settings, or soft in y."""
+        self._task, self._rate = axes, rate
+        self._makers = _presets(axes)
+        if own is not None:
+            self._makers = {OWN: lambda: own, **self._makers}
+        self.firm = False
+        self.preset = next(iter(self._makers))
+        self.settings = self._make(self.preset)
+
+    @property
+    def presets(self) -> tuple[str, ...]:
+        """Names of presets."""
+        return tuple(self._makers)
+
+    def begin(self, preset: str) -> None:
+        """Start over with a preset.
+
+        Raises:
+            ConfigError: There is none of that name.
+        """
+        self.settings, self.preset, self.firm = self._make(preset), preset, False
+
+    @property
+    def effective(self) -> Settings:
+        """The settings that a controller shall have."""
+        if not self.firm:
+            return self.settings
+        axes: dict[str, pliant.Axis] = {
+            name: axis.replace(yields="none", eta=0.0) for name, axis in self.settings.axes.items()
+        }
+        return self.settings.replace(axes=axes)
+
+    def take(self, order: orders.Edit, controller: Controller) -> None:
+        """Change the settings of a controller.
+
+        Raises:
+            ConfigError: They are refused; controller and settings are as before.
+        """
+        before = self.settings, self.preset, self.firm
+        try:
+            self._change(order, controller)
+            controller.update(self.effective)
+        except (PliantError, TypeError, ValueError) as error:
+            self.settings, self.preset, self.firm = before
+            # The core calls an axis that is made by itself "axes.*".
+            where = f"axes.{order.axis}" if isinstance(order, orders.Change) else "axes.*"
+            raise ConfigError(str(error).replace("axes.*", where)) from error
+
+    def _change(self, order: orders.Edit, controller: Controller) -> None:
+        axes: dict[str, pliant.Axis] = {name: axis for name, axis in self.settings.axes.items()}
+        match order:
+            case orders.Preset(name=preset):
+                self.begin(preset)
+            case orders.Law(law=law):
+                bare: dict[str, Any] = dict.fromkeys(OF_THE_LAW)
+                for name, axis in axes.items():
+                    axes[name] = pliant.Axis(
+                        **{**fields_of(axis), **bare, "yields": yields_of(axis)}
+                    )
+                self.settings = self.settings.replace(law=law, axes=axes)  # type: ignore[arg-type]
+            case orders.Change(axis=name, fields=fields):
+                strengths: dict[str, pliant.Axis] = {n: a for n, a in controller.strengths.items()}
+                if name not in strengths:
+                    there = ", ".join(strengths)
+                    raise ConfigError(f"the task has no axis {name!r}; it has {there}")
+                made = fields_of(strengths[name])
+                if name in axes:
+                    made["yields"], made["eta"] = yields_of(axes[name]), axes[name].eta
+                made |= fields
+                if made["yields"] == "none":
+                    made["eta"] = 0.0
+                self.settings = self.settings.replace(axes={**axes, name: pliant.Axis(**made)})
+            case orders.Eta(value=eta):
+                for name, axis in axes.items():
+                    if yields_of(axis) != "none":
+                        axes[name] = axis.replace(eta=eta)
+                self.settings = self.settings.replace(axes=axes)
+            case orders.Firm(on=on):
+                self.firm = on
+
+    def show(self, controller: Controller) -> Shown:
+        """The settings in force, for the controls."""
+        axes: dict[str, dict[str, Any]] = {
+            name: fields_of(axis) for name, axis in controller.strengths.items()
+        }
+        if self.firm:
+            for name, axis in self.settings.axes.items():
+                if name in axes:
+                    axes[name]["yields"], axes[name]["eta"] = yields_of(axis), axis.eta
+        return Shown(
+            law=controller.settings.law,
+            preset=self.preset,
+            firm=self.firm,
+            axes=axes,
+            thresholds=controller.report().thresholds,
+        )
+
+    def _make(self, name: str) -> Settings:
+        if name not in self._makers:
+            raise ConfigError(f"no preset {name!r}; there are {', '.join(self._makers)}")
+        return self._makers[name]().replace(rate=self._rate)
+
+
+def fields_of(axis: pliant.Axis) -> dict[str, Any]:
+    """What an axis is made of."""
+    return {name: getattr(axis, name) for name in FIELDS}
+
+
+def yields_of(axis: pliant.Axis) -> Literal["both", "+", "-", "none"]:
+    """The pushes it gives way to, said in full."""
+    if axis.yields is not None:
+        return axis.yields
+    return "none" if axis.soft is None and axis.firm is None else "both"
+
+
+def _presets(axes: str) -> dict[str, Callable[[], Settings]]:
+    """What can be chosen; presets that speak of rotations need a task that has them."""
+    task = pliant.Task(axes=axes)
+    names = task.names
+
+    def soft(which: str) -> Callable[[], Settings]:
+        return lambda: pliant.Settings.soft(which, task=task)
+
+    def ready(which: str) -> Callable[[], Settings]:
+        return lambda: cast("Settings", getattr(pliant.Settings, which)(task=task))
+
+    out = {f"soft {name}": soft(name) for name in ("y", "x", "z") if name in names}
+    out["soft all"] = soft(" ".join(names))
+    more = ("door", "drawer", "wipe", "plug", "paper") if len(names) == 6 else ()
+    return {**out, **{name: ready(name) for name in ("firm", "hand_guiding", "hand_over", *more)}}

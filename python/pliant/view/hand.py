@@ -1,0 +1,109 @@
+"""The hand of whoever looks at the page: it pushes the tool, or holds a point and pulls."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant.sim.truth import TOOL
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant.sim import Plant
+    from pliant.sim.hand import Wrench
+    from pliant.sim.truth import Truth
+
+    Vector = NDArray[np.float64]
+
+#: Time in which a push comes up and goes away [s].
+RISE = 0.1
+#: Distance of the hand from its grip at which it pulls with all its strength [m], and its damping
+#: as the time in which a grip that runs ahead is braked [s].
+REACH, BRAKE = 0.15, 0.05
+
+
+class VisitorHand:
+    """A hand in the sense of `pliant.sim.Hand`, led from outside while the physics runs.
+
+    Attributes:
+        at: Frame it acts on.
+        strong: Largest force [N].
+        felt: Point of attack (3,) [m] and force (3,) [N] of the last physics step; None: none.
+    """
+
+    def __init__(self, strong: float) -> None:
+        """Nobody pushes yet."""
+        self.at, self.strong = TOOL, strong
+        self._zero = np.zeros(3)
+        self.let_go()
+
+    def let_go(self) -> None:
+        """No force from now on, at the tool."""
+        self.at, self._local = TOOL, self._zero
+        self._toward: Vector | None = None
+        self._wrench, self._now, self._until = np.zeros(6), np.zeros(6), -np.inf
+        self._before = 0.0
+        self.felt: tuple[Vector, Vector] | None = None
+
+    def push(self, force: ArrayLike, torque: ArrayLike, until: float) -> None:
+        """Push the tool with a force (3,) [N] and a torque (3,) [N·m] until a time [s]."""
+        if self._toward is not None:
+            self.let_go()
+        self._wrench = np.concatenate((np.asarray(force), np.asarray(torque))).astype(np.float64)
+        self._until = until
+
+    def grab(self, plant: Plant, body: int, point: ArrayLike | None, toward: ArrayLike) -> None:
+        """Hold a point (3,) [m] of a body of the arm, None for the one held, and pull.
+
+        A body without a frame of its own (a door) is nothing that the hand can hold.
+        """
+        if point is not None:
+            frame = frame_of(plant, body)
+            if frame is None:
+                return
+            self.let_go()
+            self.at = frame
+            held = plant.truth.frame(frame)
+            self._local = held.rotation.T @ (np.asarray(point) - held.position)
+        elif self._toward is None:
+            return
+        self._toward = np.asarray(toward, dtype=np.float64)
+
+    def force(self, truth: Truth, t: float) -> Wrench:
+        """Force (3,), torque (3,) and point of attack (3,)."""
+        frame = truth.frame(self.at)
+        if self._toward is None:
+            if t < self._until or self.felt is not None:
+                self._ease(t, frame.position)
+            self._before = t
+            return self._now[:3], self._now[3:], frame.position
+        lever = frame.rotation @ self._local
+        place = frame.position + lever
+        twist = frame.twist()
+        stiffness = self.strong / REACH
+        speed = twist[:3] + np.cross(twist[3:], lever)
+        pull = stiffness * (self._toward - place) - BRAKE * stiffness * speed
+        size = float(np.linalg.norm(pull))
+        pull *= min(1.0, self.strong / max(size, 1e-9))
+        self.felt = place, pull
+        return pull, self._zero, place
+
+    def _ease(self, t: float, place: Vector) -> None:
+        """Let the push at a place (3,) come up or go away."""
+        wish = self._wrench if t < self._until else np.zeros(6)
+        most = np.abs(self._wrench).max() * min(max(t - self._before, 0.0) / RISE, 1.0)
+        self._now = self._now + np.clip(wish - self._now, -most, most)
+        self.felt = (place.copy(), self._now[:3]) if self._now.any() else None
+
+
+def frame_of(plant: Plant, body: int) -> str | None:
+    """Name of a frame of the robot that is fixed to a body of the simulation, None without one."""
+    model = plant.mj_model
+    links = {link.name for link in plant.model.links}
+    for site in np.flatnonzero(model.site_bodyid == body).tolist():
+        name = model.site(site).name
+        if name in links:
+            return str(name)
+    return None

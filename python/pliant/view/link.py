@@ -1,0 +1,177 @@
+"""The pipe between the loop and the page, which is a process of its own.
+
+The loop never waits for the page: a snapshot is sent only when the last one has been taken, so the
+pipe never holds more than one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any
+
+from pliant import PliantError
+from pliant.view.orders import Order
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from pliant.view.snapshot import Snapshot, Stage
+
+#: Snapshots per second at most [Hz].
+FRAMES = 30.0
+#: How long the page may take to come up, and to go [s].
+PATIENCE = 30.0
+
+
+class PageGone(PliantError):
+    """The page's process has ended."""
+
+
+class Taken:
+    """The page's word that it has taken a snapshot."""
+
+
+class Ready:
+    """The page's first word: where it can be reached."""
+
+    def __init__(self, link: str) -> None:
+        """With the token in it."""
+        self.link = link
+
+
+class Failed:
+    """The page's only word where it cannot come up."""
+
+    def __init__(self, text: str) -> None:
+        """Why."""
+        self.text = text
+
+
+class Link:
+    """The loop's end. `with` starts the page and ends it.
+
+    Args:
+        host: Address that the page listens on.
+        port: Port; the next free one is taken.
+
+    Attributes:
+        address: Where the page can be reached.
+
+    Raises:
+        PliantError: The page does not come up; says why.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
+        """Start the process, and wait until it listens."""
+        ours, theirs = socket.socketpair()
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "pliant.view.page", str(theirs.fileno()), host, str(port)],
+            pass_fds=(theirs.fileno(),),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            # Ctrl-C is for the loop; the page ends with its pipe.
+            start_new_session=True,
+        )
+        theirs.close()
+        self._pipe = Connection(ours.detach())
+        self._free, self._due = True, 0.0
+        self.address = self._come_up()
+
+    def _come_up(self) -> str:
+        first: Any = None
+        with contextlib.suppress(EOFError, OSError):
+            if self._pipe.poll(PATIENCE):
+                first = self._pipe.recv()
+        if isinstance(first, Ready):
+            return first.link
+        self.close()
+        if isinstance(first, Failed):
+            raise PliantError(first.text)
+        raise PliantError("the page's process did not come up; its own words stand above")
+
+    def orders(self) -> list[Order]:
+        """What the page has asked for since the last call.
+
+        Raises:
+            PageGone: Its process has ended.
+        """
+        out: list[Order] = []
+        try:
+            while self._pipe.poll():
+                heard = self._pipe.recv()
+                if isinstance(heard, Order):
+                    out.append(heard)
+                else:
+                    self._free = True
+        except (EOFError, OSError):
+            raise PageGone(
+                "the page's process has ended, so nobody could stop the arm from there any more"
+            ) from None
+        return out
+
+    def due(self) -> bool:
+        """Whether a snapshot is wanted now."""
+        return self._free and time.perf_counter() >= self._due
+
+    def send(self, snapshot: Snapshot | Stage) -> None:
+        """Hand over a snapshot when one is `due`, or a stage at any time.
+
+        Raises:
+            PageGone: Its process has ended.
+        """
+        self._due, self._free = time.perf_counter() + 1.0 / FRAMES, False
+        try:
+            self._pipe.send(snapshot)
+        except OSError:
+            raise PageGone("the page's process has ended") from None
+
+    def close(self) -> None:
+        """Let the page end."""
+        self._pipe.close()
+        try:
+            self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def __enter__(self) -> Link:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class Ear:
+    """The page's end."""
+
+    def __init__(self, descriptor: int) -> None:
+        """Take over the inherited end of the pipe."""
+        os.set_inheritable(descriptor, False)
+        self._pipe, self._lock = Connection(descriptor), threading.Lock()
+
+    def say(self, word: Order | Ready | Failed) -> None:
+        """Tell the loop; nothing where it has ended."""
+        with self._lock, contextlib.suppress(OSError):
+            self._pipe.send(word)
+
+    def listen(self) -> Any:
+        """The next stage or snapshot, which is then taken; None once the loop has ended."""
+        try:
+            heard = self._pipe.recv()
+            with self._lock:
+                self._pipe.send(Taken())
+        except (EOFError, OSError):
+            return None
+        return heard

@@ -1,0 +1,211 @@
+"""Small pictures in HTML: what each axis does, what each joint may use, the activation matrix."""
+
+from __future__ import annotations
+
+import itertools
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pliant.view.snapshot import Health, Shown, Snapshot, Stage, Step
+
+    Array = NDArray[np.float64]
+
+#: Colours that are the same in words, bars and plots.
+SOFT, STIFF, FULL, TRACK = "#1c64c8", "#5b6675", "#d9480f", "rgba(130,140,155,0.18)"
+#: Curves of axes and joints, in their order.
+COLOURS = ("#d6336c", "#2f9e44", "#1c64c8", "#e8890c", "#7048e8", "#0b8a9a", "#5b6675", "#a61e4d")
+FONT = "font:12px/1.35 system-ui,sans-serif;font-variant-numeric:tabular-nums"
+#: Phase of the arm's life: what the page says, and the colour of the sign.
+PHASES = {
+    "starting": ("torque is coming on", "#b7791f"),
+    "running": ("under control", "#2f855a"),
+    "lowering": ("coming down", "#b7791f"),
+    "down": ("torque is off", "#5b6675"),
+}
+LINEAR = ("x", "y", "z")
+
+
+def status(stage: Stage, now: Snapshot) -> str:
+    """One line: which arm, and what it is doing."""
+    words, colour = PHASES[now.phase]
+    return _box(
+        f'<span style="display:inline-block;width:9px;height:9px;border-radius:50%;'
+        f'background:{colour};margin-right:6px"></span>'
+        f"<b>{escape(stage.arm)}</b> · {escape(stage.where)} · {words}"
+    )
+
+
+def health(h: Health) -> str:
+    """One line on the loop's punctuality."""
+    if not h.ticks:
+        return _box("<span>the loop has not run yet</span>")
+    odd = [f"{count} {name}" for name, count in _troubles(h) if count]
+    delay = "" if h.delay is None else f" · delay {1e3 * h.delay:.1f} ms"
+    return _box(
+        f"<b>{h.rate:g} Hz</b> · late {1e3 * h.p50:.2f} ms (half), {1e3 * h.p99:.2f} ms (99 %)"
+        f"{delay} · {', '.join(odd) if odd else 'no tick missed'}"
+    )
+
+
+def _troubles(h: Health) -> tuple[tuple[str, int], ...]:
+    return (
+        ("missed", h.missed),
+        ("without positions", h.stale),
+        ("commands not sent", h.refused),
+        ("restarts", h.restarts),
+    )
+
+
+def places(now: Snapshot) -> str:
+    """Where the tool is, and where it shall be."""
+    target = "" if now.step is None else f"<br>target {_point(now.step.target)}"
+    return _box(f"tool {_point(now.tool)}{target}")
+
+
+def _point(pose: Array) -> str:
+    x, y, z = 1e3 * pose[:3, 3]
+    return f"x {x:.0f}, y {y:.0f}, z {z:.0f} mm"
+
+
+def axes(stage: Stage, shown: Shown, step: Step) -> str:
+    """A row per task axis: deviation against d-, d+; push-back against its cap; compliance."""
+    rows = []
+    paper = shown.law == "paper"
+    for i, name in enumerate(stage.axes):
+        linear = name in LINEAR
+        scale, unit = (1e3, "mm") if linear else (180.0 / np.pi, "°")
+        low, high = shown.thresholds[i]
+        soft = step.softness[i] > 0.01
+        away = step.deviation[i]
+        full = 1.25 * max(high, 1e-9)
+        marks = (low / full, high / full) if soft else ()
+        colour = SOFT if soft else STIFF
+        force = step.wrench[i] if step.wrench.size == len(stage.axes) else 0.0
+        cap = step.strength[i]
+        push = (
+            f"{cap:.2g} N·m budget"
+            if paper
+            else f"{abs(force):.1f} of {cap:.3g} {'N' if linear else 'N·m'}"
+        )
+        share = 0.0 if paper else abs(force) / max(cap, 1e-9)
+        rows.append(
+            "<tr>"
+            f'<td style="font-weight:600;color:{colour}">{name}</td>'
+            f"<td>{_bar(abs(away) / full, colour, marks)}</td>"
+            f'<td style="text-align:right;white-space:nowrap">{scale * away:+.0f} {unit}</td>'
+            f"<td>{_bar(share, FULL if share > 0.98 else colour)}</td>"
+            f'<td style="text-align:right;white-space:nowrap">{push}</td>'
+            f'<td style="text-align:right">{step.compliance[i] * step.softness[i]:.0%}</td>'
+            "</tr>"
+        )
+    head = ("", "deviation", "", "push-back", "of its cap", "soft")
+    return _table(head, rows, (32, 62, 50, 62, 86, 38))
+
+
+def joints(stage: Stage, step: Step) -> str:
+    """A row per joint: torque limit as a share of what the servo can do."""
+    rows = []
+    for i, name in enumerate(stage.joints):
+        share = float(step.limit[i] / max(stage.usable[i], 1e-9))
+        note = "at a stop" if step.locked[i] else "at its ceiling" if step.saturated[i] else ""
+        rows.append(
+            "<tr>"
+            f'<td style="white-space:nowrap;overflow:hidden;text-overflow:ellipsis;'
+            f'color:{COLOURS[i % len(COLOURS)]}">{escape(name)}</td>'
+            f"<td>{_bar(share, FULL if note else SOFT)}</td>"
+            f'<td style="text-align:right">{share:.0%}</td>'
+            f'<td style="text-align:right;white-space:nowrap">{step.limit[i]:.2f} N·m</td>'
+            f'<td style="color:{FULL};white-space:nowrap">{note}</td>'
+            "</tr>"
+        )
+    return _table(("joint", "torque limit", "", "", ""), rows, (92, 90, 36, 62, 66))
+
+
+def matrix(stage: Stage, step: Step) -> str:
+    """The activation matrix: how much of each axis' strength each joint gets."""
+    names = (*stage.axes, "null")[: step.activation.shape[1]]
+    rows = []
+    for i, joint in enumerate(stage.joints):
+        cells = "".join(
+            f'<td style="text-align:center;padding:2px 0;background:rgba(28,100,200,{a:.2f});'
+            f'color:{"#fff" if a > 0.55 else "inherit"}">{a:.2f}</td>'
+            for a in np.clip(np.abs(step.activation[i]), 0.0, 1.0)
+        )
+        rows.append(f'<tr><td style="white-space:nowrap">{escape(joint)}</td>{cells}</tr>')
+    return _table(("", *names), rows, (92, *([36] * len(names))))
+
+
+def sentences(lines: Sequence[str]) -> str:
+    """The report."""
+    items = "".join(f'<li style="margin:3px 0">{escape(line)}</li>' for line in lines)
+    return _box(f'<ul style="margin:0;padding-left:16px">{items}</ul>')
+
+
+def notice(text: str, wrong: bool) -> str:
+    """The last error, or news; nothing where there is none."""
+    if not text:
+        return ""
+    colour = FULL if wrong else "#2f855a"
+    return _box(
+        f'<div style="border-left:3px solid {colour};padding:4px 8px;background:{TRACK}">'
+        f"{escape(text)}</div>"
+    )
+
+
+def _bar(share: float, colour: str, marks: tuple[float, ...] = ()) -> str:
+    """A bar that is full at 1, with thin lines at the marks."""
+    width = 100.0 * min(max(share, 0.0), 1.0)
+    lines = "".join(
+        f'<i style="position:absolute;left:{100.0 * min(m, 1.0):.1f}%;top:-2px;bottom:-2px;'
+        'width:1px;background:#333"></i>'
+        for m in marks
+    )
+    return (
+        f'<div style="position:relative;height:8px;border-radius:4px;background:{TRACK}">'
+        f'<div style="width:{width:.1f}%;height:100%;border-radius:4px;background:{colour}"></div>'
+        f"{lines}</div>"
+    )
+
+
+def _table(head: Sequence[str], rows: Sequence[str], widths: Sequence[int]) -> str:
+    columns = "".join(f'<col style="width:{width}px">' for width in widths)
+    style = "text-align:left;font-weight:500;opacity:0.6;white-space:nowrap"
+    titles = "".join(f'<th style="{style}">{title}</th>' for title in head)
+    return _box(
+        '<table style="width:100%;border-collapse:separate;border-spacing:4px 2px;'
+        f'table-layout:fixed"><colgroup>{columns}</colgroup>'
+        f"<thead><tr>{titles}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    )
+
+
+def _box(content: str) -> str:
+    return f'<div style="{FONT};padding:2px 10px">{content}</div>'
+
+
+def faded(content: str) -> str:
+    """What was true before the torque went off."""
+    return f'<div style="opacity:0.35">{content}</div>'
+
+
+def caption(title: str, names: Sequence[str]) -> str:
+    """Title of a plot with the names of its curves in their colours."""
+    legend = " ".join(
+        f'<span style="color:{colour};white-space:nowrap">━ {escape(name)}</span>'
+        for name, colour in zip(names, itertools.cycle(COLOURS), strict=False)
+    )
+    return _box(f'<b style="font-weight:600">{escape(title)}</b> &nbsp; {legend}')
+
+
+def big_stop() -> str:
+    """Style of the button that follows: the biggest of the page."""
+    return (
+        '<i id="pliant-stop"></i><style>div:has(> #pliant-stop) + div button'
+        "{height:56px;font-size:22px;font-weight:700;letter-spacing:0.12em}</style>"
+    )

@@ -1,0 +1,75 @@
+"""The page's panels: controls at the right, what the arm does at the left."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import viser
+
+from pliant.view import meters
+from pliant.view.controls import Controls
+from pliant.view.plots import Plots
+from pliant.view.stop import StopPanel
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pliant.view.orders import Order
+    from pliant.view.snapshot import Snapshot, Stage
+
+#: Widths of the panels [px].
+LEFT, RIGHT = 400, 330
+#: How often bars and numbers are drawn [s].
+DRAWN = 0.12
+
+
+class Panel:
+    """Everything beside the scene, until the stage changes."""
+
+    def __init__(
+        self, server: viser.ViserServer, stage: Stage, tell: Callable[[Order], None]
+    ) -> None:
+        """Build both panels anew."""
+        self._stage, gui = stage, server.gui
+        gui.reset()
+        self._drawn = -np.inf
+        self._report: tuple[str, ...] = ()
+        self._last: tuple[str, str] | None = None
+        self.stop = StopPanel(server, stage, tell)
+        self.controls = Controls(server, stage, tell)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(RIGHT)
+        side = gui.add_panel()
+        with side.add_tab("Live", viser.Icon.ACTIVITY):
+            self._health = gui.add_html("")
+            self._axes = gui.add_html("")
+            self._joints = gui.add_html("")
+            self._plots = Plots(gui, stage)
+        with side.add_tab("Why", viser.Icon.QUESTION_MARK):
+            self._sentences = gui.add_html("")
+            gui.add_markdown("**Activation**: the share of each axis' strength a joint gets")
+            self._matrix = gui.add_html("")
+        side.dock_left()
+        side.set_width(LEFT)
+
+    def show(self, now: Snapshot) -> None:
+        """Bring everything up to a moment."""
+        self.stop.show(now)
+        self.controls.show(now)
+        if 0.0 <= now.time - self._drawn < DRAWN:
+            return
+        self._drawn = now.time
+        self._health.content = meters.health(now.health)
+        if now.step is not None and now.shown is not None:
+            self._axes.content = meters.axes(self._stage, now.shown, now.step)
+            self._joints.content = meters.joints(self._stage, now.step)
+            self._matrix.content = meters.matrix(self._stage, now.step)
+            self._plots.show(now)
+            self._last = self._axes.content, self._joints.content
+        elif self._last is not None:
+            self._axes.content, self._joints.content = map(meters.faded, self._last)
+            self._last = None
+        if now.report != self._report:
+            self._report = now.report
+            self._sentences.content = meters.sentences(now.report)

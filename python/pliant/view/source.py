@@ -1,0 +1,118 @@
+"""Where the arm behind a page comes from: a configuration, or the simulator with its scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Protocol
+
+import pliant
+from pliant import ConfigError
+from pliant.experiments.chapters.anyarm import task_axes
+
+if TYPE_CHECKING:
+    from pliant import Settings
+    from pliant.arm import Arm
+    from pliant.config import Config
+    from pliant.view.scenes import Scene
+
+
+#: A simulated arm forgives a busy computer [s]; a real one has `loop.hold_for` of its file.
+PATIENCE = 10.0
+
+
+class Source(Protocol):
+    """What a session needs to know.
+
+    Attributes:
+        where: `simulated`, or what drives the joints.
+        axes: Task axes.
+        rate: Control rate [Hz].
+        settings: Those to begin with; None: a preset of the scene.
+        scenes: By name; empty without.
+        name: Of the scene.
+    """
+
+    where: str
+    axes: str
+    rate: float
+    settings: Settings | None
+    scenes: Mapping[str, Scene]
+    name: str
+
+    @property
+    def scene(self) -> Scene | None:
+        """The scene, None without."""
+
+    def arm(self) -> Arm:
+        """The arm, with torque as it was."""
+
+
+class Simulated:
+    """A built-in arm on the simulator, in one of its scenes.
+
+    Args:
+        robot: Its name.
+        scene: Where it begins.
+        rate: Control rate [Hz].
+        real_time: Whether simulated time is real time.
+    """
+
+    def __init__(
+        self, robot: str, scene: str = "free", rate: float = 100.0, *, real_time: bool = True
+    ) -> None:
+        """Look the arm up.
+
+        Raises:
+            ConfigError: No such arm or scene.
+        """
+        from pliant.view.scenes import scenes
+
+        self.where, self.rate = "simulated", rate
+        self.settings: Settings | None = None
+        self._real_time = real_time
+        self.model, self.scenes = scenes(robot)
+        if scene not in self.scenes:
+            raise ConfigError(f"{robot} has no scene {scene!r}; it has {', '.join(self.scenes)}")
+        self.axes, self.name = " ".join(task_axes(self.model.n)), scene
+
+    @property
+    def scene(self) -> Scene | None:
+        """The scene."""
+        return self.scenes[self.name]
+
+    def arm(self) -> Arm:
+        """A new simulation."""
+        scene = self.scenes[self.name]
+        return pliant.connect(
+            "sim",
+            robot=self.model,
+            q=scene.q,
+            rate=self.rate,
+            scene=scene.make(),
+            real_time=self._real_time,
+            hold_for=PATIENCE,
+        )
+
+
+class Configured:
+    """The arm of a configuration, on whatever backend it names."""
+
+    def __init__(self, config: Config) -> None:
+        """Read what is needed before anything is opened."""
+        self.where: str = config.backend
+        self.rate = config.loop.rate
+        self.settings: Settings | None = config.settings()
+        self.axes = self.settings.task.axes
+        self.scenes: Mapping[str, Scene] = {}
+        self.name, self.scene = "", None
+        self._config = config
+
+    def arm(self) -> Arm:
+        """The arm, on a port that the one before has let go of."""
+        arm = self._config.arm()
+        plant = getattr(arm.drive, "plant", None)
+        if plant is not None:
+            from pliant.arm.simulated import SimDrive
+
+            arm.drive = SimDrive(plant, real_time=True)
+        return arm

@@ -1,0 +1,97 @@
+//! What few steps do: kept out of the others, and compiled once for all instructions.
+
+use crate::command::dead_host::Dead;
+use crate::command::limits::Load;
+use crate::controller::record::Record;
+use crate::controller::step::{Aim, Cycle};
+use crate::number::{Arithmetic, EveryJoint};
+use crate::plan::Plan;
+use crate::settings::LimitRule;
+use crate::task::deviation::{into_frame, out_of_frame};
+use crate::task::deviation_limit::Pushed;
+use crate::task::governor::Governor;
+use crate::{AxisVec, JointVec, MAX_JOINTS, Rows};
+
+/// Bounds the deviation of stiff axes by moving the reference; its speed along these axes is then spent.
+#[cold]
+#[inline(never)]
+pub(super) fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, aim: &mut Aim, governor: &mut Governor) {
+    if let Some(kept) = pushed.keep(&plan.deviation_limits, &aim.reference) {
+        let mut velocity = into_frame(pushed.base_from_task, &governor.own_velocity());
+        for (value, met) in velocity.iter_mut().zip(kept.met) {
+            *value *= if met { 0.0 } else { kept.advance };
+        }
+        governor.put(kept.reference, out_of_frame(pushed.base_from_task, &velocity));
+        (aim.reference, aim.error, aim.limited) = (kept.reference, kept.error, kept.met);
+    }
+}
+
+impl Cycle<'_> {
+    /// The limits with which a hand meets at most `most` [N] should the host die now, given goals and limits, what holds the
+    /// arm and what of that is in the limits.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn spare(
+        &self,
+        most: f64,
+        [goal, limit]: [&JointVec; 2],
+        [holding, in_limit]: [&JointVec; 2],
+        base_from_task: [[f64; 3]; 3],
+    ) -> JointVec {
+        let (plan, nothing) = (self.plan, [0.0; MAX_JOINTS]);
+        let (mut friction, mut base) = (nothing, nothing);
+        for i in 0..plan.n {
+            friction[i] = plan.servos.friction_at_rest(i, holding[i]);
+            base[i] = (self.settings.gravity_scale * in_limit[i].abs()).max(plan.floor[i]);
+        }
+        let dead = Dead {
+            chain: self.chain,
+            plan,
+            masses: self.masses,
+            gravity: *self.gravity,
+            base_from_task,
+            q: self.q,
+            goal,
+            limit,
+            friction: &friction,
+        };
+        let by_demand = plan.law.by_force() && plan.limits == LimitRule::Demand;
+        dead.spared(most, &base, if by_demand { &plan.margin } else { &nothing })
+    }
+}
+
+/// What the sum rule is made from; a rule that few choose.
+pub(super) struct Asked {
+    pub(super) rows: Rows,
+    pub(super) gradient: JointVec,
+    pub(super) damping: f64,
+    pub(super) sigma: [f64; 2],
+    pub(super) most: AxisVec,
+    pub(super) gravity: EveryJoint,
+    pub(super) feed_forward: EveryJoint,
+}
+
+impl Asked {
+    #[cold]
+    #[inline(never)]
+    pub(super) fn sum(&self, plan: &Plan, gravity_scale: f64) -> JointVec {
+        let record = Record {
+            rows: self.rows,
+            gradient: self.gradient,
+            damping: self.damping,
+            followed_sigma: plan.follows_sigma().then_some(self.sigma),
+            ..Record::empty()
+        };
+        let null = record.shares(plan).null().map(|share| share * plan.null_torque);
+        let nothing = EveryJoint::splat(0.0);
+        let load = Load {
+            gravity: self.gravity,
+            feed_forward: self.feed_forward,
+            task: nothing,
+            offset: nothing,
+            gravity_scale,
+            margin: nothing,
+        };
+        load.sum(&self.rows, &self.most, &null)
+    }
+}

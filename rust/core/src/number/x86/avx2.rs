@@ -1,0 +1,68 @@
+//! Registers of four numbers, with fused multiply-add.
+
+// SAFETY of every `unsafe` below: see the module above.
+
+use std::arch::x86_64::{
+    __m256d as Register, _CMP_LT_OQ, _mm256_add_epi64, _mm256_add_pd as add, _mm256_and_pd as and,
+    _mm256_andnot_pd as andnot, _mm256_blendv_pd, _mm256_castpd_si256, _mm256_castsi256_pd, _mm256_cmp_pd,
+    _mm256_div_pd as div, _mm256_fmadd_pd as fmadd, _mm256_fnmadd_pd as fnmadd, _mm256_loadu_pd as loadu,
+    _mm256_max_pd as max, _mm256_min_pd as min, _mm256_movemask_pd, _mm256_mul_pd as mul, _mm256_or_pd as or,
+    _mm256_set1_epi64x, _mm256_set1_pd as set1, _mm256_slli_epi64, _mm256_sqrt_pd as sqrt, _mm256_storeu_pd as storeu,
+    _mm256_sub_pd as sub, _mm256_xor_pd as xor,
+};
+
+use super::{sums_of_four, transpose_halves};
+
+eight! {
+    /// Eight numbers in two registers, with fused multiply-add.
+    Avx2 beside Fused, 4: 0 1
+}
+
+#[inline(always)]
+unsafe fn less(a: Register, b: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { _mm256_cmp_pd::<_CMP_LT_OQ>(a, b) }
+}
+
+#[inline(always)]
+unsafe fn choose(mask: Register, then: Register, otherwise: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { _mm256_blendv_pd(otherwise, then, mask) }
+}
+
+#[inline(always)]
+unsafe fn any(mask: Register) -> bool {
+    // SAFETY: as above.
+    unsafe { _mm256_movemask_pd(mask) != 0 }
+}
+
+#[inline(always)]
+unsafe fn power_of_two(sum: Register) -> Register {
+    // SAFETY: as above.
+    unsafe {
+        let exponent = _mm256_slli_epi64::<52>(_mm256_castpd_si256(sum));
+        _mm256_castsi256_pd(_mm256_add_epi64(exponent, _mm256_set1_epi64x(1023 << 52)))
+    }
+}
+
+#[inline(always)]
+unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register) {
+    // SAFETY: as above.
+    unsafe {
+        let quadrant = _mm256_castpd_si256(turns);
+        let odd = _mm256_castsi256_pd(_mm256_slli_epi64::<63>(quadrant));
+        let sine_sign = and(_mm256_castsi256_pd(_mm256_slli_epi64::<62>(quadrant)), set1(-0.0));
+        (xor(choose(odd, c, s), sine_sign), xor(choose(odd, s, c), xor(sine_sign, odd)))
+    }
+}
+
+#[inline(always)]
+fn sums(a: [Register; 2], b: [Register; 2], c: [Register; 2], d: [Register; 2]) -> [f64; 4] {
+    // SAFETY: as above.
+    unsafe { sums_of_four(add(a[0], a[1]), add(b[0], b[1]), add(c[0], c[1]), add(d[0], d[1])) }
+}
+
+#[inline(always)]
+fn transpose(n: [[Register; 2]; LANES]) -> [[f64; LANES]; LANES] {
+    transpose_halves(&n)
+}

@@ -1,0 +1,91 @@
+//! Registers of eight numbers, with masks.
+
+// SAFETY of every `unsafe` below: see the module above.
+
+use std::arch::x86_64::{
+    __m256d, __m512d as Register, __mmask8 as Mask, _CMP_LT_OQ, _mm256_add_pd, _mm512_add_epi64, _mm512_add_pd as add,
+    _mm512_and_pd as and, _mm512_andnot_pd as andnot, _mm512_castpd_si512, _mm512_castpd512_pd256, _mm512_castsi512_pd,
+    _mm512_cmp_pd_mask, _mm512_div_pd as div, _mm512_extractf64x4_pd, _mm512_fmadd_pd as fmadd,
+    _mm512_fnmadd_pd as fnmadd, _mm512_loadu_pd as loadu, _mm512_mask_blend_pd, _mm512_max_pd as max,
+    _mm512_min_pd as min, _mm512_mul_pd as mul, _mm512_or_pd as or, _mm512_set1_epi64, _mm512_set1_pd as set1,
+    _mm512_slli_epi64, _mm512_sqrt_pd as sqrt, _mm512_storeu_pd as storeu, _mm512_sub_pd as sub,
+    _mm512_test_epi64_mask, _mm512_xor_pd as xor,
+};
+
+use super::{sums_of_four, transpose_halves};
+
+eight! {
+    /// Eight numbers in one register.
+    Avx512 beside Fused, 8: 0
+}
+
+#[inline(always)]
+unsafe fn less(a: Register, b: Register) -> Mask {
+    // SAFETY: as above.
+    unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(a, b) }
+}
+
+#[inline(always)]
+unsafe fn choose(mask: Mask, then: Register, otherwise: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { _mm512_mask_blend_pd(mask, otherwise, then) }
+}
+
+#[inline(always)]
+unsafe fn any(mask: Mask) -> bool {
+    mask != 0
+}
+
+#[inline(always)]
+unsafe fn power_of_two(sum: Register) -> Register {
+    // SAFETY: as above.
+    unsafe {
+        let exponent = _mm512_slli_epi64::<52>(_mm512_castpd_si512(sum));
+        _mm512_castsi512_pd(_mm512_add_epi64(exponent, _mm512_set1_epi64(1023 << 52)))
+    }
+}
+
+#[inline(always)]
+unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register) {
+    // SAFETY: as above.
+    unsafe {
+        let quadrant = _mm512_castpd_si512(turns);
+        let odd = _mm512_test_epi64_mask(quadrant, _mm512_set1_epi64(1));
+        let sine_sign = and(_mm512_castsi512_pd(_mm512_slli_epi64::<62>(quadrant)), set1(-0.0));
+        let cosine_sign = xor(sine_sign, _mm512_castsi512_pd(_mm512_slli_epi64::<63>(quadrant)));
+        (xor(choose(odd, c, s), sine_sign), xor(choose(odd, s, c), cosine_sign))
+    }
+}
+
+#[inline(always)]
+fn halves(n: Register) -> [__m256d; 2] {
+    // SAFETY: as above.
+    unsafe { [_mm512_castpd512_pd256(n), _mm512_extractf64x4_pd::<1>(n)] }
+}
+
+#[inline(always)]
+fn folded(n: Register) -> __m256d {
+    let [low, high] = halves(n);
+    // SAFETY: as above.
+    unsafe { _mm256_add_pd(low, high) }
+}
+
+#[inline(always)]
+fn sums(a: [Register; 1], b: [Register; 1], c: [Register; 1], d: [Register; 1]) -> [f64; 4] {
+    // SAFETY: as above.
+    unsafe { sums_of_four(folded(a[0]), folded(b[0]), folded(c[0]), folded(d[0])) }
+}
+
+#[inline(always)]
+fn transpose(n: [[Register; 1]; LANES]) -> [[f64; LANES]; LANES] {
+    transpose_halves(&[
+        halves(n[0][0]),
+        halves(n[1][0]),
+        halves(n[2][0]),
+        halves(n[3][0]),
+        halves(n[4][0]),
+        halves(n[5][0]),
+        halves(n[6][0]),
+        halves(n[7][0]),
+    ])
+}

@@ -1,0 +1,208 @@
+//! Eight numbers in the vector registers of x86-64: four of two, two of four or one of eight.
+#![expect(unsafe_code, reason = "vector instructions; they are entered only through `Instructions::run`")]
+
+use std::arch::x86_64::__m256d;
+
+use super::LANES;
+
+// SAFETY of every `unsafe` below: values of these types come into being only in code entered through `Instructions::run`,
+// that is on a processor that has the instructions; memory is reached through references of the right size alone.
+
+/// The type of eight numbers over registers whose instructions the module around it has under common names.
+macro_rules! eight {
+    ($(#[$doc:meta])* $name:ident beside $one:ident, $width:literal: $($i:literal)*) => {
+        use std::ops::{Add, Div, Mul, Neg, Sub};
+
+        use crate::number::{Arithmetic, LANES, Wide};
+
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy)]
+        pub(crate) struct $name([Register; LANES / $width]);
+
+        eight!(@operators $name ($($i)*) Add add, Sub sub, Mul mul, Div div);
+
+        impl Neg for $name {
+            type Output = Self;
+
+            #[inline(always)]
+            fn neg(self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(xor(self.0[$i], set1(-0.0))),*] })
+            }
+        }
+
+        impl Arithmetic for $name {
+            type Real = Self;
+
+            const WIDE: bool = true;
+
+            #[inline(always)]
+            fn splat(value: f64) -> Self {
+                // SAFETY: as above.
+                Self([unsafe { set1(value) }; LANES / $width])
+            }
+
+            #[inline(always)]
+            fn fma(a: Self, b: Self, c: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(fmadd(a.0[$i], b.0[$i], c.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn fnma(a: Self, b: Self, c: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(fnmadd(a.0[$i], b.0[$i], c.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn sqrt(value: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(sqrt(value.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn abs(value: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(andnot(set1(-0.0), value.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn at_least(value: Self, bound: Self) -> Self {
+                // SAFETY: as above. Of two numbers of which one is none, these instructions give the second.
+                Self(unsafe { [$(max(bound.0[$i], value.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn at_most(value: Self, bound: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(min(bound.0[$i], value.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn copy_sign(size: Self, sign: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(or(andnot(set1(-0.0), size.0[$i]), and(set1(-0.0), sign.0[$i]))),*] })
+            }
+
+            #[inline(always)]
+            fn if_less(a: Self, b: Self, then: Self, otherwise: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(choose(less(a.0[$i], b.0[$i]), then.0[$i], otherwise.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn power_of_two(sum: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(power_of_two(sum.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn turn(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
+                // SAFETY: as above.
+                $((s.0[$i], c.0[$i]) = unsafe { turn(turns.0[$i], s.0[$i], c.0[$i]) };)*
+                (s, c)
+            }
+        }
+
+        impl Wide for $name {
+            type One = crate::number::$one;
+
+            #[inline(always)]
+            fn of(values: &[f64; LANES]) -> Self {
+                // SAFETY: as above; there are eight values.
+                Self(unsafe { [$(loadu(values.as_ptr().add($i * $width))),*] })
+            }
+
+            #[inline(always)]
+            fn put(self, values: &mut [f64; LANES]) {
+                // SAFETY: as above; there is room for eight values.
+                unsafe { $(storeu(values.as_mut_ptr().add($i * $width), self.0[$i]);)* }
+            }
+
+            #[inline(always)]
+            fn less_anywhere(self, other: Self) -> bool {
+                // SAFETY: as above.
+                unsafe { false $(| any(less(self.0[$i], other.0[$i])))* }
+            }
+
+            #[inline(always)]
+            fn four_sums(n: [Self; 4]) -> [f64; 4] {
+                sums(n[0].0, n[1].0, n[2].0, n[3].0)
+            }
+
+            #[inline(always)]
+            fn transpose(n: &[Self; LANES]) -> [[f64; LANES]; LANES] {
+                transpose([n[0].0, n[1].0, n[2].0, n[3].0, n[4].0, n[5].0, n[6].0, n[7].0])
+            }
+        }
+    };
+    (@operators $name:ident $indices:tt $($trait:ident $method:ident),*) => {
+        $(eight!(@operator $name $indices $trait $method);)*
+    };
+    (@operator $name:ident ($($i:literal)*) $trait:ident $method:ident) => {
+        impl $trait for $name {
+            type Output = Self;
+
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$($method(self.0[$i], other.0[$i])),*] })
+            }
+        }
+    };
+}
+
+pub(super) mod avx2;
+pub(super) mod avx512;
+pub(super) mod sse2;
+
+/// The sum of each of four registers.
+#[inline(always)]
+unsafe fn sums_of_four(a: __m256d, b: __m256d, c: __m256d, d: __m256d) -> [f64; 4] {
+    use std::arch::x86_64::{_mm256_add_pd, _mm256_hadd_pd, _mm256_permute2f128_pd, _mm256_storeu_pd};
+    let mut out = [0.0; 4];
+    // SAFETY: as above.
+    unsafe {
+        let (ab, cd) = (_mm256_hadd_pd(a, b), _mm256_hadd_pd(c, d));
+        let (low, high) = (_mm256_permute2f128_pd::<0x20>(ab, cd), _mm256_permute2f128_pd::<0x31>(ab, cd));
+        _mm256_storeu_pd(out.as_mut_ptr(), _mm256_add_pd(low, high));
+    }
+    out
+}
+
+/// Four rows of four, turned.
+#[inline(always)]
+fn transpose_four(r: [__m256d; 4]) -> [__m256d; 4] {
+    use std::arch::x86_64::{_mm256_permute2f128_pd, _mm256_unpackhi_pd, _mm256_unpacklo_pd};
+    // SAFETY: as above.
+    unsafe {
+        let (a, b) = (_mm256_unpacklo_pd(r[0], r[1]), _mm256_unpackhi_pd(r[0], r[1]));
+        let (c, d) = (_mm256_unpacklo_pd(r[2], r[3]), _mm256_unpackhi_pd(r[2], r[3]));
+        [
+            _mm256_permute2f128_pd::<0x20>(a, c),
+            _mm256_permute2f128_pd::<0x20>(b, d),
+            _mm256_permute2f128_pd::<0x31>(a, c),
+            _mm256_permute2f128_pd::<0x31>(b, d),
+        ]
+    }
+}
+
+/// Eight rows of eight in halves, turned.
+#[inline(always)]
+fn transpose_halves(n: &[[__m256d; 2]; LANES]) -> [[f64; LANES]; LANES] {
+    use std::arch::x86_64::_mm256_storeu_pd;
+    let mut out = [[0.0; LANES]; LANES];
+    for half in 0..2 {
+        let left = transpose_four([n[0][half], n[1][half], n[2][half], n[3][half]]);
+        let right = transpose_four([n[4][half], n[5][half], n[6][half], n[7][half]]);
+        for i in 0..4 {
+            let row = out[4 * half + i].as_mut_ptr();
+            // SAFETY: as above; a row has room for eight.
+            unsafe {
+                _mm256_storeu_pd(row, left[i]);
+                _mm256_storeu_pd(row.add(4), right[i]);
+            }
+        }
+    }
+    out
+}

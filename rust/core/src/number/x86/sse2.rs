@@ -1,0 +1,95 @@
+//! What every x86-64 processor has: registers of two numbers.
+
+// SAFETY of every `unsafe` below: see the module above.
+
+use std::arch::x86_64::{
+    __m128d as Register, _mm_add_epi64, _mm_add_pd as add, _mm_and_pd as and, _mm_and_si128, _mm_andnot_pd as andnot,
+    _mm_castpd_si128, _mm_castsi128_pd, _mm_cmplt_pd as less, _mm_div_pd as div, _mm_loadu_pd as loadu,
+    _mm_max_pd as max, _mm_min_pd as min, _mm_movemask_pd, _mm_mul_pd as mul, _mm_or_pd as or, _mm_set1_epi64x,
+    _mm_set1_pd as set1, _mm_slli_epi64, _mm_sqrt_pd as sqrt, _mm_storeu_pd as storeu, _mm_sub_epi64,
+    _mm_sub_pd as sub, _mm_unpackhi_pd as high, _mm_unpacklo_pd as low, _mm_xor_pd as xor, _mm_xor_si128,
+};
+
+eight! {
+    /// What every x86-64 processor has: no fused multiply-add.
+    Sse2 beside Plain, 2: 0 1 2 3
+}
+
+#[inline(always)]
+unsafe fn fmadd(a: Register, b: Register, c: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { add(mul(a, b), c) }
+}
+
+#[inline(always)]
+unsafe fn fnmadd(a: Register, b: Register, c: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { sub(c, mul(a, b)) }
+}
+
+#[inline(always)]
+unsafe fn choose(mask: Register, then: Register, otherwise: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { or(and(mask, then), andnot(mask, otherwise)) }
+}
+
+#[inline(always)]
+unsafe fn any(mask: Register) -> bool {
+    // SAFETY: as above.
+    unsafe { _mm_movemask_pd(mask) != 0 }
+}
+
+#[inline(always)]
+unsafe fn power_of_two(sum: Register) -> Register {
+    // SAFETY: as above.
+    unsafe {
+        let exponent = _mm_slli_epi64::<52>(_mm_castpd_si128(sum));
+        _mm_castsi128_pd(_mm_add_epi64(exponent, _mm_set1_epi64x(1023 << 52)))
+    }
+}
+
+#[inline(always)]
+unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register) {
+    // SAFETY: as above.
+    unsafe {
+        let quadrant = _mm_castpd_si128(turns);
+        let one = _mm_set1_epi64x(1);
+        // 0 − 1 has all bits set.
+        let odd = _mm_castsi128_pd(_mm_sub_epi64(_mm_set1_epi64x(0), _mm_and_si128(quadrant, one)));
+        let top = _mm_set1_epi64x(i64::MIN);
+        let sine_sign = _mm_and_si128(_mm_slli_epi64::<62>(quadrant), top);
+        let cosine_sign = _mm_xor_si128(sine_sign, _mm_slli_epi64::<63>(quadrant));
+        (xor(choose(odd, c, s), _mm_castsi128_pd(sine_sign)), xor(choose(odd, s, c), _mm_castsi128_pd(cosine_sign)))
+    }
+}
+
+#[inline(always)]
+fn sums(a: [Register; 4], b: [Register; 4], c: [Register; 4], d: [Register; 4]) -> [f64; 4] {
+    let mut out = [0.0; 4];
+    // SAFETY: as above.
+    unsafe {
+        let a = add(add(a[0], a[2]), add(a[1], a[3]));
+        let b = add(add(b[0], b[2]), add(b[1], b[3]));
+        let c = add(add(c[0], c[2]), add(c[1], c[3]));
+        let d = add(add(d[0], d[2]), add(d[1], d[3]));
+        storeu(out.as_mut_ptr(), add(low(a, b), high(a, b)));
+        storeu(out.as_mut_ptr().add(2), add(low(c, d), high(c, d)));
+    }
+    out
+}
+
+#[inline(always)]
+fn transpose(n: [[Register; 4]; LANES]) -> [[f64; LANES]; LANES] {
+    let mut out = [[0.0; LANES]; LANES];
+    for pair in 0..LANES / 2 {
+        for register in 0..LANES / 2 {
+            let (a, b) = (n[2 * pair][register], n[2 * pair + 1][register]);
+            // SAFETY: as above; a row has room for eight.
+            unsafe {
+                storeu(out[2 * register].as_mut_ptr().add(2 * pair), low(a, b));
+                storeu(out[2 * register + 1].as_mut_ptr().add(2 * pair), high(a, b));
+            }
+        }
+    }
+    out
+}

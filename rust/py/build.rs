@@ -1,0 +1,97 @@
+//! Docstrings of the stub `python/pliant/_core.pyi` as Rust tables: what `help()` shows is written once.
+//!
+//! Leaves `stub.rs` in `OUT_DIR`: the table `CLASSES` and the macro `stub!`, the docstring of a function.
+
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::fmt::Write;
+use std::path::Path;
+
+const STUB: &str = "../../python/pliant/_core.pyi";
+const QUOTES: &str = "\"\"\"";
+
+/// Docstrings by name: `Model`, `Model.gravity`, `compliance`. Overloads follow each other in one text; an attribute
+/// that has none takes what its class says of the argument.
+type Docs = BTreeMap<String, String>;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    println!("cargo::rerun-if-changed={STUB}");
+    println!("cargo::rerun-if-changed=build.rs");
+    let docs = read(&std::fs::read_to_string(STUB)?)?;
+    std::fs::write(Path::new(&std::env::var("OUT_DIR")?).join("stub.rs"), written(&docs)?)?;
+    Ok(())
+}
+
+/// The docstrings of a stub, whose layout is that of `ruff format`: four spaces, a signature ends a line.
+fn read(stub: &str) -> Result<Docs, String> {
+    let (mut docs, mut class, mut name) = (Docs::new(), String::new(), String::new());
+    let mut lines = stub.lines().skip_while(|line| !line.starts_with("from ")).enumerate();
+    while let Some((number, line)) = lines.next() {
+        let text = line.trim_start();
+        let indent = line.len() - text.len();
+        if indent == 0 && !text.is_empty() && !text.starts_with([')', '@']) {
+            class.clear();
+        }
+        if let Some(of) = text.strip_prefix("class ") {
+            class = word(of);
+            name.clone_from(&class);
+        } else if let Some(of) = text.strip_prefix("def ") {
+            name = if class.is_empty() { word(of) } else { format!("{class}.{}", word(of)) };
+            docs.entry(name.clone()).or_default();
+        } else if let Some(first) = text.strip_prefix(QUOTES) {
+            let mut doc = first.to_owned();
+            while !doc.ends_with(QUOTES) {
+                let (_, more) = lines.next().ok_or_else(|| format!("line {number}: the docstring never ends"))?;
+                doc = format!("{doc}\n{}", more.get(indent..).unwrap_or_default());
+            }
+            let doc = doc.trim_end_matches(QUOTES).trim_end();
+            if doc.contains('\\') {
+                return Err(format!("docstring of {name}: escapes are not understood here"));
+            }
+            let all = docs.entry(name.clone()).or_default();
+            *all = if all.is_empty() { doc.to_owned() } else { format!("{all}\n\n{doc}") };
+        }
+    }
+    for (name, doc) in &docs.clone() {
+        if let Some((class, member)) = name.split_once('.').filter(|_| doc.is_empty()) {
+            let of_class = docs.get(class).map_or_else(String::new, |doc| argument(doc, member));
+            docs.insert(name.clone(), of_class);
+        }
+    }
+    docs.retain(|name, doc| !name.starts_with('_') && !doc.is_empty());
+    Ok(docs)
+}
+
+/// What the docstring of a class says of the argument that becomes the attribute `name`.
+fn argument(doc: &str, name: &str) -> String {
+    let entry = format!("    {name}: ");
+    let lines = doc.lines().skip_while(|line| *line != "Args:").skip_while(|line| !line.starts_with(&entry));
+    let own = lines.enumerate().take_while(|(i, line)| *i == 0 || line.starts_with("        "));
+    let text = own.map(|(_, line)| line.trim()).collect::<Vec<_>>().join("\n");
+    text.strip_prefix(&format!("{name}: ")).unwrap_or_default().to_owned()
+}
+
+fn word(text: &str) -> String {
+    text.chars().take_while(|letter| letter.is_alphanumeric() || *letter == '_').collect()
+}
+
+/// The docstrings as Rust.
+fn written(docs: &Docs) -> Result<String, std::fmt::Error> {
+    let mut out = String::from("const CLASSES: &[Class] = &[\n");
+    let is_class = |name: &str| name.starts_with(char::is_uppercase) && !name.contains('.');
+    for (class, doc) in docs.iter().filter(|(name, _)| is_class(name)) {
+        writeln!(out, "({class:?}, {doc:?}, &[")?;
+        for (name, doc) in docs {
+            if let Some((_, member)) = name.split_once('.').filter(|(of, _)| of == class) {
+                writeln!(out, "({member:?}, c{doc:?}),")?;
+            }
+        }
+        out.push_str("]),\n");
+    }
+    out.push_str("];\n\nmacro_rules! stub {\n");
+    for (name, doc) in docs.iter().filter(|(name, _)| name.starts_with(char::is_lowercase)) {
+        writeln!(out, "({name}) => {{ {doc:?} }};")?;
+    }
+    out.push_str("}\n");
+    Ok(out)
+}

@@ -1,0 +1,141 @@
+"""`pliant report`: the page says what the run was, and needs nothing from anywhere."""
+
+import re
+from html import unescape
+
+import numpy as np
+import pytest
+from demo.test_report import check_page
+
+import pliant
+import pliant.sim
+from pliant.cli import main
+from pliant.log import Recorder, felt, findings, read
+
+pytest.importorskip("mcap_ros2")
+pytest.importorskip("matplotlib")
+
+START = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]
+#: A pull of the hand sideways [s], [m].
+FROM, UNTIL, AWAY = 0.5, 2.5, 0.15
+
+
+def record(path, settings, duration=3.0, **options):
+    """A hand pulls the tool of `arm7` toward +y and lets go; also its force (N, 3)."""
+    course = pliant.sim.Course(start=FROM, rise=0.5, end=UNTIL)
+    hand = pliant.sim.Drag(
+        axis="y", distance=AWAY, stiffness=3000.0, limit=80.0, at="tool", course=course
+    )
+    forces = []
+    with pliant.connect("sim:arm7", q=START, scene=[hand]) as arm:
+        made = None if settings is None else pliant.Controller(arm.model, settings, arm.servos)
+        pose = arm.model.forward_kinematics(arm.read().q)
+        with Recorder(path, arm, made, **options) as recorder:
+            controller = recorder.controller
+            for tick in pliant.Loop(arm, controller, duration=duration):
+                command = None
+                if controller is None:
+                    tick.hold()
+                else:
+                    command = controller.step(tick.q, pose, dt=tick.dt)
+                    tick.write(command)
+                recorder.add(tick, command)
+                forces.append(arm.drive.plant.hands[0].force.copy())
+    return read(path), np.array(forces)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "pull.mcap"
+    settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
+    return (path, *record(path, settings))
+
+
+def test_the_force_of_the_hand_is_found_in_the_log(run):
+    _, log, forces = run
+    seen = felt.feel(log)
+    late = (findings.since(log) > 1.8) & (findings.since(log) < UNTIL - 0.6)
+    error = np.abs(seen.force[late, 1] - forces[late, 1])
+    assert late.sum() > 5
+    assert (error <= seen.bound[late, 1]).all()
+    assert forces[late, 1].min() > 10.0
+    assert findings.above(log, seen, 1) == 0.0
+    assert seen.strengths["y"].firm == (15.0, 15.0)
+
+
+def test_forces_do_not_depend_on_where_the_loop_started_anew(run):
+    _, log, _ = run
+    primes = felt._primes(log)
+    assert len(primes) == 1
+    steps = [call for call in log.calls if call.what == "step"]
+    assert len(steps) - len(primes) == len(log)
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"y": pliant.Axis(soft=4.0, firm=15.0)}, "y: .* firm: .* the cap was 15 N"),
+        ({"y": pliant.Axis(soft=4.0, firm=15.0, d_minus=0.3, d_plus=0.5)}, "y: .* soft: .* 4 N"),
+        ({"y": pliant.Axis(soft=4.0, firm=15.0, d_plus=0.25)}, r"y: .*\(compliance 0\.[3-6]"),
+        ({"y": pliant.Axis(soft=4.0, yields="-")}, "y: .* it yields toward - only"),
+        ({}, r"y: .* it holds with up to 40 N.*; no torque was left in"),
+    ],
+)
+def test_sentences_name_the_reason(tmp_path, settings, says):
+    log, _ = record(tmp_path / "run.mcap", pliant.Settings(axes=settings), duration=1.6)
+    assert re.search(says, findings.sentence(log, felt.feel(log), 1))
+
+
+def test_stretches_are_those_of_the_log(tmp_path):
+    log, _ = record(tmp_path / "run.mcap", pliant.Settings(), duration=2.0)
+    spans = findings.spans(log)
+    assert spans
+    total = {name: 0.0 for name in log.run["joints"]}
+    for span in spans:
+        total[span.joint] += span.end - span.start
+    flagged = 0.01 * (log.saturated.sum(axis=0) + log.locked.sum(axis=0))
+    for name, share in zip(log.run["joints"], flagged, strict=True):
+        # Gaps of up to GAP between flags belong to a stretch.
+        assert share - 1e-9 <= total[name] <= share + findings.GAP * len(spans)
+
+
+def test_health_counts_what_came_late(run):
+    _, log, _ = run
+    log.columns["time"] = log.time.copy()
+    assert findings.health(log).late == 0
+    log.columns["time"][100:] += 0.02
+    of = findings.health(log)
+    assert of.late == 1
+    assert of.counters["lost reads"] == 0
+    assert of.counters["writes"] >= len(log)
+
+
+def test_command_leaves_a_page_that_needs_nothing(run, tmp_path, capsys):
+    path, log, _ = run
+    assert main(["report", str(path), "--output", str(tmp_path / "here")]) == 0
+    page = tmp_path / "here" / "report.html"
+    assert capsys.readouterr().out.strip() == str(page)
+    text = unescape(check_page(page)).replace("−", "-")
+    for name in ("softness", "strength", "loop"):
+        assert (tmp_path / "here" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    for k in range(6):
+        assert findings.sentence(read(path), felt.feel(read(path)), k) in text
+    assert repr(log.settings) in text
+
+
+def test_what_cannot_be_reported_says_why(tmp_path, capsys):
+    path = tmp_path / "led.mcap"
+    record(path, None, duration=0.2)
+    assert main(["report", str(path)]) == 2
+    assert "without a controller" in capsys.readouterr().err
+    assert not (tmp_path / "led_report").exists()
+
+
+def test_a_log_of_another_version_is_reported_without_forces(run, tmp_path):
+    from pliant.log.report import report
+
+    log = read(run[0])
+    log.run["pliant"] = "0.0.9"
+    text = unescape(report(log, tmp_path / "old").read_text(encoding="utf-8"))
+    assert "Forces are not shown: the log was made by pliant 0.0.9" in text
+    assert "y: farthest off" in text

@@ -1,0 +1,108 @@
+"""`help()`: every compiled class, member and function says what the stub says."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant import _core
+
+STUB = Path(pliant.__file__).with_name("_core.pyi")
+
+
+def documented(node: ast.Module | ast.ClassDef, inside: str = "") -> dict[str, str]:
+    """Docstrings of public classes, members and functions by dotted name, overloads in one."""
+    found: dict[str, list[str]] = {}
+    for item in node.body:
+        if not isinstance(item, ast.ClassDef | ast.FunctionDef):
+            continue
+        if item.name.startswith("_"):
+            continue
+        name = inside + item.name
+        found.setdefault(name, []).extend([text] if (text := ast.get_docstring(item)) else [])
+        if isinstance(item, ast.ClassDef):
+            found.update({k: [v] for k, v in documented(item, f"{item.name}.").items()})
+    return {name: "\n\n".join(texts) for name, texts in found.items()}
+
+
+def expected(name: str) -> str:
+    """Docstring of a name; an attribute without one takes its class' line of the argument."""
+    head, _, member = name.partition(".")
+    if text := DOCUMENTED[name] or not member:
+        return text
+    entry = re.search(rf"^    {member}: (.*\n(?:        .*\n)*)", DOCUMENTED[head], re.MULTILINE)
+    assert entry, "neither a docstring nor an argument of the class"
+    return inspect.cleandoc(re.sub(r"^ +", "", entry[1], flags=re.MULTILINE))
+
+
+DOCUMENTED = documented(ast.parse(STUB.read_text(encoding="utf-8")))
+
+
+def compiled(name: str) -> object:
+    """Class, function, or what a class keeps under a member's name."""
+    head, _, member = name.partition(".")
+    owner = getattr(_core, head)
+    return inspect.getattr_static(owner, member) if member else owner
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_help_is_the_text_of_the_stub(name):
+    text = expected(name)
+    assert text, "the stub says nothing"
+    kept = compiled(name)
+    assert inspect.cleandoc(getattr(kept, "__func__", kept).__doc__ or "") == text
+
+
+def test_every_public_member_is_in_the_stub():
+    public = {name for name in dir(_core) if not name.startswith("_")}
+    for name in sorted(public):
+        if inspect.isclass(owner := getattr(_core, name)):
+            here = {m for m in vars(owner) if not m.startswith("_")}
+            public |= {f"{name}.{m}" for m in here if not issubclass(owner, Exception)}
+    assert public == set(DOCUMENTED)
+    assert len(public) > 250
+
+
+@pytest.mark.parametrize(
+    ("name", "signature"),
+    [
+        ("Model.gravity", "(self, /, q)"),
+        ("Controller.report", "(self, /, q=None)"),
+        ("Payload", "(mass, com=(0.0, 0.0, 0.0))"),
+        ("null_space_projector", "(J, damping=0.0, kind='exact')"),
+        ("Settings.drawer", "(*, axis='x', pull=None, **overrides)"),
+    ],
+)
+def test_signatures_stay_beside_the_text(name, signature):
+    head, _, member = name.partition(".")
+    owner = getattr(_core, head)
+    assert str(inspect.signature(getattr(owner, member) if member else owner)) == signature
+
+
+def test_an_object_of_another_kind_is_answered_with_how_to_get_one(model):
+    made = pliant.Controller(model)
+    for call, what in (
+        (lambda: pliant.Controller("arm7"), r"model must be a Model, as pliant\.robots\.arm7\(\)"),
+        (lambda: pliant.check("arm7", pliant.Settings(), np.eye(4)), "model must be a Model"),
+        (lambda: pliant.Settings.firm().tracking("arm7"), "model must be a Model"),
+        (lambda: pliant.Controller(model, "y"), r"settings must be Settings, e\.g\. .*got 'y'"),
+        (lambda: made.update("y"), "settings must be Settings"),
+        (lambda: pliant.Controller(model, None, "sts3215"), r"servos must be Servos, e\.g\."),
+        (lambda: model.with_servos("sts3215"), r"servos must be Servos, e\.g\."),
+        (lambda: pliant.Contact(model), r"controller must be a Controller.*\(Model\)"),
+    ):
+        with pytest.raises(TypeError, match=what):
+            call()
+
+
+def test_a_keyword_that_is_like_none_is_answered_with_all():
+    with pytest.raises(pliant.ConfigError, match=r"no such field\. Fields: task, axes"):
+        pliant.Settings.soft("y", qqqqq=1)
+    with pytest.raises(pliant.ConfigError, match=r"no such keyword\. Keywords: base"):
+        pliant.Model.from_urdf_str("<robot/>", qqqqq=1)

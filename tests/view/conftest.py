@@ -1,0 +1,41 @@
+"""A link without a page: orders by tick, snapshots in a list."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("viser", reason="the page needs viser: pip install 'pliant[view]'")
+pytest.importorskip("mjviser", reason="the page needs mjviser: pip install 'pliant[view]'")
+
+
+class Script:
+    """Stands where a `Link` stands.
+
+    `at` maps the number of a call of `orders()` to what the page asks for then.
+    """
+
+    def __init__(self, at, every=3):
+        self.at, self.every = dict(at), every
+        self.calls = 0
+        self.stages, self.snapshots, self.watchers = [], [], []
+
+    def orders(self):
+        self.calls += 1
+        got = self.at.pop(self.calls, ())
+        return list(got) if isinstance(got, list | tuple) else [got]
+
+    def due(self):
+        return self.calls % self.every == 0
+
+    def send(self, word):
+        is_snapshot = hasattr(word, "qpos")
+        (self.snapshots if is_snapshot else self.stages).append(word)
+
+    @property
+    def running(self):
+        return [s for s in self.snapshots if s.phase == "running"]
+
+
+@pytest.fixture(scope="session")
+def script():
+    return Script

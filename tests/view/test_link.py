@@ -1,0 +1,106 @@
+"""The page's process: it comes up, asks for its token, never blocks the loop, and may die."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+
+from pliant import PliantError
+from pliant.view.link import Link, PageGone
+from pliant.view.orders import Scene
+from pliant.view.session import Session
+from pliant.view.source import Simulated
+
+
+@pytest.fixture
+def link():
+    with Link(port=8210) as made:
+        yield made
+
+
+def get(address):
+    try:
+        with urllib.request.urlopen(address, timeout=20) as answer:
+            return answer.status, answer.headers, answer.read()
+    except urllib.error.HTTPError as error:
+        return error.code, error.headers, error.read()
+
+
+def test_page_asks_for_its_token(link):
+    bare, _, token = link.address.partition("?token=")
+    assert get(bare)[0] == 403
+    assert get(f"{bare}?token=wrong")[0] == 403
+    status, headers, body = get(link.address)
+    assert status == 200
+    assert token in headers["Set-Cookie"]
+    assert b"<html" in body.lower()
+
+
+def test_page_asks_nothing_of_the_network(link):
+    _, _, body = get(link.address)
+    for mark in (b'src="http', b'href="http', b"cdn.", b"fonts.googleapis"):
+        assert mark not in body
+
+
+def test_snapshots_wait_until_the_last_one_was_taken(link):
+    source = Simulated("arm7", real_time=False)
+    session = Session(source, Quick(link))
+    session.run(1)
+    # Thirty a second of the machine's time at most, however fast the simulation runs.
+    assert 1 <= session._link.sent <= 1 + 32 * session._link.took
+
+
+class Quick:
+    """A link that ends the session after some ticks, and counts."""
+
+    def __init__(self, link):
+        self.link, self.calls, self.sent = link, 0, 0
+        self.begun = time.perf_counter()
+
+    @property
+    def took(self):
+        return max(time.perf_counter() - self.begun, 1.0)
+
+    def orders(self):
+        self.calls += 1
+        self.link.orders()
+        return [Scene("free")] if self.calls == 400 else []
+
+    def due(self):
+        return self.link.due()
+
+    def send(self, word):
+        self.sent += 1
+        self.link.send(word)
+
+
+def test_death_of_the_page_is_noticed(link):
+    os.kill(link._process.pid, signal.SIGKILL)
+    link._process.wait(20.0)
+    with pytest.raises(PageGone, match="has ended"):
+        link.orders()
+    with pytest.raises(PageGone):
+        link.send(np.zeros(3))
+
+
+def test_address_that_is_not_ours_is_explained():
+    with pytest.raises(PliantError, match=r"cannot listen on 203\.0\.113\.1:8210"):
+        Link("203.0.113.1", 8210)
+
+
+def test_large_word_does_not_stop_a_loop_whose_page_hangs(link):
+    os.kill(link._process.pid, signal.SIGSTOP)
+    try:
+        first = link.due()
+        link.send(np.zeros(10))
+        assert first
+        assert not link.due()
+        link.orders()
+    finally:
+        os.kill(link._process.pid, signal.SIGCONT)

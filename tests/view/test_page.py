@@ -1,0 +1,200 @@
+"""The page on its server, without a browser: what it shows, and what its handlers say."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+import viser
+
+from pliant.view import meters, orders
+from pliant.view.panel import Panel
+from pliant.view.session import Session
+from pliant.view.source import Simulated
+from pliant.view.world import World
+
+
+class Seen:
+    """A stage, the snapshots of a push, and a page that shows them."""
+
+    def __init__(self, script):
+        push = orders.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
+        link = script({5: push, 90: orders.Stop()})
+        link.every = 10
+        Session(Simulated("arm7", "wall", real_time=False), link).run(1)
+        self.stage, self.snapshots = link.stages[0], link.snapshots
+        self.running = link.running
+        self.said = []
+        self.server = viser.ViserServer(host="127.0.0.1", port=8250, verbose=False)
+        self.world = World(self.server, self.stage, self.said.append)
+        self.panel = Panel(self.server, self.stage, self.said.append)
+        for snapshot in self.running:
+            self.world.show(snapshot)
+            self.panel.show(snapshot)
+
+
+@pytest.fixture(scope="module")
+def seen(script):
+    made = Seen(script)
+    yield made
+    made.server.stop()
+
+
+@pytest.fixture(autouse=True)
+def quiet(seen):
+    seen.said.clear()
+
+
+def click(handle):
+    for callback in handle._impl.update_cb:
+        callback(SimpleNamespace(client="a browser", client_id=0, target=handle))
+
+
+def move(handle, value):
+    """As a visitor does; setting a value from here is the page's own doing."""
+    handle._impl.value = value
+    click(handle)
+
+
+def drag(callback, **event):
+    asyncio.run(callback(SimpleNamespace(**event)))
+
+
+def test_scene_has_arm_wall_target_and_floor(seen):
+    names = set(seen.server.scene._handle_from_node_name)
+    assert {"/target", "/walls/0", "/floor", "/hand", "/hinges"} <= names
+    assert any(name.startswith("/bodies/body:") for name in names)
+
+
+def test_drawn_tool_is_where_the_simulation_has_it(seen):
+    last = seen.running[-1]
+    seen.world.show(last)
+    site = seen.stage.figure.site("tool").id
+    mujoco.mj_kinematics(seen.stage.figure, seen.world._data)
+    np.testing.assert_allclose(seen.world._data.site_xpos[site], last.tool[:3, 3], atol=1e-9)
+
+
+def test_arrow_shows_the_push_and_hides_without_one(seen):
+    pushed = next(s for s in seen.running if s.pull is not None and abs(s.pull[1][1]) > 5.0)
+    seen.world.show(pushed)
+    assert seen.world._arrow.visible
+    start, end = seen.world._arrow.points[0]
+    np.testing.assert_allclose(end, pushed.pull[0], atol=1e-5)
+    assert (end - start)[1] == pytest.approx(0.25 * 6.0 / 40.0, rel=0.1)
+    seen.world.show(replace(pushed, pull=None))
+    assert not seen.world._arrow.visible
+
+
+def test_meters_say_what_the_step_knew(seen):
+    seen.panel._drawn = -np.inf
+    seen.panel.show(seen.running[-1])
+    assert "shoulder_pitch" in seen.panel._joints.content
+    assert "push-back" in seen.panel._axes.content
+    assert "100 Hz" in seen.panel._health.content
+    assert "gives way at" in seen.panel._sentences.content
+    assert seen.panel._matrix.content.count("<tr>") == 8
+
+
+def test_text_from_errors_is_no_markup(seen):
+    assert "<script>" not in meters.notice("<script>alert(1)</script>", wrong=True)
+    assert "<b>" not in meters.sentences(["<b>"])
+
+
+def test_stop_and_torque_on(seen):
+    click(seen.panel.stop.stop)
+    click(seen.panel.stop.start)
+    assert seen.said == [orders.Stop(), orders.Start()]
+
+
+def test_buttons_follow_the_life_of_the_arm(seen):
+    stop = seen.panel.stop
+    lowering = next(s for s in seen.snapshots if s.phase == "lowering")
+    stop.show(lowering)
+    assert stop.stop.disabled
+    stop.show(replace(lowering, phase="down"))
+    assert (stop.stop.visible, stop.start.visible) == (False, True)
+    stop.show(seen.running[0])
+    assert (stop.stop.visible, stop.stop.disabled, stop.start.visible) == (True, False, False)
+
+
+def test_controls_say_changes_with_rising_numbers(seen):
+    controls = seen.panel.controls
+    move(controls.eta, 0.5)
+    move(controls.law, "impedance")
+    move(controls.firm, True)
+    move(controls.preset, "firm")
+    move(controls.yields["x"], "holds")
+    move(controls.yields["z"], "gives way to −")
+    move(controls.strength["y", "soft"], (2.0, 3.0))
+    eta, law, firm, preset, holds, way, soft = seen.said
+    assert (type(eta), eta.value) == (orders.Eta, 0.5)
+    assert (type(law), law.law) == (orders.Law, "impedance")
+    assert firm.on is True
+    assert preset.name == "firm"
+    assert holds.fields == {"yields": "none"}
+    assert way.fields == {"yields": "-", "eta": 0.5}
+    assert soft.fields == {"soft": (2.0, 3.0)}
+    numbers = [order.number for order in seen.said]
+    assert numbers == sorted(set(numbers))
+
+
+def test_controls_show_what_is_in_force_once_the_edit_is_answered(seen):
+    controls = seen.panel.controls
+    move(controls.eta, 0.3)
+    late, last = seen.running[-1], controls._said
+    controls.show(replace(late, edit=last - 1))
+    assert controls.eta.value == 0.3
+    controls.show(replace(late, edit=last))
+    assert controls.eta.value == late.shown.axes["x"]["eta"]
+    assert controls.yields["x"].value == "gives way"
+
+
+def test_page_that_sets_a_control_says_nothing(seen):
+    controls = seen.panel.controls
+    controls.eta.value = 0.123
+    controls.firm.value = not controls.firm.value
+    assert seen.said == []
+
+
+def test_push_buttons_say_force_or_torque(seen):
+    controls = seen.panel.controls
+    controls.side.value = "−y"
+    controls.force.value = 7.0
+    assert controls._pushing(2.0) == orders.Push((0.0, -7.0, 0.0), (0.0, 0.0, 0.0), 2.0)
+    controls.side.value = "+yaw"
+    assert controls.force.label == "Torque [N·m]"
+    assert controls.force.max == 4.0
+    controls.force.value = 1.5
+    assert controls._pushing(0.4) == orders.Push((0.0, 0.0, 0.0), (0.0, 0.0, 1.5), 0.4)
+
+
+def test_gizmo_says_a_target_and_is_left_alone_while_it_is_dragged(seen):
+    gizmo = seen.world.gizmo
+    gizmo.position, gizmo.wxyz = (0.3, 0.1, -0.2), (1.0, 0.0, 0.0, 0.0)
+    drag(seen.world._led, target=gizmo, phase="start")
+    np.testing.assert_allclose(seen.said[0].pose[:3, 3], (0.3, 0.1, -0.2))
+    seen.world.show(seen.running[-1])
+    np.testing.assert_allclose(gizmo.position, (0.3, 0.1, -0.2))
+    drag(seen.world._led, target=gizmo, phase="end")
+    seen.world.show(seen.running[-1])
+    np.testing.assert_allclose(gizmo.position, seen.running[-1].step.target[:3, 3])
+
+
+def test_dragging_the_arm_grabs_pulls_and_lets_go(seen):
+    pulled = seen.world._pulled(np.array([3]))
+    place = {"instance_index": 0, "start_position": (0.1, 0.0, 0.0), "end_position": (0.2, 0, 0)}
+    for phase in ("start", "update", "end"):
+        drag(pulled, phase=phase, **place)
+    first, second, last = seen.said
+    assert (first.body, first.point, first.toward) == (3, (0.1, 0.0, 0.0), (0.2, 0, 0))
+    assert second.point is None
+    assert last == orders.LetGo()
+
+
+def test_every_part_of_the_arm_can_be_dragged(seen):
+    for group in seen.world._figure._mesh_groups:
+        assert group.handle._impl.drag_cb

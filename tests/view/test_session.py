@@ -1,0 +1,252 @@
+"""The loop behind the page, without a page: orders in, snapshots out, on simulated time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pliant import ConfigError, ServoError
+from pliant.view import orders
+from pliant.view.link import PageGone
+from pliant.view.session import Session
+from pliant.view.source import Simulated
+
+#: The end of a life without a descent: a simulated arm needs none.
+END = orders.Scene("free")
+
+
+def live(script, at, *, scene="free", robot="arm7", lives=1):
+    link = script(at)
+    session = Session(Simulated(robot, scene, real_time=False), link)
+    session.run(lives)
+    return session, link
+
+
+def deviation(snapshot, stage, axis):
+    return float(snapshot.step.deviation[stage.axes.index(axis)])
+
+
+def test_stage_comes_first_and_says_what_there_is(script):
+    _, link = live(script, {5: END})
+    stage = link.stages[0]
+    assert stage.arm == "arm7"
+    assert stage.scenes.keys() == {"free", "door", "drawer", "wall", "hand-over"}
+    assert stage.axes == ("x", "y", "z", "roll", "pitch", "yaw")
+    assert stage.strong == (40.0, 4.0)
+    assert link.snapshots[0].qpos.size == stage.figure.nq
+
+
+def test_arm_comes_down_after_stop_and_the_page_sees_it(script):
+    _, link = live(script, {30: orders.Stop()})
+    assert {s.phase for s in link.snapshots} >= {"running", "lowering"}
+    # Lowering sends as often as the page takes: the script's page takes all once it is told to.
+    down = [s for s in link.snapshots if s.phase == "lowering"]
+    heights = [s.tool[2, 3] for s in down]
+    assert heights[-1] < heights[0] - 0.2
+    assert all(s.step is None for s in down)
+
+
+def test_target_moves_the_tool(script):
+    link = script({})
+    session = Session(Simulated("arm7", real_time=False), link)
+    moved = {}
+
+    def heard(number):
+        if number == 10:
+            pose = session.home.copy()
+            pose[:3, 3] += (0.0, 0.0, 0.05)
+            moved["to"] = pose
+            return [orders.Target(pose)]
+        return [END] if number == 250 else []
+
+    link.orders = counted(link, heard)
+    session.run(1)
+    at = link.running[-1]
+    assert np.linalg.norm(at.tool[:3, 3] - moved["to"][:3, 3]) < 0.004
+    np.testing.assert_allclose(at.step.target, moved["to"])
+
+
+def counted(link, heard):
+    def orders_of_this_tick():
+        link.calls += 1
+        return heard(link.calls)
+
+    return orders_of_this_tick
+
+
+def test_push_moves_the_soft_axis_and_ends_by_itself(script):
+    push = orders.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
+    _, link = live(script, {10: push, 400: END})
+    stage = link.stages[0]
+    during = next(s for s in link.running if s.time > link.running[0].time + 0.9)
+    assert deviation(during, stage, "y") < -0.05
+    assert during.pull is not None
+    np.testing.assert_allclose(during.pull[1], (0.0, 6.0, 0.0), atol=0.1)
+    assert link.running[-1].pull is None
+    assert abs(deviation(link.running[-1], stage, "y")) < 0.02
+
+
+def test_firm_switch_holds_against_the_same_push_and_gives_back(script):
+    push = orders.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.5)
+    _, link = live(script, {5: orders.Firm(1, True), 20: push, 170: END})
+    stage = link.stages[0]
+    assert max(abs(deviation(s, stage, "y")) for s in link.running) < 0.02
+    last = link.running[-1]
+    assert last.shown.firm
+    assert last.shown.axes["y"]["yields"] == "both"
+    assert last.edit == 1
+
+
+def test_grab_pulls_a_point_of_the_arm_and_lets_go(script):
+    link = script({})
+    session = Session(Simulated("arm7", real_time=False), link)
+
+    def heard(number):
+        if number == 10:
+            body = session._body.plant.mj_model.site("tool").bodyid[0]
+            here = session._body.plant.tool[:3, 3]
+            toward = here + np.array((0.0, 0.03, 0.0))
+            return [orders.Grab(int(body), tuple(here), tuple(toward))]
+        if number == 100:
+            return [orders.LetGo()]
+        return [END] if number == 200 else []
+
+    link.orders = counted(link, heard)
+    session.run(1)
+    pulled = [s for s in link.running if s.pull is not None]
+    assert pulled
+    assert pulled[-1].step.deviation[1] < -0.01
+    assert link.running[-1].pull is None
+
+
+def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
+    grab = orders.Grab(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    door = orders.Grab(10_000, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    _, link = live(script, {5: [grab, door, orders.Grab(3, None, (1.0, 0, 0))], 40: END})
+    assert all(s.pull is None for s in link.running)
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        (orders.Change(1, "y", {"soft": (30.0, 30.0)}), "axes.y.soft = 30"),
+        (orders.Change(1, "y", {"soft": (float("nan"), 1.0)}), "axes.y.soft"),
+        (orders.Change(1, "w", {"soft": (1.0, 1.0)}), "no axis 'w'"),
+        (orders.Change(1, "y", {"softness": 1.0}), "softness"),
+        (orders.Eta(1, 1.5), "eta = 1.5"),
+        (orders.Preset(1, "softest"), "no preset 'softest'"),
+        (orders.Law(1, "gravity"), "gravity"),
+    ],
+)
+def test_bad_settings_are_said_and_the_old_ones_stay(script, order, words):
+    _, link = live(script, {4: order, 12: END})
+    before, after = link.running[0], link.running[-1]
+    count, text, wrong = after.said
+    assert count == 1
+    assert wrong
+    assert words in text
+    assert after.edit == 1
+    assert after.shown.axes == before.shown.axes
+    assert (after.shown.law, after.shown.preset) == (before.shown.law, before.shown.preset)
+
+
+@pytest.mark.parametrize("law", ["impedance", "paper", "cap"])
+def test_laws_change_while_it_runs(script, law):
+    _, link = live(script, {4: orders.Law(1, law), 60: END})
+    last = link.running[-1]
+    assert last.said[1] == ""
+    assert last.shown.law == law
+    assert last.shown.axes["y"]["yields"] == "both"
+
+
+def test_every_preset_can_be_chosen(script):
+    first, link = live(script, {4: END})
+    names = link.stages[0].presets
+    asked = {10 + 6 * i: orders.Preset(i + 1, name) for i, name in enumerate(names)}
+    _, link = live(script, {**asked, 10 + 6 * len(names): END})
+    assert [s.said[1] for s in link.running if s.said[1]] == []
+    assert {s.shown.preset for s in link.running} >= set(names)
+    assert first.desk.presets == names
+
+
+def test_scene_changes_without_lowering_and_takes_its_preset(script):
+    link = script({10: orders.Scene("door"), 40: orders.Scene("nowhere"), 60: END})
+    session = Session(Simulated("arm7", real_time=False), link)
+    session.run(2)
+    assert [stage.scene for stage in link.stages] == ["free", "door"]
+    assert link.running[-1].shown.preset == "door"
+    assert link.stages[1].play
+
+
+def test_torque_on_again_keeps_the_settings(script):
+    change = orders.Change(1, "y", {"soft": (2.0, 3.0)})
+    link = script({5: change, 20: orders.Stop(), 30: orders.Start(), 60: END})
+    Session(Simulated("arm7", real_time=False), link).run(2)
+    assert len(link.stages) == 2
+    assert link.running[-1].shown.axes["y"]["soft"] == (2.0, 3.0)
+    assert any(s.phase == "down" for s in link.snapshots)
+
+
+def test_door_opens_when_played(script):
+    session, link = live(script, {10: orders.Play(), 520: END}, scene="door")
+    assert np.rad2deg(session._body.plant.fixtures[0].widest) > 45.0
+    assert link.running[-1].step is not None
+
+
+def test_person_takes_the_object_when_asked(script):
+    session, _ = live(script, {10: orders.Play(), 300: END}, scene="hand-over")
+    thing = session._body.plant.fixtures[0]
+    assert thing.released is not None
+
+
+def test_wall_meets_little_more_than_the_cap(script):
+    session, link = live(script, {10: orders.Play(), 330: END}, scene="wall")
+    assert len(link.stages[0].walls) == 1
+    wall = session._body.plant.hands[0]
+    assert 4.0 < wall.peak_force < 20.0
+
+
+def test_other_arms_have_scenes_of_their_own(script):
+    _, link = live(script, {30: END}, robot="so101")
+    assert link.stages[0].axes == ("x", "y", "z")
+    assert "door" not in link.stages[0].presets
+    assert link.running[-1].said == (0, "", False)
+    with pytest.raises(ConfigError, match="so101 has no scene 'door'; it has free, wall"):
+        Simulated("so101", "door")
+
+
+def test_arm_is_lowered_when_the_page_is_gone(script):
+    link = script({})
+
+    def gone(number):
+        if number == 30:
+            raise PageGone("the page's process has ended")
+        return []
+
+    link.orders = counted(link, gone)
+    session = Session(Simulated("arm7", real_time=False), link)
+    with pytest.raises(PageGone):
+        session.run(1)
+    assert not session._arm.enabled
+    assert session._body.plant.tool[2, 3] < session.home[2, 3] - 0.2
+
+
+def test_trouble_on_the_bus_is_said_and_torque_can_come_back(script):
+    link = script({40: orders.Start(), 70: END})
+    session = Session(Simulated("arm7", real_time=False), link)
+    inner = link.orders
+    broken = []
+
+    def trip():
+        got = inner()
+        if link.calls == 20 and not broken:
+            broken.append(True)
+            raise ServoError("shoulder: it is too hot")
+        return got
+
+    link.orders = trip
+    session.run(2)
+    said = [s for s in link.snapshots if s.said[1] == "shoulder: it is too hot"]
+    assert said
+    assert said[0].said[2]
+    assert len(link.stages) == 2

@@ -1,0 +1,240 @@
+"""Runs the examples and keeps what they print and what their arm did: text, film strip, replay.
+
+    make gallery                          # those that changed since; all of them with ARGS=--all
+    .venv/bin/python tools/gallery.py 07  # one of them
+
+What is kept stands in docs/gallery: `NAME.txt` with the digest of the example it is from, so that a
+changed example is noticed (tests/test_house.py), `NAME.jpg`, and for some `NAME.html`: a replay
+that needs nothing but a browser. The pages themselves are made by docs/ext/gallery.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES, GALLERY = ROOT / "examples", ROOT / "docs" / "gallery"
+#: Examples whose page has a replay: a file of about 100 KB each.
+REPLAYED = ("01", "07")
+#: Between two pictures of a replay [s], most pictures, and how many a strip has.
+EVERY, MOST, STRIP = 0.05, 240, 4
+#: Longest run of an example [s].
+LONGEST = 600.0
+
+
+def digest(example: Path) -> str:
+    """What says whether an example is still the one that was run."""
+    return hashlib.sha256(example.read_bytes()).hexdigest()[:16]
+
+
+def recorded(example: Path) -> str | None:
+    """Digest of the example that was run last."""
+    text = GALLERY / f"{example.stem}.txt"
+    return text.read_text(encoding="utf-8").split("\n", 1)[0] if text.exists() else None
+
+
+def record(example: Path) -> None:
+    """Run an example in a process of its own and keep what it prints."""
+    done = subprocess.run(
+        [sys.executable, __file__, "--watch", str(example)],
+        cwd=ROOT,
+        env={**os.environ, "MUJOCO_GL": "egl", "MPLBACKEND": "Agg", "COLUMNS": "100"},
+        capture_output=True,
+        text=True,
+        timeout=LONGEST,
+        check=False,
+    )
+    if done.returncode != 0:
+        raise SystemExit(f"{example.name} failed:\n{done.stderr}")
+    # Folders for the time of the run have other names every time.
+    said = re.sub(r"/tmp/\w+", "/tmp", done.stdout)
+    text = f"{digest(example)}\n{said.rstrip()}\n"
+    (GALLERY / f"{example.stem}.txt").write_text(text, encoding="utf-8")
+
+
+def watch(example: Path) -> None:
+    """Run an example with an eye on its simulated arm; keep pictures of the longest motion."""
+    try:
+        from pliant.sim import Plant
+    except ImportError:
+        Plant = None  # type: ignore[assignment, misc]
+    films: dict[int, Film] = {}
+    if Plant is not None:
+        advance = Plant.advance
+
+        def seen(plant: Plant, n_steps: int | None = None) -> None:
+            advance(plant, n_steps)
+            films.setdefault(id(plant), Film(plant)).look()
+
+        Plant.advance = seen  # type: ignore[method-assign]
+    runpy.run_path(str(example), run_name="__main__")
+    film = max(films.values(), key=lambda film: film.moved(), default=None)
+    if film is not None and film.moved() > 0.0:
+        film.strip(GALLERY / f"{example.stem}.jpg")
+        if example.stem[:2] in REPLAYED:
+            film.replay(GALLERY / f"{example.stem}.html", example.stem)
+
+
+class Film:
+    """What one simulated arm did."""
+
+    def __init__(self, plant: object) -> None:
+        """Begin; a reset begins anew."""
+        self.plant = plant
+        self.frames: list[dict[str, object]] = []
+
+    def look(self) -> None:
+        """Take a picture if it is time for one."""
+        plant = self.plant
+        if self.frames and plant.time < self.frames[-1]["time"]:
+            self.frames.clear()
+        if self.frames and plant.time - self.frames[-1]["time"] < EVERY - 1e-9:
+            return
+        data = plant.mj_data
+        self.frames.append(
+            {
+                "time": plant.time,
+                "qpos": data.qpos.copy(),
+                "mocap": (data.mocap_pos.copy(), data.mocap_quat.copy()),
+                "q": plant.q.copy(),
+                "tool": plant.tool[:3, 3].copy(),
+                "hands": [
+                    (felt.hand.force(plant.truth, plant.time)[2].copy(), felt.force.copy())
+                    for felt in plant.hands
+                ],
+            }
+        )
+
+    def moved(self) -> float:
+        """How far the tool went, as a sum [m]."""
+        import numpy as np
+
+        tools = np.array([frame["tool"] for frame in self.frames]).reshape(-1, 3)
+        return float(np.linalg.norm(np.diff(tools, axis=0), axis=1).sum())
+
+    def telling(self, count: int) -> list[dict[str, object]]:
+        """Frames after equal shares of the motion: where nothing moves, nothing is to be seen."""
+        import numpy as np
+
+        steps = np.abs(np.diff([frame["q"] for frame in self.frames], axis=0)).sum(axis=1)
+        way = np.concatenate([[0.0], np.cumsum(steps)])
+        places = np.searchsorted(
+            way, np.linspace(0.0, way[-1], count + 1)[1:] - 0.5 * way[-1] / count
+        )
+        return [self.frames[min(int(place), len(self.frames) - 1)] for place in places]
+
+    def show(self, frame: dict[str, object]) -> None:
+        """Put the simulated arm where it was."""
+        data = self.plant.mj_data
+        data.qpos[:] = frame["qpos"]
+        data.mocap_pos[:], data.mocap_quat[:] = frame["mocap"]
+
+    def strip(self, path: Path) -> None:
+        """Pictures side by side."""
+        import numpy as np
+        from PIL import Image
+
+        from pliant.experiments.figures.pictures import Studio
+
+        centre, size = self.scene()
+        with Studio(self.plant, size=(330, 280), look_at=centre, distance=1.45 * size) as studio:
+            pictures = []
+            for frame in self.telling(STRIP):
+                self.show(frame)
+                pixels = studio.picture(frame["q"]).astype(float)
+                cover = pixels[:, :, 3:] / 255.0
+                pictures.append(cover * pixels[:, :, :3] + (1.0 - cover) * 255.0)
+        picture = Image.fromarray(np.concatenate(pictures, axis=1).astype(np.uint8))
+        picture.save(path, quality=82, optimize=True)
+
+    def scene(self) -> tuple[list[float], float]:
+        """Middle of where everything is during the motion, and how far that reaches [m]."""
+        import mujoco
+        import numpy as np
+
+        model, data = self.plant.mj_model, self.plant.mj_data
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for frame in self.telling(STRIP):
+            self.show(frame)
+            mujoco.mj_kinematics(model, data)
+            solid = model.geom_rbound > 0.0  # a plane has no size
+            places, sizes = data.geom_xpos[solid], 0.6 * model.geom_rbound[solid, None]
+            low = np.minimum(low, (places - sizes).min(axis=0))
+            high = np.maximum(high, (places + sizes).max(axis=0))
+        return ((low + high) / 2.0).tolist(), float(np.linalg.norm(high - low))
+
+    def replay(self, path: Path, title: str) -> None:
+        """A page that plays the motion: bodies as primitives, a pose of each per frame."""
+        import mujoco
+        import numpy as np
+
+        from pliant.experiments.figures.pictures import furnish
+
+        spec = self.plant.spec.copy()
+        furnish(spec, self.plant, handle=False)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        kinds = {2: "ball", 3: "capsule", 5: "cylinder", 6: "box"}
+        shapes = [
+            {
+                "kind": kinds[int(model.geom_type[g])],
+                "body": int(model.geom_bodyid[g]),
+                "size": np.round(model.geom_size[g], 4).tolist(),
+                "at": np.round(model.geom_pos[g], 4).tolist(),
+                "quat": np.round(model.geom_quat[g], 4).tolist(),
+                "rgba": np.round(model.geom_rgba[g], 2).tolist(),
+            }
+            for g in range(model.ngeom)
+            if int(model.geom_type[g]) in kinds and model.geom_rgba[g][3] > 0.0
+        ]
+        step = max(1, -(-len(self.frames) // MOST))
+        frames, forces = [], []
+        for frame in self.frames[::step]:
+            data.qpos[:] = frame["qpos"]
+            data.mocap_pos[:], data.mocap_quat[:] = frame["mocap"]
+            mujoco.mj_kinematics(model, data)
+            frames.append(np.round(np.hstack([data.xpos, data.xquat]), 4).reshape(-1).tolist())
+            forces.append([[*np.round(p, 3), *np.round(f, 2)] for p, f in frame["hands"]])
+        centre, size = self.scene()
+        film = {
+            "step": EVERY * step,
+            "shapes": shapes,
+            "frames": frames,
+            "forces": forces,
+            "centre": np.round(centre, 3).tolist(),
+            "size": round(size, 3),
+        }
+        template = (ROOT / "tools" / "replay.html").read_text(encoding="utf-8")
+        page = template.replace("@TITLE@", title).replace("@FILM@", json.dumps(film))
+        path.write_text(page, encoding="utf-8")
+
+
+def main() -> None:
+    """Run what was asked for, or what changed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("numbers", nargs="*", help="examples by number, e.g. 07")
+    parser.add_argument("--all", action="store_true", help="also those that did not change")
+    parser.add_argument("--watch", type=Path, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.watch is not None:
+        watch(given.watch)
+        return
+    GALLERY.mkdir(exist_ok=True)
+    for example in sorted(EXAMPLES.glob("*.py")):
+        named = example.stem[:2] in given.numbers
+        changed = not given.numbers and (given.all or recorded(example) != digest(example))
+        if named or changed:
+            print(example.name, flush=True)
+            record(example)
+
+
+if __name__ == "__main__":
+    main()
