@@ -232,12 +232,12 @@ def test_check_names_the_setting_and_a_value_that_works(model, q):
     assert pliant.check(model, better, q)
 
 
-def test_tracking_raises_soft_where_friction_leaves_more(model, q):
-    asked = pliant.Settings(axes={"y": pliant.Axis(soft=0.01, firm=5.0)}, friction_share=0.5)
+def test_tracking_raises_soft_to_three_times_the_friction(model, q):
+    asked = pliant.Settings(axes={"y": pliant.Axis(soft=0.01, firm=15.0)})
     raised = asked.tracking(model, q)
-    left = pliant.Controller(model, asked).report(q).friction_left[1]
+    rubs = pliant.Controller(model, asked).report(q).friction[1]
     soft = np.max(raised.axes["y"].soft)
-    assert left <= soft <= 1.1 * left
-    np.testing.assert_array_equal(raised.axes["y"].firm, 5.0)
+    assert 3.0 * rubs <= soft <= 3.3 * rubs
+    np.testing.assert_array_equal(raised.axes["y"].firm, 15.0)
     assert raised.tracking(model, q) == raised
     assert np.min(asked.tracking(model).axes["y"].soft) > 0.1

@@ -143,7 +143,7 @@ class Bench:
         soft = AXES.index(self.soft)
         grip.hold([soft] if leans else [])
         target = plant.tool
-        for tick in range(round(death * plant.rate)):
+        for _ in range(round(death * plant.rate)):
             target[:3, 3] += SPEED * plant.period * way / np.linalg.norm(way)
             grip.move(soft, lean / death if leans else 0.0)
             flat = not any(row > 2 for row in self.arm.rows)
@@ -193,8 +193,8 @@ class Job:
 def text(found: Sequence[Met]) -> str:
     """Figures per arm, translations and rotations apart, as Markdown."""
     lines = [
-        "| arm | pushes | walled | felt/said: 5th % | median | 95th % | most | felt − said: 95th % | most "
-        "| within the allowance % |",
+        "| arm | pushes | walled | felt/said: 5th % | median | 95th % | most "
+        "| felt − said: 95th % | most | within the allowance % |",
         "|---" * 10 + "|",
     ]
     for arm in dict.fromkeys(one.arm for one in found):
@@ -204,11 +204,12 @@ def text(found: Sequence[Met]) -> str:
                 continue
             seen = [m for m in every if not m.walled]
             low, middle, high = np.quantile([m.ratio for m in seen], (0.05, 0.5, 0.95))
-            above = [m.above for m in seen]
+            above, walled = [m.above for m in seen], len(every) - len(seen)
             lines.append(
-                f"| {arm}, {unit} | {len(every)} | {len(every) - len(seen)} | {low:.2f} | {middle:.2f} | {high:.2f} "
-                f"| {max(m.ratio for m in seen):.2f} | {np.quantile(above, 0.95):+.2f} "
-                f"| {max(above):+.2f} | {100 * np.mean([m.allowed for m in seen]):.1f} |"
+                f"| {arm}, {unit} | {len(every)} | {walled} | {low:.2f} | {middle:.2f} "
+                f"| {high:.2f} | {max(m.ratio for m in seen):.2f} "
+                f"| {np.quantile(above, 0.95):+.2f} | {max(above):+.2f} "
+                f"| {100 * np.mean([m.allowed for m in seen]):.1f} |"
             )
     return "\n".join(lines)
 

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+#: How nearly dry friction holds a joint still (MuJoCo's solimp). By its default, 0.9, a joint that
+#: friction holds creeps by up to some mrad/s: what a small arm then drifts is the simulator's.
+STICKING = 0.999
 COUNT, DEADBAND = float(np.deg2rad(0.088)), float(np.deg2rad(0.06))
 #: When the hand comes, by when it has gone its way, when it lets go, and the end [s].
 COMES, THERE, GONE, END = 22.0, 24.0, 25.0, 35.0
@@ -49,7 +52,9 @@ class Floated:
     later: float
 
 
-def floated(name: str, pose: int, kp_scale: float, *, known: bool = False) -> Floated:
+def floated(
+    name: str, pose: int, kp_scale: float, *, known: bool = False, creeps: bool = False
+) -> Floated:
     """Let an arm float: alone for 10 s, then led along y and left again.
 
     Args:
@@ -57,6 +62,7 @@ def floated(name: str, pose: int, kp_scale: float, *, known: bool = False) -> Fl
         pose: Index among its random poses.
         kp_scale: True over believed stiffness.
         known: Whether the table claims that k_p is known.
+        creeps: Whether dry friction creeps as MuJoCo's does by default.
     """
     arm = load(name)
     q = arm.poses(pose + 1)[pose]
@@ -65,6 +71,8 @@ def floated(name: str, pose: int, kp_scale: float, *, known: bool = False) -> Fl
     hand = Drag(axis="y", distance=way, stiffness=2000.0, limit=60.0, at="tool", course=course)
     table = arm.servos.replace(count=COUNT, kp_known=known)
     plant = Plant(arm.model, table, kp_scale=kp_scale, count=COUNT, deadband=DEADBAND, scene=[hand])
+    if not creeps:
+        plant.mj_model.dof_solimp[:, :2] = STICKING
     plant.reset(q)
     floating = pliant.Float(arm.model, table)
     rows, ready = [], 0.0
@@ -103,11 +111,13 @@ class Options:
         arm: Arms by name; by default all of ours.
         poses: Random poses of each.
         jobs: Processes at once.
+        creeps: Whether dry friction creeps as MuJoCo's does by default.
     """
 
     arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     poses: int = 20
     jobs: int = 2
+    creeps: bool = False
 
 
 def main() -> None:
@@ -115,7 +125,7 @@ def main() -> None:
     options = tyro.cli(Options)
     cases = [(name, kp) for name in options.arm or tuple(WAYS) for kp in (0.5, 1.0, 2.0)]
     jobs = [
-        Job(f"{name} {kp} {pose}", floated, (name, pose, kp))
+        Job(f"{name} {kp} {pose}", floated, (name, pose, kp), {"creeps": options.creeps})
         for name, kp in cases
         for pose in range(options.poses)
     ]

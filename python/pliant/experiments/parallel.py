@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-R = TypeVar("R", covariant=True)
+R_co = TypeVar("R_co", covariant=True)
 
 
-class Job(Protocol[R]):
+class Job(Protocol[R_co]):
     """Something that runs by itself and can be pickled."""
 
-    def run(self) -> R:
+    def run(self) -> R_co:
         """Do it."""
 
 
-def parallel(work: Sequence[Job[R]], processes: int, what: str) -> Iterator[R]:
+def parallel(work: Sequence[Job[R_co]], processes: int, what: str) -> Iterator[R_co]:
     """Run jobs, in parallel where joblib is there.
 
     Args:
@@ -30,7 +30,7 @@ def parallel(work: Sequence[Job[R]], processes: int, what: str) -> Iterator[R]:
     Yields:
         The results in the order of the work, as soon as they are there.
     """
-    done: Iterable[R] = (job.run() for job in work)
+    done: Iterable[R_co] = (job.run() for job in work)
     if processes > 1:
         try:
             from joblib import Parallel, delayed
@@ -48,8 +48,10 @@ def parallel(work: Sequence[Job[R]], processes: int, what: str) -> Iterator[R]:
         if over or now - last > (1.0 if live else 30.0):
             left, last = (now - begin) * (len(work) - count) / count, now
             said = f"{what}: {count} of {len(work)}, {left:.0f} s left "
-            print(f"\r{said}" if live else said, end="\n" if over or not live else "", file=sys.stderr)
+            print(
+                f"\r{said}" if live else said, end="\n" if over or not live else "", file=sys.stderr
+            )
 
 
-def _run(job: Job[R]) -> R:
+def _run(job: Job[R_co]) -> R_co:
     return job.run()

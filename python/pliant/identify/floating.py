@@ -75,7 +75,7 @@ class Float:
         play: Play of each joint in this tick (n,) [rad].
 
     Raises:
-        ConfigError: Nothing is known of the servos. LimitError: A number out of range.
+        ConfigError: No model, or nothing is known of its servos. LimitError: A number out of range.
 
     Example:
         >>> floating = pliant.Float(model)
@@ -94,6 +94,8 @@ class Float:
         swing: float = 0.04,
         torque_share: float = 0.3,
     ) -> None:
+        if not isinstance(model, pliant.Model):
+            raise pliant.ConfigError(f"Float(model) needs a pliant.Model, got {model!r}")
         table = servos if servos is not None else model.servos
         if table is None:
             raise pliant.ConfigError("Float needs a servo table: pass servos=pliant.Servos(…)")

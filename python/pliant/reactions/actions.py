@@ -6,6 +6,7 @@ settings, or nothing; goals and limits stay the controller's own business.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -39,7 +40,7 @@ class Running:
         """Undo what must not stay."""
 
 
-class Action:
+class Action(ABC):
     """Something to do when a condition begins to hold."""
 
     #: Whether it stays in force until `Watch.resume()`, unless the reaction says until when.
@@ -49,16 +50,16 @@ class Action:
     #: Whether it asks for a force.
     feels = False
 
-    def check(self, controller: pliant.Controller) -> None:
+    def check(self, controller: pliant.Controller) -> None:  # noqa: B027 - most refuse nothing
         """Refuse what cannot be done with this controller.
 
         Raises:
             ConfigError, LimitError: With what would be right.
         """
 
+    @abstractmethod
     def begin(self, now: Moment) -> Running:
         """Put it in force."""
-        raise NotImplementedError
 
 
 @dataclass

@@ -6,6 +6,7 @@ remembers (how long something has lasted) lives in the judge that `judge()` make
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -21,17 +22,19 @@ if TYPE_CHECKING:
 Judge = Callable[["Moment"], bool]
 
 
-class Condition:
+class Condition(ABC):
     """Something that holds or does not, judged once per tick."""
 
     #: Whether it asks for a force.
     feels = False
 
+    @abstractmethod
     def judge(self) -> Judge:
         """A fresh judge of this condition."""
-        raise NotImplementedError
 
-    def check(self, contact: pliant.Contact | None, controller: pliant.Controller) -> None:
+    def check(  # noqa: B027 - most refuse nothing
+        self, contact: pliant.Contact | None, controller: pliant.Controller
+    ) -> None:
         """Refuse what this arm cannot tell.
 
         Raises:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -166,8 +167,9 @@ class _OfTask(Condition):
         """Refuse axes that the task has not."""
         indices(self.axes, controller.settings.task.names)
 
+    @abstractmethod
     def _measure(self, now: Moment) -> np.ndarray:
-        raise NotImplementedError
+        """The measure of every axis that is looked at."""
 
     def judge(self) -> Judge:
         """Compare the measure's size."""

@@ -51,7 +51,7 @@ pub struct Report {
     pub yields: Vec<[bool; 2]>,
     /// Dry friction of the joints seen along the axis, `Σ_i |J⁺_ij| τ_f,i`: what a push at rest meets on top.
     pub friction: Vec<f64>,
-    /// What the feed-forward leaves of it in motion: the least `soft` that can track.
+    /// What the feed-forward leaves of it in steady motion: softer, the axis cannot even keep moving.
     pub friction_left: Vec<f64>,
     /// How firm the axis would be at strength 0, by the limits that the other axes ask of the same joints.
     pub coupling: Vec<[f64; 2]>,
