@@ -13,6 +13,8 @@ from pliant.arm import Arm
 from pliant.servo import ServoChain, ServoSpec
 from pliant.servo.emulator import Mount, emulate
 
+#: A unit of the speed registers [rad/s].
+STEP, RPM = 2.0 * np.pi / 4096, 0.229 * np.pi / 30.0
 #: Robot and servo of each family.
 FAMILIES = {"sts": ("so101", "STS3215", "STS3215-7.4V", {}), "x": ("koch", "XL430-W250", None, {})}
 
@@ -32,14 +34,15 @@ class Steps:
 
 
 @contextmanager
-def arm_over_bytes(family, q, clock="steps", **options):
+def arm_over_bytes(family, q, clock="steps", plant=None, **options):
     robot, device, model, registers = FAMILIES[family]
     chain_model = pliant.robots.load(robot)
     names = [*chain_model.joint_names, "gripper"]
     mounts = [
         Mount(joint=n, model=device, id=k, registers=registers) for k, n in enumerate(names, 1)
     ]
-    with emulate(chain_model, mounts, q=np.array(q), clock=clock) as bus:
+    held = plant is not None
+    with emulate(chain_model, mounts, q=np.array(q), clock=clock, plant=plant, held=held) as bus:
         specs = [
             ServoSpec(name=n, model=model or device, id=k, port=bus.port)
             for k, n in enumerate(names, 1)
@@ -58,7 +61,14 @@ def test_enabled_in_order_controlled_and_held(family):
         start = arm.model.forward_kinematics(arm.read().q)[:3, 3]
         loop = pliant.Loop(arm, controller, duration=0.5)
         for tick in loop:
-            tick.write(controller.step(tick.q, start, dt=tick.dt))
+            command = controller.step(tick.q, start, dt=tick.dt)
+            tick.write(command)
+        # The speed registers have what the controller commands, rounded down, and no more.
+        bus.sync()
+        register, unit = {"sts": ("goal_velocity", STEP), "x": ("profile_velocity", RPM)}[family]
+        speeds = unit * np.array([bus.servo(k).get(register) for k in range(1, 6)])
+        assert np.all(speeds <= command.velocity)
+        assert speeds == pytest.approx(command.velocity, abs=unit)
         arm.gripper.open()
         arm.hold()
         arm.close()
@@ -117,3 +127,21 @@ def test_lowered_in_the_place_of_a_program_that_computes_for_ever():
         assert all(bus.log.order(k)[-1] == "torque off" for k in range(1, 7))
         assert bus.plant.tool[2, 3] < height - 0.02
         arm.close()
+
+
+def test_a_load_that_nobody_told_of_sinks_and_is_not_thrown_back(monkeypatch):
+    q, tools = [0.0, 0.5, 0.2, 0.2, 0.0], []
+    with arm_over_bytes("sts", q, plant={"payload": (0.05, (0.0, 0.0, 0.0))}) as (bus, arm):
+        step = bus.world.physics.step
+
+        def watched(count):
+            step(count)
+            tools.append((bus.plant.tool[2, 3], bus.plant.truth.frame("tool").twist()[2]))
+
+        monkeypatch.setattr(bus.world.physics, "step", watched)
+        arm.enable()
+        arm.limp()
+    height, speed = np.array(tools).T
+    assert height[0] - height.min() > 0.01, "it was put to the test"
+    assert speed.max() < 0.06
+    assert height[-1] < height.min() + 0.012

@@ -150,6 +150,56 @@ def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
             enabled(chain)
 
 
+def test_a_lost_packet_is_no_limit_refused(emulated, enabled):
+    with emulated("xm", 2, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        found = []
+        for k in range(40):
+            chain.read()
+            # Two packets in a row, which no servo hears, each with a limit of its own.
+            if k in {20, 21}:
+                bus.faults.inject("deaf", 1)
+            chain.write([0.0, 0.0], limit * (1.0 - 0.01 * k))
+            found += getattr(chain.slow(), "faults", ())
+        assert not found
+        assert chain.counters["mismatches"] <= 2
+
+
+def test_an_overload_of_a_moment_is_counted(emulated, enabled):
+    for kind in ["sts", "mx"]:
+        with emulated(kind, 2, clock="steps") as (bus, chain):
+            limit = enabled(chain)
+            assert chain.counters["alerts"] == 0
+            bus.trip(1, "overload")
+            for _ in range(4):
+                chain.read()
+                chain.write([0.0, 0.0], limit)
+                bus.advance(0.01)
+            assert chain.counters["alerts"] == 1, kind
+
+
+def test_a_supply_that_stays_too_low_is_a_fault(emulated, enabled):
+    with emulated("ex", 2, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+
+        def faults(seconds):
+            found = []
+            for _ in range(round(seconds / 0.01)):
+                chain.read()
+                chain.write([0.0, 0.0], limit)
+                found += getattr(chain.slow(), "faults", ())
+                bus.advance(0.01)
+            return found
+
+        bus.supply(11.0)
+        assert not faults(0.4)
+        bus.supply(14.8)
+        assert not faults(0.4)
+        bus.supply(11.0)
+        found = faults(0.8)
+        assert any("its supply is 11.0 V and it needs 11.5 V" in text for text in found)
+
+
 def test_a_pulled_adapter_ends_reading_and_writing_at_once(emulated, enabled):
     with emulated("sts", 2) as (bus, chain):
         limit = enabled(chain)

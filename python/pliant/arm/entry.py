@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: Cycles within which every joint must have answered before torque goes on.
 ATTEMPTS = 10
+#: Speed of a joint on the way back to where it stood before it sank [rad/s].
+RETURN = 0.2
 
 
 def hear_all(cycle: Cycle, rate: float) -> None:
@@ -43,9 +45,9 @@ def hear_all(cycle: Cycle, rate: float) -> None:
 def take_up(cycle: Cycle, start: Array, stood: Array, rate: float) -> None:
     """Goals go from `start` to where they carry the weight of an arm that stands where it stood.
 
-    A goal does not lead by more than its limit can use, and what it gives up it does not take back:
-    an arm with a load that nobody told it of sinks until the limits have risen, and then stays
-    there instead of being thrown back up.
+    A goal does not lead by more than its limit can use, and what it gives up it takes back slowly:
+    an arm with a load that nobody told it of sinks until the limits have risen, and is not thrown
+    back up.
 
     Args:
         cycle: The arm, torque on.
@@ -64,6 +66,7 @@ def take_up(cycle: Cycle, start: Array, stood: Array, rate: float) -> None:
         share = min(2.0 * passed / EASE, 1.0)
         limit = SUPPORT * np.abs(gravity) + np.maximum(share * margin(servos, gravity), least)
         carried = lead + share * (gravity / kp - lead)
+        place += np.clip(stood - place, -RETURN / rate, RETURN / rate)
         place = cycle.q + np.clip(place + carried - cycle.q, -limit / kp, limit / kp) - carried
         cycle.send(place + carried, limit)
     cycle.ease()

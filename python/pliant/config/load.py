@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from pliant import ConfigError
 from pliant.config import ready
-from pliant.config.messages import explain
+from pliant.config.messages import explain, suggest
 from pliant.config.schema import Config
 
 
@@ -49,7 +49,8 @@ def load(
         raise ConfigError(f"there is no file {name}; ready files: {', '.join(ready.names())}")
     else:
         raise ConfigError(
-            f"{name!r} is neither a file nor the name of a ready one: {', '.join(ready.names())}"
+            f"{name!r} is neither a file nor the name of a ready one; "
+            f"{suggest(name, ready.names())}"
         )
     overrides = Overrides(port=port, backend=backend, urdf=urdf, calibration=calibration)
     return parse(text, source=label, folder=folder, overrides=overrides)

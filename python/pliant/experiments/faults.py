@@ -117,15 +117,7 @@ def suffer(mishap: Mishap, *, held: bool = False) -> Outcome:
         held: Whether a hand pulls the tool 0.10 m along y from then on; the arm is then not
             lowered.
     """
-    course = Course(start=WHEN + 0.2, rise=RISE, end=np.inf)
-    hand = Drag(
-        axis="y", distance=WAY, stiffness=3000.0, damping=30.0, limit=300.0, at=TOOL, course=course
-    )
-    options: dict[str, Any] = {"plant": {"scene": [hand] if held else []}}
-    with stepped(mishap.family, arm={"rate": RATE, "watchdog": mishap.watchdog}, **options) as (
-        bus,
-        arm,
-    ):
+    with stepped(mishap.family, arm={"rate": RATE, "watchdog": mishap.watchdog}) as (bus, arm):
         watcher = Watcher(bus, FALL if mishap.state == "no torque" else 0.0)
         reason, allowed, torque = _run(mishap, bus, arm, watcher, held)
     speed, lowered = watcher.speeds[False], watcher.speeds[True]
@@ -163,6 +155,8 @@ def _run(
                 if first:
                     allowed = _allowed(controller, mishap)
                     watcher.begin()
+                    if held:
+                        bus.plant.set_hands([_hand(bus)])
                 since = bus.plant.time - watcher.begun
                 wanted = mishap.act(Scene(bus, arm, tick, target, since, first))
             if wanted is not None:
@@ -192,6 +186,20 @@ def _run(
     with suppress(pliant.PliantError):
         arm.limp()
     return reason, allowed, torque
+
+
+def _hand(bus: ArmEmulator) -> Drag:
+    """A hand that takes hold of the tool where it is by now."""
+    return Drag(
+        axis="y",
+        distance=WAY,
+        stiffness=3000.0,
+        damping=30.0,
+        limit=300.0,
+        at=TOOL,
+        course=Course(start=WHEN + 0.2, rise=RISE, end=np.inf),
+        offset=float(bus.plant.truth.frame(TOOL).shift()[1]),
+    )
 
 
 def _allowed(controller: pliant.Controller, mishap: Mishap) -> float:

@@ -35,8 +35,9 @@ T = TypeVar("T")
 
 #: Least window of silence, as a share of the patience: a host that was busy for a moment.
 SILENCE_SHARE = 0.2
-#: Outside of a cycle there is no hurry: so many times the patience, and so many tries.
-UNHURRIED, TRIES = 5.0, 3
+#: Outside of a cycle there is no hurry: so many times the patience, and so many tries. One that
+#: brings an answer to an earlier request is a try too.
+UNHURRIED, TRIES = 5.0, 6
 #: A length is avoided for so long after an answer of it was missed, where there is a choice, and
 #: for so long where nothing has been answered since [s].
 MEMORY, GIVEN_UP = 1.0, 2.0
@@ -152,7 +153,7 @@ class Guard:
     def begin(self, budget: float = float("inf")) -> None:
         """Start a cycle: no retry and no drain goes on after `budget` [s] from now.
 
-        Without a budget there is no hurry: longer waits, and a third try.
+        Without a budget there is no hurry: longer waits, and more tries.
         """
         self._deadline = self._clock() + budget
 
@@ -390,18 +391,20 @@ class Guard:
         """Listen until the line has been silent for a whole answer; False when time ran out.
 
         A ping to an absent id reads whatever arrives: it comes back early when there was
-        something, and after its timeout when there was nothing.
+        something, and after its timeout when there was nothing. Without hurry it listens for as
+        long as an answer is waited for.
         """
         self.counters.drains += 1
-        self._wait(self._silence)
-        while (before := self._clock()) + self._silence <= self._deadline:
+        silence = max(self._silence, self._waited) if isinf(self._deadline) else self._silence
+        self._wait(silence)
+        while (before := self._clock()) + silence <= self._deadline:
             try:
                 self._io.ping(self._absent)
             except BusError as error:
                 if error.reason == "gone":
                     self.gone = True
                     raise
-            if self._clock() - before >= self._silence:
+            if self._clock() - before >= silence:
                 self._dirty = False
                 return True
         return False

@@ -182,7 +182,10 @@ def _cannot_open(port: str, text: str) -> str:
     if "exclusive" in lower or "busy" in lower or "in use" in lower:
         return f"{port} is in use by another program: close it (a vendor's wizard, another run)"
     if "no such file" in lower or "not found" in lower or "no such device" in lower:
-        return f"there is no port {port}; there are: {', '.join(serial_ports()) or 'none'}"
+        there = ", ".join(serial_ports()) or "none: is the adapter plugged in?"
+        return f"there is no port {port}; there are: {there}"
+    if "typewriter" in lower or "inappropriate ioctl" in lower:
+        return f"{port} is no serial port; there are: {', '.join(serial_ports()) or 'none'}"
     return f"cannot open {port}: {text}"
 
 

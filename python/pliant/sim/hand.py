@@ -75,7 +75,7 @@ class Course:
 class Drag:
     """A hand that drags a point along one axis with a bounded force, free in all other ways.
 
-    ``f = clip(stiffness (distance share(t) - shift) - damping v, ±limit)`` along the axis.
+    ``f = clip(stiffness (distance share(t) + offset - shift) - damping v, ±limit)`` along the axis.
 
     Attributes:
         axis: `x`, `y`, `z` or a direction (3,) in base axes.
@@ -83,6 +83,7 @@ class Drag:
         stiffness, damping, limit: Of the grip [N/m], [N·s/m], [N].
         at: Frame it holds.
         course: When.
+        offset: Shift of the frame since the start at which the hand takes hold of it [m].
     """
 
     axis: str | Sequence[float] = "y"
@@ -92,6 +93,7 @@ class Drag:
     limit: float = 15.0
     at: str = WRIST
     course: Course = field(default_factory=Course)
+    offset: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the numbers once."""
@@ -104,7 +106,8 @@ class Drag:
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
         axis = _direction(self.axis, _AXES)
-        wish = self.stiffness * (self.distance * self.course.share(t) - float(axis @ frame.shift()))
+        place = self.distance * self.course.share(t) + self.offset
+        wish = self.stiffness * (place - float(axis @ frame.shift()))
         size = wish - self.damping * float(axis @ frame.twist()[:3])
         return min(max(size, -self.limit), self.limit) * axis, _ZERO, frame.position
 
