@@ -20,10 +20,13 @@ from pliant.view.snapshot import Health, Shown, Snapshot, Stage, Step
 from pliant.view.tap import Tap
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from pliant import Command, Controller
     from pliant.arm import Arm
+    from pliant.log import Recorder
     from pliant.loop import Tick
     from pliant.view.link import Link
     from pliant.view.snapshot import Phase
@@ -46,17 +49,21 @@ class Session:
     Args:
         source: Where arms come from.
         link: The page.
+        log: MCAP file to write; of later lives of the arm `-2`, `-3`, ... are added to its name.
 
     Attributes:
         phase: Of the arm's life.
         desk: The settings.
         target: Pose (4, 4) that the controller gets.
+        loop: The loop of this life, or the last.
         said: How many errors and news there were, the last, and whether it is an error.
     """
 
-    def __init__(self, source: Source, link: Link) -> None:
+    def __init__(self, source: Source, link: Link, log: Path | None = None) -> None:
         """Nothing moves yet."""
-        self._source, self._link = source, link
+        self._source, self._link, self._log = source, link, log
+        self._life = 0
+        self.loop: Loop | None = None
         self.phase: Phase = "starting"
         self.desk = Desk(source.axes, source.rate, source.settings)
         self.said: tuple[int, str, bool] = (0, "", False)
@@ -75,7 +82,7 @@ class Session:
             PageGone: The page has ended; the arm has been lowered.
             PliantError: There is no arm to begin with.
         """
-        for life in itertools.count():
+        for self._life in itertools.count(1):
             self._next: Next | None = None
             try:
                 self._live()
@@ -85,7 +92,7 @@ class Session:
                 # Whoever looks at the page shall read it, and may try again.
                 self.say(str(error), wrong=True)
             self.phase = "down"
-            if life + 1 == lives:
+            if self._life == lives:
                 return
             self._wait()
 
@@ -109,15 +116,30 @@ class Session:
                 arm.limp()
 
     def _control(self, arm: Arm) -> None:
-        """The loop."""
+        """The loop, with its log."""
         controller = self._begin(arm)
+        if self._log is None:
+            self._turns(arm, controller, None)
+            return
+        from pliant.log import Recorder
+
+        path = self._log
+        if self._life > 1:
+            path = path.with_stem(f"{path.stem}-{self._life}")
+        with Recorder(path, arm, controller, config=self._source.config) as recorder:
+            self._turns(arm, recorder.controller, recorder)
+
+    def _turns(self, arm: Arm, controller: Controller, recorder: Recorder | None) -> None:
+        """Until somebody wants something else."""
         self.phase = "running"
-        loop = Loop(arm, controller, rate=self._source.rate)
+        loop = self.loop = Loop(arm, controller, rate=self._source.rate)
         for tick in loop:
             self._take(controller)
             self._scripted(tick.time)
             command = controller.step(tick.q, self.target, dt=tick.dt)
             tick.write(command)
+            if recorder is not None:
+                recorder.add(tick, command)
             if self._link.due():
                 self._look(controller, command, loop)
                 self._publish(tick)
@@ -134,7 +156,6 @@ class Session:
         self.home = np.asarray(arm.model.forward_kinematics(q))
         self.target = self.home.copy()
         self._played: float | None = None
-        controller.step(q, self.target)
         strengths = controller.strengths
         strong = [STRONG * float(axis.hold or 0.0) for axis in strengths.values()]
         names = tuple(strengths)
@@ -146,8 +167,7 @@ class Session:
             self._hand = VisitorHand(max(linear, default=0.0))
             plant.set_hands([*(felt.hand for felt in plant.hands), self._hand])
         push = None if self._hand is None else (max(linear, default=0.0), max(turning, default=0.0))
-        self._shown = self.desk.show(controller)
-        self._controller = controller
+        self._shown = self.desk.show(controller, q)
         stage = Stage(
             figure=self._body.plant.mj_model,
             arm=arm.model.name,

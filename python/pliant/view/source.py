@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import pliant
 from pliant import ConfigError
@@ -30,6 +30,7 @@ class Source(Protocol):
         settings: Those to begin with; None: a preset of the scene.
         scenes: By name; empty without.
         name: Of the scene.
+        config: The configuration; None without one.
     """
 
     where: str
@@ -38,6 +39,7 @@ class Source(Protocol):
     settings: Settings | None
     scenes: Mapping[str, Scene]
     name: str
+    config: Config | None
 
     @property
     def scene(self) -> Scene | None:
@@ -69,6 +71,7 @@ class Simulated:
 
         self.where, self.rate = "simulated", rate
         self.settings: Settings | None = None
+        self.config: Config | None = None
         self._real_time = real_time
         self.model, self.scenes = scenes(robot)
         if scene not in self.scenes:
@@ -95,9 +98,14 @@ class Simulated:
 
 
 class Configured:
-    """The arm of a configuration, on whatever backend it names."""
+    """The arm of a configuration, on whatever backend it names.
 
-    def __init__(self, config: Config) -> None:
+    Args:
+        config: The configuration.
+        **options: Of `pliant.arm.Arm`, in place of the file's.
+    """
+
+    def __init__(self, config: Config, **options: Any) -> None:
         """Read what is needed before anything is opened."""
         self.where: str = config.backend
         self.rate = config.loop.rate
@@ -105,11 +113,13 @@ class Configured:
         self.axes = self.settings.task.axes
         self.scenes: Mapping[str, Scene] = {}
         self.name, self.scene = "", None
-        self._config = config
+        self.config: Config | None = config
+        self._options = options
 
     def arm(self) -> Arm:
         """The arm, on a port that the one before has let go of."""
-        arm = self._config.arm()
+        assert self.config is not None
+        arm = self.config.arm(**self._options)
         plant = getattr(arm.drive, "plant", None)
         if plant is not None:
             from pliant.arm.simulated import SimDrive
