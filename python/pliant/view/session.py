@@ -10,12 +10,12 @@ import numpy as np
 
 import pliant
 from pliant import PliantError, ServoError
-from pliant.arm.drive import MonotonicClock
 from pliant.loop import Loop
 from pliant.view import orders, scenes
 from pliant.view.body import Body
 from pliant.view.desk import Desk
 from pliant.view.hand import VisitorHand
+from pliant.view.pace import Pace
 from pliant.view.snapshot import Health, Shown, Snapshot, Stage, Step
 from pliant.view.tap import Tap
 
@@ -103,6 +103,8 @@ class Session:
         arm = self._source.arm()
         self._tap = arm.drive = Tap(arm.drive)
         self._arm, self._body = arm, Body(arm)
+        self._pace = Pace(arm.clock) if self._source.paced else None
+        self._tap.on_read = self._on_read
         self.phase = "starting"
         self._step: Step | None = None
         with arm:
@@ -111,7 +113,6 @@ class Session:
             finally:
                 # Whatever ends it, the page sees the arm come down.
                 self.phase = "lowering"
-                self._tap.on_read = self._on_the_way_down
             if self._next == "scene":
                 arm.limp()
 
@@ -279,7 +280,7 @@ class Session:
             saturated=controller.saturated,
             locked=controller.locked,
         )
-        late = loop.lateness
+        late = loop.lateness if self._pace is None else self._pace.lateness
         self._health = Health(
             rate=1.0 / loop.period,
             ticks=len(late),
@@ -291,14 +292,17 @@ class Session:
             refused=loop.refused,
             restarts=loop.restarts,
             delay=loop.delay,
+            speed=1.0 if self._pace is None else self._pace.speed,
         )
 
     def _publish(self, tick: Tick) -> None:
         self._link.send(self._snapshot(tick.q, dict(tick.state.extra), tick.time))
 
-    def _on_the_way_down(self) -> None:
-        """From within the descent; orders wait until it is over, the page does not."""
-        if self._link.due():
+    def _on_read(self) -> None:
+        """After every reading: simulated time waits for life; the page sees the arm come down."""
+        if self._pace is not None:
+            self._pace.wait()
+        if self.phase == "lowering" and self._link.due():
             self._publish_still()
 
     def _publish_still(self) -> None:
@@ -334,12 +338,11 @@ class Session:
         if self._next == "scene":
             return
         self._next = None
-        wait = MonotonicClock()
+        clock = self._arm.clock
         while self._next not in {"start", "scene"}:
             self._take(None)
-            catch_up = getattr(self._arm.clock, "catch_up", None)
-            if catch_up is not None:
-                catch_up()
             if self._link.due():
                 self._publish_still()
-            wait.wait_until(wait.now() + IDLE)
+            clock.wait_until(clock.now() + IDLE)
+            if self._pace is not None:
+                self._pace.wait()

@@ -79,6 +79,7 @@ class Health:
         p50, p99, largest: Lateness of ticks [s].
         missed, stale, refused, restarts: Counts of `pliant.Loop`.
         delay: From positions to the arrival of the goal [s]; None: not yet measured.
+        speed: Simulated seconds per second; 1 where time is real.
     """
 
     rate: float
@@ -91,6 +92,7 @@ class Health:
     refused: int = 0
     restarts: int = 0
     delay: float | None = None
+    speed: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from pliant.view.scenes import Scene
 
 
-#: A simulated arm forgives a busy computer [s]; a real one has `loop.hold_for` of its file.
-PATIENCE = 10.0
-
-
 class Source(Protocol):
     """What a session needs to know.
 
@@ -31,6 +27,7 @@ class Source(Protocol):
         scenes: By name; empty without.
         name: Of the scene.
         config: The configuration; None without one.
+        paced: Whether its time is simulated and shall be as fast as life.
     """
 
     where: str
@@ -40,6 +37,7 @@ class Source(Protocol):
     scenes: Mapping[str, Scene]
     name: str
     config: Config | None
+    paced: bool
 
     @property
     def scene(self) -> Scene | None:
@@ -56,11 +54,11 @@ class Simulated:
         robot: Its name.
         scene: Where it begins.
         rate: Control rate [Hz].
-        real_time: Whether simulated time is real time.
+        paced: Whether simulated time is as fast as life, and not as fast as it goes.
     """
 
     def __init__(
-        self, robot: str, scene: str = "free", rate: float = 100.0, *, real_time: bool = True
+        self, robot: str, scene: str = "free", rate: float = 100.0, *, paced: bool = True
     ) -> None:
         """Look the arm up.
 
@@ -72,7 +70,7 @@ class Simulated:
         self.where, self.rate = "simulated", rate
         self.settings: Settings | None = None
         self.config: Config | None = None
-        self._real_time = real_time
+        self.paced = paced
         self.model, self.scenes = scenes(robot)
         if scene not in self.scenes:
             raise ConfigError(f"{robot} has no scene {scene!r}; it has {', '.join(self.scenes)}")
@@ -92,8 +90,6 @@ class Simulated:
             q=scene.q,
             rate=self.rate,
             scene=scene.make(),
-            real_time=self._real_time,
-            hold_for=PATIENCE,
         )
 
 
@@ -114,15 +110,9 @@ class Configured:
         self.scenes: Mapping[str, Scene] = {}
         self.name, self.scene = "", None
         self.config: Config | None = config
-        self._options = options
+        self._options, self.paced = options, config.backend == "sim"
 
     def arm(self) -> Arm:
         """The arm, on a port that the one before has let go of."""
         assert self.config is not None
-        arm = self.config.arm(**self._options)
-        plant = getattr(arm.drive, "plant", None)
-        if plant is not None:
-            from pliant.arm.simulated import SimDrive
-
-            arm.drive = SimDrive(plant, real_time=True)
-        return arm
+        return self.config.arm(**self._options)

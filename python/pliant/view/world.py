@@ -71,7 +71,12 @@ class World:
             visible=False,
         )
         self._leash = scene.add_line_segments(
-            "/leash", np.zeros((1, 2, 3)), LEASH, thickness=2.0, visible=False
+            "/leash",
+            np.zeros((1, 2, 3)),
+            LEASH,
+            thickness=2.5,
+            thickness_units="screen",
+            visible=False,
         )
         self._dragging = False
         self.gizmo = scene.add_transform_controls(
