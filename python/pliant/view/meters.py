@@ -98,11 +98,12 @@ def axes(stage: Stage, shown: Shown, step: Step) -> str:
             else f"{abs(force):.1f} of {cap:.3g} {'N' if linear else 'N·m'}"
         )
         share = 0.0 if paper else abs(force) / max(cap, 1e-9)
+        off = round(scale * float(away))
         rows.append(
             "<tr>"
             f'<td style="font-weight:600;color:{colour}">{name}</td>'
             f"<td>{_bar(abs(away) / full, colour, marks)}</td>"
-            f'<td style="text-align:right;white-space:nowrap">{round(scale * float(away)):+d} {unit}</td>'
+            f'<td style="text-align:right;white-space:nowrap">{off:+d} {unit}</td>'
             f"<td>{_bar(share, FULL if share > 0.98 else colour)}</td>"
             f'<td style="text-align:right;white-space:nowrap">{push}</td>'
             f'<td style="text-align:right">{step.compliance[i] * step.softness[i]:.0%}</td>'
