@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
@@ -126,8 +126,9 @@ class Snapshot:
         pull: Point of attack (3,) [m] and force (3,) [N] of the hand on the arm; None: no hand.
         health: Of the loop.
         report: Sentences on the present pose.
-        said: Errors and news so far, the newest last, and how many there were.
+        said: How many errors and news there were, the last of them, and whether it is an error.
         edit: Number of the last edit that was dealt with.
+        shown: The settings in force; None before the first.
     """
 
     time: float
@@ -141,4 +142,4 @@ class Snapshot:
     report: tuple[str, ...] = ()
     said: tuple[int, str, bool] = (0, "", False)
     edit: int = 0
-    shown: Shown | None = field(default=None)
+    shown: Shown | None = None
