@@ -102,6 +102,7 @@ test-rust: setup ## Tests of the Rust core, its doc tests and its pages
 
 test-py: setup ## Tests from Python; ARGS='-k door' picks
 	$(call say,pytest)
+	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || $(call skip,no browser: the page of pliant view is not tested in one (apt-get install -y chromium))
 	@$(BIN)/python -m pytest $(ARGS)
 
 lint: lint-rust lint-py stubs ## Formats, clippy, ruff, mypy, stubs against the binary

@@ -19,7 +19,7 @@ import pytest
 import pliant
 
 ROOT = Path(__file__).resolve().parents[1]
-EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich", "rustypot", "mcap")
+EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich", "rustypot", "mcap", "viser")
 LONGEST_FILE = 400  # lines
 #: The goal is 1.5e6 [bytes]: the step is in the module twice, once per set of instructions.
 LARGEST_WHEEL = 2.0e6

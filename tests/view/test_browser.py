@@ -21,9 +21,7 @@ import pliant
 from pliant.experiments.setups import VERTICAL
 from pliant.sim import Plant
 
-BROWSER = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 if BROWSER is None:
     pytest.skip(
         "no browser, so the page was NOT tested in one: apt-get install -y chromium",
@@ -58,6 +56,8 @@ class View:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
+            # Tests that run in the background inherit an ignored Ctrl-C.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )
         self.link = ""
         while not self.link:

@@ -49,7 +49,7 @@ def test_page_asks_nothing_of_the_network(link):
 
 
 def test_snapshots_wait_until_the_last_one_was_taken(link):
-    source = Simulated("arm7", real_time=False)
+    source = Simulated("arm7", paced=False)
     session = Session(source, Quick(link))
     session.run(1)
     # Thirty a second of the machine's time at most, however fast the simulation runs.

@@ -25,7 +25,7 @@ class Seen:
         push = orders.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
         link = script({5: push, 90: orders.Stop()})
         link.every = 10
-        Session(Simulated("arm7", "wall", real_time=False), link).run(1)
+        Session(Simulated("arm7", "wall", paced=False), link).run(1)
         self.stage, self.snapshots = link.stages[0], link.snapshots
         self.running = link.running
         self.said = []

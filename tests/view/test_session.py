@@ -17,7 +17,7 @@ END = orders.Scene("free")
 
 def live(script, at, *, scene="free", robot="arm7", lives=1):
     link = script(at)
-    session = Session(Simulated(robot, scene, real_time=False), link)
+    session = Session(Simulated(robot, scene, paced=False), link)
     session.run(lives)
     return session, link
 
@@ -48,7 +48,7 @@ def test_arm_comes_down_after_stop_and_the_page_sees_it(script):
 
 def test_target_moves_the_tool(script):
     link = script({})
-    session = Session(Simulated("arm7", real_time=False), link)
+    session = Session(Simulated("arm7", paced=False), link)
     moved = {}
 
     def heard(number):
@@ -99,7 +99,7 @@ def test_firm_switch_holds_against_the_same_push_and_gives_back(script):
 
 def test_grab_pulls_a_point_of_the_arm_and_lets_go(script):
     link = script({})
-    session = Session(Simulated("arm7", real_time=False), link)
+    session = Session(Simulated("arm7", paced=False), link)
 
     def heard(number):
         if number == 10:
@@ -171,7 +171,7 @@ def test_every_preset_can_be_chosen(script):
 
 def test_scene_changes_without_lowering_and_takes_its_preset(script):
     link = script({10: orders.Scene("door"), 40: orders.Scene("nowhere"), 60: END})
-    session = Session(Simulated("arm7", real_time=False), link)
+    session = Session(Simulated("arm7", paced=False), link)
     session.run(2)
     assert [stage.scene for stage in link.stages] == ["free", "door"]
     assert link.running[-1].shown.preset == "door"
@@ -181,7 +181,7 @@ def test_scene_changes_without_lowering_and_takes_its_preset(script):
 def test_torque_on_again_keeps_the_settings(script):
     change = orders.Change(1, "y", {"soft": (2.0, 3.0)})
     link = script({5: change, 20: orders.Stop(), 30: orders.Start(), 60: END})
-    Session(Simulated("arm7", real_time=False), link).run(2)
+    Session(Simulated("arm7", paced=False), link).run(2)
     assert len(link.stages) == 2
     assert link.running[-1].shown.axes["y"]["soft"] == (2.0, 3.0)
     assert any(s.phase == "down" for s in link.snapshots)
@@ -224,7 +224,7 @@ def test_arm_is_lowered_when_the_page_is_gone(script):
         return []
 
     link.orders = counted(link, gone)
-    session = Session(Simulated("arm7", real_time=False), link)
+    session = Session(Simulated("arm7", paced=False), link)
     with pytest.raises(PageGone):
         session.run(1)
     assert not session._arm.enabled
@@ -233,7 +233,7 @@ def test_arm_is_lowered_when_the_page_is_gone(script):
 
 def test_trouble_on_the_bus_is_said_and_torque_can_come_back(script):
     link = script({40: orders.Start(), 70: END})
-    session = Session(Simulated("arm7", real_time=False), link)
+    session = Session(Simulated("arm7", paced=False), link)
     inner = link.orders
     broken = []
 

@@ -23,6 +23,7 @@ def run(
     host: str = "127.0.0.1",
     port: int = 8080,
     browser: bool = False,
+    log: Path | None = None,
     serial: Annotated[str | None, tyro.conf.arg(name="serial-port")] = None,
     backend: str | None = None,
     urdf: Path | None = None,
@@ -42,6 +43,7 @@ def run(
         host: Address to listen on; 0.0.0.0 opens the page to the network.
         port: Of the page; the next free one is taken.
         browser: Open the page in the browser.
+        log: MCAP file to write (extra log).
         serial: Device in place of the file's.
         backend: bus, emulator or sim in place of the file's.
         urdf: URDF in place of the file's.
@@ -67,7 +69,7 @@ def run(
             import webbrowser
 
             webbrowser.open(link.address)
-        Session(source, link).run()
+        Session(source, link, log).run()
 
 
 def _simulated(robot: str, scene: str, rate: float, options: dict[str, Any]) -> Source:

@@ -12,7 +12,12 @@ from pliant.view.snapshot import Shown
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from pliant import Controller, Settings
+
+    Array = NDArray[np.float64]
 
 LAWS = ("cap", "impedance", "paper")
 #: Preset that stands for the settings of a configuration file.
@@ -134,8 +139,8 @@ class Desk:
             case orders.Firm(on=on):
                 self.firm = on
 
-    def show(self, controller: Controller) -> Shown:
-        """The settings in force, for the controls."""
+    def show(self, controller: Controller, q: Array | None = None) -> Shown:
+        """The settings in force, for the controls; q (n,) [rad] where there was no step yet."""
         axes: dict[str, dict[str, Any]] = {
             name: fields_of(axis) for name, axis in controller.strengths.items()
         }
@@ -148,7 +153,7 @@ class Desk:
             preset=self.preset,
             firm=self.firm,
             axes=axes,
-            thresholds=controller.report().thresholds,
+            thresholds=controller.report(q).thresholds,
         )
 
     def _make(self, name: str) -> Settings:

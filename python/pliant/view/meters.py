@@ -46,11 +46,14 @@ def health(h: Health) -> str:
     """One line on the loop's punctuality."""
     if not h.ticks:
         return _box("<span>the loop has not run yet</span>")
+    slow = ""
+    if h.speed < 0.95:
+        slow = f' · <b style="color:{FULL}">slow motion, {h.speed:.0%}: a busy computer</b>'
     odd = [f"{count} {name}" for name, count in _troubles(h) if count]
     delay = "" if h.delay is None else f" · delay {1e3 * h.delay:.1f} ms"
     return _box(
         f"<b>{h.rate:g} Hz</b> · late {1e3 * h.p50:.2f} ms (half), {1e3 * h.p99:.2f} ms (99 %)"
-        f"{delay} · {', '.join(odd) if odd else 'no tick missed'}"
+        f"{delay} · {', '.join(odd) if odd else 'no tick missed'}{slow}"
     )
 
 
@@ -70,8 +73,8 @@ def places(now: Snapshot) -> str:
 
 
 def _point(pose: Array) -> str:
-    x, y, z = 1e3 * pose[:3, 3]
-    return f"x {x:.0f}, y {y:.0f}, z {z:.0f} mm"
+    x, y, z = (round(1e3 * value) for value in pose[:3, 3].tolist())
+    return f"x {x}, y {y}, z {z} mm"
 
 
 def axes(stage: Stage, shown: Shown, step: Step) -> str:
@@ -95,11 +98,12 @@ def axes(stage: Stage, shown: Shown, step: Step) -> str:
             else f"{abs(force):.1f} of {cap:.3g} {'N' if linear else 'N·m'}"
         )
         share = 0.0 if paper else abs(force) / max(cap, 1e-9)
+        off = round(scale * float(away))
         rows.append(
             "<tr>"
             f'<td style="font-weight:600;color:{colour}">{name}</td>'
             f"<td>{_bar(abs(away) / full, colour, marks)}</td>"
-            f'<td style="text-align:right;white-space:nowrap">{scale * away:+.0f} {unit}</td>'
+            f'<td style="text-align:right;white-space:nowrap">{off:+d} {unit}</td>'
             f"<td>{_bar(share, FULL if share > 0.98 else colour)}</td>"
             f'<td style="text-align:right;white-space:nowrap">{push}</td>'
             f'<td style="text-align:right">{step.compliance[i] * step.softness[i]:.0%}</td>'

@@ -10,20 +10,23 @@ import numpy as np
 
 import pliant
 from pliant import PliantError, ServoError
-from pliant.arm.drive import MonotonicClock
 from pliant.loop import Loop
 from pliant.view import orders, scenes
 from pliant.view.body import Body
 from pliant.view.desk import Desk
 from pliant.view.hand import VisitorHand
+from pliant.view.pace import Pace
 from pliant.view.snapshot import Health, Shown, Snapshot, Stage, Step
 from pliant.view.tap import Tap
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from pliant import Command, Controller
     from pliant.arm import Arm
+    from pliant.log import Recorder
     from pliant.loop import Tick
     from pliant.view.link import Link
     from pliant.view.snapshot import Phase
@@ -46,17 +49,21 @@ class Session:
     Args:
         source: Where arms come from.
         link: The page.
+        log: MCAP file to write; of later lives of the arm `-2`, `-3`, ... are added to its name.
 
     Attributes:
         phase: Of the arm's life.
         desk: The settings.
         target: Pose (4, 4) that the controller gets.
+        loop: The loop of this life, or the last.
         said: How many errors and news there were, the last, and whether it is an error.
     """
 
-    def __init__(self, source: Source, link: Link) -> None:
+    def __init__(self, source: Source, link: Link, log: Path | None = None) -> None:
         """Nothing moves yet."""
-        self._source, self._link = source, link
+        self._source, self._link, self._log = source, link, log
+        self._life = 0
+        self.loop: Loop | None = None
         self.phase: Phase = "starting"
         self.desk = Desk(source.axes, source.rate, source.settings)
         self.said: tuple[int, str, bool] = (0, "", False)
@@ -75,7 +82,7 @@ class Session:
             PageGone: The page has ended; the arm has been lowered.
             PliantError: There is no arm to begin with.
         """
-        for life in itertools.count():
+        for self._life in itertools.count(1):
             self._next: Next | None = None
             try:
                 self._live()
@@ -85,7 +92,7 @@ class Session:
                 # Whoever looks at the page shall read it, and may try again.
                 self.say(str(error), wrong=True)
             self.phase = "down"
-            if life + 1 == lives:
+            if self._life == lives:
                 return
             self._wait()
 
@@ -96,6 +103,8 @@ class Session:
         arm = self._source.arm()
         self._tap = arm.drive = Tap(arm.drive)
         self._arm, self._body = arm, Body(arm)
+        self._pace = Pace(arm.clock) if self._source.paced else None
+        self._tap.on_read = self._on_read
         self.phase = "starting"
         self._step: Step | None = None
         with arm:
@@ -104,20 +113,34 @@ class Session:
             finally:
                 # Whatever ends it, the page sees the arm come down.
                 self.phase = "lowering"
-                self._tap.on_read = self._on_the_way_down
             if self._next == "scene":
                 arm.limp()
 
     def _control(self, arm: Arm) -> None:
-        """The loop."""
+        """The loop, with its log."""
         controller = self._begin(arm)
+        if self._log is None:
+            self._turns(arm, controller, None)
+            return
+        from pliant.log import Recorder
+
+        path = self._log
+        if self._life > 1:
+            path = path.with_stem(f"{path.stem}-{self._life}")
+        with Recorder(path, arm, controller, config=self._source.config) as recorder:
+            self._turns(arm, recorder.controller, recorder)
+
+    def _turns(self, arm: Arm, controller: Controller, recorder: Recorder | None) -> None:
+        """Until somebody wants something else."""
         self.phase = "running"
-        loop = Loop(arm, controller, rate=self._source.rate)
+        loop = self.loop = Loop(arm, controller, rate=self._source.rate)
         for tick in loop:
             self._take(controller)
             self._scripted(tick.time)
             command = controller.step(tick.q, self.target, dt=tick.dt)
             tick.write(command)
+            if recorder is not None:
+                recorder.add(tick, command)
             if self._link.due():
                 self._look(controller, command, loop)
                 self._publish(tick)
@@ -134,7 +157,6 @@ class Session:
         self.home = np.asarray(arm.model.forward_kinematics(q))
         self.target = self.home.copy()
         self._played: float | None = None
-        controller.step(q, self.target)
         strengths = controller.strengths
         strong = [STRONG * float(axis.hold or 0.0) for axis in strengths.values()]
         names = tuple(strengths)
@@ -146,8 +168,7 @@ class Session:
             self._hand = VisitorHand(max(linear, default=0.0))
             plant.set_hands([*(felt.hand for felt in plant.hands), self._hand])
         push = None if self._hand is None else (max(linear, default=0.0), max(turning, default=0.0))
-        self._shown = self.desk.show(controller)
-        self._controller = controller
+        self._shown = self.desk.show(controller, q)
         stage = Stage(
             figure=self._body.plant.mj_model,
             arm=arm.model.name,
@@ -259,7 +280,7 @@ class Session:
             saturated=controller.saturated,
             locked=controller.locked,
         )
-        late = loop.lateness
+        late = loop.lateness if self._pace is None else self._pace.lateness
         self._health = Health(
             rate=1.0 / loop.period,
             ticks=len(late),
@@ -271,14 +292,17 @@ class Session:
             refused=loop.refused,
             restarts=loop.restarts,
             delay=loop.delay,
+            speed=1.0 if self._pace is None else self._pace.speed,
         )
 
     def _publish(self, tick: Tick) -> None:
         self._link.send(self._snapshot(tick.q, dict(tick.state.extra), tick.time))
 
-    def _on_the_way_down(self) -> None:
-        """From within the descent; orders wait until it is over, the page does not."""
-        if self._link.due():
+    def _on_read(self) -> None:
+        """After every reading: simulated time waits for life; the page sees the arm come down."""
+        if self._pace is not None:
+            self._pace.wait()
+        if self.phase == "lowering" and self._link.due():
             self._publish_still()
 
     def _publish_still(self) -> None:
@@ -314,12 +338,11 @@ class Session:
         if self._next == "scene":
             return
         self._next = None
-        wait = MonotonicClock()
+        clock = self._arm.clock
         while self._next not in {"start", "scene"}:
             self._take(None)
-            catch_up = getattr(self._arm.clock, "catch_up", None)
-            if catch_up is not None:
-                catch_up()
             if self._link.due():
                 self._publish_still()
-            wait.wait_until(wait.now() + IDLE)
+            clock.wait_until(clock.now() + IDLE)
+            if self._pace is not None:
+                self._pace.wait()

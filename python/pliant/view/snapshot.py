@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
@@ -79,6 +79,7 @@ class Health:
         p50, p99, largest: Lateness of ticks [s].
         missed, stale, refused, restarts: Counts of `pliant.Loop`.
         delay: From positions to the arrival of the goal [s]; None: not yet measured.
+        speed: Simulated seconds per second; 1 where time is real.
     """
 
     rate: float
@@ -91,6 +92,7 @@ class Health:
     refused: int = 0
     restarts: int = 0
     delay: float | None = None
+    speed: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,8 +126,9 @@ class Snapshot:
         pull: Point of attack (3,) [m] and force (3,) [N] of the hand on the arm; None: no hand.
         health: Of the loop.
         report: Sentences on the present pose.
-        said: Errors and news so far, the newest last, and how many there were.
+        said: How many errors and news there were, the last of them, and whether it is an error.
         edit: Number of the last edit that was dealt with.
+        shown: The settings in force; None before the first.
     """
 
     time: float
@@ -139,4 +142,4 @@ class Snapshot:
     report: tuple[str, ...] = ()
     said: tuple[int, str, bool] = (0, "", False)
     edit: int = 0
-    shown: Shown | None = field(default=None)
+    shown: Shown | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import pliant
 from pliant import ConfigError
@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from pliant.view.scenes import Scene
 
 
-#: A simulated arm forgives a busy computer [s]; a real one has `loop.hold_for` of its file.
-PATIENCE = 10.0
-
-
 class Source(Protocol):
     """What a session needs to know.
 
@@ -30,6 +26,8 @@ class Source(Protocol):
         settings: Those to begin with; None: a preset of the scene.
         scenes: By name; empty without.
         name: Of the scene.
+        config: The configuration; None without one.
+        paced: Whether its time is simulated and shall be as fast as life.
     """
 
     where: str
@@ -38,6 +36,8 @@ class Source(Protocol):
     settings: Settings | None
     scenes: Mapping[str, Scene]
     name: str
+    config: Config | None
+    paced: bool
 
     @property
     def scene(self) -> Scene | None:
@@ -54,11 +54,11 @@ class Simulated:
         robot: Its name.
         scene: Where it begins.
         rate: Control rate [Hz].
-        real_time: Whether simulated time is real time.
+        paced: Whether simulated time is as fast as life, and not as fast as it goes.
     """
 
     def __init__(
-        self, robot: str, scene: str = "free", rate: float = 100.0, *, real_time: bool = True
+        self, robot: str, scene: str = "free", rate: float = 100.0, *, paced: bool = True
     ) -> None:
         """Look the arm up.
 
@@ -69,7 +69,8 @@ class Simulated:
 
         self.where, self.rate = "simulated", rate
         self.settings: Settings | None = None
-        self._real_time = real_time
+        self.config: Config | None = None
+        self.paced = paced
         self.model, self.scenes = scenes(robot)
         if scene not in self.scenes:
             raise ConfigError(f"{robot} has no scene {scene!r}; it has {', '.join(self.scenes)}")
@@ -89,15 +90,18 @@ class Simulated:
             q=scene.q,
             rate=self.rate,
             scene=scene.make(),
-            real_time=self._real_time,
-            hold_for=PATIENCE,
         )
 
 
 class Configured:
-    """The arm of a configuration, on whatever backend it names."""
+    """The arm of a configuration, on whatever backend it names.
 
-    def __init__(self, config: Config) -> None:
+    Args:
+        config: The configuration.
+        **options: Of `pliant.arm.Arm`, in place of the file's.
+    """
+
+    def __init__(self, config: Config, **options: Any) -> None:
         """Read what is needed before anything is opened."""
         self.where: str = config.backend
         self.rate = config.loop.rate
@@ -105,14 +109,10 @@ class Configured:
         self.axes = self.settings.task.axes
         self.scenes: Mapping[str, Scene] = {}
         self.name, self.scene = "", None
-        self._config = config
+        self.config: Config | None = config
+        self._options, self.paced = options, config.backend == "sim"
 
     def arm(self) -> Arm:
         """The arm, on a port that the one before has let go of."""
-        arm = self._config.arm()
-        plant = getattr(arm.drive, "plant", None)
-        if plant is not None:
-            from pliant.arm.simulated import SimDrive
-
-            arm.drive = SimDrive(plant, real_time=True)
-        return arm
+        assert self.config is not None
+        return self.config.arm(**self._options)

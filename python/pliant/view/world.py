@@ -71,7 +71,12 @@ class World:
             visible=False,
         )
         self._leash = scene.add_line_segments(
-            "/leash", np.zeros((1, 2, 3)), LEASH, thickness=2.0, visible=False
+            "/leash",
+            np.zeros((1, 2, 3)),
+            LEASH,
+            thickness=2.5,
+            thickness_units="screen",
+            visible=False,
         )
         self._dragging = False
         self.gizmo = scene.add_transform_controls(
@@ -173,7 +178,7 @@ class Hinges:
         share = np.zeros(len(self._ids))
         if now.step is not None:
             share = np.clip(now.step.limit / np.maximum(self._usable, 1e-9), 0.0, 1.0)
-        mixed = np.array(COOL) + share[:, None] * (np.array(WARM) - np.array(COOL))
+        mixed = np.array(COOL) + share[:, None] ** 2 * (np.array(WARM) - np.array(COOL))
         colours = mixed.round().astype(np.uint8)
         if np.abs(colours.astype(int) - self._colours.astype(int)).max() > NOTICED:
             self._drums.batched_colors = self._colours = colours
