@@ -81,4 +81,6 @@ def run(
             tell=tell,
         )
     replace(made, note=note).save(motion)
-    console.print(f"{motion}: pliant replay {arm} {motion}", highlight=False, soft_wrap=True)
+    where = "" if backend is None else f" --backend {backend}"
+    again = f"{motion}: pliant replay {arm} {motion}{where}"
+    console.print(again, highlight=False, soft_wrap=True)
