@@ -136,7 +136,7 @@ def table(counts: Counts, stored: Counts) -> str:
         for stage, now in stages.items():
             before = stored.get(path, {}).get(stage)
             change = f"{now / before - 1.0:+7.1%}" if before else "   (new)" if stored else ""
-            lines.append(f"{path:10} {stage:16} {now:9.1f} instructions a call {change}")
+            lines.append(f"{path:10} {stage:26} {now:9.1f} instructions a call {change}")
     return "\n".join(lines)
 
 

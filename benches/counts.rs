@@ -12,7 +12,8 @@ use pliant_core::settings::{Damping, Law, Projector};
 use pliant_core::task::axes::{Axis, Yields};
 use pliant_core::task::deviation::pose_error;
 use pliant_core::{
-    Controller, Frames, JointVec, MAX_AXES, MAX_JOINTS, Model, ModelOptions, Pose, Servos, Settings, StepInput,
+    BatchCommand, BatchInput, BatchState, Controller, Frames, Invalid, JointVec, MAX_AXES, MAX_JOINTS, Model,
+    ModelOptions, Pose, Servos, Settings, StepInput, Targets,
 };
 
 const STATES: usize = 64;
@@ -51,6 +52,30 @@ fn states(model: &Model) -> Vec<(Vec<f64>, Pose)> {
     (0..STATES).map(|s| (at(s, 0.0), pose(&at(s, 0.05)))).collect()
 }
 
+/// States as `benches/tail.py` has them, that a step should not take longer for than for others.
+fn rare(model: &Model) -> Vec<(&'static str, Vec<(Vec<f64>, Pose)>)> {
+    let (low, high) = (model.lower(), model.upper());
+    let at = |s: usize, i: usize| (std::f64::consts::TAU * s as f64 / STATES as f64 + 0.9 * i as f64).sin();
+    let make = |q: &dyn Fn(f64, usize) -> f64, shift: f64| -> Vec<(Vec<f64>, Pose)> {
+        let of = |s: usize| -> Vec<f64> { (0..model.n()).map(|i| q(at(s, i), i)).collect() };
+        let pose = |q: Vec<f64>| model.forward_kinematics(&q).expect("a state of this arm");
+        let near = |s: usize| of(s).iter().enumerate().map(|(i, q)| q + shift * at(s + STATES / 4, i)).collect();
+        (0..STATES).map(|s| (of(s), pose(near(s)))).collect()
+    };
+    let ordinary = |wave: f64, i: usize| 0.5 * (low[i] + high[i]) + 0.2 * (high[i] - low[i]) * wave;
+    let stretched = |wave: f64, i: usize| if (3..6).contains(&i) { 1e-3 * wave } else { ordinary(wave, i) };
+    let limits = |wave: f64, i: usize| if wave > 0.0 { high[i] } else { low[i] } - 1e-9 * wave;
+    let mut far = make(&ordinary, 0.02);
+    far.iter_mut().for_each(|(_, target)| *target = Pose { position: [0.0, 0.0, 1.0], ..Pose::IDENTITY });
+    vec![
+        ("singular", make(&stretched, 0.02)),
+        ("at the limits", make(&limits, 0.02)),
+        ("saturated", far),
+        ("denormal", make(&|wave, _| 1e-310 * wave, 0.0)),
+        ("at rest", make(&ordinary, 1e-310)),
+    ]
+}
+
 /// Law `paper`: fixed λ, printed projector, posture and limit cost, no gravity, no step limits.
 fn paper() -> Settings {
     let endless = Axis { step_limit: Some(f64::INFINITY), soft_step_limit: Some(f64::INFINITY), ..Axis::default() };
@@ -71,7 +96,7 @@ fn soft_y(law: Law) -> Settings {
     settings
 }
 
-fn stages() -> Vec<(&'static str, Work)> {
+fn stages() -> Vec<(String, Work)> {
     let model = arm();
     let states = states(&model);
     let joints: Vec<JointVec> = states
@@ -84,11 +109,11 @@ fn stages() -> Vec<(&'static str, Work)> {
         .collect();
     let poses: Vec<(Pose, Pose)> =
         states.iter().map(|(q, target)| (model.forward_kinematics(q).expect("a state of this arm"), *target)).collect();
-    let mut stages: Vec<(&'static str, Work)> = Vec::new();
+    let mut stages: Vec<(String, Work)> = Vec::new();
 
     let (arm, at, mut frames) = (Arc::clone(&model), joints.clone(), Frames::default());
     stages.push((
-        "forward",
+        "forward".into(),
         Box::new(move || {
             for q in &at {
                 arm.chain().forward(black_box(q), &mut frames);
@@ -99,7 +124,7 @@ fn stages() -> Vec<(&'static str, Work)> {
     let (arm, mut frames, mut rows) = (Arc::clone(&model), Frames::default(), [[0.0; MAX_JOINTS]; MAX_AXES]);
     arm.chain().forward(&joints[0], &mut frames);
     stages.push((
-        "jacobian",
+        "jacobian".into(),
         Box::new(move || {
             for _ in 0..STATES {
                 arm.chain().jacobian(black_box(&frames), &mut rows);
@@ -111,7 +136,7 @@ fn stages() -> Vec<(&'static str, Work)> {
     arm.chain().forward(&joints[0], &mut frames);
     let masses = arm.chain().masses(None);
     stages.push((
-        "gravity",
+        "gravity".into(),
         Box::new(move || {
             for _ in 0..STATES {
                 arm.chain().gravity(black_box(&frames), &masses, arm.gravity_vector(), &mut torque);
@@ -120,18 +145,22 @@ fn stages() -> Vec<(&'static str, Work)> {
         }),
     ));
     stages.push((
-        "pose_error",
+        "pose_error".into(),
         Box::new(move || {
             for (pose, target) in &poses {
                 black_box(pose_error(black_box(pose), black_box(target)));
             }
         }),
     ));
-    let steps = [("step paper", paper()), ("step cap", soft_y(Law::Cap)), ("step impedance", soft_y(Law::Impedance))];
-    for (name, settings) in steps {
+    let mut steps = vec![("step impedance".to_owned(), soft_y(Law::Impedance), states.clone())];
+    for (law, settings) in [("paper", paper()), ("cap", soft_y(Law::Cap))] {
+        steps.push((format!("step {law}"), settings.clone(), states.clone()));
+        let rare = rare(&model).into_iter();
+        steps.extend(rare.map(|(case, states)| (format!("step {law}, {case}"), settings.clone(), states)));
+    }
+    for (name, settings, at) in steps {
         let mut controller =
             Controller::new(Arc::clone(&model), settings, Some(servos())).expect("settings that fit the bench arm");
-        let at = states.clone();
         stages.push((
             name,
             Box::new(move || {
@@ -141,6 +170,27 @@ fn stages() -> Vec<(&'static str, Work)> {
                 }
             }),
         ));
+    }
+    for (law, settings) in [("paper", paper()), ("cap", soft_y(Law::Cap))] {
+        for with_state in [false, true] {
+            let controller = Controller::new(Arc::clone(&model), settings.clone(), Some(servos())).expect("as above");
+            let mut state = with_state.then(|| BatchState::new(model.n(), STATES).expect("a small one"));
+            let q = states.iter().flat_map(|(q, _)| q.clone()).collect::<Vec<f64>>();
+            let targets = states.iter().flat_map(|(_, target)| target.to_rows().concat()).collect::<Vec<f64>>();
+            let mut out = [vec![0.0; q.len()], vec![0.0; q.len()], vec![0.0; q.len()]];
+            let name = format!("batch {law}{}", if with_state { ", state" } else { "" });
+            stages.push((
+                name,
+                Box::new(move || {
+                    let targets = Targets::Poses(&targets);
+                    let input =
+                        BatchInput { q: black_box(&q), targets, dt: None, dq: None, invalid: Invalid::default() };
+                    let [goal, torque_limit, velocity] = &mut out;
+                    let out = BatchCommand { goal, torque_limit, velocity };
+                    black_box(controller.step_batch(&input, state.as_mut(), out).is_ok());
+                }),
+            ));
+        }
     }
     stages
 }
@@ -163,9 +213,9 @@ fn main() {
         }
         return;
     }
-    let chosen = stages.iter().any(|(name, _)| *name == wanted);
+    let chosen = stages.iter().any(|(name, _)| **name == wanted);
     for (name, work) in &mut stages {
-        if *name == wanted {
+        if **name == wanted {
             work(); // the first step of a controller resets it
             counted(work);
         } else if !chosen {

@@ -1,12 +1,13 @@
 """The slowest of many steps from Python, and whether any pose costs more than an ordinary one.
 
-    python benches/tail.py                 10⁷ steps in turn; --steps for fewer
+    python benches/tail.py                 10⁷ steps in a row, then 10⁶ in turn; --steps, --turns
 
-Ordinary poses, singular ones, joints at their limits, targets that saturate every limit, and
+First one law after the other steps through ordinary poses without a pause. Then ordinary poses,
+singular ones, joints at their limits, targets that saturate every limit, and
 denormal numbers take turns in short blocks, so that a busy machine is busy for all of them alike.
 Calls are timed one by one, the garbage collector on. What the system adds stands in the row of
-calls that do nothing; p99.9 is also given for the blocks in which, by the scheduler's own counter,
-no other program had the core.
+calls that do nothing; "calm" are the blocks in which, by the scheduler's own counter, no other
+program had the core.
 """
 
 from __future__ import annotations
@@ -112,24 +113,59 @@ def waited() -> int:
         return 0
 
 
+def laws() -> dict[str, pliant.Settings]:
+    """The two laws, y yielding."""
+    paper = pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, eta=0.9)})
+    return {"paper": paper, "cap": pliant.Settings.soft("y")}
+
+
+def in_a_row(block: Callable[[], Array], steps: int) -> tuple[Array, Array]:
+    """Times [ns] of so many calls without a pause, and of those in calm blocks."""
+    count = max(steps // BLOCK, 1)
+    times, calm = np.empty((count, BLOCK), dtype=np.float32), np.empty(count, dtype=bool)
+    for i in range(count):
+        before = waited()
+        times[i] = block()
+        calm[i] = waited() == before
+    return times.ravel(), times[calm].ravel()
+
+
+def consecutive(model: pliant.Model, steps: int) -> None:
+    """The tail of steps in a row, beside calls that do nothing."""
+    case = cases(model)[0]
+    blocks = {"(nothing)": nothing} | {
+        f"law {law}": stepper(case, settings) for law, settings in laws().items()
+    }
+    print(f"{steps:,} calls in a row [µs]; without calls that do nothing")
+    print(f"  {'':12} {'median':>8} {'p99.9':>9} {'p99.99':>9} {'largest':>9}   calm:")
+    empty = 0.0
+    for name, block in blocks.items():
+        all_times, calm = in_a_row(block, steps)
+        empty = empty or float(np.median(all_times))
+        cells = [
+            1e-3 * (float(np.percentile(times, p)) - empty)
+            for times in (all_times, calm if calm.size else all_times)
+            for p in (50.0, 99.9, 99.99, 100.0)
+        ]
+        print(f"  {name:12} " + " ".join(f"{cell:9.3f}" for cell in cells))
+    print()
+
+
 def main() -> None:
-    """Take turns, print one row a case."""
+    """Steps in a row, then cases in turn, one row a case."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--steps", type=int, default=10_000_000, help="of all cases and laws")
-    steps = parser.parse_args().steps
+    parser.add_argument("--steps", type=int, default=10_000_000, help="in a row, of each law")
+    parser.add_argument("--turns", type=int, default=1_000_000, help="of all cases and laws")
+    arguments = parser.parse_args()
     gc.enable()
     model = pliant.Model.from_urdf(URDF)
-    for law in ("paper", "cap"):
-        settings = (
-            pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, eta=0.9)})
-            if law == "paper"
-            else pliant.Settings.soft("y")
-        )
+    consecutive(model, arguments.steps)
+    for law, settings in laws().items():
         rows: dict[str, Callable[[], Array]] = {"(nothing)": nothing}
         rows |= {case.name: stepper(case, settings) for case in cases(model)}
         times: dict[str, list[Array]] = {name: [] for name in rows}
         calm: dict[str, list[Array]] = {name: [] for name in rows}
-        for _ in range(max(steps // (2 * (len(rows) - 1) * BLOCK), 1)):
+        for _ in range(max(arguments.turns // (2 * (len(rows) - 1) * BLOCK), 1)):
             for name, block in rows.items():
                 before = waited()
                 times[name].append(block())

@@ -998,6 +998,7 @@ class _SettingsFields(TypedDict, total=False):
     joint_speed: ArrayLike | None
     floor: ArrayLike | None
     margin: float
+    dead_host_max: float | None
     direction_band: float | None
     raw_deviation: bool
     budget_on_goal: bool
@@ -1055,6 +1056,9 @@ class Settings:
         joint_speed: Joint speed limits (n,) [rad/s]; None: the model's.
         floor: Floor of the torque limits (n,) [N m]; None: the servos' friction.
         margin: Margin of the limits as a share of the usable torque.
+        dead_host_max: Most that a hand shall meet along the task's translations if the host dies
+            [N]: the limits give up their margin first, then what they have beyond the arm's weight;
+            None: no such bound. Costs some 0.3 ms a step, 1 ms where it acts.
         direction_band: Half-width of the band in which an axis that yields to one side changes
             over, as a share of `d_minus`; None: 0.1, under law paper 0.
         raw_deviation: Compliance from the raw instead of the adapted deviation.
@@ -1108,6 +1112,7 @@ class Settings:
         joint_speed: ArrayLike | None = None,
         floor: ArrayLike | None = None,
         margin: float = 0.1,
+        dead_host_max: float | None = None,
         direction_band: float | None = None,
         raw_deviation: bool = False,
         budget_on_goal: bool = False,
@@ -1270,6 +1275,8 @@ class Settings:
     @property
     def margin(self) -> float: ...
     @property
+    def dead_host_max(self) -> float | None: ...
+    @property
     def direction_band(self) -> float | None: ...
     @property
     def raw_deviation(self) -> bool: ...
@@ -1423,7 +1430,23 @@ class Report:
 
     @property
     def dead_host(self) -> _Array:
-        """Most that a hand meets on 0.15 m or 0.4 rad if the host dies now (k, 2)."""
+        """Most that a hand meets on 0.15 m or 0.4 rad if the host dies now (k, 2) [N, N m].
+
+        At 25 mm/s or 0.067 rad/s, the gears' friction and damping included; inf where the arm
+        cannot be moved so far, because it is stretched out or its joints stand at their limits.
+        """
+
+    @property
+    def dead_host_max(self) -> float | None:
+        """What the settings allow of that along translations [N]."""
+
+    @property
+    def gain_factor(self) -> float:
+        """Factor on K_x, under law impedance on the stiffness, that delay and pose demand."""
+
+    @property
+    def damping_factor(self) -> float:
+        """The same on the damping of law impedance."""
 
     @property
     def stop_distance(self) -> _Array:

@@ -251,7 +251,8 @@ class Loop:
         if old or not (np.isfinite(goal).all() and np.isfinite(limit).all()):
             self.refused += 1
             return False
-        self._arm.write(goal, limit, extra, lead=isinstance(command, Command))
+        speed = command.velocity if isinstance(command, Command) else None
+        self._arm.write(goal, limit, extra, lead=speed is not None, velocity=speed)
         self._measure(clock.now() - tick.state.time)
         return True
 

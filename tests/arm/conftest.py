@@ -32,11 +32,11 @@ class Scribe(SimDrive):
         sample.ok[lost] = False
         return sample
 
-    def write(self, goal, limit):
+    def write(self, goal, limit, velocity=None):
         if self.broken:
             raise pliant.ServoError("unplugged")
         self.diary.append(("write", goal.copy(), limit.copy()))
-        super().write(goal, limit)
+        super().write(goal, limit, velocity)
 
     def enable(self, goal, limit):
         self.diary.append(("enable", goal.copy(), limit.copy()))

@@ -47,6 +47,12 @@ def test_a_supply_needs_known_currents():
         Budget(continuous=0.0)
 
 
+@pytest.mark.parametrize("name", ["continuous", "seconds", "supply", "hottest"])
+def test_what_is_not_a_number_is_no_budget(name):
+    with pytest.raises(pliant.ConfigError, match=f"{name} must be"):
+        Budget(**{name: np.nan})
+
+
 def test_limits_of_an_arm_come_down_with_its_heat_but_carry_its_weight(make):
     arm = make()
     with arm:

@@ -75,7 +75,7 @@ def test_urdf_and_file_that_disagree_on_joints():
         ("preset = { press = 3 }\n" + SIM, "without a name"),
         ('robot.builtin = "so101"', "needs a servo for every joint"),
         (
-            SIM + "[gripper]\nopen = 1\nclosed = 1\n[gripper.servo]\nmodel = 'MX-64'\nid = 1",
+            SIM + "[gripper]\nopened = 1\nclosed = 1\n[gripper.servo]\nmodel = 'MX-64'\nid = 1",
             "same angle",
         ),
         (SIM + "[[port]]\n[[port]]\n", "'main' is there twice"),

@@ -309,3 +309,15 @@ def test_too_stiff_springs_are_refused_with_the_nearest_that_work():
     with pytest.raises(pliant.ConfigError, match=r"use x=\d+ N/m, y=\d+ N/m, z=\d+ N/m"):
         pliant.Controller(model, settings)
     pliant.Controller(model, settings.replace(accept="stiffness"))
+
+
+@pytest.mark.parametrize("law", ["cap", "paper", "impedance"])
+@pytest.mark.parametrize("size", [5e-324, 1e-310, 1e-300])
+def test_denormal_positions_are_positions_too(model, law, size):
+    settings = pliant.Settings.paper() if law == "paper" else pliant.Settings(law=law)
+    controller = pliant.Controller(model, settings)
+    target = model.forward_kinematics(np.zeros(7))
+    for tick in range(20):
+        command = controller.step(size * np.arange(7) * (tick % 3), target)
+        assert np.isfinite(command.goal).all()
+        assert np.isfinite(command.torque_limit).all()

@@ -45,6 +45,60 @@ def test_report_has_everything_and_can_be_written_down(controller, q):
     assert report == controller.report(q)
 
 
+@pytest.mark.parametrize("displaced", [0.0, 0.03])
+def test_dead_host_max_bounds_what_is_left_of_a_dead_host(model, q, displaced):
+    target = model.forward_kinematics(q)
+    target[0, 3] += displaced
+    plain = pliant.Controller(model, pliant.Settings.soft("y"))
+    plain.step(q, target)
+    free = plain.report()
+    most = float(free.dead_host[:3].max()) - 4.0  # [N]
+    controller = pliant.Controller(model, pliant.Settings.soft("y", dead_host_max=most))
+    command = controller.step(q, target)
+    report = controller.report()
+    assert most - 0.5 < report.dead_host[:3].max() <= most
+    assert report.dead_host_max == most
+    assert np.all(command.torque_limit <= free.torque_limit)
+    assert np.all(command.torque_limit >= 1.1 * np.abs(model.gravity(q)) - 1e-12)
+    assert not [said for said in report.sentences() if "dead_host_max" in said]
+
+
+def test_more_than_the_weight_leaves_cannot_be_kept(model, q):
+    settings = pliant.Settings.soft("y", dead_host_max=10.0)
+    report = pliant.Controller(model, settings).report(q)
+    assert report.dead_host[2, 0] > 10.0
+    (said,) = [said for said in report.sentences() if "dead_host_max" in said]
+    assert "−z" in said
+    check = pliant.check(model, settings, q)
+    assert not check
+    (found,) = [one for one in check.findings if one.setting == "dead_host_max"]
+    assert (found.about, found.required) == ("−z", True)
+    assert found.value >= report.dead_host[2, 0]
+    assert pliant.check(model, settings.replace(dead_host_max=found.value), q)
+    for wrong in (0.0, -1.0, np.nan):
+        with pytest.raises(pliant.LimitError, match="dead_host_max"):
+            pliant.Settings(dead_host_max=wrong)
+
+
+def test_what_delay_takes_off_springs_and_dampers_can_be_read(model, q):
+    springs = {"xyz": pliant.Axis(stiffness=800.0, damping=90.0)}
+    controller = pliant.Controller(model, pliant.Settings(law="impedance", axes=springs))
+    report = controller.report(q)
+    assert report.damping_factor == controller.report(q).damping_factor <= 1.0
+    controller.set_delay(0.1)
+    late = controller.report(q)
+    assert late.damping_factor < report.damping_factor
+    assert late.gain_factor < report.gain_factor
+    (said,) = [said for said in late.sentences() if "damping" in said]
+    assert f"{late.damping_factor:.2f}"[:4] in said
+
+
+def test_a_hold_that_makes_room_says_so(model, q):
+    settings = pliant.Settings(axes={"y": pliant.Axis(soft=90.0)})
+    (said,) = [s for s in pliant.Controller(model, settings).report(q).sentences() if "room" in s]
+    assert said == "y: hold is 90.0 N instead of 40.0, to leave room for soft and firm."
+
+
 def test_formula_of_the_static_force(controller, model, q):
     report = controller.report(q)
     jacobian, gravity = model.jacobian(q), model.gravity(q)

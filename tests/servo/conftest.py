@@ -37,10 +37,9 @@ class FakeBus:
         return failure == "stale"
 
     def read(self, id, address, size):
-        is_stale = self._request("read", id, address, size)
         answer = (bytes(self.memory[id][address : address + size]), 0)
-        out, self._before = (self._before if is_stale else answer), answer
-        return out
+        before, self._before = self._before, answer
+        return before if self._request("read", id, address, size) else answer
 
     def write(self, id, address, data):
         self._request("write", id, address, data)
@@ -48,10 +47,9 @@ class FakeBus:
         return 0
 
     def sync_read(self, ids, address, size):
-        is_stale = self._request("sync_read", tuple(ids), address, size)
         answer = [(bytes(self.memory[i][address : address + size]), 0) for i in ids]
-        out, self._before = (self._before if is_stale else answer), answer
-        return out
+        before, self._before = self._before, answer
+        return before if self._request("sync_read", tuple(ids), address, size) else answer
 
     def sync_write(self, ids, address, data):
         self._request("sync_write", tuple(ids), address, tuple(data))

@@ -6,7 +6,7 @@ from pliant.servo import BusError
 from pliant.servo.guard import Guard
 from pliant.servo.models import Block
 
-SHORT, LONG = Block(56, 15), Block(55, 16)
+SHORT, LONG, LONGER = Block(56, 15), Block(55, 16), Block(54, 17)
 
 
 def guarded(bus, **options):
@@ -36,7 +36,7 @@ def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):
     guard = guarded(bus)
     bus.plan = [failure("timeout", 1)]
     bus.late = 3
-    assert guard.read(1, SHORT).status == 0
+    assert guard.read(1, SHORT, LONG).status == 0
     # Three pings came back early because bytes were still arriving; the fourth heard nothing.
     assert [call[0] for call in bus.calls] == ["read", *["ping"] * 4, "read"]
     assert all(call[1] == 200 for call in bus.calls if call[0] == "ping")
@@ -50,7 +50,7 @@ def test_two_failures_are_reported(fake_bus):
     bus.plan = [failure("timeout"), failure("corrupt")]
     guard.begin(1.0)
     with pytest.raises(BusError) as caught:
-        guard.read(1, SHORT)
+        guard.read(1, SHORT, LONG)
     assert caught.value.reason == "corrupt"
     assert len(requests(bus)) == 2
     assert (guard.counters.timeouts, guard.counters.corrupt) == (1, 1)
@@ -71,29 +71,94 @@ def test_nothing_is_asked_before_a_noisy_line_is_silent(fake_bus):
     assert len(requests(bus)) == sent == 1
     bus.late = 0
     guard.begin(0.03)
-    assert guard.read(1, SHORT).status == 0
+    assert guard.read(1, SHORT, LONG).status == 0
 
 
-def test_an_answer_of_the_last_request_is_kept_out(fake_bus):
+def test_an_answer_to_the_last_request_is_kept_out(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
     bus.memory[1][56] = 1
-    guard.read_in_turn(1, (SHORT, LONG))
+    bus.plan = [failure("timeout")]
+    with pytest.raises(BusError):
+        guard.read(1, SHORT, LONG, again=False)
     bus.memory[1][56] = 2
     bus.plan = ["stale"]
-    reply = guard.read_in_turn(1, (SHORT, LONG))
+    reply = guard.read(1, SHORT, LONG, LONGER)
     assert reply.data[56 - reply.block.address] == 2
+    assert reply.block == LONGER
     assert guard.counters.stale == 1
 
 
 def test_a_stale_sync_read_is_kept_out(fake_bus):
     bus = fake_bus([1, 2])
     guard = guarded(bus)
-    guard.sync_read([1, 2], (SHORT, LONG))
+    bus.plan = [failure("timeout")]
+    with pytest.raises(BusError):
+        guard.sync_read([1, 2], SHORT, LONG)
     bus.plan = ["stale"]
     with pytest.raises(BusError) as caught:
-        guard.sync_read([1, 2], (SHORT, LONG))
+        guard.sync_read([1, 2], SHORT, LONG)
     assert caught.value.reason == "stale"
+
+
+def test_a_length_is_not_asked_for_while_it_is_owed(fake_bus):
+    bus = fake_bus([1, 2])
+    guard = guarded(bus)
+    guard.begin(10.0)
+    bus.plan = [failure("timeout"), failure("corrupt")]
+    with pytest.raises(BusError):
+        guard.read(1, SHORT, LONG)
+    # Both lengths are owed now, by this servo only.
+    with pytest.raises(BusError) as caught:
+        guard.read(1, SHORT, LONG)
+    assert caught.value.reason == "late"
+    assert guard.read(2, SHORT, LONG).block == SHORT
+    with pytest.raises(BusError):
+        guard.sync_read([1, 2], SHORT, LONG)
+    # An answer of a third length settles them; they stay avoided where there is a choice.
+    assert guard.read(1, SHORT, LONG, LONGER).block == LONGER
+    assert guard.read(1, SHORT, LONG, LONGER).block == LONGER
+    assert guard.read(1, SHORT, LONG).block == SHORT
+    bus.now += 1.5
+    assert guard.read(1, SHORT, LONG, LONGER).block == SHORT
+
+
+def test_a_servo_that_was_silent_for_long_is_asked_again(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    guard.begin(10.0)
+    bus.plan = [failure("timeout")]
+    with pytest.raises(BusError):
+        guard.read(1, SHORT, again=False)
+    with pytest.raises(BusError) as caught:
+        guard.read(1, SHORT, again=False)
+    assert caught.value.reason == "late"
+    bus.now += 2.5
+    assert guard.read(1, SHORT).block == SHORT
+
+
+def test_without_hurry_a_reading_of_another_length_settles_what_is_owed(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    bus.plan = [failure("timeout")]
+    assert guard.read(1, SHORT).block == SHORT
+    assert [call[:4] for call in requests(bus)] == [
+        ("read", 1, 56, 15),
+        ("read", 1, 0, 12),
+        ("read", 1, 56, 15),
+    ]
+
+
+def test_a_ping_of_protocol_2_looks_like_three_bytes(fake_bus):
+    bus = fake_bus([])
+    guard = guarded(bus)
+    guard._protocol = "p2"
+    assert not guard.ping(1)
+    bus.memory[1] = bytearray(256)
+    guard.begin(1.0)
+    with pytest.raises(BusError) as caught:
+        guard.read(1, Block(144, 3))
+    assert caught.value.reason == "late"
 
 
 def test_no_retry_that_could_not_be_answered_in_time(fake_bus):

@@ -49,9 +49,9 @@ def quiet(seen):
     seen.said.clear()
 
 
-def click(handle, client=SimpleNamespace()):
+def click(handle):
     for callback in handle._impl.update_cb:
-        callback(SimpleNamespace(client=client, client_id=0, target=handle))
+        callback(SimpleNamespace(client="a browser", client_id=0, target=handle))
 
 
 def move(handle, value):

@@ -166,7 +166,8 @@ class Arm:
         names = cycle.roster.names
         on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[cycle.roster.chain]
         # A joint that carries weight already would dip if its goal went to where it is.
-        start = cycle.q + np.where(on, np.clip(gravity / kp, -LEAD, LEAD), 0.0)
+        stood = cycle.q
+        start = stood + np.where(on, np.clip(gravity / kp, -LEAD, LEAD), 0.0)
         weight = SUPPORT * np.abs(gravity) + 2.0 * np.asarray(self.servos.friction)
         for name, gripper in self.grippers.items():
             cycle.orders[name] = (gripper.position, gripper.limit)
@@ -179,7 +180,7 @@ class Arm:
         except ServoError:
             self._forget()
             raise
-        take_up(cycle, start, self.rate)
+        take_up(cycle, start, stood, self.rate)
         cycle.guard(self._watchdog)
 
     def lower(self) -> None:
@@ -322,6 +323,7 @@ class Arm:
         extra: Mapping[str, tuple[float, float]] | None = None,
         *,
         lead: bool = False,
+        velocity: ArrayLike | None = None,
     ) -> None:
         """Send goals and torque limits, within position limits and budgets.
 
@@ -332,6 +334,8 @@ class Arm:
             extra: Goal [rad] and limit [N·m] of joints off the chain by name; others keep theirs.
             lead: Whether goals may lead beyond the position limits to exert a force: a `Controller`
                 sees to it that no joint is driven out by that, and `Tick.write` lets its commands.
+            velocity: Fastest motion (n,) [rad/s] to the goals, for the servos' speed registers;
+                None, or inf: as fast as they can.
 
         Raises:
             ShapeError, LimitError, ConfigError: What cannot be sent; nothing was.
@@ -340,7 +344,7 @@ class Arm:
         """
         with self._keeper:
             self._on()
-            self._cycle.write(goal, limit, extra, lead=lead)
+            self._cycle.write(goal, limit, extra, lead=lead, velocity=velocity)
 
     def watched(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
         """Inside, an arm in real time leaves by itself after so long without read or write [s].

@@ -46,6 +46,8 @@ class Budget:
             raise ConfigError(f"Budget.seconds must be above 0 s, got {self.seconds!r}")
         if self.supply is not None and not self.supply > 0.0:
             raise ConfigError(f"Budget.supply must be above 0 A, or None, got {self.supply!r}")
+        if not self.hottest > 0.0:
+            raise ConfigError(f"Budget.hottest must be above 0 °C, got {self.hottest!r}")
 
 
 class Meter:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -91,6 +92,13 @@ def _simulated(
 
     model = robots.load(robot) if isinstance(robot, str) else robot
     of_the_arm = {key: value for key, value in options.items() if key in _OF_THE_ARM}
+    of_the_plant = set(signature(Plant).parameters) - {"model"}
+    known = {"robot", "q", "real_time", *of_the_plant, *_OF_THE_ARM}
+    for key in options:
+        if key not in known:
+            from pliant.config.messages import suggest
+
+            raise ConfigError(f"connect has no option {key!r}; {suggest(key, known)}")
     plant = Plant(
         model, **{k: v for k, v in options.items() if k not in _OF_THE_ARM or k == "rate"}
     )

@@ -153,12 +153,17 @@ class Cycle:
         extra: Mapping[str, tuple[float, float]] | None,
         *,
         lead: bool,
+        velocity: ArrayLike | None = None,
     ) -> None:
         """Check, cut and send; see `Arm.write`."""
         goal = self.vector(goal, "goal")
         limit = self.limit if limit is None else self.vector(limit, "limit")
         if limit.min() < 0.0:
             raise LimitError(f"limit must be at least 0 N·m, got {limit.min():g}")
+        if velocity is not None:
+            velocity = self.vector(velocity, "velocity", finite=False)
+            if not velocity.min() >= 0.0:
+                raise LimitError(f"velocity must be at least 0 rad/s, got {velocity.tolist()}")
         orders = self.roster.check(extra or {})
         gravity, model, chain = self.gravity(), self.model, self.roster.chain
         need, most = gravity / self._kp[chain], self._usable[chain] / self._kp[chain]
@@ -173,7 +178,7 @@ class Cycle:
         self.orders = {**self.orders, **orders}
         out = (most, most) if lead else (np.maximum(-need, 0.0), np.maximum(need, 0.0))
         goal = np.clip(goal, model.lower - out[0], model.upper + out[1])
-        self.send(goal, self._cut(goal, limit, gravity))
+        self.send(goal, self._cut(goal, limit, gravity), velocity)
 
     def _cut(self, goal: Array, limit: Array, gravity: Array) -> Array:
         """Limits (n,) [N·m] within heat, supply, and the rise after a silence."""
@@ -199,8 +204,10 @@ class Cycle:
         self._sent = self._all(goal, np.minimum(limit, self._usable[self.roster.chain]))
         self.drive.enable(*self._sent)
 
-    def send(self, goal: Array, limit: Array) -> None:
+    def send(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
         """Send goals and limits of the chain (n,) as they are; joints beside it get their orders.
+
+        `velocity` (n,) [rad/s] is for the servos' speed registers; None: as fast as they can.
 
         Raises:
             ServoError: The connection is gone.
@@ -209,7 +216,9 @@ class Cycle:
         self._wake()
         self._sent = goals, limits
         self.goal, self.limit = goal.copy(), limits[self.roster.chain]
-        self.drive.write(goals, limits)
+        beside = np.full(self.roster.beside.size, np.inf)
+        speeds = None if velocity is None else self.roster.join(velocity, beside)
+        self.drive.write(goals, limits, speeds)
         self._spoke = self.clock.now()
         self._learn(self.drive.slow())
 
@@ -244,16 +253,16 @@ class Cycle:
             self.meter.temperature[place] = health.temperature
         self._trouble[health.name] = health.faults
 
-    def vector(self, value: ArrayLike, name: str) -> Array:
+    def vector(self, value: ArrayLike, name: str, *, finite: bool = True) -> Array:
         """A joint vector (n,) that can be sent.
 
         Raises:
-            ShapeError: Another shape. LimitError: Not finite.
+            ShapeError: Another shape. LimitError: Not finite, where it has to be.
         """
         array = np.array(value, dtype=np.float64)
         if array.shape != (self.model.n,):
             raise ShapeError(f"{name} has shape {array.shape}, expected ({self.model.n},)")
-        if not np.isfinite(array).all():
+        if finite and not np.isfinite(array).all():
             raise LimitError(f"{name} is not finite, nothing was sent: {array.tolist()}")
         return array
 

@@ -165,8 +165,12 @@ class Drive(Protocol):
             ServoError: The connection is gone.
         """
 
-    def write(self, goal: Array, limit: Array) -> None:
-        """Send goals (N,) [rad] and torque limits (N,) [N·m] to enabled joints."""
+    def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
+        """Send goals (N,) [rad] and torque limits (N,) [N·m] to enabled joints.
+
+        `velocity` (N,) [rad/s] is the fastest that a servo may go to its goal, for its speed
+        register where it has one; inf, or None: as fast as it can.
+        """
 
     def slow(self) -> Reported | None:
         """One step of the rota of voltages, temperatures and faults; None without news."""

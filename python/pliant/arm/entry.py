@@ -40,16 +40,30 @@ def hear_all(cycle: Cycle, rate: float) -> None:
     )
 
 
-def take_up(cycle: Cycle, start: Array, rate: float) -> None:
-    """Goals go from `start` (n,) [rad] to where they carry the weight; limits rise; at `rate`."""
+def take_up(cycle: Cycle, start: Array, stood: Array, rate: float) -> None:
+    """Goals go from `start` to where they carry the weight of an arm that stands where it stood.
+
+    A goal does not lead by more than its limit can use, and what it gives up it does not take back:
+    an arm with a load that nobody told it of sinks until the limits have risen, and then stays
+    there instead of being thrown back up.
+
+    Args:
+        cycle: The arm, torque on.
+        start: First goals (n,) [rad].
+        stood: Where it stood before torque came on (n,) [rad].
+        rate: Of this loop [Hz].
+    """
     servos, clock = cycle.servos, cycle.clock
-    full = cycle.q + cycle.gravity() / np.asarray(servos.kp)
+    kp, least = np.asarray(servos.kp), 2.0 * np.asarray(servos.friction)
+    place, lead = stood.copy(), start - stood
     begin = clock.now()
     while (passed := clock.now() - begin) < EASE:
         clock.wait_until(clock.now() + 1.0 / rate)
         cycle.sample()
         gravity = cycle.gravity()
         share = min(2.0 * passed / EASE, 1.0)
-        limit = SUPPORT * np.abs(gravity) + share * margin(servos, gravity)
-        cycle.send(start + share * (full - start), limit)
+        limit = SUPPORT * np.abs(gravity) + np.maximum(share * margin(servos, gravity), least)
+        carried = lead + share * (gravity / kp - lead)
+        place = cycle.q + np.clip(place + carried - cycle.q, -limit / kp, limit / kp) - carried
+        cycle.send(place + carried, limit)
     cycle.ease()

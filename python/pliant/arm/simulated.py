@@ -133,8 +133,11 @@ class SimDrive:
         position = np.concatenate((state.q, [state.extra[name] for name in self._extra]))
         return Sample(position, np.full(position.size, state.fresh), state.time)
 
-    def write(self, goal: Array, limit: Array) -> None:
-        """Send goals (N,) [rad] and limits (N,) [N·m]; joints without torque stay without."""
+    def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
+        """Send goals (N,) [rad] and limits (N,) [N·m]; joints without torque stay without.
+
+        Simulated servos have no speed register: `velocity` is left out.
+        """
         self.clock.catch_up()
         n = self.plant.n
         limit = np.where(self._on, limit, 0.0)

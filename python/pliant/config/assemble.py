@@ -112,7 +112,9 @@ def jaws(config: Config) -> dict[str, Jaw]:
     gripper = config.gripper
     if gripper is None:
         return {}
-    jaw = Jaw(opened=gripper.open, closed=gripper.closed, limit=gripper.limit, lever=gripper.lever)
+    jaw = Jaw(
+        opened=gripper.opened, closed=gripper.closed, limit=gripper.limit, lever=gripper.lever
+    )
     return {gripper.joint: jaw}
 
 

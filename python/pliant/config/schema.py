@@ -138,7 +138,7 @@ class Gripper(Table):
     Attributes:
         servo: Its servo.
         joint: Its name; where the model has a joint of this name, its weight is where it is.
-        open, closed: Angles of the two ends [rad]; None: the limits of the model's joint.
+        opened, closed: Angles of the two ends [rad]; None: the limits of the model's joint.
         limit: Torque limit unless a force is asked for [N·m]; None: the lesser of 30 % of the
             largest and 0.9 of the servo's overload threshold.
         lever: From its axis to the middle of the finger [m], so that forces are newtons there.
@@ -146,15 +146,15 @@ class Gripper(Table):
 
     servo: Servo
     joint: str = "gripper"
-    open: Number | None = None
+    opened: Number | None = None
     closed: Number | None = None
     limit: NotNegative | None = None
     lever: Positive | None = None
 
     @model_validator(mode="after")
     def _two_ends(self) -> Self:
-        if self.open is not None and self.open == self.closed:
-            raise ValueError(f"open and closed are the same angle, {self.open:g} rad")
+        if self.opened is not None and self.opened == self.closed:
+            raise ValueError(f"opened and closed are the same angle, {self.opened:g} rad")
         return self
 
 

@@ -51,13 +51,11 @@ class Rate:
 def wire(model: str) -> float:
     """Time of a cycle on the wire [s]."""
     family = ServoSpec(name="a", model=model, id=1, port="").row.family
-    # The two blocks are read in turn.
-    reads = [
-        wire_time(family.protocol, "sync_read", SERVOS, block.size, baudrate=BAUD)
-        if family.sync_read
-        else SERVOS * wire_time(family.protocol, "read", 1, block.size, baudrate=BAUD)
-        for block in family.read
-    ]
+    size = family.read[0].size
+    if family.sync_read:
+        read = wire_time(family.protocol, "sync_read", SERVOS, size, baudrate=BAUD)
+    else:
+        read = SERVOS * wire_time(family.protocol, "read", 1, size, baudrate=BAUD)
     writes = [
         wire_time(
             family.protocol,
@@ -68,7 +66,7 @@ def wire(model: str) -> float:
         )
         for names in family.write
     ]
-    return float(np.mean(reads)) + sum(writes)
+    return read + sum(writes)
 
 
 def measure(family: str, cycles: int, *, timed: bool) -> Rate:

@@ -50,6 +50,7 @@ class Grip:
         model.site_pos[site] = tool[:3, 3]
         mujoco.mju_mat2Quat(model.site_quat[site], tool[:3, :3].reshape(9))
         self._ids = np.array([model.actuator(f"grip:{name}").id for name in AXES])
+        plant.mj_data.act[model.actuator_actadr[self._ids]] = 0.0
         self._place = plant
         # Gears are in the axes of the place; the hand's are the base's.
         for row, index in enumerate(self._ids):

@@ -15,10 +15,11 @@ from pliant.experiments.campaign_bench import (
     Disturbance,
     Promise,
 )
+from pliant.experiments.parallel import parallel
 from pliant.sim.friction import MX64, MX106, STS3215, Friction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     #: Arm and disturbance by name.
     Key = tuple[str, str]
@@ -96,18 +97,7 @@ def run(work: Sequence[Job], processes: int = 1) -> Iterator[tuple[Key, list[Pro
     Yields:
         Arm and disturbance, and all their promises, as soon as they are there.
     """
-    if processes > 1:
-        try:
-            from joblib import Parallel, delayed
-        except ImportError:
-            print("campaign: one process only; for more: pip install 'pliant[sweep]'")
-            processes = 1
-    done: Iterable[list[Promise]]
-    if processes > 1:
-        parallel = Parallel(n_jobs=processes, return_as="generator")
-        done = parallel(delayed(Job.run)(job) for job in work)
-    else:
-        done = (job.run() for job in work)
+    done = parallel(work, processes, "campaign")
     pairs = zip(work, done, strict=True)
     for key, group in groupby(pairs, key=lambda pair: (pair[0].arm, pair[0].disturbance.name)):
         yield key, [promise for _, promises in group for promise in promises]

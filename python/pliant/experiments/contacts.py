@@ -16,13 +16,15 @@ import tyro
 
 from pliant.experiments import contacts_table as table
 from pliant.experiments.contacts_bench import Bench, Case, Record
+from pliant.experiments.parallel import parallel
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
 #: The case of the numbers in the documents, and the others.
 MAIN = Case("encoder, friction ±30 %")
 OTHERS = (
+    Case("a tick each way", delay=(1, 1)),
     Case("all known", encoder=False, friction=0.0),
     Case("and k_p ±10 %", kp=0.1),
     Case("gears as they are", gears=True),
@@ -71,18 +73,6 @@ class Job:
         return bench.free(self.number, self.seconds)
 
 
-def run(work: Sequence[Job], processes: int) -> list[Record]:
-    """Run jobs, in parallel where joblib is there."""
-    if processes > 1:
-        try:
-            from joblib import Parallel, delayed
-        except ImportError:
-            print("contacts: one process only; for more: pip install 'pliant[sweep]'")
-        else:
-            return list(Parallel(n_jobs=processes)(delayed(Job.run)(job) for job in work))
-    return [job.run() for job in work]
-
-
 def measure(
     case: Case, contacts: int, minutes: int, processes: int = 1, piece: float = PIECE
 ) -> tuple[list[table.Seen], dict[str, float]]:
@@ -99,8 +89,8 @@ def measure(
         A row per rule; errors, bounds and the thresholds that raised no alarm.
     """
     pieces = round(60.0 * minutes / piece)
-    free = run([Job(case, number, piece) for number in range(pieces)], processes)
-    met = run([Job(case, number) for number in range(contacts)], processes)
+    free = list(parallel([Job(case, i, piece) for i in range(pieces)], processes, case.name))
+    met = list(parallel([Job(case, i) for i in range(contacts)], processes, case.name))
     capacity = Bench(case).arm.median_capacity[0]
     silent = table.least_silent(free, slice(0, 3))
     sizes = sorted([*(float(f"{share * capacity:.2g}") for share in table.SHARES), silent])

@@ -52,6 +52,7 @@ class Case:
         gears: Whether friction depends on speed and load.
         identified: Whether the controller knows the gears' friction by speed and load.
         sensed: Whether servos report their load, 10 % off at most and with 1 % of noise.
+        delay: Ticks for which readings and commands are on their way, known.
         told: Options of `pliant.Contact`.
     """
 
@@ -63,6 +64,7 @@ class Case:
     gears: bool = False
     identified: bool = False
     sensed: bool = False
+    delay: tuple[int, int] = (0, 0)
     told: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self) -> dict[str, Any]:
@@ -185,9 +187,15 @@ class Bench:
             kp=off(case.kp) * np.asarray(table.kp),
             count=count,
         )
-        settings = pliant.Settings(task=" ".join(self.arm.axes), rate=RATE)
+        task, delay = " ".join(self.arm.axes), sum(case.delay) / RATE
+        settings = pliant.Settings(task=task, rate=RATE, delay=delay)
         controller = pliant.Controller(self.arm.model, settings, believed)
-        options: dict[str, Any] = {"rate": RATE, "count": count, "flicker": int(case.encoder)}
+        options: dict[str, Any] = {
+            "rate": RATE,
+            "delay": case.delay,
+            "count": count,
+            "flicker": int(case.encoder),
+        }
         if case.gears:
             options["friction"] = REAL_GEARS[case.arm]
         seed = int(rng.integers(2**31))

@@ -53,10 +53,11 @@ class SickDrive(SimDrive):
         position = np.where(lost, np.nan, sample.position)
         return Sample(position, sample.ok & ~lost, sample.time)
 
-    def write(self, goal: Array, limit: Array) -> None:
+    def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
         """Orders to the joints that hear."""
         if not self.deaf:
-            super().write(goal, np.where(np.isin(self.names, list(self.powerless)), 0.0, limit))
+            limit = np.where(np.isin(self.names, list(self.powerless)), 0.0, limit)
+            super().write(goal, limit, velocity)
 
 
 @dataclass(frozen=True, kw_only=True)

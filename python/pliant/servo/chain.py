@@ -191,10 +191,14 @@ class ServoChain:
     def counters(self) -> dict[str, int]:
         """What has happened since open, all ports together.
 
-        As `pliant.servo.guard.Counters`, and `mismatches`: limits that read back other than
-        written.
+        As `pliant.servo.guard.Counters`; `mismatches`: limits that read back other than written;
+        `alerts`: how often a servo's status began to say that something is wrong, also where the
+        next answer said nothing of it: an overload that ends with the next order is seen here only.
         """
-        total = {"mismatches": sum(device.mismatches for device in self._devices)}
+        total = {
+            "mismatches": sum(device.mismatches for device in self._devices),
+            "alerts": sum(device.alerts for device in self._devices),
+        }
         for counters in self._counters:
             for name, value in asdict(counters).items():
                 total[name] = total.get(name, 0) + value
@@ -233,7 +237,8 @@ class ServoChain:
             goal: Joint goals (n,) [rad]; clamped to the joint's range.
             limit: Torque limits (n,) [N·m], at least 0; rounded down to the register, clamped to
                 the servo's ceiling.
-            velocity: Fastest motion (n,) [rad/s] > 0, as the servo's own cap; default the chain's.
+            velocity: Fastest motion (n,) [rad/s] > 0, as the servo's own cap, at most the chain's;
+                default that.
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative. Nothing is sent.
@@ -364,17 +369,20 @@ class ServoChain:
         for device in self._devices:
             port = self._port_of[id(device)]
             port.guard.begin()
-            device.accept(port.guard.read_in_turn(device.id, device.family.read))
+            device.accept(port.guard.read(device.id, *device.family.read))
         align_twins(self._joints)
 
     def _cap(self, velocity: ArrayLike | None) -> Array:
+        fastest = [joint[0].units.no_load_speed for joint in self._joints]
+        speeds = np.array(fastest if self._speed is None else [self._speed] * self.n)
         if velocity is None:
-            speeds = [joint[0].units.no_load_speed for joint in self._joints]
-            return np.array(speeds if self._speed is None else [self._speed] * self.n)
-        cap = self._vector(velocity, "velocity")
+            return speeds
+        # A speed that no servo reaches is none.
+        cap = self._vector(np.nan_to_num(velocity, nan=np.nan), "velocity")
         if np.any(cap < 0.0):
             raise ConfigError(f"velocity must be at least 0 rad/s, got {cap.min():g}")
-        return cap
+        slower: Array = np.minimum(cap, speeds)
+        return slower
 
     def _chosen(self, names: Sequence[str] | None) -> list[Device]:
         if names is None:

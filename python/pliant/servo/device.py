@@ -14,11 +14,14 @@ if TYPE_CHECKING:
     from pliant.servo.models import Block, Family, ServoModel
     from pliant.servo.spec import ServoSpec
 
+#: A supply may be too low for so long [s].
+SAG = 0.5
 #: Positions may run this much ahead of twice the no-load speed before a reading is disbelieved
 #: [rad].
 JUMP = 0.1
-#: A limit that reads back wrong this often in a row is a fault.
-MISMATCHES = 2
+#: A limit that reads back wrong after so many packets in a row is a fault: with one packet lost in
+#: a hundred, two happen within the hour.
+MISMATCHES = 3
 
 
 class Device:
@@ -35,6 +38,9 @@ class Device:
         ceiling: Largest limit the servo takes.
         gain: Gain register as read.
         low, high: Counts that goals stay within.
+        starved: Voltage below which it cannot be driven [V].
+        alerts: How often its status began to say that something is wrong, also where that was gone
+            again with the next answer.
         multi_turn: Whether goals may leave one turn.
         overload: Share of the full torque above which it protects itself, None where it does not.
         seam: Counts after which positions start again, None where they do not.
@@ -65,6 +71,8 @@ class Device:
         self.seam: int | None = self.row.counts + 1 if whole else None
         self.multi_turn = self.family.multi_turn
         self.overload: float | None = self.row.overload
+        self.starved, self._fed = 0.0, 0.0
+        self.alerts = 0
         self.turns = 0
         self.enabled = self.torque_on = False
         self.limit = 0
@@ -172,9 +180,10 @@ class Device:
     def note(self, reply: Reply) -> None:
         """Take in what a block tells of voltage, temperature, limit and health."""
         family, block = self.family, reply.block
-        self.conditions = words.conditions(family, reply.status)
+        before, self.conditions = self.conditions, words.conditions(family, reply.status)
+        self.alerts += bool(set(self.conditions) - set(before))
         if self._spans(block, "voltage"):
-            self.set_voltage(family.decode(block, reply.data, "voltage") / 10.0)
+            self.set_voltage(family.decode(block, reply.data, "voltage") / 10.0, reply.time)
         if self._spans(block, "temperature"):
             self.temperature = float(family.decode(block, reply.data, "temperature"))
         if self._spans(block, "limit"):
@@ -204,9 +213,20 @@ class Device:
             return self.units.sign * self.units.torque(self.current or 0)
         return self.units.sign * self.units.load(self.load)
 
-    def set_voltage(self, volts: float) -> None:
-        """Follow the supply: a duty gives a torque in proportion to it."""
+    def set_voltage(self, volts: float, time: float) -> None:
+        """Follow the supply: a duty gives a torque in proportion to it.
+
+        A sag of a moment is borne, one that lasts is a fault.
+        """
         self.voltage = volts
+        if volts >= self.starved:
+            self._fed = time
+        self.fault(
+            "voltage",
+            time - self._fed > SAG,
+            f"its supply is {volts:.1f} V and it needs {self.starved:.1f} V: a supply that is too "
+            "weak, or thin or long wires",
+        )
         if volts != self.units.voltage and volts > 0.0:
             self.units = replace(self.units, voltage=volts)
 
@@ -223,6 +243,11 @@ class Device:
             self.rota[key] = text
         else:
             self.rota.pop(key, None)
+
+    @property
+    def doubted(self) -> bool:
+        """Whether its limit read other than written, and not often enough to be sure."""
+        return 0 < self._wrong < MISMATCHES
 
     def sent(self, limit: int) -> None:
         """A packet with this limit is on its way."""

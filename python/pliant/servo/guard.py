@@ -1,26 +1,32 @@
 """A guard around every transaction of one port.
 
-The protocols carry no sequence number, so a late answer to the last request looks like the answer
-to this one. Three things keep it out: after a failure the line is drained, by pings to an id that
-nobody has, until it has been silent for as long as an answer may take; a reading takes two blocks
-of different length in turn, so an answer that is one request late has the wrong length; and what
-is neither drained nor of the right length is never handed out.
+The protocols carry no sequence number, so a late answer to an earlier request looks like the answer
+to this one, but for its length. So the length is the number: a request that was not answered well
+*owes* an answer, and no other of that servo asks for as many bytes before one of another length
+has been answered. A servo answers in order and a line keeps it: that answer proves that nothing
+older can still come. Where there is a choice, the length is avoided for a second in any case,
+should something between host and servo not keep the order. What is owed for two seconds is given
+up: an arm without positions for so long is on its way down.
+
+What is late still spoils the next answers. So after a failure the line is drained too, by pings to
+an id that nobody has, until it has been silent for as long as an answer may take.
 """
 
 from __future__ import annotations
 
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import isinf
 from typing import TYPE_CHECKING, TypeVar
 
+from pliant.servo.models.row import Block
 from pliant.servo.transport import BusError
 from pliant.servo.wire import TURN, reply_timeout, wire_time
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from pliant.servo.models.row import Block
     from pliant.servo.models.row import Protocol as Wire
     from pliant.servo.transport import Transport
     from pliant.servo.wire import Kind
@@ -31,6 +37,12 @@ T = TypeVar("T")
 SILENCE_SHARE = 0.2
 #: Outside of a cycle there is no hurry: so many times the patience, and so many tries.
 UNHURRIED, TRIES = 5.0, 3
+#: A length is avoided for so long after an answer of it was missed, where there is a choice, and
+#: for so long where nothing has been answered since [s].
+MEMORY, GIVEN_UP = 1.0, 2.0
+#: Data bytes that a ping is answered with, and the most that any servo has at address 0 without a
+#: gap.
+PING, FIRST = {"p1": 0, "p2": 3}, 12
 #: Which counter a failure counts in.
 _COUNTED = {"timeout": "timeouts", "corrupt": "corrupt", "stale": "stale", "refused": "refused"}
 
@@ -73,6 +85,21 @@ class Reply:
     data: bytes
     status: int
     time: float
+
+
+@dataclass
+class Owed:
+    """An answer that did not come, or not well.
+
+    Attributes:
+        size: Its data bytes.
+        time: When it was asked for, by the guard's clock [s].
+        settled: Whether a later request has been answered, so that it cannot come any more.
+    """
+
+    size: int
+    time: float
+    settled: bool = False
 
 
 class Guard:
@@ -119,7 +146,7 @@ class Guard:
         self._dirty = False
         self._timeout = self._waited = 0.0
         self._patience = patience
-        self._turn = 0
+        self._owed: dict[int, list[Owed]] = {}
         self._silence = SILENCE_SHARE * patience + latency
 
     def begin(self, budget: float = float("inf")) -> None:
@@ -129,40 +156,38 @@ class Guard:
         """
         self._deadline = self._clock() + budget
 
-    def read(self, id: int, block: Block) -> Reply:
-        """Read one block of one servo; after a failure drain and try once more.
-
-        Raises:
-            BusError: All tries failed, or there was no time for another.
-        """
-        return self._tried(lambda: self._read(id, block))
-
-    def read_in_turn(self, id: int, blocks: tuple[Block, Block], *, again: bool = True) -> Reply:
-        """Read one of two blocks of different length, the other one at the next try or call.
+    def read(self, id: int, *blocks: Block, again: bool = True) -> Reply:
+        """Read a block of one servo; after a failure drain and try once more.
 
         Args:
             id: The servo.
-            blocks: The two.
+            *blocks: What will do, of different lengths; the first is read whose length no answer
+                owed has.
             again: Whether a failure is followed by a second try.
+
+        Raises:
+            BusError: All tries failed, or there was no time for another; `late` where every length
+                is owed, until a reading of another length has been answered.
         """
 
         def once() -> Reply:
-            return self._read(id, blocks[self._next()])
+            return self._read(id, self._choose([id], blocks))
 
         return self._tried(once) if again else self._once(once)
 
-    def sync_read(self, ids: Sequence[int], blocks: tuple[Block, Block]) -> dict[int, Reply]:
-        """Read one of two blocks of several servos with one request; not tried twice.
+    def sync_read(self, ids: Sequence[int], *blocks: Block) -> dict[int, Reply]:
+        """Read a block, as `read`, of several servos with one request; not tried twice.
 
         It is all or nothing; after a failure ask them one by one.
         """
 
         def once() -> dict[int, Reply]:
-            block = blocks[self._next()]
+            block = self._choose(ids, blocks)
             start = self._start("sync_read", len(ids), block.size)
-            answers = self._io.sync_read(ids, block.address, block.size)
-            pairs = zip(ids, answers, strict=True)
-            return {i: self._checked(i, block, d, s, start) for i, (d, s) in pairs}
+            with self._owing(ids, block.size):
+                answers = self._io.sync_read(ids, block.address, block.size)
+                pairs = zip(ids, answers, strict=True)
+                return {i: self._checked(i, block, d, s, start) for i, (d, s) in pairs}
 
         return self._once(once)
 
@@ -191,10 +216,12 @@ class Guard:
 
         def once() -> bool:
             self._start("ping", 1, 0, hurry=True)
+            before = self._clock()
             answered = self._io.ping(id)
             if not answered:
                 # Whoever was late, or two at once, may still be talking.
                 self._dirty = True
+                self._owe([id], PING[self._protocol], before)
             return answered
 
         return self._once(once)
@@ -221,8 +248,68 @@ class Guard:
 
     def _read(self, id: int, block: Block) -> Reply:
         start = self._start("read", 1, block.size)
-        data, status = self._io.read(id, block.address, block.size)
-        return self._checked(id, block, data, status, start)
+        with self._owing([id], block.size):
+            data, status = self._io.read(id, block.address, block.size)
+            return self._checked(id, block, data, status, start)
+
+    def _choose(self, ids: Sequence[int], blocks: Sequence[Block]) -> Block:
+        """The first block of a length that nobody owes: not within memory, or not any more.
+
+        Raises:
+            BusError: All are owed still, and there is no time to find out more.
+        """
+        if not self._owed:
+            return blocks[0]
+        now = self._clock()
+        for id in ids:
+            left = [
+                one
+                for one in self._owed.get(id, ())
+                if now - one.time < (MEMORY if one.settled else GIVEN_UP)
+            ]
+            if left:
+                self._owed[id] = left
+            else:
+                self._owed.pop(id, None)
+        owed = [one for id in ids for one in self._owed.get(id, ())]
+        avoided = {one.size for one in owed}
+        barred = {one.size for one in owed if not one.settled}
+        for sizes in (avoided, barred):
+            for block in blocks:
+                if block.size not in sizes:
+                    return block
+        if not isinf(self._deadline):
+            raise BusError(f"id {ids[0]} still owes an answer that looks like this one", "late")
+        for id in ids:
+            self._settle(id)
+        return blocks[0]
+
+    def _settle(self, id: int) -> None:
+        """Read the first bytes of a servo, of a length that it does not owe."""
+        barred = {one.size for one in self._owed.get(id, ())}
+        if barred:
+            size = next((n for n in range(FIRST, 0, -1) if n not in barred), None)
+            if size is None:
+                raise BusError(f"id {id} owes too many answers to be asked again", "late")
+            self._read(id, Block(0, size))
+
+    @contextmanager
+    def _owing(self, ids: Sequence[int], size: int) -> Iterator[None]:
+        """Inside, answers of this length are asked for; owed unless it ends well."""
+        before = self._clock()
+        try:
+            yield
+        except BusError:
+            self._owe(ids, size, before)
+            raise
+        for id in ids if self._owed else ():
+            for one in self._owed.get(id, ()):
+                one.settled = True
+
+    def _owe(self, ids: Iterable[int], size: int, time: float) -> None:
+        """Answers of this length may still come."""
+        for id in ids:
+            self._owed.setdefault(id, []).append(Owed(size, time))
 
     def _checked(self, id: int, block: Block, data: bytes, status: int, start: float) -> Reply:
         """An answer of the right length; any other was not to this request."""
@@ -240,10 +327,6 @@ class Guard:
             "stale",
             id,
         )
-
-    def _next(self) -> int:
-        self._turn ^= 1
-        return self._turn
 
     def _start(self, kind: Kind, servos: int, size: int, *, hurry: bool = False) -> float:
         """Set the timeout for what comes, count it, and note the time."""

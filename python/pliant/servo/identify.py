@@ -173,14 +173,20 @@ def _check(device: Device, image: Image) -> list[str]:
     if image["return_level"] < (1 if device.family.status == "feetech" else 2):
         wrong.append("it does not acknowledge writes; set its Status Return Level with setup")
     volts = image["voltage"] / 10.0
-    low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
-    low, high = max(low, row.voltage[0] - 0.5), min(high, row.voltage[1] + 0.5)
+    low, high = _supply(device, image)
     if not low <= volts <= high:
         wrong.append(
             f"its supply is {volts:.1f} V and {row.name} takes {low:g} to {high:g} V: wrong "
             "supply, or another variant than the configuration says"
         )
     return wrong
+
+
+def _supply(device: Device, image: Image) -> tuple[float, float]:
+    """Lowest and highest supply [V]: the servo's limits, at most half a volt past the maker's."""
+    lowest, highest = device.row.voltage
+    low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
+    return max(low, lowest - 0.5), min(high, highest + 0.5)
 
 
 def _check_mode(device: Device, image: Image) -> list[str]:
@@ -227,7 +233,8 @@ def _take(device: Device, image: Image) -> Found:
     device.ceiling = min(image[family.ceiling], device.units.full)
     device.gain = image["gain"]
     device.torque_on = bool(image["torque_enable"])
-    device.set_voltage(image["voltage"] / 10.0)
+    device.starved, _ = _supply(device, image)
+    device.set_voltage(image["voltage"] / 10.0, image.time)
     device.temperature = float(image["temperature"])
     device.multi_turn = family.multi_turn or (family.status == "p2" and image["mode"] == 4)
     low, high = image["position_min"], image["position_max"]

@@ -148,7 +148,7 @@ class Port:
     def _together(self, group: Sequence[Device]) -> dict[int, Reply]:
         """One request for all; where it fails, one by one, with the culprit last."""
         try:
-            return self.guard.sync_read([device.id for device in group], group[0].family.read)
+            return self.guard.sync_read([device.id for device in group], *group[0].family.read)
         except BusError as error:
             _pass_on(error)
             culprit = error.id
@@ -167,7 +167,7 @@ class Port:
         for device in sorted(group, key=lambda device: (device.id == last, device.time)):
             self.guard.counters.retries += not again
             try:
-                reply = self.guard.read_in_turn(device.id, device.family.read, again=again)
+                reply = self.guard.read(device.id, *device.family.read, again=again)
             except BusError as error:
                 _pass_on(error)
                 if error.reason == "timeout":
@@ -189,7 +189,7 @@ class Port:
         for device in due[:1]:
             self._silent[device.id] = PROBE
             try:
-                reply = self.guard.read_in_turn(device.id, device.family.read, again=False)
+                reply = self.guard.read(device.id, *device.family.read, again=False)
             except BusError as error:
                 _pass_on(error)
             else:

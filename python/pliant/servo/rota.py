@@ -41,12 +41,14 @@ class Rota:
         self._steps = [(d, block) for d in devices for block in parts(d.family)]
         self._next = 0
         self._alarmed: set[int] = set()
+        self._again = False
 
     def step(self, ports: Mapping[int, Port]) -> Health | None:
         """Read one block, and say what is known of its joint.
 
         A servo whose last answer carried an alert it has not been asked about is read first, and so
-        is one whose torque went off.
+        is one whose torque went off, and one whose limit read other than written: a lost packet and
+        a servo that refuses look alike until the next.
 
         Raises:
             BusError: The port is gone.
@@ -64,12 +66,16 @@ class Rota:
     def _choose(self) -> tuple[Device, Block]:
         for joint in self._joints:
             for device in joint:
+                if device.doubted and not self._again:
+                    self._again = True
+                    return device, device.family.block("limit")
                 alarm = bool(device.conditions) or "torque" in device.rota
                 if alarm and id(device) not in self._alarmed:
                     self._alarmed.add(id(device))
                     return device, parts(device.family)[0]
                 if not alarm:
                     self._alarmed.discard(id(device))
+        self._again = False
         step = self._steps[self._next]
         self._next = (self._next + 1) % len(self._steps)
         return step

@@ -72,9 +72,14 @@ def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> N
 
     Raises:
         ShapeError: The array has neither one nor n entries.
-        ConfigError: An entry is not finite or below `low`.
+        ConfigError: An entry is no number, not finite or below `low`.
     """
-    array = np.asarray(value, dtype=np.float64)
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ConfigError(
+            f"{name} must be a number or {n} numbers, one per joint; got {value!r}"
+        ) from None
     if array.shape not in {(), (1,), (n,)}:
         raise ShapeError(
             f"{name} has shape {array.shape}; give a number or an array of shape ({n},)"

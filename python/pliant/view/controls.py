@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import viser
 
-from pliant.view import orders
+from pliant.view import meters, orders
 from pliant.view.desk import LAWS
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ class Controls:
             if stage.play:
                 play = gui.add_button(stage.play, icon=viser.Icon.PLAYER_PLAY)
                 play.on_click(lambda _: self._tell(orders.Play()))
+            self._places = gui.add_html("")
             home = gui.add_button("Target back to the start", icon=viser.Icon.HOME, color="gray")
             home.on_click(lambda _: self._tell(orders.Home()))
 
@@ -185,6 +186,7 @@ class Controls:
 
     def show(self, now: Snapshot) -> None:
         """Bring controls to what is in force, unless a visitor's edit is still on its way."""
+        self._places.content = meters.places(now)
         if now.shown is not None and now.edit >= self._said:
             self._bring(now.shown)
 

@@ -85,15 +85,15 @@ class Link:
         self.address = self._come_up()
 
     def _come_up(self) -> str:
-        try:
+        first: Any = None
+        with contextlib.suppress(EOFError, OSError):
             if self._pipe.poll(PATIENCE):
                 first = self._pipe.recv()
-                if isinstance(first, Ready):
-                    return first.link
-                raise PliantError(first.text)
-        except (EOFError, OSError):
-            pass
+        if isinstance(first, Ready):
+            return first.link
         self.close()
+        if isinstance(first, Failed):
+            raise PliantError(first.text)
         raise PliantError("the page's process did not come up; its own words stand above")
 
     def orders(self) -> list[Order]:

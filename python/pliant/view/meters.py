@@ -63,6 +63,17 @@ def _troubles(h: Health) -> tuple[tuple[str, int], ...]:
     )
 
 
+def places(now: Snapshot) -> str:
+    """Where the tool is, and where it shall be."""
+    target = "" if now.step is None else f"<br>target {_point(now.step.target)}"
+    return _box(f"tool {_point(now.tool)}{target}")
+
+
+def _point(pose: Array) -> str:
+    x, y, z = 1e3 * pose[:3, 3]
+    return f"x {x:.0f}, y {y:.0f}, z {z:.0f} mm"
+
+
 def axes(stage: Stage, shown: Shown, step: Step) -> str:
     """A row per task axis: deviation against d-, d+; push-back against its cap; compliance."""
     rows = []

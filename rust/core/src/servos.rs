@@ -165,6 +165,8 @@ pub(crate) struct ServoArrays {
     pub(crate) stribeck_slowness: JointVec,
     /// All that resists motion in proportion to speed: gears, the servo's own damping, back-EMF.
     pub(crate) damping: JointVec,
+    /// The part of it that acts outside the torque limit: all but the servo's own.
+    pub(crate) drag: JointVec,
     pub(crate) count: JointVec,
 }
 
@@ -193,6 +195,7 @@ impl ServoArrays {
             load_stribeck: [0.0; MAX_JOINTS],
             stribeck_slowness: [0.0; MAX_JOINTS],
             damping: [0.0; MAX_JOINTS],
+            drag: [0.0; MAX_JOINTS],
             count: [0.0; MAX_JOINTS],
         };
         let Some(servos) = servos else {
@@ -214,7 +217,8 @@ impl ServoArrays {
                 (ServoKind::Duty, Some(speed)) => servos.torque[i] / speed[i],
                 _ => 0.0,
             };
-            arrays.damping[i] = servos.damping[i] + servos.kv[i] + back_emf;
+            arrays.drag[i] = servos.damping[i] + back_emf;
+            arrays.damping[i] = arrays.drag[i] + servos.kv[i];
             arrays.count[i] = servos.count[i];
         }
         arrays.kp_mean = servos.kp.iter().sum::<f64>() / servos.kp.len() as f64;

@@ -63,6 +63,11 @@ macro_rules! attributes {
             }
 
             #[getter]
+            fn dead_host_max(&self) -> Option<f64> {
+                self.0.dead_host_max
+            }
+
+            #[getter]
             fn yields(&self) -> Vec<(bool, bool)> {
                 self.0.yields.iter().map(|&[minus, plus]| (minus, plus)).collect()
             }
@@ -90,6 +95,7 @@ macro_rules! attributes {
                 $(out.set_item(stringify!($flag), &report.$flag)?;)*
                 $(out.set_item(stringify!($number), report.$number)?;)*
                 out.set_item("gives_way", &report.gives_way)?;
+                out.set_item("dead_host_max", report.dead_host_max)?;
                 out.set_item("yields", &report.yields)?;
                 out.set_item("coupled_to", &report.coupled_to)?;
                 out.set_item("stop_joint", stop_joints(report))?;
@@ -112,7 +118,7 @@ attributes! {
     vectors: q, torque_limit, friction, friction_left;
     pairs: static_force, capacity, coupling, thresholds, gravity_margin, dead_host, stop_distance, stop_room, stop_friction, deviation_limit;
     flags: saturated, locked;
-    numbers: sigma_min, condition, sigma_0;
+    numbers: sigma_min, condition, sigma_0, gain_factor, damping_factor;
 }
 
 /// Names of the joints that stop a push toward (−, +).

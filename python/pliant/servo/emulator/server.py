@@ -241,10 +241,11 @@ class Server:
     def _feed(self, port: Port, data: bytes) -> None:
         if not data:
             return
-        wall = time.perf_counter()
-        if wall - port.last > GAP:
+        # By the emulator's own time: where it stands still, a computer that is busy between the two
+        # halves of a packet must not lose the first.
+        if self._now() - port.last > GAP:
             port.line.reset()
-        port.last = wall
+        port.last = self._now()
         baud, start = port.pty.baud(), max(self._now(), port.busy)
         stale, port.stale = port.stale, []
         for late in stale:

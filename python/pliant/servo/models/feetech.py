@@ -7,7 +7,7 @@ scaled by the ratio. All variants answer with the same model number: which one i
 
 from __future__ import annotations
 
-from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel
+from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel, windows
 
 STS = Family(
     name="STS3215",
@@ -47,8 +47,7 @@ STS = Family(
         "condition": Register(65, 1),
         "current": Register(69, 2, "bit15"),
     },
-    # From 55 the EEPROM lock comes along, which only serves to make the length another one.
-    read=(Block(56, 15), Block(55, 16)),
+    read=windows(Block(56, 15), Block(0, 71)),
     write=(("goal", "goal_time", "speed_cap", "limit"),),
     sync_read=True,
     full_duty=1000,

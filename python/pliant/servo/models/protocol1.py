@@ -5,7 +5,7 @@ Control tables and data: ROBOTIS e-Manual. Duty per radian of the MX: oscillosco
 
 from __future__ import annotations
 
-from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel, scaled
+from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel, scaled, windows
 
 _COMMON = {
     "model": Register(0, 2),
@@ -39,8 +39,8 @@ def _family(name: str, **own: Register) -> Family:
         protocol="p1",
         status="p1",
         registers={**_COMMON, **own},
-        # The longer one brings the torque limit back as well.
-        read=(Block(36, 8), Block(34, 10)),
+        # With the torque limit, which is 0 after an overload.
+        read=windows(Block(34, 10), Block(0, 50)),
         write=(("goal", "speed_cap", "limit"),),
         sync_read=False,
         full_duty=1023,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from math import pi
 
-from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel, scaled
+from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel, scaled, windows
 
 _COMMON = {
     "model": Register(0, 2),
@@ -44,6 +44,9 @@ _COMMON = {
     "temperature": Register(146, 1),
 }
 
+#: Of both kinds, whose control tables have no gap here.
+READ = windows(Block(126, 10), Block(104, 43))
+
 CURRENT = Family(
     name="X, current-limited",
     protocol="p2",
@@ -54,7 +57,7 @@ CURRENT = Family(
         "limit": Register(102, 2, "twos"),
         "current": Register(126, 2, "twos"),
     },
-    read=(Block(126, 10), Block(124, 12)),
+    read=READ,
     write=(("limit", "goal_velocity", "acceleration_cap", "speed_cap", "goal"),),
     sync_read=True,
     full_duty=885,
@@ -72,7 +75,7 @@ DUTY = Family(
         "limit": Register(100, 2, "twos"),
         "load": Register(126, 2, "twos"),
     },
-    read=(Block(126, 10), Block(124, 12)),
+    read=READ,
     # 102 is not in their tables, and a packet across it would be refused: two packets.
     write=(("limit",), ("speed_cap", "goal")),
     sync_read=True,

@@ -63,6 +63,13 @@ class Block:
     size: int
 
 
+def windows(least: Block, within: Block) -> tuple[Block, ...]:
+    """Blocks of every length from `least` to `within`, each around the one before."""
+    end = within.address + within.size
+    sizes = range(least.size, within.size + 1)
+    return tuple(Block(min(least.address, end - size), size) for size in sizes)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Family:
     """Servos with one control table and one way of speaking.
@@ -72,8 +79,8 @@ class Family:
         protocol: `p1` (Dynamixel 1.0, Feetech STS) or `p2` (Dynamixel 2.0).
         status: Which reading of the status byte holds, see `pliant.servo.status`.
         registers: Control table by field name.
-        read: Two blocks of different length with position, speed and load, used in turn: a reply
-            that is one request late has the wrong length.
+        read: Blocks with position, speed and load, from short to long: the shortest is read, a
+            longer one while an answer as long as that is missing.
         write: Packets that carry limit, speed cap and goal, each of contiguous fields; one where
             the control table has no gap between them, else the limit goes first.
         sync_read: Whether one request reads many servos.
@@ -88,7 +95,7 @@ class Family:
     protocol: Protocol
     status: Literal["p1", "p2", "feetech"]
     registers: Mapping[str, Register]
-    read: tuple[Block, Block]
+    read: tuple[Block, ...]
     write: tuple[tuple[str, ...], ...]
     sync_read: bool
     full_duty: int

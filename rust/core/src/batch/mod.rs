@@ -127,11 +127,9 @@ impl Controller {
         let check = |(index, rows): (usize, &[f64])| {
             for (i, kept) in rows.chunks_exact(width(n)).enumerate() {
                 let row = index * PIECE + i;
-                let fine = input.row(self, row).and_then(|_| match Kept::read(kept, n) {
-                    Kept::Waiting(q) => {
-                        self.positions("q", &q[..n]).map(|_| ()).map_err(|error| error.in_row("state", row))
-                    }
-                    Kept::New | Kept::Running(_) => Ok(()),
+                let fine = input.row(self, row).and_then(|_| match Kept::of(kept, n) {
+                    Kept::Waiting(q) => self.positions("q", q).map(|_| ()).map_err(|error| error.in_row("state", row)),
+                    Kept::New | Kept::Running => Ok(()),
                 });
                 if let Err(error) = fine {
                     first.report(row, error);
@@ -201,16 +199,16 @@ impl Controller {
     /// Steps one arm; its memory is `kept` only where that went well.
     fn row(&mut self, input: &BatchInput<'_>, row: usize, kept: Option<&mut [f64]>, changed: bool) -> Result<()> {
         let (n, one) = (self.model().n(), input.row(self, row)?);
-        self.memory = match kept.as_deref().map(|kept| Kept::read(kept, n)) {
+        match kept.as_deref() {
             // The reference that moves to the target starts where it does not matter: there is no bound on its speed.
-            None if self.plan.deviation_limits.is_empty() => Memory::at(&one.q, one.target, true),
-            None | Some(Kept::New) => Memory::new(),
-            Some(Kept::Waiting(q)) => {
-                self.reset(&q[..n]).map_err(|error| error.in_row("state", row))?;
-                self.memory
-            }
-            Some(Kept::Running(memory)) => memory,
-        };
+            None if self.plan.deviation_limits.is_empty() => self.memory = Memory::at(&one.q, one.target, true),
+            None => self.memory = Memory::new(),
+            Some(kept) => match Kept::of(kept, n) {
+                Kept::New => self.memory = Memory::new(),
+                Kept::Waiting(q) => self.reset(q).map_err(|error| error.in_row("state", row))?,
+                Kept::Running => self.memory.recall(n, kept),
+            },
+        }
         if changed {
             self.adapt_memory();
         }

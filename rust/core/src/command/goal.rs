@@ -97,13 +97,32 @@ pub(crate) fn lock(
     added
 }
 
-/// Moves `from` by at most `step` toward `to` within `lower` and `upper`.
+/// Moves the goals from `before` toward `to` by at most `step` [rad] each, all by the same share of what is left, and
+/// their `weight` toward that of `to`, each by itself and first; returns the new weight.
 ///
-/// A goal that starts outside them walks back in; it does not jump.
-/// A `to` that is not a number stays one (`f64::max` would drop it), so that the step can refuse to send it.
+/// Joints that went each as far as they may would take the tool off its path, and faster than its target moves: one that
+/// has farthest to go holds the others up. What carries the arm waits for nobody.
+/// A `to` that is not a number stays one, so that the step can refuse to send it.
 #[inline(always)]
-pub(crate) fn slew(from: f64, to: f64, step: f64, lower: f64, upper: f64) -> f64 {
-    at_most(at_least(at_most(at_least(to, lower), upper), from - step), from + step)
+pub(crate) fn slew(
+    before: (&JointVec, &JointVec),
+    to: &mut JointVec,
+    weight: &JointVec,
+    step: f64,
+    n: usize,
+) -> JointVec {
+    let (mut carried, mut motion, mut share) = (*before.1, [0.0; MAX_JOINTS], 1.0);
+    for i in 0..n.min(MAX_JOINTS) {
+        let lift = clip(weight[i] - before.1[i], step);
+        carried[i] += lift;
+        motion[i] = (to[i] - weight[i]) - (before.0[i] - before.1[i]);
+        let (way, room) = (motion[i].abs(), step - lift.abs());
+        share = at_most(share, if way > room { room / way } else { 1.0 });
+    }
+    for i in 0..n.min(MAX_JOINTS) {
+        to[i] = before.0[i] + (carried[i] - before.1[i]) + share * motion[i];
+    }
+    carried
 }
 
 /// The larger of two numbers; NaN where `value` is.
@@ -174,12 +193,37 @@ mod tests {
         }
     }
 
+    /// Goals and weights after a slew by at most `step`.
+    fn slewed(goal: [f64; 2], weight: [f64; 2], to: [f64; 2], new: [f64; 2], step: f64) -> [[f64; 2]; 2] {
+        let mut out = vector(&to);
+        let carried = slew((&vector(&goal), &vector(&weight)), &mut out, &vector(&new), step, 2);
+        [[out[0], out[1]], [carried[0], carried[1]]]
+    }
+
+    fn near(a: [f64; 2], b: [f64; 2]) -> bool {
+        a.iter().zip(b).all(|(x, y)| (x - y).abs() < 1e-14)
+    }
+
+    #[test]
+    fn goals_keep_their_direction_and_the_weight_comes_first() {
+        let none = [0.0; 2];
+        let [goal, _] = slewed([0.5, 0.2], none, [2.5, -0.3], none, 0.1);
+        assert!(near(goal, [0.6, 0.175]), "a twentieth of the way, for both: {goal:?}");
+        let [goal, _] = slewed([0.5, 0.2], none, [2.5, -0.3], none, f64::INFINITY);
+        assert!(near(goal, [2.5, -0.3]));
+        // The first joint takes up its weight; the second moves on with what is left to neither.
+        let [goal, weight] = slewed(none, none, [0.3, 0.02], [0.3, 0.0], 0.1);
+        assert!(near(weight, [0.1, 0.0]) && near(goal, [0.1, 0.02]), "{goal:?} {weight:?}");
+        let [goal, weight] = slewed([0.1, 0.0], [0.1, 0.0], [0.35, 0.02], [0.15, 0.0], 0.1);
+        assert!(near(weight, [0.15, 0.0]) && near(goal, [0.2, 0.005]), "{goal:?} {weight:?}");
+    }
+
     #[test]
     fn what_is_not_a_number_is_not_hidden() {
-        assert!(slew(0.5, f64::NAN, 0.1, -1.0, 1.0).is_nan());
-        assert!((slew(0.5, 2.0, 0.1, -1.0, 1.0) - 0.6).abs() < 1e-15);
-        assert!((slew(0.5, -2.0, f64::INFINITY, -1.0, 1.0) + 1.0).abs() < 1e-15);
-        assert!((slew(3.0, 0.0, 0.1, -1.0, 1.0) - 2.9).abs() < 1e-15);
+        let none = [0.0; 2];
+        assert!(slewed(none, none, [f64::NAN, 0.0], none, 0.1)[0][0].is_nan());
+        assert!(slewed(none, none, [0.0, 0.0], [f64::NAN, 0.0], 0.1)[0][0].is_nan());
+        assert!(slewed(none, none, [f64::INFINITY, 0.0], none, 0.1)[0].iter().any(|goal| !goal.is_finite()));
     }
 
     #[test]

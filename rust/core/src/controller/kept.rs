@@ -24,18 +24,19 @@ enum Flag {
     Waiting = 32,
 }
 
-/// A memory and how it stands.
-#[derive(Debug)]
-pub(crate) enum Kept {
+/// How an arm stands whose memory is kept.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Kept<'a> {
     /// Nothing yet.
     New,
     /// To be reset to these positions first.
-    Waiting(JointVec),
+    Waiting(&'a [f64]),
     /// After a step.
-    Running(Memory),
+    Running,
 }
 
 /// Every number of a memory but the flags, slice by slice: the same walk keeps and reads.
+#[inline(always)]
 fn walk(memory: &mut Memory, limit: &mut JointVec, n: usize, mut visit: impl FnMut(&mut [f64])) {
     let Memory { filter, gamma, goal, singular, governor, rest, integral, .. } = memory;
     visit(&mut goal[..n]);
@@ -56,7 +57,7 @@ fn walk(memory: &mut Memory, limit: &mut JointVec, n: usize, mut visit: impl FnM
 
 impl Memory {
     /// Into `row`, [`width`] long.
-    pub(crate) fn keep(mut self, n: usize, row: &mut [f64]) {
+    pub(crate) fn keep(&mut self, n: usize, row: &mut [f64]) {
         let (mut limit, n) = (self.limit.unwrap_or([0.0; MAX_JOINTS]), n.min(MAX_JOINTS));
         let [position, rotation] = self.governor.arrived;
         let all = [
@@ -69,37 +70,44 @@ impl Memory {
         let flags = all.iter().fold(0_u32, |sum, &(on, flag)| if on { sum + flag as u32 } else { sum });
         let Some((first, mut rest)) = row.split_first_mut() else { return };
         *first = f64::from(flags);
-        walk(&mut self, &mut limit, n, |numbers| {
+        walk(self, &mut limit, n, |numbers| {
             let slots;
             let size = numbers.len().min(rest.len());
             (slots, rest) = std::mem::take(&mut rest).split_at_mut(size);
             slots.copy_from_slice(&numbers[..slots.len()]);
         });
     }
-}
 
-impl Kept {
-    /// From a row of an arm of `n` joints.
-    pub(crate) fn read(row: &[f64], n: usize) -> Self {
-        let (Some((&flags, mut rest)), n) = (row.split_first(), n.min(MAX_JOINTS)) else { return Self::New };
-        let has = |flag: Flag| (flags as u32) & flag as u32 != 0;
-        let (mut memory, mut limit) = (Memory::new(), [0.0; MAX_JOINTS]);
-        walk(&mut memory, &mut limit, n, |numbers| {
+    /// From `row` of an arm that is [`Kept::Running`].
+    pub(crate) fn recall(&mut self, n: usize, row: &[f64]) {
+        let (Some((&flags, mut rest)), n) = (row.split_first(), n.min(MAX_JOINTS)) else { return };
+        let mut limit = [0.0; MAX_JOINTS];
+        walk(self, &mut limit, n, |numbers| {
             let slots;
             (slots, rest) = rest.split_at(numbers.len().min(rest.len()));
             numbers[..slots.len()].copy_from_slice(slots);
         });
-        if has(Flag::Waiting) {
-            return Self::Waiting(memory.goal);
+        self.started = true;
+        self.cold = Flag::Cold.is_in(flags);
+        self.limit = Flag::Limited.is_in(flags).then_some(limit);
+        self.governor.arrived = [Flag::AtPosition.is_in(flags), Flag::AtRotation.is_in(flags)];
+    }
+}
+
+impl Flag {
+    fn is_in(self, flags: f64) -> bool {
+        (flags as u32) & self as u32 != 0
+    }
+}
+
+impl<'a> Kept<'a> {
+    /// Of a row of an arm of `n` joints.
+    pub(crate) fn of(row: &'a [f64], n: usize) -> Self {
+        match row.split_first() {
+            Some((&flags, rest)) if Flag::Waiting.is_in(flags) => Self::Waiting(&rest[..n.min(rest.len())]),
+            Some((&flags, _)) if Flag::Started.is_in(flags) => Self::Running,
+            _ => Self::New,
         }
-        if !has(Flag::Started) {
-            return Self::New;
-        }
-        memory.started = true;
-        memory.cold = has(Flag::Cold);
-        memory.limit = has(Flag::Limited).then_some(limit);
-        memory.governor.arrived = [has(Flag::AtPosition), has(Flag::AtRotation)];
-        Self::Running(memory)
     }
 
     /// Makes `row` that of an arm which starts anew: from `q`, or from the positions of its next step.

@@ -16,6 +16,8 @@ pub(crate) struct Memory {
     pub(crate) gamma: f64,
     /// Last goals: start of the slew.
     pub(crate) goal: JointVec,
+    /// What of them carries the weight [rad].
+    pub(crate) weight: JointVec,
     /// Last limits; `None` before the first, which is not slewed.
     pub(crate) limit: Option<JointVec>,
     pub(crate) singular: SingularValues,
@@ -40,6 +42,7 @@ impl Memory {
             filter: VelocityFilter::new(q),
             gamma: 1.0,
             goal: *q,
+            weight: [0.0; MAX_JOINTS],
             limit: None,
             singular: SingularValues::start(),
             cold: true,

@@ -301,6 +301,15 @@ impl Controller {
         if self.plan.law == Law::Impedance { self.record.gain_factor } else { self.plan.kx_derating }
     }
 
+    /// Factor ≤ 1 on the damping of law `impedance` that delay and pose demanded at the last step.
+    pub fn damping_factor(&self) -> f64 {
+        if self.plan.law == Law::Impedance {
+            crate::law::impedance::damping_factor(&self.plan, &self.record.rows)
+        } else {
+            1.0
+        }
+    }
+
     /// Takes the gravity offset from an arm that has been held still by an integrating goal.
     ///
     /// `k_g,i = g_i / lead_i` with `lead = goal − q`, where |g_i| exceeds three times the friction, within 0.3…3 × the
@@ -326,7 +335,9 @@ impl Controller {
         // What the integrating goal holds of this offset must not count twice.
         if self.settings.gravity.in_goal() {
             for i in 0..self.plan.n {
-                self.memory.integral[i] -= holding[i] / kg[i] - holding[i] / self.plan.kg[i];
+                let more = holding[i] / kg[i] - holding[i] / self.plan.kg[i];
+                self.memory.integral[i] -= more;
+                self.memory.weight[i] += more;
             }
         }
         self.captured = Some(kg);

@@ -1,6 +1,7 @@
 //! One tick, from reading to command.
 
-use crate::command::goal::{clip, register_speed, slew};
+use crate::command::dead_host::Dead;
+use crate::command::goal::{at_least, at_most, clip, register_speed, slew};
 use crate::command::integral::Addition;
 use crate::command::limits::{Load, finish, within};
 use crate::controller::input::Input;
@@ -187,7 +188,7 @@ impl Cycle<'_> {
         for i in 0..n {
             rise[i] = plan.rise[i] * dt;
         }
-        let limit = finish(&wanted, self.memory.limit.as_ref(), &plan.floor, &plan.servos.torque, &rise, n);
+        let mut limit = finish(&wanted, self.memory.limit.as_ref(), &plan.floor, &plan.servos.torque, &rise, n);
         let mut goal = solution.goal;
         if plan.law == Law::Paper {
             for i in 0..n {
@@ -195,10 +196,15 @@ impl Cycle<'_> {
                 goal[i] += clip(lead, most) - lead;
             }
         }
-        let (mut saturated, mut finite, slack) = ([false; MAX_JOINTS], true, settings.goal_slew * dt);
+        let (mut saturated, mut finite, mut weight) = ([false; MAX_JOINTS], true, [0.0; MAX_JOINTS]);
         for i in 0..n {
-            let (lower, upper) = (plan.lower[i] - plan.beyond[i], plan.upper[i] + plan.beyond[i]);
-            goal[i] = slew(self.memory.goal[i], goal[i], slack, lower, upper);
+            goal[i] = at_most(at_least(goal[i], plan.lower[i] - plan.beyond[i]), plan.upper[i] + plan.beyond[i]);
+            weight[i] = self.scratch.seen.gravity_in_goal[i] / plan.kg[i];
+        }
+        let before = (&self.memory.goal, &self.memory.weight);
+        let weight = slew(before, &mut goal, &weight, settings.goal_slew * dt, n);
+        if let Some(most) = plan.dead_host_max {
+            limit = self.spare(most, &goal, &limit);
         }
         for i in 0..plan.n {
             saturated[i] = limit[i] >= plan.servos.torque[i];
@@ -211,7 +217,7 @@ impl Cycle<'_> {
         if settings.integrate > 0.0 && !self.scratch.seen.limited.contains(&true) {
             self.integrate(dt, &wish, &solution);
         }
-        self.memory.goal = goal;
+        (self.memory.goal, self.memory.weight) = (goal, weight);
         self.memory.limit = Some(limit);
         let seen = &self.scratch.seen;
         note(self.record, plan, seen, &wish, &solution, self.memory, settings.horizon, &wrench);
@@ -307,6 +313,33 @@ impl Cycle<'_> {
                 load.sum(&seen.rows, &wish.most, &null, k, n)
             }
         }
+    }
+
+    /// The limits with which a hand meets at most `most` [N] should the host die now.
+    ///
+    /// Kept out of the step: it follows the hand along every axis.
+    #[cold]
+    #[inline(never)]
+    fn spare(&self, most: f64, goal: &JointVec, limit: &JointVec) -> JointVec {
+        let (plan, seen, nothing) = (self.plan, &self.scratch.seen, [0.0; MAX_JOINTS]);
+        let (mut friction, mut base) = (nothing, nothing);
+        for i in 0..plan.n {
+            friction[i] = plan.servos.friction_at_rest(i, seen.holding[i]);
+            base[i] = at_least(self.settings.gravity_scale * seen.gravity_in_limit[i].abs(), plan.floor[i]);
+        }
+        let dead = Dead {
+            chain: self.chain,
+            plan,
+            masses: self.masses,
+            gravity: *self.gravity,
+            base_from_task: seen.base_from_task,
+            q: self.q,
+            goal,
+            limit,
+            friction: &friction,
+        };
+        let by_demand = plan.law.by_force() && plan.limits == LimitRule::Demand;
+        dead.spared(most, &base, if by_demand { &plan.margin } else { &nothing })
     }
 
     /// How far the goal of joint i may lead under law `paper` [rad]: what the limit can use and a little more.

@@ -86,7 +86,8 @@ fn sizes(values: &JointVec, n: usize) -> JointVec {
 fn shares(sizes: &JointVec, n: usize) -> JointVec {
     let n = n.min(MAX_JOINTS);
     let sum: f64 = sizes[..n].iter().sum();
-    let factor = if sum > 0.0 { 1.0 / sum } else { 0.0 };
+    // One over a denormal sum is infinite, and infinity times a joint at rest is not a number.
+    let factor = 1.0 / sum.max(f64::MIN_POSITIVE);
     let mut out = [0.0; MAX_JOINTS];
     for i in 0..n {
         out[i] = factor * sizes[i];

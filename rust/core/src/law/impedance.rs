@@ -4,6 +4,7 @@ use crate::command::goal::clip;
 use crate::law::inverse::{Square, times, weighted_gram};
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
+use crate::plan::Plan;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Squarings by which the largest eigenvalue is singled out: powers of 2⁶ = 64.
@@ -91,6 +92,16 @@ pub(crate) fn force(tick: &Tick<'_>) -> (AxisVec, f64) {
         out[r] = clip(spring + damper, tick.most[r]);
     }
     (out, stiff)
+}
+
+/// f_D of the dampers as they are set, of the firmer side where sides differ.
+pub(crate) fn damping_factor(plan: &Plan, rows: &Rows) -> f64 {
+    let (mut gains, [_, most]) = ([0.0; MAX_AXES], plan.impedance_bounds);
+    for (gain, row) in gains.iter_mut().zip(&plan.rows).take(plan.k) {
+        *gain = row.viscosity[0].max(row.viscosity[1]);
+    }
+    let rho = rho(rows, &plan.servos.compliance, &gains, plan.k, plan.n);
+    if rho > most { most / rho } else { 1.0 }
 }
 
 /// Null-space motion of a given stiffness, `−κ K_p⁻¹ N ∇cost` [rad]: its torque does no work on the task.

@@ -86,6 +86,8 @@ pub(crate) struct Plan {
     pub(crate) stop_slope: f64,
     pub(crate) floor: JointVec,
     pub(crate) margin: JointVec,
+    /// Most that a hand shall meet along a translation if the host dies [N].
+    pub(crate) dead_host_max: Option<f64>,
     /// Rise of the limits per second; ∞ for none.
     pub(crate) rise: JointVec,
     /// Stiffness for the gravity offset, k_g.
@@ -172,6 +174,7 @@ impl Plan {
                 None => arrays.friction,
             },
             margin: [0.0; MAX_JOINTS],
+            dead_host_max: settings.dead_host_max,
             rise: [f64::INFINITY; MAX_JOINTS],
             kg: arrays.kp,
             servos: arrays,

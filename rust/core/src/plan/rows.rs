@@ -22,6 +22,8 @@ pub(crate) struct Row {
     pub(crate) soft: [f64; 2],
     pub(crate) firm: [f64; 2],
     pub(crate) hold: f64,
+    /// The default that `hold` would be, had soft and firm left room for it.
+    pub(crate) raised_from: Option<f64>,
     pub(crate) yields: [f64; 2],
     /// Spring [N/m, N·m/rad] and damper [N·s/m, N·m·s/rad]; zero but under law `impedance`.
     pub(crate) stiffness: [f64; 2],
@@ -109,7 +111,9 @@ fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], spring: f64
     // What is left out makes room for what is given.
     let soft = given.soft.unwrap_or_else(|| given.firm.map_or([soft; 2], |firm| firm.map(|f| f.min(soft))));
     let firm = given.firm.unwrap_or_else(|| soft.map(|s| s.max(firm)));
-    let hold = given.hold.unwrap_or_else(|| firm[0].max(firm[1]).max(hold));
+    let least = firm[0].max(firm[1]);
+    let raised_from = (given.hold.is_none() && least > hold).then_some(hold);
+    let hold = given.hold.unwrap_or_else(|| least.max(hold));
     let yields = given.effective_yields();
     for side in 0..2 {
         let pushed = ["−", "+"][side];
@@ -149,6 +153,7 @@ fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], spring: f64
         soft,
         firm,
         hold,
+        raised_from,
         yields: yields.sides().map(|on| f64::from(u8::from(on))),
         stiffness: given.stiffness.unwrap_or_else(|| yields.sides().map(|on| if on { 0.0 } else { spring })),
         viscosity: given.damping.unwrap_or_default(),

@@ -1,11 +1,11 @@
 //! Before switching on: whether a pose or a path can do what the settings ask, and what to change if not.
 
+use crate::command::statics::static_force;
 use crate::controller::Controller;
 use crate::error::Result;
 use crate::kinematics::{Frames, IkOptions};
 use crate::pose::Pose as ToolPose;
 use crate::report::promise::Pose;
-use crate::report::statics::static_force;
 use crate::report::words::{length, number, round_down, round_up, unit};
 use crate::settings::Law;
 use crate::task::axes::{AXIS_NAMES, Frame};
@@ -84,6 +84,7 @@ impl Controller {
         let mut near = vec![[(Worst::NONE, None); 2] as [Near; 2]; k];
         let (mut weight, mut limit, mut outside) = (vec![Worst::NONE; n], vec![Worst::NONE; n], vec![Worst::NONE; n]);
         let mut singular = Worst::NONE;
+        let mut dead = (Worst::NONE, 0, 1.0);
         for (index, q) in path.iter().enumerate() {
             let rest = self.at_rest(q)?;
             let (record, limits) = (rest.record(), rest.limits_in_force());
@@ -93,9 +94,16 @@ impl Controller {
             rest.model().chain().forward(&record.q, &mut frames);
             let rubs = std::array::from_fn(|i| rest.plan.servos.friction_at_rest(i, record.gravity[i]));
             let way = rest.way(&frames, &rubs);
+            if self.plan.dead_host_max.is_some() {
+                let goal = super::spread(rest.last_command().goal());
+                let (force, row, sign) = rest.dead(&frames, &goal, &limits, &rubs).worst(f64::INFINITY);
+                if force > dead.0.value {
+                    dead = (Worst { value: force, pose: index }, row, sign);
+                }
+            }
             for r in 0..k {
                 for (side, sign) in [-1.0, 1.0].into_iter().enumerate() {
-                    let (force, _) = static_force(&record.rows[r], sign, &torque, &record.gravity, n);
+                    let force = static_force(&record.rows[r], sign, &torque, &record.gravity, n);
                     lack[r][side].see(-force, index);
                     if rest.plan.rows[r].yields[side] > 0.0
                         && let Some(stop) = way.first_stop(r, sign)
@@ -119,6 +127,7 @@ impl Controller {
             self.axis_findings(r, lack[r], rub[r], &mut findings);
             self.stop_findings(r, near[r], &mut findings);
         }
+        findings.extend(self.dead_host_finding(dead.0, dead.1, dead.2));
         let least = NEAR_SINGULAR * self.plan.damping.sigma_0;
         if -singular.value < least {
             findings.push(Finding {
@@ -247,6 +256,23 @@ impl Controller {
                 });
             }
         }
+    }
+
+    /// More than a hand shall meet on a dead arm, though the limits hold no more than its weight.
+    fn dead_host_finding(&self, worst: Worst, row: usize, sign: f64) -> Option<Finding> {
+        let most = self.plan.dead_host_max.filter(|most| worst.value > most * (1.0 + 1e-9))?;
+        Some(Finding {
+            pose: worst.pose,
+            about: format!("{}{}", if sign < 0.0 { "−" } else { "+" }, AXIS_NAMES[self.plan.rows[row].axis]),
+            required: true,
+            reason: format!(
+                "dead_host_max is {} N, but limits that just hold the arm leave {} N to a hand",
+                number(most),
+                number(worst.value)
+            ),
+            setting: Some("dead_host_max".into()),
+            value: Some(round_up(worst.value)),
+        })
     }
 
     fn axis_findings(&self, r: usize, lack: [Worst; 2], rub: Worst, out: &mut Vec<Finding>) {

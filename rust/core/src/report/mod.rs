@@ -4,13 +4,13 @@
 //! for a push toward −, the second for one toward +.
 
 mod check;
-mod dead_host;
 mod promise;
-mod statics;
 mod stops;
 mod tracking;
 mod words;
 
+use crate::command::dead_host::Dead;
+use crate::command::statics::static_force;
 use crate::controller::{Controller, StepInput};
 use crate::error::{Error, Result};
 use crate::kinematics::Frames;
@@ -21,9 +21,7 @@ use crate::{JointVec, MAX_JOINTS};
 
 pub use check::{Check, Finding};
 
-use dead_host::Dead;
 use promise::Pose;
-use statics::static_force;
 use stops::Way;
 
 /// What one pose can do under the settings in force; one entry per task axis, or per joint.
@@ -73,8 +71,17 @@ pub struct Report {
     pub saturated: Vec<bool>,
     /// Joints at a position limit that left the inverse kinematics.
     pub locked: Vec<bool>,
-    /// The largest force that a hand meets on 0.15 m or 0.4 rad along the axis if the host dies now, friction included.
+    /// The largest force that a hand at 25 mm/s or 0.067 rad/s meets on 0.15 m or 0.4 rad along the axis if the host dies
+    /// now, the gears' friction and damping included; ∞ where the arm cannot be moved so far: it is stretched out, or at stops.
     pub dead_host: Vec<[f64; 2]>,
+    /// What the settings allow of that [N].
+    pub dead_host_max: Option<f64>,
+    /// Factor ≤ 1 on K_x, under law `impedance` on the stiffness, that delay and pose demand.
+    pub gain_factor: f64,
+    /// The same on the damping of law `impedance`.
+    pub damping_factor: f64,
+    /// Strength of an axis that does not yield; and the default, where soft or firm have raised it.
+    pub hold: Vec<(f64, Option<f64>)>,
     /// How far the axis can be pushed, the others in place, until a joint meets its position limit [m, rad]; ∞ where none
     /// does on 0.15 m or 0.4 rad. Up to there the stop takes nothing of a push, from there on what it gets.
     pub stop_distance: Vec<[f64; 2]>,
@@ -158,6 +165,10 @@ impl Controller {
             saturated: record.saturated[..n].to_vec(),
             locked: record.locked[..n].to_vec(),
             dead_host: Vec::with_capacity(k),
+            dead_host_max: plan.dead_host_max,
+            gain_factor: self.gain_factor(),
+            damping_factor: self.damping_factor(),
+            hold: plan.rows[..k].iter().map(|row| (row.hold, row.raised_from)).collect(),
             stop_distance: Vec::with_capacity(k),
             stop_joint: Vec::with_capacity(k),
             stop_room: Vec::with_capacity(k),
@@ -174,23 +185,14 @@ impl Controller {
         }
         let mut rubs = [0.0; MAX_JOINTS];
         (0..n).for_each(|i| rubs[i] = plan.servos.friction_at_rest(i, record.gravity[i]));
-        let mut keeps = limit;
-        (0..n).for_each(|i| keeps[i] += rubs[i]);
         let mut frames = Frames::default();
         self.model().chain().forward(&record.q, &mut frames);
         let way = self.way(&frames, &rubs);
-        let dead = Dead {
-            model: self.model(),
-            plan,
-            masses: &self.masses,
-            gravity: self.gravity,
-            base_from_task: crate::task::base_from_task(&plan.frame, &frames.tool),
-            q: &record.q,
-            limit: &keeps,
-        };
+        let goal = spread(self.last_command().goal());
+        let dead = self.dead(&frames, &goal, &limit, &rubs);
         for row in 0..k {
             let hold = |limit: &JointVec| {
-                [-1.0, 1.0].map(|sign| static_force(&record.rows[row], sign, limit, &record.gravity, n).0)
+                [-1.0, 1.0].map(|sign| static_force(&record.rows[row], sign, limit, &record.gravity, n))
             };
             report.static_force.push(hold(&limit));
             report.capacity.push(hold(&plan.servos.torque));
@@ -198,7 +200,10 @@ impl Controller {
             let coupling = [0, 1].map(|side| pose.coupling(row, side));
             report.coupling.push(coupling.map(|(force, _)| force));
             report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[plan.axes[other]])));
-            report.dead_host.push([-1.0, 1.0].map(|sign| dead.largest(row, sign)));
+            report.dead_host.push([-1.0, 1.0].map(|sign| {
+                let met = dead.largest(row, sign);
+                if met.walled { f64::INFINITY } else { met.force }
+            }));
             let stops = [-1.0, 1.0].map(|sign| way.first_stop(row, sign));
             report.stop_distance.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.distance)));
             report.stop_joint.push(stops.map(|stop| stop.map(|stop| stop.joint)));
@@ -214,12 +219,37 @@ impl Controller {
         Way { model: self.model(), plan: &self.plan, base_from_task, q: &self.record().q, friction }
     }
 
+    /// The arm with its last command, should the host die now.
+    fn dead<'a>(
+        &'a self,
+        frames: &Frames,
+        goal: &'a JointVec,
+        limit: &'a JointVec,
+        friction: &'a JointVec,
+    ) -> Dead<'a> {
+        Dead {
+            chain: self.model().chain(),
+            plan: &self.plan,
+            masses: &self.masses,
+            gravity: self.gravity,
+            base_from_task: crate::task::base_from_task(&self.plan.frame, &frames.tool),
+            q: &self.record().q,
+            goal,
+            limit,
+            friction,
+        }
+    }
+
     /// Limits of the last command.
     fn limits_in_force(&self) -> JointVec {
-        let mut out = [0.0; MAX_JOINTS];
-        for (slot, limit) in out.iter_mut().zip(self.last_command().torque_limit()) {
-            *slot = *limit;
-        }
-        out
+        spread(self.last_command().torque_limit())
     }
+}
+
+fn spread(values: &[f64]) -> JointVec {
+    let mut out = [0.0; MAX_JOINTS];
+    for (slot, value) in out.iter_mut().zip(values) {
+        *slot = *value;
+    }
+    out
 }

@@ -1,13 +1,13 @@
 //! What an axis pushes back with, and what the other axes add to it.
 
+use crate::command::dead_host::TRAVEL;
 use crate::command::limits::{Load, within};
+use crate::command::statics::static_force;
 use crate::controller::Record;
 use crate::law::activation::Activation;
 use crate::law::inverse::{pseudo_inverse, transpose_times};
 use crate::law::nullspace::fade_squared;
 use crate::plan::Plan;
-use crate::report::dead_host::TRAVEL;
-use crate::report::statics::static_force;
 use crate::settings::{Law, LimitRule, Settings};
 use crate::task::compliance::{compliance, strength};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
@@ -63,7 +63,7 @@ impl<'a> Pose<'a> {
         match plan.law {
             Law::Cap | Law::Impedance => {
                 let sign = [-1.0, 1.0][side];
-                let ceiling = static_force(&record.rows[row], sign, &plan.servos.torque, &record.gravity, plan.n).0;
+                let ceiling = static_force(&record.rows[row], sign, &plan.servos.torque, &record.gravity, plan.n);
                 d.map(|d| self.cap(row, side, d).min(ceiling))
             }
             Law::Paper => {
@@ -159,6 +159,6 @@ impl<'a> Pose<'a> {
             limit[i] = limit[i].max(plan.floor[i]).min(plan.servos.torque[i]);
         }
         let sign = [-1.0, 1.0][side];
-        static_force(&record.rows[row], sign, &limit, &record.gravity, n).0
+        static_force(&record.rows[row], sign, &limit, &record.gravity, n)
     }
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use super::dead_host::TRAVEL;
+use crate::command::dead_host::TRAVEL;
 use crate::kinematics::Frames;
 use crate::law::inverse::{Cholesky, pseudo_inverse, transpose_times, weighted_gram};
 use crate::law::svd::singular_values;

@@ -2,9 +2,9 @@
 
 use std::fmt;
 
+use crate::command::dead_host::TRAVEL;
 use crate::report::Report;
 use crate::report::check::{Check, NEAR_SINGULAR};
-use crate::report::dead_host::TRAVEL;
 use crate::settings::Law;
 use crate::task::axes::Beyond;
 
@@ -69,6 +69,15 @@ impl Report {
             }
             out.extend([1, 0].into_iter().filter_map(|side| self.stop_sentence(row, side)));
             out.extend(self.deviation_sentence(row));
+            if let (hold, Some(default)) = self.hold[row] {
+                out.push(format!(
+                    "{}: hold is {} {unit} instead of {}, to leave room for soft and firm.",
+                    self.axes[row],
+                    number(hold),
+                    number(default),
+                    unit = self.unit(row)
+                ));
+            }
         }
         for (i, name) in self.joints.iter().enumerate() {
             let least = self.gravity_margin[i][0].min(self.gravity_margin[i][1]);
@@ -85,6 +94,14 @@ impl Report {
                 self.condition
             ));
         }
+        for (factor, what) in [(self.gain_factor, "stiffness"), (self.damping_factor, "damping")] {
+            if factor < 1.0 - 1e-9 {
+                out.push(format!(
+                    "Delay and rate allow {} of the {what} that was asked for, here and now.",
+                    number(factor)
+                ));
+            }
+        }
         let mut meets = Vec::new();
         for (row, axis) in self.axes.iter().enumerate() {
             for side in [1, 0] {
@@ -92,7 +109,24 @@ impl Report {
             }
         }
         out.push(format!("If the host dies now, a hand meets at most: {}.", meets.join(", ")));
+        out.extend(self.dead_host_sentence());
         out
+    }
+
+    /// Where more is left of a dead host than is allowed, because the limits must hold the arm.
+    fn dead_host_sentence(&self) -> Option<String> {
+        let most = self.dead_host_max?;
+        let above = |row: usize, side: usize| {
+            let force = self.dead_host[row][side];
+            let over = self.unit(row) == "N" && force.is_finite() && force > most * (1.0 + 1e-9);
+            over.then(|| format!("{}{} {} N", SIDES[side], self.axes[row], number(force)))
+        };
+        let over: Vec<String> =
+            (0..self.axes.len()).flat_map(|row| [1, 0].into_iter().filter_map(move |side| above(row, side))).collect();
+        (!over.is_empty()).then(|| {
+            let (most, over) = (number(most), over.join(", "));
+            format!("dead_host_max is {most} N, but limits that just hold the arm leave {over}.")
+        })
     }
 
     fn unit(&self, row: usize) -> &'static str {

@@ -60,6 +60,9 @@ impl Settings {
             within("max_tool_speed [m/s, rad/s]", speed, 1e-3, infinite)?;
             within("max_tool_acceleration [m/s², rad/s²]", acceleration, 1e-2, infinite)?;
         }
+        if let Some(most) = self.dead_host_max {
+            within("dead_host_max [N]", most, 1e-3, infinite)?;
+        }
         if let Some(lead) = self.lead_limit {
             within("lead_limit [rad]", lead, 1e-3, infinite)?;
         }

@@ -37,6 +37,8 @@ pub(crate) struct Memory {
     velocity: Vector,
     gamma: f64,
     goal: Vector,
+    /// What of it carries the weight.
+    weight: Vector,
     limit: Option<Vector>,
     rest: Vector,
     /// Target of the last tick as far as the deviation limits let it.
@@ -108,6 +110,7 @@ impl Oracle {
                 velocity: zero.clone(),
                 gamma: 1.0,
                 goal: zero.clone(),
+                weight: zero.clone(),
                 limit: None,
                 rest: zero,
                 reference: Pose::IDENTITY,
@@ -124,6 +127,7 @@ impl Oracle {
             velocity: Vector::zeros(q.len()),
             gamma: 1.0,
             goal: q.clone(),
+            weight: Vector::zeros(q.len()),
             limit: None,
             rest: q,
         };
@@ -333,12 +337,20 @@ impl Oracle {
                 let lead = motion.lead[i] + motion.null[i];
                 goal[i] = goal[i] - lead + clip(lead, most);
             }
-            let (from, slew) = (self.memory.goal[i], settings.goal_slew * ahead);
             // Out of the limits by no more than the whole torque takes.
             let out = if self.servos.is_some() { ceiling[i] / kp[i] } else { 0.0 };
             let (lower, upper) = (self.model.lower()[i] - out, self.model.upper()[i] + out);
-            goal[i] = goal[i].max(lower).min(upper).max(from - slew).min(from + slew);
+            goal[i] = goal[i].max(lower).min(upper);
         }
+        // The weight by itself and first, then all the rest by one share.
+        let slew = settings.goal_slew * ahead;
+        let (carried, all) = (in_goal.component_div(&self.kg), goal - &self.memory.goal);
+        let change = &carried - &self.memory.weight;
+        let (lift, way) = (change.map(|w| clip(w, slew)), all - change);
+        let room = |i: usize| slew - lift[i].abs();
+        let share = (0..n).filter(|&i| way[i].abs() > room(i)).map(|i| room(i) / way[i].abs()).fold(1.0, f64::min);
+        let goal = &self.memory.goal + &lift + way * share;
+        self.memory.weight += lift;
         let singular = self.scaled(&rows).singular_values();
 
         self.memory.gamma = gamma;

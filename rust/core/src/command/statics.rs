@@ -5,25 +5,30 @@ use crate::{JointVec, MAX_JOINTS};
 /// Lever, as a share of the longest, below which a joint does not feel a push.
 const NO_LEVER: f64 = 1e-9;
 
-/// The largest static force that limits hold against a push along `sign · d`, and the joint that gives way first.
+/// The push along `a = Jᵀd` under which each joint gives way: `(L_i + s_i g_i) / |a_i|`, `s_i = sign(a_i)`.
 ///
-/// `min_i (L_i + s_i g_i) / |a_i|` with `a = Jᵀd` and `s_i = sign(sign · a_i)`: servo i gives `g_i − F a_i`, which may
-/// not fall below `−L_i` where the push turns it forward. Exact for a pure force at this pose, up to friction. Negative:
-/// the arm cannot hold itself. ∞ where no joint feels the push.
+/// Servo i gives `g_i − F a_i`, which may not fall below `−L_i` where the push turns it forward. ∞ for a joint that does not
+/// feel the push.
 #[inline]
-pub(super) fn static_force(a: &JointVec, sign: f64, limit: &JointVec, gravity: &JointVec, n: usize) -> (f64, usize) {
+pub(crate) fn yield_forces(a: &JointVec, limit: &JointVec, gravity: &JointVec, n: usize) -> JointVec {
     let longest = a.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
-    let (mut least, mut weakest) = (f64::INFINITY, 0);
+    let mut out = [f64::INFINITY; MAX_JOINTS];
     for i in 0..n.min(MAX_JOINTS) {
-        let lever = sign * a[i];
-        if lever.abs() > NO_LEVER * longest {
-            let force = (limit[i] + lever.signum() * gravity[i]) / lever.abs();
-            if force < least {
-                (least, weakest) = (force, i);
-            }
+        if a[i].abs() > NO_LEVER * longest {
+            out[i] = (limit[i] + a[i].signum() * gravity[i]) / a[i].abs();
         }
     }
-    (least, weakest)
+    out
+}
+
+/// The largest static force that limits hold against a push along `sign · d`: `min_i (L_i + s_i g_i) / |a_i|`.
+///
+/// Exact for a pure force at this pose, up to friction. Negative: the arm cannot hold itself. ∞ where no joint feels the
+/// push.
+#[inline]
+pub(crate) fn static_force(a: &JointVec, sign: f64, limit: &JointVec, gravity: &JointVec, n: usize) -> f64 {
+    let forces = yield_forces(&a.map(|lever| sign * lever), limit, gravity, n);
+    forces.iter().fold(f64::INFINITY, |least, force| least.min(*force))
 }
 
 #[cfg(test)]
@@ -60,13 +65,15 @@ mod tests {
             let (a, gravity) = (draw(0), draw(10).map(|g| 3.0 * g));
             let limit = draw(20).map(|l| 4.0 * l.abs());
             for sign in [-1.0, 1.0] {
-                let (force, weakest) = static_force(&a, sign, &limit, &gravity, 7);
+                let forces = yield_forces(&a.map(|x| sign * x), &limit, &gravity, 7);
+                let force = static_force(&a, sign, &limit, &gravity, 7);
+                let weakest = (0..7).find(|&i| forces[i] == force).unwrap();
                 let expected = searched(&a, sign, &limit, &gravity, 7);
                 assert!((force - expected).abs() < 1e-9 * (1.0 + expected.abs()), "{force} {expected}");
                 // One that gives way is at its limit exactly.
                 assert!(((gravity[weakest] - force * sign * a[weakest]).abs() - limit[weakest].abs()).abs() < 1e-9);
                 // Turning axis and side around is the same push.
-                let mirrored = static_force(&a.map(|x| -x), -sign, &limit, &gravity, 7).0;
+                let mirrored = static_force(&a.map(|x| -x), -sign, &limit, &gravity, 7);
                 assert!((force - mirrored).abs() < 1e-12);
             }
         }
@@ -75,8 +82,8 @@ mod tests {
     #[test]
     fn an_arm_that_cannot_hold_itself_has_a_negative_force_toward_the_load() {
         let (a, limit, gravity) = (joints(&[0.5]), joints(&[2.0]), joints(&[-3.0]));
-        assert!((static_force(&a, 1.0, &limit, &gravity, 1).0 + 2.0).abs() < 1e-15);
-        assert!((static_force(&a, -1.0, &limit, &gravity, 1).0 - 10.0).abs() < 1e-15);
-        assert!(static_force(&joints(&[0.0]), 1.0, &limit, &gravity, 1).0.is_infinite());
+        assert!((static_force(&a, 1.0, &limit, &gravity, 1) + 2.0).abs() < 1e-15);
+        assert!((static_force(&a, -1.0, &limit, &gravity, 1) - 10.0).abs() < 1e-15);
+        assert!(static_force(&joints(&[0.0]), 1.0, &limit, &gravity, 1).is_infinite());
     }
 }

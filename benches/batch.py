@@ -1,0 +1,123 @@
+"""Many arms in one call: configurations a second on one core and on all, and memory for a million.
+
+    python benches/batch.py                N = 10⁵; --count for others, --instructions baseline
+
+One process with one thread and one with as many as there are cores take turns, results into the
+caller's arrays. A core's rate is counted in its own time, so other programs do not matter; what the
+cores gain together needs an idle machine, or `nice -n -15` on a busy one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import pliant
+
+URDF = Path(__file__).resolve().with_name("arm7_bench.urdf")
+ROUNDS = 7
+
+
+def settings() -> dict[str, pliant.Settings]:
+    """Law paper as `benches/peers.py` has it, and the defaults."""
+    endless = {"step_limit": np.inf, "soft_step_limit": np.inf}
+    axes = {name: pliant.Axis(**endless) for name in ("x", "z", "roll", "pitch", "yaw")}
+    axes["y"] = pliant.Axis(yields="both", eta=0.9, **endless)
+    paper = pliant.Settings.paper(axes=axes, damping=0.02, projector="paper", limit_avoidance=0.1)
+    return {"paper": paper, "cap": pliant.Settings.soft("y")}
+
+
+def calls(count: int) -> dict[str, Callable[[], object]]:
+    """What is timed, each with its own arrays."""
+    kp, torque = [150.0] * 4 + [60.0] * 3, [10.7] * 4 + [6.4] * 3
+    servos = pliant.Servos(kp=kp, torque=torque, friction=0.1, kp_known=True)
+    model = pliant.Model.from_urdf(URDF, servos=servos)
+    rng = np.random.default_rng(1)
+    q = model.lower + (model.upper - model.lower) * rng.uniform(0.2, 0.8, (count, model.n))
+    targets = model.forward_kinematics_batch(q + 0.02)
+    poses, jacobians = np.ones((count, 4, 4)), np.ones((count, 6, model.n))
+    torques = np.ones((count, model.n))
+    out = (torques, np.ones_like(torques), np.ones_like(torques))
+    found: dict[str, Callable[[], object]] = {
+        "kinematics_batch": lambda: model.kinematics_batch(q, out=(poses, jacobians)),
+        "gravity_batch": lambda: model.gravity_batch(q, out=torques),
+    }
+    for law, wanted in settings().items():
+        controller = pliant.Controller(model, wanted)
+        state = controller.batch_state(count)
+        found[f"step_batch, law {law}"] = lambda c=controller: c.step_batch(q, targets, out=out)
+        found[f"step_batch, law {law}, with a state"] = lambda c=controller, s=state: c.step_batch(
+            q, targets, state=s, out=out
+        )
+    return found
+
+
+def serve(count: int) -> None:
+    """Answer each name on the input with seconds of the clock, of all threads, and MB more."""
+    ready = calls(count)
+    for name in sys.stdin:
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        start, own = time.perf_counter(), time.process_time()
+        ready[name.strip()]()
+        times = time.perf_counter() - start, time.process_time() - own
+        more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+        print(json.dumps((*times, more / 1024)), flush=True)
+
+
+def started(count: int, threads: int) -> subprocess.Popen[str]:
+    """A process that answers."""
+    command = [sys.executable, __file__, "--count", str(count), "--serve"]
+    environment = os.environ | {"RAYON_NUM_THREADS": str(threads)}
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment)
+
+
+def ask(server: subprocess.Popen[str], name: str) -> tuple[float, float, float]:
+    """Wall seconds, processor seconds and MB more of one call."""
+    assert server.stdin is not None
+    assert server.stdout is not None
+    print(name, file=server.stdin, flush=True)
+    wall, own, more = json.loads(server.stdout.readline())
+    return wall, own, more
+
+
+def main() -> None:
+    """Take turns, print one row a call."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--count", type=int, default=100_000)
+    parser.add_argument("--instructions", help="baseline, avx2 or avx512; default: the widest")
+    parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.instructions:
+        os.environ["PLIANT_INSTRUCTIONS"] = arguments.instructions
+    count, cores = arguments.count, len(os.sched_getaffinity(0))
+    if arguments.serve:
+        serve(count)
+        return
+    chosen = pliant.Controller(pliant.robots.arm7()).instructions
+    print(f"N = {count:,}, instructions {arguments.instructions or chosen}")
+    print(f"{'':38} {'M/s a core':>10} {f'{cores} threads':>10} {'ratio':>6} {'MB more':>8}")
+    one, all_cores = started(count, 1), started(count, cores)
+    for name in calls(1):
+        memory = ask(one, name)[2]
+        rounds = [(ask(one, name), ask(all_cores, name)) for _ in range(ROUNDS)]
+        rate = count / statistics.median(single[1] for single, _ in rounds)
+        together = count / statistics.median(many[0] for _, many in rounds)
+        ratio = statistics.median(single[0] / many[0] for single, many in rounds)
+        print(f"{name:38} {rate / 1e6:10.2f} {together / 1e6:10.2f} {ratio:6.2f} {memory:8.1f}")
+    for server in (one, all_cores):
+        server.communicate()
+
+
+if __name__ == "__main__":
+    main()

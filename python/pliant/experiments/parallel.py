@@ -1,0 +1,55 @@
+"""Jobs of an experiment, one process or several, with a line that says how far they are."""
+
+from __future__ import annotations
+
+import sys
+from time import monotonic
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+R = TypeVar("R", covariant=True)
+
+
+class Job(Protocol[R]):
+    """Something that runs by itself and can be pickled."""
+
+    def run(self) -> R:
+        """Do it."""
+
+
+def parallel(work: Sequence[Job[R]], processes: int, what: str) -> Iterator[R]:
+    """Run jobs, in parallel where joblib is there.
+
+    Args:
+        work: What to do.
+        processes: How many at once.
+        what: Name of the experiment, for what is said meanwhile on standard error.
+
+    Yields:
+        The results in the order of the work, as soon as they are there.
+    """
+    done: Iterable[R] = (job.run() for job in work)
+    if processes > 1:
+        try:
+            from joblib import Parallel, delayed
+        except ImportError:
+            print(f"{what}: one process only; for more: pip install 'pliant[sweep]'")
+        else:
+            started = Parallel(n_jobs=processes, return_as="generator")
+            done = started(delayed(_run)(job) for job in work)
+    # A terminal gets one line that changes, a file one line every half minute.
+    live = sys.stderr.isatty()
+    begin = last = monotonic()
+    for count, result in enumerate(done, 1):
+        yield result
+        now, over = monotonic(), count == len(work)
+        if over or now - last > (1.0 if live else 30.0):
+            left, last = (now - begin) * (len(work) - count) / count, now
+            said = f"{what}: {count} of {len(work)}, {left:.0f} s left "
+            print(f"\r{said}" if live else said, end="\n" if over or not live else "", file=sys.stderr)
+
+
+def _run(job: Job[R]) -> R:
+    return job.run()

@@ -1,0 +1,174 @@
+//! What a hand meets once the host has died: the servos keep their last goals and limits.
+
+use crate::command::statics::yield_forces;
+use crate::kinematics::{Frames, Masses};
+use crate::model::Chain;
+use crate::plan::Plan;
+use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
+
+/// How far a hand is followed [m, rad], and how fast it goes [m/s, rad/s].
+pub(crate) const TRAVEL: [f64; 2] = [0.15, 0.4];
+const SPEED: [f64; 2] = [0.025, 0.067];
+
+/// Steps on that way, most steps in all, and the longest of one joint [rad or m].
+const STEPS: f64 = 50.0;
+const MOST_STEPS: usize = 120;
+const LONGEST: f64 = 0.04;
+
+/// Lever of the joint that gives way, on an arm of 0.71 m [m] or about a rotation, below which it follows no hand: at its
+/// dead centre.
+const DEAD_CENTRE: f64 = 0.015;
+
+/// Most steps to the force between rest and giving way; two or three are enough.
+const MOST_NEWTON: usize = 20;
+
+/// An arm whose goals and limits stay as they are.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Dead<'a> {
+    pub(crate) chain: &'a Chain,
+    pub(crate) plan: &'a Plan,
+    pub(crate) masses: &'a Masses,
+    pub(crate) gravity: [f64; 3],
+    pub(crate) base_from_task: [[f64; 3]; 3],
+    pub(crate) q: &'a JointVec,
+    pub(crate) goal: &'a JointVec,
+    pub(crate) limit: &'a JointVec,
+    /// Dry friction at rest [N·m].
+    pub(crate) friction: &'a JointVec,
+}
+
+/// The most that a hand meets on its way.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Met {
+    /// From servos, gears and weight [N, N·m].
+    pub(crate) force: f64,
+    /// Whether the way ends before the hand does: what could give way is at a position limit or at its dead centre.
+    pub(crate) walled: bool,
+}
+
+/// The arm at one place of the way.
+struct Place {
+    lever: JointVec,
+    holding: JointVec,
+    /// Torque of the servos beside what holds the arm [N·m].
+    pull: JointVec,
+}
+
+impl Dead<'_> {
+    /// The largest force along one task axis, toward `sign`, of a hand that leaves all other axes free.
+    ///
+    /// Each joint is a spring to its goal, slips at its limit, and rubs. Pushed with F, joint i gets `F a_i`; the arm
+    /// follows in small steps, each with the least F that makes the tool go on: springs are stretched until one joint's
+    /// limit, friction and weight are overcome, `F = (L_i + τ_f,i + s_i g_i)/|a_i| + d_i v/a_i²`, from where that joint turns
+    /// alone until another one is weaker. A joint at its position limit gives way no farther.
+    pub(crate) fn largest(&self, row: usize, sign: f64) -> Met {
+        let n = self.plan.n;
+        let kind = usize::from(self.plan.rows[row].axis >= 3);
+        let (step, end) = (TRAVEL[kind] / STEPS, TRAVEL[kind]);
+        let (mut q, mut stopped) = (*self.q, [false; MAX_JOINTS]);
+        let (mut force, mut gone) = (f64::NEG_INFINITY, 0.0);
+        for _ in 0..MOST_STEPS {
+            let place = self.at(&q, row, sign);
+            let mut room = [0.0; MAX_JOINTS];
+            (0..n).for_each(|i| room[i] = self.limit[i] + self.friction[i]);
+            let mut yields = yield_forces(&place.lever, &room, &place.holding, n);
+            for i in 0..n {
+                let lever = place.lever[i];
+                yields[i] += self.plan.servos.drag[i] * SPEED[kind] / (lever * lever);
+                if stopped[i] {
+                    yields[i] = f64::INFINITY;
+                }
+            }
+            let (mut most, mut weakest) = (f64::INFINITY, 0);
+            for i in 0..n {
+                if yields[i] < most {
+                    (most, weakest) = (yields[i], i);
+                }
+            }
+            if most.is_infinite() || place.lever[weakest].abs() * self.plan.row_scale[row] < DEAD_CENTRE {
+                return Met { force: force.max(0.0), walled: true };
+            }
+            let (felt, mut turn) = self.spring(&place, most, step, &stopped);
+            force = force.max(felt);
+            if gone >= end {
+                break;
+            }
+            let moved: f64 = (0..n).map(|i| place.lever[i] * turn[i]).sum();
+            if moved < step {
+                turn[weakest] += (step - moved) / place.lever[weakest];
+            }
+            let longest = turn.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+            let share = (LONGEST / longest).min(1.0);
+            for i in 0..n {
+                let next = (q[i] + share * turn[i]).clamp(self.lower(i, q[i]), self.upper(i, q[i]));
+                stopped[i] |= next <= self.plan.lower[i] || next >= self.plan.upper[i];
+                gone += place.lever[i] * (next - q[i]);
+                q[i] = next;
+            }
+        }
+        Met { force, walled: false }
+    }
+
+    /// The least force, at most `most`, that moves the tool by `step` by stretching the joints' springs, and how they turn.
+    fn spring(&self, place: &Place, most: f64, step: f64, stopped: &[bool; MAX_JOINTS]) -> (f64, JointVec) {
+        let n = self.plan.n;
+        if !self.plan.servos.has_kp {
+            return (most, [0.0; MAX_JOINTS]);
+        }
+        // How the joints turn under a force, how far that moves the tool, and by how much more per newton.
+        let stretch = |force: f64| {
+            let (mut turn, mut moved, mut slope) = ([0.0; MAX_JOINTS], 0.0, 0.0);
+            for i in (0..n).filter(|&i| !stopped[i]) {
+                let (lever, compliance) = (place.lever[i], self.plan.servos.compliance[i]);
+                let torque = force * lever + place.pull[i];
+                let free = torque - torque.clamp(-self.friction[i], self.friction[i]);
+                turn[i] = free * compliance;
+                moved += lever * turn[i];
+                slope += if free == 0.0 { 0.0 } else { lever * lever * compliance };
+            }
+            (turn, moved, slope)
+        };
+        let (mut turn, mut moved, mut slope) = stretch(most);
+        if moved < step {
+            return (most, turn);
+        }
+        // Piecewise linear and never falling: Newton's steps, kept between bounds.
+        let (mut low, mut high, mut force) = (most - 2.0 * most.abs() - 1.0, most, most);
+        for _ in 0..MOST_NEWTON {
+            if moved < step { low = force } else { high = force }
+            let next = force - (moved - step) / slope;
+            force = if next > low && next < high { next } else { 0.5 * (low + high) };
+            (turn, moved, slope) = stretch(force);
+            if (moved - step).abs() < 1e-6 * step {
+                break;
+            }
+        }
+        (force, turn)
+    }
+
+    fn at(&self, q: &JointVec, row: usize, sign: f64) -> Place {
+        let (plan, mut frames) = (self.plan, Frames::default());
+        let (mut world, mut holding): (Rows, JointVec) = ([[0.0; MAX_JOINTS]; MAX_AXES], [0.0; MAX_JOINTS]);
+        self.chain.forward(q, &mut frames);
+        self.chain.jacobian(&frames, &mut world);
+        self.chain.gravity(&frames, self.masses, self.gravity, &mut holding);
+        let axis = plan.rows[row].axis;
+        let mut lever = crate::task::rows(&world, &self.base_from_task, &[axis], plan.n)[0];
+        let mut pull = [0.0; MAX_JOINTS];
+        for i in 0..plan.n {
+            lever[i] *= sign;
+            let spring = plan.servos.kp[i] * (self.goal[i] - q[i]);
+            pull[i] = spring.max(-self.limit[i]).min(self.limit[i]) - holding[i];
+        }
+        Place { lever, holding, pull }
+    }
+
+    // An arm beyond its limits may stay there.
+    fn lower(&self, i: usize, q: f64) -> f64 {
+        self.plan.lower[i].min(q)
+    }
+
+    fn upper(&self, i: usize, q: f64) -> f64 {
+        self.plan.upper[i].max(q)
+    }
+}

@@ -1,0 +1,61 @@
+//! Limits that spare a hand if the host dies: `dead_host_max`.
+
+use crate::JointVec;
+use crate::MAX_JOINTS;
+use crate::command::dead_host::Dead;
+
+/// Halvings of the share that is taken back.
+const HALVINGS: u32 = 6;
+
+impl Dead<'_> {
+    /// The most that a hand meets along any translation of the task, what stops and a stretched arm give apart [N]; and
+    /// along which row, toward which side. Ends early beyond `enough`.
+    pub(crate) fn worst(&self, enough: f64) -> (f64, usize, f64) {
+        let mut worst = (f64::NEG_INFINITY, 0, 1.0);
+        for row in (0..self.plan.k).filter(|&row| self.plan.rows[row].axis < 3) {
+            for sign in [-1.0, 1.0] {
+                let force = self.largest(row, sign).force;
+                if force > worst.0 {
+                    worst = (force, row, sign);
+                }
+                if force > enough {
+                    return worst;
+                }
+            }
+        }
+        worst
+    }
+
+    /// The limits with which a hand meets at most `most` [N]: first without part of the `margin`, then with less of what
+    /// they have beyond `base`, which holds the arm [N·m]; `base` where that is not enough.
+    pub(crate) fn spared(&self, most: f64, base: &JointVec, margin: &JointVec) -> JointVec {
+        let keeps = |limit: &JointVec| Dead { limit, ..*self }.worst(most).0 <= most;
+        if keeps(self.limit) {
+            return *self.limit;
+        }
+        let least = each(|i| base[i].min(self.limit[i]));
+        let bare = each(|i| (self.limit[i] - margin[i]).max(least[i]));
+        let [from, to] = if keeps(&bare) {
+            [bare, *self.limit]
+        } else if keeps(&least) {
+            [least, bare]
+        } else {
+            return least;
+        };
+        let between = |share: f64| each(|i| from[i] + share * (to[i] - from[i]));
+        let (mut low, mut high) = (0.0, 1.0);
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (low + high);
+            if keeps(&between(middle)) { low = middle } else { high = middle }
+        }
+        between(low)
+    }
+}
+
+fn each(of: impl Fn(usize) -> f64) -> JointVec {
+    let mut out = [0.0; MAX_JOINTS];
+    for (i, slot) in out.iter_mut().enumerate() {
+        *slot = of(i);
+    }
+    out
+}

@@ -1,0 +1,30 @@
+"""Arms whose host died in the middle of their work, against what the report said."""
+
+import pytest
+
+import pliant
+from pliant.experiments.campaign_arms import load
+from pliant.experiments.dead import Bench
+
+#: Below the report by no more than this, as a share.
+LOW = 0.3  # (0.16)
+
+
+@pytest.mark.parametrize(("name", "pose"), [("arm7", 2), ("arm7", 11), ("so101", 6), ("koch", 2)])
+def test_a_hand_meets_what_the_report_said(name, pose):
+    for met in Bench(load(name)).pushes(pose):
+        if not met.walled:
+            assert met.allowed, met
+            assert met.ratio > 1.0 - LOW, met
+
+
+@pytest.mark.parametrize("pose", [4, 12])
+def test_dead_host_max_is_kept_where_the_report_says_so(pose):
+    settings = pliant.Settings(axes={"y": pliant.Axis(soft=5.0, firm=10.0)})
+    bench = Bench(load("arm7"), settings)
+    free = bench.push(pose, "y", 1.0)
+    most = free.said - 2.0  # [N]
+    spared = Bench(load("arm7"), settings.replace(dead_host_max=most)).push(pose, "y", 1.0)
+    assert spared.said <= most
+    assert spared.felt < free.felt - 1.0
+    assert spared.allowed

@@ -1,0 +1,289 @@
+"""The page in a real browser: what a visitor does, and what becomes of the arm.
+
+Software drawing leaves little of two processors, so nothing here is about speed: every step waits
+until the page says what it should.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant.experiments.setups import VERTICAL
+from pliant.sim import Plant
+
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+if BROWSER is None:
+    pytest.skip(
+        "no browser, so the page was NOT tested in one: apt-get install -y chromium",
+        allow_module_level=True,
+    )
+sync_api = pytest.importorskip(
+    "playwright.sync_api",
+    reason="no playwright, so the page was NOT tested in a browser: pip install playwright",
+)
+
+FLAGS = (
+    "--no-sandbox",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+    "--enable-unsafe-swiftshader",
+)
+SIZE = {"width": 1060, "height": 560}
+#: Longest wait for anything [s].
+PATIENCE = 60.0
+#: Directions in base axes.
+LEFT, UP = np.eye(3)[1:]
+
+
+class View:
+    """`pliant view` in a process of its own."""
+
+    def __init__(self, *flags):
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "pliant.cli", "view", "--port", "8300", *flags],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self.link = ""
+        while not self.link:
+            line = self.process.stdout.readline()
+            assert line, f"pliant view ended with {self.process.wait()}"
+            self.link = line.strip() if "token=" in line else ""
+
+    @property
+    def page_process(self):
+        """The server's process, child of the loop's."""
+        path = f"/proc/{self.process.pid}/task/{self.process.pid}/children"
+        with open(path, encoding="ascii") as children:
+            return int(children.read().split()[0])
+
+    def end(self, number=signal.SIGINT):
+        """Signal it, and give what it said and its exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        said = self.process.communicate(timeout=PATIENCE)[0]
+        return said, self.process.returncode
+
+
+class Tab:
+    """One tab on the page."""
+
+    def __init__(self, context, link):
+        self.page = context.new_page()
+        self.foreign = []
+        self.page.on("request", lambda request: self._watch(request.url))
+        self.page.goto(link)
+        self.sees("under control")
+
+    def _watch(self, address):
+        if not address.startswith(("http://127.0.0.1:", "ws://127.0.0.1:", "data:", "blob:")):
+            self.foreign.append(address)
+
+    @property
+    def text(self):
+        return self.page.evaluate("() => document.body.innerText")
+
+    def wait(self, found, what):
+        """Until `found(text)` gives something true, which is returned."""
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            text = self.text
+            value = found(text)
+            if value:
+                return value
+            self.page.wait_for_timeout(150)
+        raise AssertionError(f"the page never showed {what}; it shows:\n{text}")
+
+    def sees(self, words):
+        return self.wait(lambda text: words in text, repr(words))
+
+    def place(self, name):
+        """Place of the tool or of the target [mm]."""
+        pattern = rf"{name} x (-?\d+), y (-?\d+), z (-?\d+) mm"
+        found = self.wait(lambda text: re.search(pattern, text), f"the place of the {name}")
+        return np.array([int(number) for number in found.groups()])
+
+    def press(self, words):
+        self.page.get_by_role("button", name=words, exact=True).dispatch_event("click")
+
+    def canvas(self):
+        """Left, top, width and height of the scene [px]."""
+        boxes = [canvas.bounding_box() for canvas in self.page.locator("canvas").all()]
+        box = max(filter(None, boxes), key=lambda b: b["width"] * b["height"])
+        return box["x"], box["y"], box["width"], box["height"]
+
+    def pixel(self, point):
+        """Where a point (3,) [m] of the scene is drawn by the first camera."""
+        home = np.array((0.38, 0.0, -0.28))
+        reach, middle = np.linalg.norm(home), 0.55 * home
+        eye = middle + reach * np.array((1.25, -1.75, 0.95))
+        ahead = (middle - eye) / np.linalg.norm(middle - eye)
+        right = np.cross(ahead, (0.0, 0.0, 1.0))
+        right /= np.linalg.norm(right)
+        up = np.cross(right, ahead)
+        rel = np.asarray(point) - eye
+        left, top, width, height = self.canvas()
+        scale = 0.5 * height / np.tan(0.5 * 0.75) / (ahead @ rel)
+        return left + 0.5 * width + scale * (right @ rel), top + 0.5 * height - scale * (up @ rel)
+
+    def drag(self, start, end, *, release=True):
+        mouse = self.page.mouse
+        mouse.move(*start)
+        self.page.wait_for_timeout(500)
+        mouse.down()
+        for share in np.linspace(0.0, 1.0, 8)[1:]:
+            mouse.move(*(np.array(start) + share * (np.array(end) - np.array(start))))
+            self.page.wait_for_timeout(100)
+        if release:
+            mouse.up()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        made = playwright.chromium.launch(executable_path=BROWSER, args=list(FLAGS))
+        yield made
+        made.close()
+
+
+@pytest.fixture
+def context(browser):
+    made = browser.new_context(viewport=SIZE)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def shared():
+    made = View()
+    yield made
+    made.end()
+
+
+@pytest.fixture
+def view():
+    made = View()
+    yield made
+    made.end(signal.SIGTERM)
+
+
+@pytest.fixture
+def tab(shared, context):
+    made = Tab(context, shared.link)
+    made.press("Target back to the start")
+    made.wait(lambda _: np.abs(made.place("tool") - (380, 0, -280)).max() < 15, "the arm at home")
+    return made
+
+
+def test_page_loads_with_all_its_parts_and_nothing_from_elsewhere(tab):
+    for words in ("STOP", "Scene", "Softness", "Push", "deviation", "torque limit", "100 Hz"):
+        tab.sees(words)
+    assert tab.foreign == []
+
+
+def test_push_moves_the_arm_and_it_comes_back(tab):
+    tab.press("Push for 2 s")
+    tab.wait(lambda _: tab.place("tool")[1] > 20, "the tool pushed to the left")
+    tab.wait(lambda _: abs(tab.place("tool")[1]) < 15, "the tool back")
+
+
+def test_gizmo_drag_moves_target_and_arm(tab):
+    home = np.array((0.38, 0.0, -0.28))
+    start, end = tab.pixel(home + UP * 0.13), tab.pixel(home + UP * 0.20)
+    tab.drag(start, end)
+    tab.wait(lambda _: tab.place("target")[2] > -255, "the target dragged upward")
+    target = tab.place("target")
+    assert abs(target[0] - 380) < 5
+    tab.wait(lambda _: np.abs(tab.place("tool") - tab.place("target")).max() < 10, "the arm there")
+
+
+def test_arm_can_be_dragged_and_is_let_go(tab):
+    plant = Plant(pliant.robots.arm7())
+    plant.reset(VERTICAL)
+    names = ("elbow_pitch", "wrist_yaw")
+    forearm = np.mean([plant.mj_data.joint(name).xanchor for name in names], axis=0)
+    before = tab.place("tool")
+    tab.drag(tab.pixel(forearm), tab.pixel(forearm + LEFT * 0.15), release=False)
+    tab.wait(lambda _: np.abs(tab.place("tool") - before).max() > 8, "the arm pulled along")
+    tab.page.mouse.up()
+    tab.wait(lambda _: np.abs(tab.place("tool") - before).max() < 20, "the arm let go")
+
+
+def test_bad_settings_are_explained_and_the_old_ones_stay(tab):
+    tab.page.get_by_text("Strength: pushed toward").click()
+    tab.page.get_by_role("tab", name="y", exact=True).click()
+    field = tab.page.get_by_label("soft [N]").filter(visible=True).first
+    field.fill("30")
+    field.press("Enter")
+    tab.sees("axes.y.soft = 30 is outside [0, firm = 15]")
+    tab.wait(lambda _: "30" not in field.input_value(), "the old strength again")
+
+
+def test_two_tabs_show_the_same(tab, shared, context):
+    other = Tab(context, shared.link)
+    for wanted in (True, False):
+        other.page.get_by_role("checkbox").first.dispatch_event("click")
+        switch = tab.page.get_by_role("checkbox").first
+        tab.wait(lambda _, on=wanted, box=switch: box.is_checked() is on, "the other's switch")
+    other.page.close()
+    tab.press("Push for 2 s")
+    tab.wait(lambda _: tab.place("tool")[1] > 20, "an arm that lives on when a tab closes")
+
+
+def test_reload_finds_everything_as_it_was(tab):
+    tab.page.reload()
+    tab.sees("under control")
+    tab.sees("STOP")
+
+
+def test_stop_lowers_and_torque_comes_on_again(tab):
+    tab.press("STOP")
+    tab.wait(lambda text: "coming down" in text or "torque is off" in text, "the arm coming down")
+    tab.sees("torque is off")
+    tab.press("Torque on")
+    tab.sees("under control")
+
+
+def test_without_the_token_there_is_no_page(shared, context):
+    page = context.new_page()
+    answer = page.goto(shared.link.partition("?")[0])
+    assert answer.status == 403
+    assert "This page moves a robot" in page.inner_text("body")
+
+
+def test_arm_is_lowered_when_the_page_is_killed(view, context):
+    Tab(context, view.link)
+    os.kill(view.page_process, signal.SIGKILL)
+    said = view.process.communicate(timeout=PATIENCE)[0]
+    assert view.process.returncode == 2
+    assert "the page's process has ended" in said
+
+
+def test_tab_says_so_when_the_program_ends(view, context):
+    tab = Tab(context, view.link)
+    view.process.send_signal(signal.SIGKILL)
+    tab.sees("The loop has ended")
+    view.process.communicate(timeout=PATIENCE)
+
+
+def test_ctrl_c_lowers_the_arm_before_the_eyes_of_the_page(view, context):
+    tab = Tab(context, view.link)
+    view.process.send_signal(signal.SIGINT)
+    tab.sees("coming down")
+    _, code = view.end()
+    assert code == 130
