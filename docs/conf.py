@@ -18,6 +18,7 @@ exclude_patterns = ["_build"]
 nitpicky = True
 # Types in signatures have their pages elsewhere; links between pages are checked.
 nitpick_ignore_regex = [("py:.*", ".*")]
+suppress_warnings = ["ref.python"]  # `n` is a name of several classes
 # Docstrings: Google's sections, names in single back-quotes, no types where the text has units.
 default_role = "literal"
 autodoc_typehints = "none"

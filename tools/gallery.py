@@ -228,6 +228,9 @@ def main() -> None:
         watch(given.watch)
         return
     GALLERY.mkdir(exist_ok=True)
+    for old in GALLERY.iterdir():
+        if old.suffix in {".txt", ".jpg", ".html"} and not (EXAMPLES / f"{old.stem}.py").exists():
+            old.unlink()
     for example in sorted(EXAMPLES.glob("*.py")):
         named = example.stem[:2] in given.numbers
         changed = not given.numbers and (given.all or recorded(example) != digest(example))

@@ -51,7 +51,7 @@ CORE = {
         "Model and poses",
         "Model IkSolution Pose as_pose pose_error Payload Link Joint Inertial Mimic",
     ),
-    "controller": ("Controller", "Controller Command Report check Check Finding"),
+    "controller": ("Controller", "Controller Command BatchState Report check Check Finding"),
     "settings": ("Settings", "Settings Task Axis Servos"),
     "contact": ("Contact", "Contact WrenchEstimate"),
     "loop": ("Arm and loop", "connect Loop Float"),

@@ -10,7 +10,7 @@ import pliant
 import pliant.robots
 from pliant.cli import main
 from pliant.sim import Course, Drag
-from pliant.teach import Motion, Replay, Teacher, teach
+from pliant.teach import Motion, Replay, Teacher, lead, teach
 
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
 MODEL = pliant.robots.so101()
@@ -196,6 +196,29 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     assert "bit for bit" in capsys.readouterr().out
     assert main(["replay", str(arm), str(file), "--backend", backend, "--soft", "y=a"]) == 2
     assert main(["replay", str(arm), str(log), "--backend", backend, "--stop", "0.01"]) == 2
+
+
+@pytest.mark.parametrize("backend", ["sim", "emulator"])
+def test_the_command_teaches_with_a_scripted_hand(tmp_path, backend, capsys, monkeypatch):
+    pytest.importorskip("rustypot")
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    file, arm = tmp_path / "m.json", tmp_path / "arm.toml"
+    life = '\n[life]\nexit = "hold"\n[loop]\npatience = 0.2\nhold_for = 10.0\n'
+    arm.write_text(pliant.config.ready.text("so101") + life)
+    assert main(["teach", str(arm), str(file), "--backend", backend, "--hand"]) == 0
+    assert "pliant replay" in capsys.readouterr().out
+    motion = Motion.load(file)
+    model = pliant.robots.so101()
+    tool = np.array([model.forward_kinematics(q)[:3, 3] for q in motion.q])
+    moved = tool[-1] - tool[0]
+    assert moved[1] == pytest.approx(lead.ASIDE * model.reach, abs=0.02)
+    assert moved[2] > 0.005
+
+
+def test_no_scripted_hand_leads_a_real_arm(tmp_path, capsys):
+    file = tmp_path / "m.json"
+    assert main(["teach", "so101", str(file), "--hand"]) == 2
+    assert "simulated arms only" in capsys.readouterr().err
 
 
 def test_the_command_teaches_nothing_without_a_hand(tmp_path, capsys):

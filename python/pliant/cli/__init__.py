@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import sys
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -31,6 +32,7 @@ COMMANDS = {
 #: Exit code of an error that was explained, as of a flag that does not exist.
 EXPLAINED = 2
 INTERRUPTED = 130
+CUT_OFF = 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,9 +42,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: Without the name of the program; default those of the process.
 
     Returns:
-        Exit code: 0, 2 for an error that was explained in one line, 130 after Ctrl-C.
+        Exit code: 0, 2 for an error that was explained in one line, 130 after Ctrl-C, 141 if
+        nobody reads its output.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return _run(list(sys.argv[1:] if arguments is None else arguments))
+    except BrokenPipeError:  # `pliant … | head`: nobody reads on, and nothing more can be said
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return CUT_OFF
+
+
+def _run(given: list[str]) -> int:
+    """Run a command by its name."""
     first = given[0] if given else "--help"
     if first in {"--version", "-V"}:
         print(f"pliant {pliant.__version__}")
@@ -67,6 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             args=given[1:],
             config=(tyro.conf.FlagCreatePairsOff,),
         )
+    except BrokenPipeError:
+        raise
     except (pliant.PliantError, OSError, ImportError) as error:
         return _explain(str(error))
     except SystemExit as stop:

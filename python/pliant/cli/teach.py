@@ -11,6 +11,8 @@ from rich.console import Console
 import pliant
 from pliant import config
 from pliant.cli.keys import Keys
+from pliant.teach.lead import lead
+from pliant.teach.teacher import RECORDING
 
 if TYPE_CHECKING:
     from pliant.arm import State
@@ -23,6 +25,7 @@ def run(
     *,
     by: Literal["rest", "enter", "gripper"] = "rest",
     seconds: float = 60.0,
+    hand: bool = False,
     note: str = "",
     port: str | None = None,
     backend: str | None = None,
@@ -39,6 +42,7 @@ def run(
         by: What starts and ends the recording: rest records at once and ends with a rest of 3 s;
             Enter; or the gripper pressed shut.
         seconds: Longest recording [s].
+        hand: Without an arm (sim, emulator): a scripted hand leads the tool aside and up.
         note: A line of your own.
         port: Device in place of the file's.
         backend: bus, emulator or sim in place of the file's.
@@ -56,18 +60,27 @@ def run(
     read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
     if by == "gripper" and read.gripper is None:
         raise pliant.ConfigError(f"{arm} names no gripper: use --by enter or rest")
+    if hand and read.backend == "bus":
+        raise pliant.ConfigError("--hand leads simulated arms only: add --backend sim or emulator")
     console = Console()
     keys = Keys() if by == "enter" else None
 
     def said(teacher: Teacher, state: State) -> bool:
         return teacher.pressed(state) if keys is None else keys.enter()
 
+    def tell(line: str) -> None:
+        console.print(line, highlight=False)
+        if hand and line == RECORDING:
+            lead(live)
+
     with read.arm() as live:
         made = pliant.teach.teach(
             live,
             seconds=seconds,
             said=None if by == "rest" else said,
-            tell=lambda line: console.print(line, highlight=False),
+            tell=tell,
         )
     replace(made, note=note).save(motion)
-    console.print(f"{motion}: pliant replay {arm} {motion}", highlight=False, soft_wrap=True)
+    where = "" if backend is None else f" --backend {backend}"
+    again = f"{motion}: pliant replay {arm} {motion}{where}"
+    console.print(again, highlight=False, soft_wrap=True)

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+#: What `teach` tells when it begins to keep.
+RECORDING = "recording"
 #: Share of a gripper's range from its closed end within which it is pressed.
 PRESSED = 0.15
 #: Share of its torque limit with which a gripper follows the hand.
@@ -163,7 +165,7 @@ def teach(
         if not teacher.recording and (said is None or now):
             teacher.start()
             begun = tick.time
-            tell("recording")
+            tell(RECORDING)
             continue
         late = tick.time - begun
         if teacher.recording and (

@@ -6,13 +6,14 @@
 
 use std::sync::Arc;
 
-use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
-use pliant_core::settings::{Damping, Gain, Law, LimitRule, Settings};
-use pliant_core::task::axes::{Frame, Profile, Yields};
-use pliant_core::{Model, Pose, Reference, ServoKind, Servos, StepInput};
+use nalgebra::{DMatrix, DVector, Vector3};
+use pliant_core::settings::{Damping, Law, LimitRule, Settings};
+use pliant_core::{Model, Pose, Servos, StepInput};
 
 mod deviation_limit;
 mod law;
+mod parts;
+mod shares;
 
 pub(crate) type Vector = DVector<f64>;
 pub(crate) type Matrix = DMatrix<f64>;
@@ -130,203 +131,6 @@ impl Oracle {
             limit: None,
             rest: q,
         };
-    }
-
-    fn n(&self) -> usize {
-        self.model.n()
-    }
-
-    /// Indices of the task's axes among x, y, z, roll, pitch, yaw.
-    pub(crate) fn axes(&self) -> Vec<usize> {
-        (0..6).filter(|&axis| self.settings.task.axes[axis]).collect()
-    }
-
-    /// What a metre is divided by to compare with a radian: reach / 0.71 m, or the length that the task gives.
-    fn length(&self) -> f64 {
-        if self.axes().len() > self.n() { self.settings.task.length.unwrap() } else { self.model.reach() / 0.71 }
-    }
-
-    fn joint(&self, of: impl Fn(&Servos) -> &Vec<f64>, otherwise: f64) -> Vector {
-        self.servos.as_ref().map_or(Vector::repeat(self.n(), otherwise), |s| Vector::from_column_slice(of(s)))
-    }
-
-    fn kp(&self) -> Vector {
-        self.joint(|s| &s.kp, 1.0)
-    }
-
-    /// Gears, the servo's own damping and, for a duty limit, back-EMF τ_stall / w₀.
-    fn resistance(&self) -> Vector {
-        let back_emf = match self.servos.as_ref() {
-            Some(s) if s.kind == ServoKind::Duty => {
-                self.joint(|s| &s.torque, 0.0).component_div(&self.joint(|s| s.no_load_speed.as_ref().unwrap(), 1.0))
-            }
-            _ => Vector::zeros(self.n()),
-        };
-        self.joint(|s| &s.damping, 0.0) + self.joint(|s| &s.kv, 0.0) + back_emf
-    }
-
-    /// `d/k_p ≥ 0.04 s` in every joint.
-    fn well_damped(&self) -> bool {
-        self.resistance().iter().zip(self.kp().iter()).all(|(d, kp)| d / kp >= 0.04)
-    }
-
-    fn ceiling(&self) -> Vector {
-        match &self.servos {
-            Some(s) => Vector::from_column_slice(&s.torque),
-            None => Vector::from_fn(self.n(), |i, _| self.model.effort_limit()[i].unwrap_or(f64::INFINITY)),
-        }
-    }
-
-    /// m = max(share of the usable torque, 2 τ_f).
-    fn margin(&self) -> Vector {
-        let friction = self.joint(|s| &s.friction, 0.0);
-        let usable = self.ceiling().map(|t| if t.is_finite() { self.settings.margin * t } else { 0.0 });
-        usable.zip_map(&friction, |m, f| m.max(2.0 * f))
-    }
-
-    pub(crate) fn base_from_task(&self, tool: &Pose) -> Matrix3<f64> {
-        let of = |r: &[[f64; 3]; 3]| Matrix3::from_fn(|i, j| r[i][j]);
-        match &self.settings.task.frame {
-            Frame::Base => Matrix3::identity(),
-            Frame::Tool => of(&tool.rotation),
-            Frame::Rotation(r) => of(r),
-        }
-    }
-
-    /// Rows of the task's axes at `q`, in the task frame.
-    pub(crate) fn rows(&self, q: &Vector) -> Matrix {
-        let (tool, jacobian) = self.model.kinematics(q.as_slice(), Reference::WorldAligned).unwrap();
-        let turn = self.base_from_task(&tool).transpose();
-        let linear = turn * jacobian.fixed_rows::<3>(0);
-        let angular = turn * jacobian.fixed_rows::<3>(3);
-        let axes = self.axes();
-        Matrix::from_fn(axes.len(), self.n(), |r, i| {
-            if axes[r] < 3 { linear[(axes[r], i)] } else { angular[(axes[r] - 3, i)] }
-        })
-    }
-
-    /// The rows with translations divided by the length.
-    pub(crate) fn scaled(&self, rows: &Matrix) -> Matrix {
-        let (axes, length) = (self.axes(), self.length());
-        Matrix::from_fn(
-            rows.nrows(),
-            rows.ncols(),
-            |r, i| if axes[r] < 3 { rows[(r, i)] / length } else { rows[(r, i)] },
-        )
-    }
-
-    /// (1)(2): position difference, rotation vector of `R_d Rᵀ`, turned into the task frame; then only the task's axes.
-    pub(crate) fn deviation(&self, tool: &Pose, target: &Pose) -> Vector {
-        let of = |r: &[[f64; 3]; 3]| Rotation3::from_matrix_unchecked(Matrix3::from_fn(|i, j| r[i][j]));
-        let turn = (of(&target.rotation) * of(&tool.rotation).inverse()).scaled_axis();
-        let position = Vector3::from(target.position) - Vector3::from(tool.position);
-        self.in_task(tool, &position, &turn)
-    }
-
-    fn in_task(&self, tool: &Pose, linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector {
-        let turn = self.base_from_task(tool).transpose();
-        let (linear, angular) = (turn * linear, turn * angular);
-        let axes = self.axes();
-        Vector::from_fn(axes.len(), |r, _| if axes[r] < 3 { linear[axes[r]] } else { angular[axes[r] - 3] })
-    }
-
-    /// Lines 3 to 5 of one axis.
-    fn row(&self, axis: usize, e: f64) -> Row {
-        let (given, paper) = (&self.settings.axes[axis], self.settings.law == Law::Paper);
-        let translation = axis < 3;
-        let d_minus = given.d_minus.unwrap_or(if translation { 0.01 } else { 0.04 });
-        let d_plus = given.d_plus.unwrap_or(if translation { 0.1 } else { 0.4 });
-        let band = d_minus * self.settings.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 });
-        // Pushed toward +: the tool is beyond its target, e < 0.
-        let toward_plus = if e <= -band && (band > 0.0 || e < 0.0) {
-            1.0
-        } else if e >= band {
-            0.0
-        } else {
-            0.5 - 0.5 * e / band
-        };
-        let mix = |pair: [f64; 2]| pair[0] * (1.0 - toward_plus) + pair[1] * toward_plus;
-        let w = match given.effective_yields() {
-            Yields::Both => 1.0,
-            Yields::None => 0.0,
-            Yields::Plus => toward_plus,
-            Yields::Minus => 1.0 - toward_plus,
-        };
-        let adapted = e - given.eta * w * e;
-        let seen = if self.settings.raw_deviation { e.abs() } else { adapted.abs() };
-        let c = if seen <= d_minus {
-            1.0
-        } else if seen >= d_plus {
-            0.0
-        } else {
-            1.0 - (seen - d_minus) / (d_plus - d_minus)
-        };
-        let (soft, firm) = (mix(given.soft.unwrap()), mix(given.firm.unwrap()));
-        let strength = match given.profile {
-            Profile::Firming => c * soft + (1.0 - c) * firm,
-            Profile::Constant => soft,
-            Profile::Yielding => c * firm + (1.0 - c) * soft,
-        };
-        Row {
-            e,
-            adapted,
-            w,
-            c,
-            strength,
-            most: w * strength + (1.0 - w) * given.hold.unwrap(),
-            stiffness: given.stiffness.map_or(0.0, mix),
-            viscosity: given.damping.map_or(0.0, mix),
-        }
-    }
-
-    /// Limit of the commanded task velocity of an axis of softness `w`: its own while stiff, another while soft.
-    fn velocity_limit(&self, axis: usize, w: f64) -> f64 {
-        let given = &self.settings.axes[axis];
-        let stiff = given.step_limit.unwrap_or(if axis < 3 { 0.4 } else { 2.0 });
-        let soft = self.soft_velocity_limit(axis);
-        match w {
-            w if w <= 0.0 => stiff,
-            w if w >= 1.0 => soft,
-            w if stiff.is_finite() && soft.is_finite() => (1.0 - w) * stiff + w * soft,
-            _ => stiff,
-        }
-    }
-
-    fn soft_velocity_limit(&self, axis: usize) -> f64 {
-        self.settings.axes[axis].soft_step_limit.unwrap_or(match (self.settings.law, axis < 3) {
-            (Law::Paper, true) => 0.1,
-            (Law::Paper, false) => 0.5,
-            _ => f64::INFINITY,
-        })
-    }
-
-    fn gain(gain: &Gain, size: usize) -> Matrix {
-        match gain {
-            Gain::Scalar(k) => Matrix::identity(size, size) * *k,
-            Gain::Diagonal(d) => Matrix::from_diagonal(&Vector::from_column_slice(d)),
-            Gain::Matrix(m) => Matrix::from_fn(size, size, |i, j| m[i][j]),
-        }
-    }
-
-    /// Line 9, first half: gradient of posture, joint limits and the caller's own (manipulability has its own test).
-    fn gradient(&self, q: &Vector, input: &StepInput<'_>) -> Vector {
-        let n = self.n();
-        let rest = match (input.posture, &self.settings.posture) {
-            (Some(p), _) => Vector::from_column_slice(p),
-            (None, Some(p)) => Vector::from_column_slice(p),
-            (None, None) => self.memory.rest.clone(),
-        };
-        let mut out = Vector::zeros(n);
-        for i in 0..n {
-            let weight = self.settings.posture_weights.as_ref().map_or(1.0, |w| w[i]);
-            out[i] = weight * (q[i] - rest[i]) + input.gradient.map_or(0.0, |g| g[i]);
-            let (lower, upper) = (self.model.lower()[i], self.model.upper()[i]);
-            if lower.is_finite() && upper.is_finite() {
-                let half = 0.5 * (upper - lower);
-                out[i] += self.settings.limit_avoidance * (q[i] - lower - half) / (half * half);
-            }
-        }
-        out
     }
 
     /// One tick; `sigma` holds the smallest and largest singular value that the fast step believes.
@@ -487,7 +291,7 @@ impl Oracle {
         // 12
         let ahead = dt.min(0.1);
         let every =
-            law::Shares { oracle: self, rows: &rows, scaled: &self.scaled(&rows), row_lambda2: &row_lambda2, sigma };
+            shares::Shares { oracle: self, rows: &rows, scaled: &self.scaled(&rows), row_lambda2: &row_lambda2, sigma };
         let activation = every.activation(&gradient);
         let responsibility = every.responsibility(&(&step / h), &gradient);
         let null_torque = settings.null_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
