@@ -72,7 +72,7 @@ $(VENV)/.with-test: $(BIN)/python pyproject.toml $(RUST) $(MISSING_CORE)
 	$(call install,test$(comma)lint$(comma)docs)
 
 $(VENV)/.with-demo: $(BIN)/python pyproject.toml $(RUST) $(MISSING_CORE)
-	$(call install,demo$(comma)servo$(comma)log)
+	$(call install,demo$(comma)servo$(comma)log$(comma)view)
 
 comma := ,
 
