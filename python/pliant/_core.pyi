@@ -1665,8 +1665,8 @@ class Controller:
     def batch_state(self, count: int) -> BatchState:
         """What `count` arms remember between calls of `step_batch`, of which nothing is known yet.
 
-        The first step of an arm resets it to its positions. 8 (52 + 6 n) bytes an arm: a million
-        arms of seven joints take 0.75 GB.
+        The first step of an arm resets it to its positions. 8 (52 + 7 n) bytes an arm: a million
+        arms of seven joints take 0.81 GB.
         """
 
     def reset(self, q: ArrayLike) -> None:

@@ -6,7 +6,7 @@ use crate::pose::COORDINATE_BOUND;
 use crate::settings::Settings;
 use crate::{Controller, MAX_JOINTS};
 
-/// Memories of many arms, for [`Controller::step_batch`]: `8 (52 + 6 n)` bytes each.
+/// Memories of many arms, for [`Controller::step_batch`]: `8 (52 + 7 n)` bytes each.
 ///
 /// Belongs to whoever steps the arms, not to a controller: any controller of arms with as many joints can go on with it.
 /// An arm of which nothing is known yet resets to the positions of its next step.

@@ -135,11 +135,7 @@ impl Dead<'_> {
         // Piecewise linear and never falling: Newton's steps, kept between bounds.
         let (mut low, mut high, mut force) = (most - 2.0 * most.abs() - 1.0, most, most);
         for _ in 0..MOST_NEWTON {
-            if moved < step {
-                low = force
-            } else {
-                high = force
-            }
+            if moved < step { low = force } else { high = force }
             let next = force - (moved - step) / slope;
             force = if next > low && next < high { next } else { 0.5 * (low + high) };
             (turn, moved, slope) = stretch(force);

@@ -57,7 +57,8 @@ impl Controller {
         let ([least, most], n) = (&self.plan.readable, self.plan.n.min(MAX_JOINTS));
         let (mut out, mut fine) = ([0.0; MAX_JOINTS], values.len() == n);
         for i in 0..n.min(values.len()) {
-            fine &= (values[i] >= least[i]) & (values[i] <= most[i]);
+            fine &= values[i] >= least[i];
+            fine &= values[i] <= most[i];
             out[i] = values[i];
         }
         if fine { Ok(out) } else { self.explain(what, values) }

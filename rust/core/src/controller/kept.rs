@@ -5,7 +5,7 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Numbers that an arm of `n` joints takes.
 pub(crate) const fn width(n: usize) -> usize {
-    2 + 6 * n + 3 * MAX_AXES + 2 * POSE + MAX_AXES + 2
+    2 + 7 * n + 3 * MAX_AXES + 2 * POSE + MAX_AXES + 2
 }
 
 /// Rotation matrix and position.
@@ -38,10 +38,10 @@ pub(crate) enum Kept<'a> {
 /// Every number of a memory but the flags, slice by slice: the same walk keeps and reads.
 #[inline(always)]
 fn walk(memory: &mut Memory, limit: &mut JointVec, n: usize, mut visit: impl FnMut(&mut [f64])) {
-    let Memory { filter, gamma, goal, singular, governor, rest, integral, .. } = memory;
+    let Memory { filter, gamma, goal, weight, singular, governor, rest, integral, .. } = memory;
     visit(&mut goal[..n]);
     visit(std::slice::from_mut(gamma));
-    for joints in [&mut filter.held, &mut filter.velocity, limit, rest, integral] {
+    for joints in [&mut filter.held, &mut filter.velocity, weight, limit, rest, integral] {
         visit(&mut joints[..n]);
     }
     let [weak, second] = &mut singular.weak;

@@ -101,7 +101,7 @@ pub(super) fn solve<J: Lanes>(
     }
     let wrench = Wrench { soft: all_joints.wrench.soft, stiff };
     Solution {
-        motion: Motion { lead, null, force_lead, wrench, ..all_joints },
+        motion: Motion { lead, force_lead, null, wrench, ..all_joints },
         budget,
         locked,
         goal: goal + beside,

@@ -233,13 +233,11 @@ impl Cycle<'_> {
     #[inline(always)]
     fn filter<J: Lanes>(&self) -> Filtered<J> {
         let q = J::load(self.q);
-        match &self.input.dq {
-            Some(dq) => Filtered { held: q, velocity: J::load(dq) },
-            None => {
-                let count = J::load(&self.plan.servos.count);
-                self.memory.filter.after(q, count, self.settings.velocity_filter, self.input.dt)
-            }
+        if let Some(dq) = &self.input.dq {
+            return Filtered { held: q, velocity: J::load(dq) };
         }
+        let count = J::load(&self.plan.servos.count);
+        self.memory.filter.after(q, count, self.settings.velocity_filter, self.input.dt)
     }
 
     /// Line 1: the positions at which the goal will arrive.

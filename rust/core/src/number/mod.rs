@@ -1,8 +1,11 @@
 //! Numbers of the hot path: formulas are written once, for one configuration or for eight, and compiled for each machine.
 //!
-//! [`Arithmetic`] says how to count: with one `f64` or with eight lanes, with or without fused multiply-add. Rust never
+//! [`Arithmetic`] says how to count: with one `f64` or with several lanes, with or without fused multiply-add. Rust never
 //! fuses by itself, and `mul_add` without the instruction is a slow call, so it is the type that decides. [`Machine`] is the
 //! pair of them that one instruction set offers, and [`Instructions`] which of these the processor at hand has.
+//!
+//! Lanes are eight configurations in a batch of kinematics ([`Wide`]), and the joints or the task axes of one arm in the
+//! control step ([`Lanes`], [`Wide`]). What few steps need takes [`EveryJoint`] and is compiled once.
 //!
 //! Everything between an entry of [`Instructions::run`] and its last formula is `#[inline(always)]`: what is not inlined
 //! would be compiled for the plainest machine. Formulas over [`Arithmetic`] use loops, not closures, for the same reason.
