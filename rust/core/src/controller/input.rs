@@ -3,6 +3,7 @@
 use crate::controller::{Controller, StepInput};
 use crate::error::{Error, Result};
 use crate::law::feedforward::SPEED_BOUND;
+use crate::number::NEGLIGIBLE;
 use crate::pose::COORDINATE_BOUND;
 use crate::{AxisVec, JointVec, MAX_JOINTS};
 
@@ -59,7 +60,7 @@ impl Controller {
         for i in 0..n.min(values.len()) {
             fine &= values[i] >= least[i];
             fine &= values[i] <= most[i];
-            out[i] = values[i];
+            out[i] = if values[i].abs() < NEGLIGIBLE { 0.0 } else { values[i] };
         }
         if fine { Ok(out) } else { self.explain(what, values) }
     }
@@ -96,7 +97,7 @@ impl Controller {
                 let name = self.model.joint_names().get(i).map_or("", String::as_str);
                 return Err(Error::limit(format!("{what}[{i}] ({name})"), value, format!("±{bound:e} and finite")));
             }
-            *slot = value;
+            *slot = if value.abs() < NEGLIGIBLE { 0.0 } else { value };
         }
         Ok(out)
     }

@@ -1,6 +1,6 @@
 //! Velocity, prediction over the known delay, and what the joints themselves resist: lines 1 and 10.
 
-use crate::number::{Lanes, tanh};
+use crate::number::{Lanes, NEGLIGIBLE, tanh};
 use crate::servos::ServoArrays;
 use crate::{JointVec, MAX_JOINTS};
 
@@ -33,7 +33,9 @@ impl VelocityFilter {
         let held = J::at_most(J::at_least(before, q - count), q + count);
         // Nothing turns faster: a vanishing dt must not make an infinity that the filter would keep.
         let raw = J::clip((held - before) * per_second, J::splat(SPEED_BOUND));
-        Filtered { held, velocity: J::fma(share, raw - velocity, velocity) }
+        let velocity = J::fma(share, raw - velocity, velocity);
+        let nothing = J::splat(0.0);
+        Filtered { held, velocity: J::if_less(J::abs(velocity), J::splat(NEGLIGIBLE), nothing, velocity) }
     }
 
     /// Goes on from there.
@@ -123,6 +125,10 @@ mod tests {
             filter.keep(filter.after(EveryJoint::splat(0.005 * f64::from(tick)), count, 0.02, 0.01));
         }
         assert!((filter.velocity[0] - 0.5).abs() < 1e-9);
+        for _ in 0..1000 {
+            filter.keep(filter.after(EveryJoint::splat(1.0), count, 0.02, 0.01));
+        }
+        assert_eq!(filter.velocity.map(f64::to_bits), [0; MAX_JOINTS], "at rest it would decay to denormal numbers");
     }
 
     #[test]

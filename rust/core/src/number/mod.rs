@@ -30,6 +30,10 @@ pub(crate) use scalar::{Fused, Plain};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::{avx2::Avx2, avx512::Avx512, sse2::Sse2};
 
+/// Positions [rad, m] and velocities below this are 0 where they are read or kept: a filter that decays would come to
+/// denormal numbers and stay there, for whose products some processors need a hundred cycles each.
+pub(crate) const NEGLIGIBLE: f64 = 1e-30;
+
 /// How many configurations the wide numbers hold.
 pub(crate) const LANES: usize = 8;
 
