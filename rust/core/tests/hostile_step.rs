@@ -291,6 +291,8 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         joint_speed: maybe(random, list),
         floor: maybe(random, list),
         margin: or(random, 0.1),
+        // Follows a hand six ways at every step: rarely.
+        dead_host_max: if random.chance(0.02) { Some(number(random).abs()) } else { None },
         direction_band: maybe(random, number),
         raw_deviation: random.chance(0.2),
         budget_on_goal: random.chance(0.2),

@@ -1,5 +1,6 @@
 //! What a hand meets once the host has died: the servos keep their last goals and limits.
 
+use crate::command::goal::clip;
 use crate::command::statics::yield_forces;
 use crate::kinematics::{Frames, Masses};
 use crate::model::Chain;
@@ -100,7 +101,7 @@ impl Dead<'_> {
             let longest = turn.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
             let share = (LONGEST / longest).min(1.0);
             for i in 0..n {
-                let next = (q[i] + share * turn[i]).clamp(self.lower(i, q[i]), self.upper(i, q[i]));
+                let next = (q[i] + share * turn[i]).max(self.lower(i, q[i])).min(self.upper(i, q[i]));
                 stopped[i] |= next <= self.plan.lower[i] || next >= self.plan.upper[i];
                 gone += place.lever[i] * (next - q[i]);
                 q[i] = next;
@@ -121,7 +122,7 @@ impl Dead<'_> {
             for i in (0..n).filter(|&i| !stopped[i]) {
                 let (lever, compliance) = (place.lever[i], self.plan.servos.compliance[i]);
                 let torque = force * lever + place.pull[i];
-                let free = torque - torque.clamp(-self.friction[i], self.friction[i]);
+                let free = torque - clip(torque, self.friction[i]);
                 turn[i] = free * compliance;
                 moved += lever * turn[i];
                 slope += if free == 0.0 { 0.0 } else { lever * lever * compliance };
@@ -135,7 +136,11 @@ impl Dead<'_> {
         // Piecewise linear and never falling: Newton's steps, kept between bounds.
         let (mut low, mut high, mut force) = (most - 2.0 * most.abs() - 1.0, most, most);
         for _ in 0..MOST_NEWTON {
-            if moved < step { low = force } else { high = force }
+            if moved < step {
+                low = force;
+            } else {
+                high = force;
+            }
             let next = force - (moved - step) / slope;
             force = if next > low && next < high { next } else { 0.5 * (low + high) };
             (turn, moved, slope) = stretch(force);
@@ -158,7 +163,7 @@ impl Dead<'_> {
         for i in 0..plan.n {
             lever[i] *= sign;
             let spring = plan.servos.kp[i] * (self.goal[i] - q[i]);
-            pull[i] = spring.max(-self.limit[i]).min(self.limit[i]) - holding[i];
+            pull[i] = clip(spring, self.limit[i]) - holding[i];
         }
         Place { lever, holding, pull }
     }
