@@ -1047,7 +1047,8 @@ class Settings:
         friction_speed: Speed at which the friction feed-forward saturates [rad/s].
         velocity_filter: Time constant of the velocity filter [s].
         delay: From reading to arrival of the goal [s].
-        goal_slew: Most speed of the goals [rad/s]; None for no limit.
+        goal_slew: Most speed of the goals [rad/s]; None for no limit. All go the same share of
+            their ways, the weight that they carry apart and first.
         stiffening_time: Time in which a limit may rise from zero to its ceiling [s]; 0 for no
             limit.
         max_tool_speed: Most speed of the target [m/s], or a pair [m/s, rad/s]; a single number

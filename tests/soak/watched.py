@@ -8,9 +8,8 @@ from pliant.experiments.faults import Watcher
 
 
 def so101():
-    """The ready arm in real time, on servos whose tool is watched from the start."""
+    """The ready arm in real time, on servos whose tool is watched once that is asked for."""
     bus = emulated(config.load("so101"))
     bus.watcher = Watcher(bus)
-    bus.watcher.begin()
     bus.on = lambda: any(servo.get("torque_enable") for servo in bus.servos)
     return bus

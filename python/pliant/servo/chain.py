@@ -192,13 +192,10 @@ class ServoChain:
         """What has happened since open, all ports together.
 
         As `pliant.servo.guard.Counters`; `mismatches`: limits that read back other than written;
-        `alerts`: how often a servo's status began to say that something is wrong, also where the
-        next answer said nothing of it: an overload that ends with the next order is seen here only.
+        `alerts`: how often a status began to say that something is wrong, for a moment or longer.
         """
-        total = {
-            "mismatches": sum(device.mismatches for device in self._devices),
-            "alerts": sum(device.alerts for device in self._devices),
-        }
+        kinds = ("mismatches", "alerts")
+        total = {kind: sum(getattr(device, kind) for device in self._devices) for kind in kinds}
         for counters in self._counters:
             for name, value in asdict(counters).items():
                 total[name] = total.get(name, 0) + value
@@ -237,8 +234,7 @@ class ServoChain:
             goal: Joint goals (n,) [rad]; clamped to the joint's range.
             limit: Torque limits (n,) [N·m], at least 0; rounded down to the register, clamped to
                 the servo's ceiling.
-            velocity: Fastest motion (n,) [rad/s] > 0, as the servo's own cap, at most the chain's;
-                default that.
+            velocity: Fastest motion (n,) [rad/s] > 0, at most the chain's own; default that.
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative. Nothing is sent.
@@ -373,8 +369,7 @@ class ServoChain:
         align_twins(self._joints)
 
     def _cap(self, velocity: ArrayLike | None) -> Array:
-        fastest = [joint[0].units.no_load_speed for joint in self._joints]
-        speeds = np.array(fastest if self._speed is None else [self._speed] * self.n)
+        speeds = np.array([self._speed or joint[0].units.no_load_speed for joint in self._joints])
         if velocity is None:
             return speeds
         # A speed that no servo reaches is none.

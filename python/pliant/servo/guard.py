@@ -21,6 +21,7 @@ from math import isinf
 from typing import TYPE_CHECKING, TypeVar
 
 from pliant.servo.models.row import Block
+from pliant.servo.owed import Owed
 from pliant.servo.transport import BusError
 from pliant.servo.wire import TURN, reply_timeout, wire_time
 
@@ -38,9 +39,6 @@ SILENCE_SHARE = 0.2
 #: Outside of a cycle there is no hurry: so many times the patience, and so many tries. One that
 #: brings an answer to an earlier request is a try too.
 UNHURRIED, TRIES = 5.0, 6
-#: A length is avoided for so long after an answer of it was missed, where there is a choice, and
-#: for so long where nothing has been answered since [s].
-MEMORY, GIVEN_UP = 1.0, 2.0
 #: Data bytes that a ping is answered with, and the most that any servo has at address 0 without a
 #: gap.
 PING, FIRST = {"p1": 0, "p2": 3}, 12
@@ -88,21 +86,6 @@ class Reply:
     time: float
 
 
-@dataclass
-class Owed:
-    """An answer that did not come, or not well.
-
-    Attributes:
-        size: Its data bytes.
-        time: When it was asked for, by the guard's clock [s].
-        settled: Whether a later request has been answered, so that it cannot come any more.
-    """
-
-    size: int
-    time: float
-    settled: bool = False
-
-
 class Guard:
     """Transactions of one port with drain, one retry and counters.
 
@@ -147,7 +130,7 @@ class Guard:
         self._dirty = False
         self._timeout = self._waited = 0.0
         self._patience = patience
-        self._owed: dict[int, list[Owed]] = {}
+        self._owed = Owed()
         self._silence = SILENCE_SHARE * patience + latency
 
     def begin(self, budget: float = float("inf")) -> None:
@@ -222,7 +205,7 @@ class Guard:
             if not answered:
                 # Whoever was late, or two at once, may still be talking.
                 self._dirty = True
-                self._owe([id], PING[self._protocol], before)
+                self._owed.add([id], PING[self._protocol], before)
             return answered
 
         return self._once(once)
@@ -254,31 +237,14 @@ class Guard:
             return self._checked(id, block, data, status, start)
 
     def _choose(self, ids: Sequence[int], blocks: Sequence[Block]) -> Block:
-        """The first block of a length that nobody owes: not within memory, or not any more.
+        """The first block of a length that nobody owes.
 
         Raises:
             BusError: All are owed still, and there is no time to find out more.
         """
-        if not self._owed:
-            return blocks[0]
-        now = self._clock()
-        for id in ids:
-            left = [
-                one
-                for one in self._owed.get(id, ())
-                if now - one.time < (MEMORY if one.settled else GIVEN_UP)
-            ]
-            if left:
-                self._owed[id] = left
-            else:
-                self._owed.pop(id, None)
-        owed = [one for id in ids for one in self._owed.get(id, ())]
-        avoided = {one.size for one in owed}
-        barred = {one.size for one in owed if not one.settled}
-        for sizes in (avoided, barred):
-            for block in blocks:
-                if block.size not in sizes:
-                    return block
+        found = self._owed.choose(ids, blocks, self._clock())
+        if found is not None:
+            return found
         if not isinf(self._deadline):
             raise BusError(f"id {ids[0]} still owes an answer that looks like this one", "late")
         for id in ids:
@@ -287,8 +253,7 @@ class Guard:
 
     def _settle(self, id: int) -> None:
         """Read the first bytes of a servo, of a length that it does not owe."""
-        barred = {one.size for one in self._owed.get(id, ())}
-        if barred:
+        if barred := self._owed.barred(id):
             size = next((n for n in range(FIRST, 0, -1) if n not in barred), None)
             if size is None:
                 raise BusError(f"id {id} owes too many answers to be asked again", "late")
@@ -301,16 +266,9 @@ class Guard:
         try:
             yield
         except BusError:
-            self._owe(ids, size, before)
+            self._owed.add(ids, size, before)
             raise
-        for id in ids if self._owed else ():
-            for one in self._owed.get(id, ()):
-                one.settled = True
-
-    def _owe(self, ids: Iterable[int], size: int, time: float) -> None:
-        """Answers of this length may still come."""
-        for id in ids:
-            self._owed.setdefault(id, []).append(Owed(size, time))
+        self._owed.settle(ids)
 
     def _checked(self, id: int, block: Block, data: bytes, status: int, start: float) -> Reply:
         """An answer of the right length; any other was not to this request."""
