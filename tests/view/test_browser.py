@@ -51,13 +51,17 @@ class View:
     """`pliant view` in a process of its own."""
 
     def __init__(self, *flags):
+        # Tests that run in the background inherit an ignored Ctrl-C.
+        code = (
+            "import signal, sys, pliant.cli as cli; "
+            "signal.signal(signal.SIGINT, signal.default_int_handler); "
+            "sys.exit(cli.main(['view', '--port', '8300', *sys.argv[1:]]))"
+        )
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "pliant.cli", "view", "--port", "8300", *flags],
+            [sys.executable, "-c", code, *flags],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            # Tests that run in the background inherit an ignored Ctrl-C.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )
         self.link = ""
         while not self.link:

@@ -80,11 +80,22 @@ class Quick:
         self.link.send(word)
 
 
+def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
+    # On its way down an arm takes no orders, but is to be seen.
+    for _ in range(3):
+        until = time.perf_counter() + 20.0
+        while not link.due():
+            assert time.perf_counter() < until
+            time.sleep(0.005)
+        link.send(np.zeros(10))
+
+
 def test_death_of_the_page_is_noticed(link):
     os.kill(link._process.pid, signal.SIGKILL)
     link._process.wait(20.0)
     with pytest.raises(PageGone, match="has ended"):
         link.orders()
+    assert not link.due()
     with pytest.raises(PageGone):
         link.send(np.zeros(3))
 

@@ -250,3 +250,19 @@ def test_trouble_on_the_bus_is_said_and_torque_can_come_back(script):
     assert said
     assert said[0].said[2]
     assert len(link.stages) == 2
+
+
+def test_page_that_goes_during_the_descent_does_not_stop_it(script):
+    link = script({20: orders.Stop()})
+    session = Session(Simulated("arm7", paced=False), link)
+    inner = link.send
+
+    def send(word):
+        if getattr(word, "phase", "") == "lowering":
+            raise PageGone("the page's process has ended")
+        inner(word)
+
+    link.send = send
+    session.run(1)
+    assert not session._arm.enabled
+    assert session._body.plant.tool[2, 3] < session.home[2, 3] - 0.2

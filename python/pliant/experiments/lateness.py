@@ -46,6 +46,7 @@ class Way:
         late: Lateness of all its ticks.
         missed: Ticks skipped.
         sent: Snapshots that the page took.
+        seconds: How long it ran [s].
     """
 
     page: bool
@@ -53,6 +54,7 @@ class Way:
     late: Lateness = field(default_factory=Lateness)
     missed: int = 0
     sent: int = 0
+    seconds: float = 0.0
 
     @property
     def name(self) -> str:
@@ -102,6 +104,7 @@ def run(way: Way, link: Link | None, seconds: float, folder: Path) -> None:
     way.late.largest = max(way.late.largest, session.loop.lateness.largest)
     way.missed += session.loop.missed
     way.sent += timed.sent
+    way.seconds += (len(session.loop.lateness) + session.loop.missed) / RATE
 
 
 @contextlib.contextmanager
@@ -158,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("|---|---|---|---|---|---|---|")
     for way in ways:
         late = [f"{1e3 * way.late.percentile(share):.2f}" for share in (50.0, 99.0, 99.9)]
-        rate = way.sent / (given.rounds * given.seconds)
+        rate = way.sent / way.seconds
         print(f"| {way.name} | {len(way.late)} | {' | '.join(late)} | {way.missed} | {rate:.0f} |")
     print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
 

@@ -82,6 +82,7 @@ class Link:
         theirs.close()
         self._pipe = Connection(ours.detach())
         self._free, self._due = True, 0.0
+        self._heard: list[Order] = []
         self.address = self._come_up()
 
     def _come_up(self) -> str:
@@ -102,23 +103,29 @@ class Link:
         Raises:
             PageGone: Its process has ended.
         """
-        out: list[Order] = []
+        if not self._listen():
+            raise PageGone(
+                "the page's process has ended, so nobody could stop the arm from there any more"
+            )
+        heard, self._heard = self._heard, []
+        return heard
+
+    def _listen(self) -> bool:
+        """Take what has come in; whether the page is still there."""
         try:
             while self._pipe.poll():
                 heard = self._pipe.recv()
                 if isinstance(heard, Order):
-                    out.append(heard)
+                    self._heard.append(heard)
                 else:
                     self._free = True
         except (EOFError, OSError):
-            raise PageGone(
-                "the page's process has ended, so nobody could stop the arm from there any more"
-            ) from None
-        return out
+            return False
+        return True
 
     def due(self) -> bool:
-        """Whether a snapshot is wanted now."""
-        return self._free and time.perf_counter() >= self._due
+        """Whether a snapshot is wanted now; never of a page that has ended."""
+        return time.perf_counter() >= self._due and self._listen() and self._free
 
     def send(self, snapshot: Snapshot | Stage) -> None:
         """Hand over a snapshot when one is `due`, or a stage at any time.

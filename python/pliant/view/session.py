@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import time
 from typing import TYPE_CHECKING, Literal
@@ -15,6 +16,7 @@ from pliant.view import orders, scenes
 from pliant.view.body import Body
 from pliant.view.desk import Desk
 from pliant.view.hand import VisitorHand
+from pliant.view.link import PageGone
 from pliant.view.pace import Pace
 from pliant.view.snapshot import Health, Shown, Snapshot, Stage, Step
 from pliant.view.tap import Tap
@@ -303,7 +305,9 @@ class Session:
         if self._pace is not None:
             self._pace.wait()
         if self.phase == "lowering" and self._link.due():
-            self._publish_still()
+            # Whoever looks on, the arm comes down.
+            with contextlib.suppress(PageGone):
+                self._publish_still()
 
     def _publish_still(self) -> None:
         """Where the arm is without a step of the controller."""
