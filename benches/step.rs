@@ -5,65 +5,17 @@
 #![allow(clippy::expect_used, reason = "a bench that cannot be set up has nothing to say")]
 
 use std::hint::black_box;
-use std::path::Path;
 use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use pliant_core::settings::{Damping, Follow, Law, LimitRule, Projector};
 use pliant_core::task::axes::{Axis, Task, Yields};
 use pliant_core::task::deviation::pose_error;
-use pliant_core::{Controller, Model, ModelOptions, Pose, Servos, Settings, StepInput};
+use pliant_core::{Controller, Pose, Settings, StepInput};
 
-const STATES: usize = 64;
+mod setup;
 
-fn arm() -> Arc<Model> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../benches/arm7_bench.urdf");
-    Arc::new(Model::from_urdf_file(path, &ModelOptions::default()).expect("the bench arm is part of the repository"))
-}
-
-fn servos() -> Servos {
-    let spread = |shoulder: f64, wrist: f64| [vec![shoulder; 4], vec![wrist; 3]].concat();
-    Servos {
-        friction: spread(0.2, 0.1),
-        damping: spread(1.2, 0.8),
-        kv: spread(1.5, 0.5),
-        kp_known: true,
-        ..Servos::new(spread(150.0, 60.0), spread(10.7, 6.4))
-    }
-}
-
-/// A closed path through the middle of the joint ranges, and targets a few centimetres off.
-fn states(model: &Model) -> Vec<(Vec<f64>, Pose)> {
-    (0..STATES)
-        .map(|s| {
-            let turn = std::f64::consts::TAU * s as f64 / STATES as f64;
-            let at = |phase: f64| -> Vec<f64> {
-                (0..model.n())
-                    .map(|i| {
-                        let (low, high) = (model.lower()[i], model.upper()[i]);
-                        0.5 * (low + high) + 0.2 * (high - low) * (turn + 0.9 * i as f64 + phase).sin()
-                    })
-                    .collect()
-            };
-            let target = model.forward_kinematics(&at(0.05)).expect("a state of this arm");
-            (at(0.0), target)
-        })
-        .collect()
-}
-
-fn paper() -> Settings {
-    let endless = Axis { step_limit: Some(f64::INFINITY), soft_step_limit: Some(f64::INFINITY), ..Axis::default() };
-    let mut settings = Settings {
-        damping: Damping::Fixed(0.02),
-        projector: Projector::Paper,
-        limit_avoidance: 0.1,
-        axes: [endless; 6],
-        ..Settings::paper()
-    };
-    settings.axes[1].yields = Some(Yields::Both);
-    settings.axes[1].eta = 0.9;
-    settings
-}
+use setup::{STATES, arm, paper, servos, states};
 
 fn soft_y() -> Settings {
     let mut settings = Settings::default();

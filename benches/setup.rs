@@ -1,0 +1,57 @@
+//! What the benches of the step share: the arm, its servos, states and the paper's settings.
+#![expect(clippy::expect_used, reason = "a bench that cannot be set up has nothing to say")]
+
+use std::path::Path;
+use std::sync::Arc;
+
+use pliant_core::settings::{Damping, Projector};
+use pliant_core::task::axes::{Axis, Yields};
+use pliant_core::{Model, ModelOptions, Pose, Servos, Settings};
+
+/// States of one round.
+pub(crate) const STATES: usize = 64;
+
+pub(crate) fn arm() -> Arc<Model> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../benches/arm7_bench.urdf");
+    Arc::new(Model::from_urdf_file(path, &ModelOptions::default()).expect("the bench arm is part of the repository"))
+}
+
+pub(crate) fn servos() -> Servos {
+    let spread = |shoulder: f64, wrist: f64| [vec![shoulder; 4], vec![wrist; 3]].concat();
+    Servos {
+        friction: spread(0.2, 0.1),
+        damping: spread(1.2, 0.8),
+        kv: spread(1.5, 0.5),
+        kp_known: true,
+        ..Servos::new(spread(150.0, 60.0), spread(10.7, 6.4))
+    }
+}
+
+/// A closed path through the middle of the joint ranges, and targets a few centimetres off.
+pub(crate) fn states(model: &Model) -> Vec<(Vec<f64>, Pose)> {
+    let at = |s: usize, phase: f64| -> Vec<f64> {
+        let turn = std::f64::consts::TAU * s as f64 / STATES as f64;
+        (0..model.n())
+            .map(|i| {
+                let (low, high) = (model.lower()[i], model.upper()[i]);
+                0.5 * (low + high) + 0.2 * (high - low) * (turn + 0.9 * i as f64 + phase).sin()
+            })
+            .collect()
+    };
+    let pose = |q: &[f64]| model.forward_kinematics(q).expect("a state of this arm");
+    (0..STATES).map(|s| (at(s, 0.0), pose(&at(s, 0.05)))).collect()
+}
+
+/// Law `paper`: fixed λ, printed projector, posture and limit cost, no gravity, no step limits.
+pub(crate) fn paper() -> Settings {
+    let endless = Axis { step_limit: Some(f64::INFINITY), soft_step_limit: Some(f64::INFINITY), ..Axis::default() };
+    let mut settings = Settings {
+        damping: Damping::Fixed(0.02),
+        projector: Projector::Paper,
+        limit_avoidance: 0.1,
+        axes: [endless; 6],
+        ..Settings::paper()
+    };
+    (settings.axes[1].yields, settings.axes[1].eta) = (Some(Yields::Both), 0.9);
+    settings
+}
