@@ -1,9 +1,9 @@
 //! What a hand meets once the host has died: the servos keep their last goals and limits.
 
-use crate::command::goal::clip;
 use crate::command::statics::yield_forces;
 use crate::kinematics::{Frames, Masses};
 use crate::model::Chain;
+use crate::number::{Arithmetic, Plain};
 use crate::plan::Plan;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -122,7 +122,7 @@ impl Dead<'_> {
             for i in (0..n).filter(|&i| !stopped[i]) {
                 let (lever, compliance) = (place.lever[i], self.plan.servos.compliance[i]);
                 let torque = force * lever + place.pull[i];
-                let free = torque - clip(torque, self.friction[i]);
+                let free = torque - Plain::clip(torque, self.friction[i]);
                 turn[i] = free * compliance;
                 moved += lever * turn[i];
                 slope += if free == 0.0 { 0.0 } else { lever * lever * compliance };
@@ -163,7 +163,7 @@ impl Dead<'_> {
         for i in 0..plan.n {
             lever[i] *= sign;
             let spring = plan.servos.kp[i] * (self.goal[i] - q[i]);
-            pull[i] = clip(spring, self.limit[i]) - holding[i];
+            pull[i] = Plain::clip(spring, self.limit[i]) - holding[i];
         }
         Place { lever, holding, pull }
     }
