@@ -291,6 +291,7 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         joint_speed: maybe(random, list),
         floor: maybe(random, list),
         margin: or(random, 0.1),
+        dead_host_max: None,
         direction_band: maybe(random, number),
         raw_deviation: random.chance(0.2),
         budget_on_goal: random.chance(0.2),
