@@ -38,7 +38,9 @@ pub(crate) enum Kept<'a> {
 /// Every number of a memory but the flags, slice by slice: the same walk keeps and reads.
 #[inline(always)]
 fn walk(memory: &mut Memory, limit: &mut JointVec, n: usize, mut visit: impl FnMut(&mut [f64])) {
-    let Memory { filter, gamma, goal, weight, singular, governor, rest, integral, .. } = memory;
+    // Every field by name: a new one must be kept too.
+    let Memory { filter, gamma, goal, weight, singular, governor, rest, integral, started: _, cold: _, limit: _ } =
+        memory;
     visit(&mut goal[..n]);
     visit(std::slice::from_mut(gamma));
     for joints in [&mut filter.held, &mut filter.velocity, weight, limit, rest, integral] {
