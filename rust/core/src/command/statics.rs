@@ -67,7 +67,7 @@ mod tests {
             for sign in [-1.0, 1.0] {
                 let forces = yield_forces(&a.map(|x| sign * x), &limit, &gravity, 7);
                 let force = static_force(&a, sign, &limit, &gravity, 7);
-                let weakest = (0..7).find(|&i| forces[i] == force).unwrap();
+                let weakest = (0..7).find(|&i| forces[i] <= force).unwrap();
                 let expected = searched(&a, sign, &limit, &gravity, 7);
                 assert!((force - expected).abs() < 1e-9 * (1.0 + expected.abs()), "{force} {expected}");
                 // One that gives way is at its limit exactly.
