@@ -125,6 +125,8 @@ def take_all(address: str) -> None:
 
     from pliant.view.gate import COOKIE
 
+    # It is elsewhere in life, and shall not take the loop's processor here.
+    os.nice(19)
     parts = urlsplit(address)
     token = parts.query.removeprefix("token=")
     with connect(

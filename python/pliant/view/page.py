@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pliant.view.orders import Order
 
 #: The page yields to the loop where both want the processor.
-NICE = 5
+NICE = 10
 #: How long the page says that the loop has ended before it ends too [s].
 FAREWELL = 2.0
 
