@@ -97,6 +97,7 @@ impl Memory {
 }
 
 impl Flag {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a sum of flags")]
     fn is_in(self, flags: f64) -> bool {
         (flags as u32) & self as u32 != 0
     }
