@@ -138,9 +138,9 @@ impl Controller {
         };
         let pieces = rows.par_chunks(PIECE * width(n)).enumerate();
         if rows.len() <= PIECE * width(n) {
-            check((0, rows))
+            check((0, rows));
         } else {
-            on_every_core(|| pieces.for_each(check))?
+            on_every_core(|| pieces.for_each(check))?;
         }
         first.result()
     }
@@ -169,7 +169,9 @@ impl Controller {
                         velocity.copy_from_slice(command.velocity());
                     }
                     Err(error) => {
-                        [goal, limit, velocity].into_iter().for_each(|out| out.fill(f64::NAN));
+                        for out in [goal, limit, velocity] {
+                            out.fill(f64::NAN);
+                        }
                         if input.invalid == Invalid::Refuse {
                             first.report(row, error);
                         }

@@ -97,6 +97,11 @@ impl Memory {
 }
 
 impl Flag {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a small whole number, or no flags of ours"
+    )]
     fn is_in(self, flags: f64) -> bool {
         (flags as u32) & self as u32 != 0
     }
