@@ -19,14 +19,17 @@ mod setup;
 
 use setup::{STATES, arm, paper, servos, states};
 
+/// Positions and targets.
+type States = Vec<(Vec<f64>, Pose)>;
+
 /// One way of using the hot path, over all states.
 type Work = Box<dyn FnMut()>;
 
 /// States as `benches/tail.py` has them, that a step should not take longer for than for others.
-fn rare(model: &Model) -> Vec<(&'static str, Vec<(Vec<f64>, Pose)>)> {
+fn rare(model: &Model) -> Vec<(&'static str, States)> {
     let (low, high) = (model.lower(), model.upper());
     let at = |s: usize, i: usize| (std::f64::consts::TAU * s as f64 / STATES as f64 + 0.9 * i as f64).sin();
-    let make = |q: &dyn Fn(f64, usize) -> f64, shift: f64| -> Vec<(Vec<f64>, Pose)> {
+    let make = |q: &dyn Fn(f64, usize) -> f64, shift: f64| -> States {
         let of = |s: usize| -> Vec<f64> { (0..model.n()).map(|i| q(at(s, i), i)).collect() };
         let pose = |q: Vec<f64>| model.forward_kinematics(&q).expect("a state of this arm");
         let near = |s: usize| of(s).iter().enumerate().map(|(i, q)| q + shift * at(s + STATES / 4, i)).collect();
@@ -36,7 +39,9 @@ fn rare(model: &Model) -> Vec<(&'static str, Vec<(Vec<f64>, Pose)>)> {
     let stretched = |wave: f64, i: usize| if (3..6).contains(&i) { 1e-3 * wave } else { ordinary(wave, i) };
     let limits = |wave: f64, i: usize| if wave > 0.0 { high[i] } else { low[i] } - 1e-9 * wave;
     let mut far = make(&ordinary, 0.02);
-    far.iter_mut().for_each(|(_, target)| *target = Pose { position: [0.0, 0.0, 1.0], ..Pose::IDENTITY });
+    for (_, target) in &mut far {
+        *target = Pose { position: [0.0, 0.0, 1.0], ..Pose::IDENTITY };
+    }
     vec![
         ("singular", make(&stretched, 0.02)),
         ("at the limits", make(&limits, 0.02)),
