@@ -165,7 +165,7 @@ impl BatchCall<'_, '_> {
             invalid,
         };
         let out = BatchCommand { goal, torque_limit, velocity };
-        let mut state = state.map(|state| state.try_borrow_mut()).transpose()?;
+        let mut state = state.map(Bound::try_borrow_mut).transpose()?;
         let state = state.as_deref_mut().map(|state| &mut state.0);
         py.detach(|| core.step_batch(&input, state, out)).or_raise()?;
         match self.out.and_then(|out| out.cast::<Command>().ok()) {
