@@ -181,7 +181,9 @@ fn other_settings_take_over_as_with_a_single_step() {
         let task = pliant_core::task::axes::Task::of(axes).unwrap();
         let settings = Settings { task, integrate: 0.5, ..Settings::default() };
         controller.update(settings.clone()).unwrap();
-        alone.iter_mut().for_each(|own| own.update(settings.clone()).unwrap());
+        for own in &mut alone {
+            own.update(settings.clone()).unwrap();
+        }
         for _ in 0..3 {
             controller.step_batch(&arms.input(None, false), Some(&mut state), out.command()).unwrap();
             for (row, own) in alone.iter_mut().enumerate() {
