@@ -47,7 +47,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs gallery bench counts counts-check aarch64 peers soak wheel fmt clean FORCE
+.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs gallery bench browser counts counts-check aarch64 peers soak wheel fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -137,6 +137,10 @@ gallery: setup ## Run the examples that changed, keep pictures and texts for the
 	@$(BIN)/python tools/gallery.py $(ARGS)
 
 # --- the rest ------------------------------------------------------------------------------------------------------
+
+browser: setup ## All tests of the page in a real browser, of which `make test` runs two
+	$(call say,pages in a browser)
+	@$(BIN)/python -m pytest --numprocesses=0 -m '' tests/view/test_browser.py $(ARGS)
 
 soak: setup ## Ten minutes of emulated bus with faults on each family; ARGS='--family x --minutes 1'
 	@$(BIN)/python -m pliant.experiments.soak $(ARGS)

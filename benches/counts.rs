@@ -19,9 +19,6 @@ mod setup;
 
 use setup::{STATES, arm, paper, servos, states};
 
-/// Positions and targets.
-type States = Vec<(Vec<f64>, Pose)>;
-
 /// One way of using the hot path, over all states.
 type Work = Box<dyn FnMut()>;
 

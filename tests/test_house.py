@@ -21,8 +21,8 @@ import pliant
 ROOT = Path(__file__).resolve().parents[1]
 EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich", "rustypot", "mcap", "viser")
 LONGEST_FILE = 400  # lines
-#: The goal is 1.5e6 [bytes]: the step is in the module twice, once per set of instructions.
-LARGEST_WHEEL = 2.0e6
+#: The goal is 1.5e6 [bytes], missed: the step is in the module once per set of instructions and size.
+LARGEST_WHEEL = 2.2e6
 LONGEST_RUN = 120  # [s] per example and per document
 
 

@@ -1,7 +1,8 @@
 """The page in a real browser: what a visitor does, and what becomes of the arm.
 
 Software drawing leaves little of two processors, so nothing here is about speed: every step waits
-until the page says what it should.
+until the page says what it should. `make test` opens the page and pushes the arm; `make browser`
+does all of it.
 """
 
 from __future__ import annotations
@@ -206,6 +207,7 @@ def test_push_moves_the_arm_and_it_comes_back(tab):
     tab.wait(lambda _: abs(tab.place("tool")[1]) < 15, "the tool back")
 
 
+@pytest.mark.full
 def test_gizmo_drag_moves_target_and_arm(tab):
     home = np.array((0.38, 0.0, -0.28))
     start, end = tab.pixel(home + UP * 0.13), tab.pixel(home + UP * 0.20)
@@ -216,6 +218,7 @@ def test_gizmo_drag_moves_target_and_arm(tab):
     tab.wait(lambda _: np.abs(tab.place("tool") - tab.place("target")).max() < 10, "the arm there")
 
 
+@pytest.mark.full
 def test_arm_can_be_dragged_and_is_let_go(tab):
     plant = Plant(pliant.robots.arm7())
     plant.reset(VERTICAL)
@@ -228,6 +231,7 @@ def test_arm_can_be_dragged_and_is_let_go(tab):
     tab.wait(lambda _: np.abs(tab.place("tool") - before).max() < 20, "the arm let go")
 
 
+@pytest.mark.full
 def test_bad_settings_are_explained_and_the_old_ones_stay(tab):
     tab.page.get_by_text("Strength: pushed toward").click()
     tab.page.get_by_role("tab", name="y", exact=True).click()
@@ -238,6 +242,7 @@ def test_bad_settings_are_explained_and_the_old_ones_stay(tab):
     tab.wait(lambda _: "30" not in field.input_value(), "the old strength again")
 
 
+@pytest.mark.full
 def test_two_tabs_show_the_same(tab, shared, context):
     other = Tab(context, shared.link)
     for wanted in (True, False):
@@ -249,12 +254,14 @@ def test_two_tabs_show_the_same(tab, shared, context):
     tab.wait(lambda _: tab.place("tool")[1] > 20, "an arm that lives on when a tab closes")
 
 
+@pytest.mark.full
 def test_reload_finds_everything_as_it_was(tab):
     tab.page.reload()
     tab.sees("under control")
     tab.sees("STOP")
 
 
+@pytest.mark.full
 def test_stop_lowers_and_torque_comes_on_again(tab):
     tab.press("STOP")
     tab.wait(lambda text: "coming down" in text or "torque is off" in text, "the arm coming down")
@@ -263,6 +270,7 @@ def test_stop_lowers_and_torque_comes_on_again(tab):
     tab.sees("under control")
 
 
+@pytest.mark.full
 def test_without_the_token_there_is_no_page(shared, context):
     page = context.new_page()
     answer = page.goto(shared.link.partition("?")[0])
@@ -270,6 +278,7 @@ def test_without_the_token_there_is_no_page(shared, context):
     assert "This page moves a robot" in page.inner_text("body")
 
 
+@pytest.mark.full
 def test_arm_is_lowered_when_the_page_is_killed(view, context):
     Tab(context, view.link)
     os.kill(view.page_process, signal.SIGKILL)
@@ -278,6 +287,7 @@ def test_arm_is_lowered_when_the_page_is_killed(view, context):
     assert "the page's process has ended" in said
 
 
+@pytest.mark.full
 def test_tab_says_so_when_the_program_ends(view, context):
     tab = Tab(context, view.link)
     view.process.send_signal(signal.SIGKILL)
@@ -285,6 +295,7 @@ def test_tab_says_so_when_the_program_ends(view, context):
     view.process.communicate(timeout=PATIENCE)
 
 
+@pytest.mark.full
 def test_ctrl_c_lowers_the_arm_before_the_eyes_of_the_page(view, context):
     tab = Tab(context, view.link)
     view.process.send_signal(signal.SIGINT)
