@@ -21,7 +21,7 @@ import pliant
 ROOT = Path(__file__).resolve().parents[1]
 EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich", "rustypot", "mcap", "viser")
 LONGEST_FILE = 400  # lines
-#: The goal is 1.5e6 [bytes], missed: the step is in the module once per set of instructions and size.
+#: The goal, 1.5e6 [bytes], is missed: a step for each set of instructions and each size of arms.
 LARGEST_WHEEL = 2.2e6
 LONGEST_RUN = 120  # [s] per example and per document
 
