@@ -1,11 +1,16 @@
-//! Every set of instructions comes to the same command.
-#![allow(clippy::unwrap_used, reason = "tests fail by panicking")]
+//! Every set of instructions comes to the same command; one set comes to the same bits, however often it is asked.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
 use pliant_core::settings::{Law, Settings};
 use pliant_core::task::axes::{Axis, Yields};
 use pliant_core::{Controller, Instructions, Model, ModelOptions, Pose, Servos, StepInput};
+
+#[path = "common/seeded.rs"]
+mod seeded;
+
+use seeded::Random;
 
 fn arm() -> Arc<Model> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/golden/arm7.urdf");
@@ -67,5 +72,54 @@ fn a_set_repeats_bit_for_bit() {
             let want = *one.step(&q, &target, &StepInput::default()).unwrap();
             assert_eq!(*other.step(&q, &target, &StepInput::default()).unwrap(), want);
         }
+    }
+}
+
+/// A run of settings, readings and targets that exercises all of a controller.
+fn run(controller: &mut Controller, ticks: std::ops::Range<u64>) -> Vec<[u64; 14]> {
+    let model = Arc::clone(controller.model());
+    ticks
+        .map(|tick| {
+            let mut random = Random::new(1000 + tick);
+            let q: Vec<f64> = (0..7).map(|i| -0.3 + 0.2 * (0.05 * tick as f64 + f64::from(i)).sin()).collect();
+            let (dq, gradient) = (random.vector(7, 0.5), random.vector(7, 0.2));
+            let input = StepInput {
+                dt: random.pick(&[None, Some(0.008)]),
+                dq: random.chance(0.3).then_some(&dq),
+                gradient: random.chance(0.3).then_some(&gradient),
+                ..StepInput::default()
+            };
+            let target = random.target(&model, &q, 0.05, 0.1);
+            let command = controller.step(&q, &target, &input).unwrap();
+            let mut bits = [0; 14];
+            for i in 0..7 {
+                bits[i] = command.goal()[i].to_bits();
+                bits[7 + i] = command.torque_limit()[i].to_bits();
+            }
+            bits
+        })
+        .collect()
+}
+
+#[test]
+fn same_inputs_same_bits() {
+    for law in [Law::Cap, Law::Impedance, Law::Paper] {
+        let settings =
+            Settings { law, integrate: 1.0, delay: 0.01, manipulability: 0.1, ..Settings::soft("y yaw").unwrap() };
+        let make = || {
+            let arm = seeded::arm(0, &ModelOptions::default());
+            Controller::new(arm, settings.clone(), Some(seeded::servos(0))).unwrap()
+        };
+        let all = run(&mut make(), 0..300);
+        assert_eq!(all, run(&mut make(), 0..300));
+        // A clone in the middle goes on as the original does, and a reset starts anew.
+        let mut original = make();
+        assert_eq!(all[..150], run(&mut original, 0..150));
+        let mut clone = original.clone();
+        assert_eq!(all[150..], run(&mut clone, 150..300));
+        assert_eq!(all[150..], run(&mut original, 150..300));
+        let q: Vec<f64> = (0..7).map(|i| -0.3 + 0.2 * f64::from(i).sin()).collect();
+        clone.reset(&q).unwrap();
+        assert_eq!(all, run(&mut clone, 0..300));
     }
 }

@@ -12,8 +12,11 @@ use pliant_core::{Model, Pose, Servos, StepInput};
 
 mod deviation_limit;
 mod law;
+mod memory;
 mod parts;
 mod shares;
+
+use memory::Memory;
 
 pub(crate) type Vector = DVector<f64>;
 pub(crate) type Matrix = DMatrix<f64>;
@@ -29,20 +32,6 @@ pub(crate) struct Oracle {
     pub(crate) delay: f64,
     pub(crate) kg: Vector,
     pub(crate) memory: Memory,
-}
-
-#[derive(Clone)]
-pub(crate) struct Memory {
-    held: Vector,
-    velocity: Vector,
-    gamma: f64,
-    goal: Vector,
-    /// What of it carries the weight.
-    weight: Vector,
-    limit: Option<Vector>,
-    rest: Vector,
-    /// Target of the last tick as far as the deviation limits let it.
-    reference: Pose,
 }
 
 /// Everything that one tick came to; one entry per row of the task, or per joint.
@@ -97,7 +86,6 @@ impl Oracle {
         let n = model.n();
         let servos = servos.map(|s| s.for_joints(n).unwrap());
         let kg = servos.as_ref().map_or(Vector::repeat(n, 1.0), |s| Vector::from_column_slice(&s.kp));
-        let zero = Vector::zeros(n);
         Self {
             model: Arc::clone(model),
             settings: settings.clone(),
@@ -105,32 +93,8 @@ impl Oracle {
             damping,
             delay: settings.delay,
             kg,
-            memory: Memory {
-                held: zero.clone(),
-                velocity: zero.clone(),
-                gamma: 1.0,
-                goal: zero.clone(),
-                weight: zero.clone(),
-                limit: None,
-                rest: zero,
-                reference: Pose::IDENTITY,
-            },
+            memory: Memory::new(n),
         }
-    }
-
-    pub(crate) fn reset(&mut self, q: &[f64]) {
-        let reference = self.model.forward_kinematics(q).unwrap();
-        let q = Vector::from_column_slice(q);
-        self.memory = Memory {
-            reference,
-            held: q.clone(),
-            velocity: Vector::zeros(q.len()),
-            gamma: 1.0,
-            goal: q.clone(),
-            weight: Vector::zeros(q.len()),
-            limit: None,
-            rest: q,
-        };
     }
 
     /// One tick; `sigma` holds the smallest and largest singular value that the fast step believes.
@@ -385,27 +349,6 @@ impl Oracle {
             reference,
             goal,
             limit,
-        }
-    }
-
-    /// Differences behind a play of one count on each side, then one pole of T_f.
-    fn filter(&mut self, q: &Vector, input: &StepInput<'_>, dt: f64) {
-        let memory = &mut self.memory;
-        if let Some(dq) = input.dq {
-            memory.held.clone_from(q);
-            memory.velocity = Vector::from_column_slice(dq);
-            return;
-        }
-        for i in 0..q.len() {
-            let count = self.servos.as_ref().map_or(0.0, |s| s.count[i]);
-            let before = memory.held[i];
-            if q[i] - before > count {
-                memory.held[i] = q[i] - count;
-            } else if before - q[i] > count {
-                memory.held[i] = q[i] + count;
-            }
-            let rate = (memory.held[i] - before) / dt;
-            memory.velocity[i] += dt / (self.settings.velocity_filter + dt) * (rate - memory.velocity[i]);
         }
     }
 }

@@ -1,0 +1,65 @@
+//! What the slow control step remembers from tick to tick, and the first thing it does with it: the velocity.
+
+use pliant_core::{Pose, StepInput};
+
+use super::{Oracle, Vector};
+
+#[derive(Clone)]
+pub(crate) struct Memory {
+    pub(super) held: Vector,
+    pub(super) velocity: Vector,
+    pub(super) gamma: f64,
+    pub(super) goal: Vector,
+    /// What of it carries the weight.
+    pub(super) weight: Vector,
+    pub(super) limit: Option<Vector>,
+    pub(super) rest: Vector,
+    /// Target of the last tick as far as the deviation limits let it.
+    pub(super) reference: Pose,
+}
+
+impl Memory {
+    /// Before the first tick of an arm of `n` joints.
+    pub(super) fn new(n: usize) -> Self {
+        let zero = Vector::zeros(n);
+        Self {
+            held: zero.clone(),
+            velocity: zero.clone(),
+            gamma: 1.0,
+            goal: zero.clone(),
+            weight: zero.clone(),
+            limit: None,
+            rest: zero,
+            reference: Pose::IDENTITY,
+        }
+    }
+}
+
+impl Oracle {
+    pub(crate) fn reset(&mut self, q: &[f64]) {
+        let reference = self.model.forward_kinematics(q).unwrap();
+        let q = Vector::from_column_slice(q);
+        self.memory = Memory { reference, held: q.clone(), goal: q.clone(), rest: q, ..Memory::new(self.n()) };
+    }
+
+    /// Differences behind a play of one count on each side, then one pole of T_f.
+    pub(super) fn filter(&mut self, q: &Vector, input: &StepInput<'_>, dt: f64) {
+        let memory = &mut self.memory;
+        if let Some(dq) = input.dq {
+            memory.held.clone_from(q);
+            memory.velocity = Vector::from_column_slice(dq);
+            return;
+        }
+        for i in 0..q.len() {
+            let count = self.servos.as_ref().map_or(0.0, |s| s.count[i]);
+            let before = memory.held[i];
+            if q[i] - before > count {
+                memory.held[i] = q[i] - count;
+            } else if before - q[i] > count {
+                memory.held[i] = q[i] + count;
+            }
+            let rate = (memory.held[i] - before) / dt;
+            memory.velocity[i] += dt / (self.settings.velocity_filter + dt) * (rate - memory.velocity[i]);
+        }
+    }
+}
