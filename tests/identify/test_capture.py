@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import pliant
+import pliant.robots
 from pliant import identify
 from pliant.sim import Plant
 
@@ -27,6 +28,24 @@ def test_an_arm_that_would_walk_stays_after_the_capture(arm, grasp, kp):
     heavy = np.abs(found.gravity) > 1.0
     assert np.abs(found.stiffness[heavy] / (kp * found.believed[heavy]) - 1.0).max() < 0.3
     assert sum("captured" in text for text in found.sentences()) == found.captured.sum()
+
+
+def test_an_arm_that_walks_is_stopped_and_told_what_helps():
+    """k_p twice the believed one: twice the friction is fed forward, and the tool walks."""
+    so101 = pliant.robots.so101()
+    plant = Plant(so101, count=COUNT, kp_scale=2.0)
+    plant.reset([0.2, -0.3, 0.3, 0.9, 0.0])
+    settings = FOLLOWING.replace(task="xyz", axes={"y": pliant.Axis(yields="both", eta=0.999)})
+    controller = pliant.Controller(so101, settings, so101.servos.replace(count=COUNT))
+    start = plant.tool[:3, 3]
+    found = identify.capture(plant, controller)
+    assert not found.stays
+    assert found.bound < found.drift < 5e-3
+    assert np.linalg.norm(plant.tool[:3, 3] - start) < 0.02
+    assert controller.settings == settings
+    assert found.remedy is not None
+    assert found.remedy.friction_share < settings.friction_share
+    assert "controller.update(found.remedy)" in str(found)
 
 
 def test_a_wrong_payload_is_said_to_be_clipped(arm, grasp):

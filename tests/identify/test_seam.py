@@ -38,7 +38,7 @@ def counting(ticks, left):
 
 def test_positions_go_in_and_the_last_order_stays():
     left = []
-    procedure = Procedure(counting(3, left))
+    procedure = Procedure(counting(3, left), 2)
     orders = [procedure.step([float(k), 0.0]).goal[0] for k in range(5)]
     assert orders == [1.0, 2.0, 3.0, 3.0, 3.0]
     assert procedure.done
@@ -48,7 +48,7 @@ def test_positions_go_in_and_the_last_order_stays():
 
 def test_drive_runs_an_arm_that_advances():
     arm = Still()
-    result = drive(arm, Procedure(counting(4, [])))
+    result = drive(arm, Procedure(counting(4, []), 2))
     np.testing.assert_array_equal(result, [4.0, 4.0])
     assert len(arm.sent) == 5  # the last order holds
 
@@ -61,27 +61,27 @@ def test_what_was_changed_is_put_back_when_the_arm_fails():
             raise pliant.ServoTimeout("gone")
 
     with pytest.raises(pliant.ServoTimeout):
-        drive(Failing(), Procedure(counting(3, left)))
+        drive(Failing(), Procedure(counting(3, left), 2))
     assert left == ["put back"]
 
 
 def test_a_loop_that_ends_first_is_an_error():
     left = []
     with pytest.raises(pliant.ServoError, match="ended before"):
-        drive(Still(), Procedure(counting(3, left)), loop=[])
+        drive(Still(), Procedure(counting(3, left), 2), loop=[])
     assert left == []
 
 
 @pytest.mark.parametrize("q", [[np.nan, 0.0], 1.0, [[0.0]]])
 def test_bad_positions_are_refused_before_anything_moves(q):
-    procedure = Procedure(counting(3, []))
+    procedure = Procedure(counting(3, []), 2)
     with pytest.raises(pliant.ShapeError):
         procedure.step(q)
     assert procedure.step([0.0, 0.0]).goal[0] == 1.0
 
 
 def test_there_is_no_result_before_the_end():
-    procedure = Procedure(counting(3, []))
+    procedure = Procedure(counting(3, []), 2)
     procedure.step([0.0, 0.0])
     with pytest.raises(pliant.ConfigError, match="no result yet"):
         _ = procedure.result

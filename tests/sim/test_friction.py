@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pliant.robots
-from pliant import ConfigError, ShapeError
+from pliant import ConfigError, LimitError, ShapeError
 from pliant.sim import MX64, MX106, STS3215, Friction, Plant
 
 #: Grasp pose (7,) [rad].
@@ -100,3 +100,22 @@ def test_what_a_controller_may_believe_is_the_friction_of_the_gears():
                 table.load_friction + share * table.load_stribeck
             )
             assert believed == pytest.approx(MX106.most(load, -load, speed), rel=0.2)
+
+
+def slid(creep, seconds=4.0):
+    """How far each joint of a limp arm slides whose gravity is below its friction (n,) [rad]."""
+    arm = pliant.robots.so101()
+    plant = Plant(arm, friction_scale=12.0, creep=creep)
+    plant.reset(np.zeros(arm.n))
+    plant.write(np.zeros(arm.n), np.zeros(arm.n))
+    for _ in range(round(seconds * plant.rate)):
+        plant.advance()
+    return np.abs(plant.q)
+
+
+def test_joints_that_friction_holds_slide_as_creep_says():
+    own, steel = slid(1.0), slid(0.1)
+    assert own.max() > 1e-3
+    np.testing.assert_allclose(steel[own > 1e-3], 0.1 * own[own > 1e-3], rtol=0.1)
+    with pytest.raises(LimitError, match="creep must be in"):
+        Plant(pliant.robots.so101(), creep=0.0)

@@ -124,7 +124,7 @@ class Arm:
                 largest=float(np.broadcast_to(drive.servos.torque, len(roster.names))[i]),
                 overload=float(overload[i]),
                 order=self._order,
-                measure=lambda name: float(self._cycle.watch.position[roster.index(name)]),
+                measure=lambda name: float(self._cycle.belief.position[roster.index(name)]),
             )
             for name, i in zip(roster.extra, roster.beside.tolist(), strict=True)
         }
@@ -383,7 +383,7 @@ class Arm:
     @property
     def counters(self) -> dict[str, int]:
         """What has happened so far: the drive's counters, and readings refused for a jump."""
-        return {**self.drive.counters, "jumps": self._cycle.watch.jumps}
+        return {**self.drive.counters, "jumps": self._cycle.belief.jumps}
 
     def _order(self, name: str, goal: float, limit: float) -> None:
         """Give a joint off the chain its order at once; the chain keeps its own."""

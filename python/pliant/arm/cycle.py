@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import LimitError, ServoTimeout, ShapeError
+from pliant.arm.belief import Belief
 from pliant.arm.budget import Meter
 from pliant.arm.drive import MonotonicClock
 from pliant.arm.lowering import SUPPORT, margin
 from pliant.arm.roster import Roster
 from pliant.arm.state import State
-from pliant.arm.watch import Watch
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -41,7 +41,7 @@ class Cycle:
         goal, limit: Last sent to the chain (n,) [rad, N·m].
         orders: Last goal and limit of each joint beside the chain.
         meter: Heat.
-        watch: Believed positions.
+        belief: Believed positions.
     """
 
     def __init__(self, model: Model, drive: Drive, budget: Budget) -> None:
@@ -53,7 +53,7 @@ class Cycle:
         size = len(self.roster.names)
         self._kp, self._usable = _row(drive.servos.kp, size), _row(drive.servos.torque, size)
         self.meter = Meter(budget, self._usable, getattr(drive, "stall_current", None))
-        self.watch = Watch(self.roster.fastest(model))
+        self.belief = Belief(self.roster.fastest(model))
         self.goal, self.limit = np.zeros(model.n), np.zeros(model.n)
         self.orders: dict[str, tuple[float, float]] = {}
         self._eased = -np.inf
@@ -81,7 +81,7 @@ class Cycle:
             return np.zeros(self.model.n, dtype=bool)
         finally:
             self._spoke = self.clock.now()
-        ok = self.watch.take(sample)
+        ok = self.belief.take(sample)
         chain = self.roster.chain
         self._rows = {
             "dq": None if sample.velocity is None else sample.velocity[chain],
@@ -94,9 +94,9 @@ class Cycle:
 
     def state(self, ok: NDArray[np.bool_]) -> State:
         """What is known now, after a sample that brought these joints (n,)."""
-        watch, chain = self.watch, self.roster.chain
-        time = watch.time[chain]
-        position = watch.position
+        belief, chain = self.belief, self.roster.chain
+        time = belief.time[chain]
+        position = belief.position
         return State(
             q=position[chain],
             time=float(time.min()),
@@ -117,7 +117,7 @@ class Cycle:
     @property
     def q(self) -> Array:
         """Believed positions of the chain (n,) [rad]."""
-        q: Array = self.watch.position[self.roster.chain]
+        q: Array = self.belief.position[self.roster.chain]
         return q
 
     def gravity(self) -> Array:
@@ -190,7 +190,7 @@ class Cycle:
         limit = np.minimum(limit, np.maximum(self.meter.ceiling()[chain], least))
         goals, limits = self._all(goal, limit)
         floor = self.roster.join(least, np.zeros(self.roster.beside.size))
-        pull = self._kp * np.nan_to_num(goals - self.watch.position)
+        pull = self._kp * np.nan_to_num(goals - self.belief.position)
         rationed: Array = self.meter.ration(pull, limits, floor)[chain]
         return rationed
 
@@ -235,7 +235,7 @@ class Cycle:
         now = self.clock.now()
         if self._used is not None and self._sent is not None:
             goal, limit = self._sent
-            error = np.nan_to_num(goal - self.watch.position)
+            error = np.nan_to_num(goal - self.belief.position)
             torque = np.minimum(np.abs(self._kp * error), limit)
             if load is not None:
                 torque = np.where(np.isfinite(load), np.abs(load), torque)

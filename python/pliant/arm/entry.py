@@ -29,11 +29,11 @@ def hear_all(cycle: Cycle, rate: float) -> None:
     Raises:
         ServoTimeout: Joints do not answer; names them.
     """
-    watch, roster = cycle.watch, cycle.roster
-    watch.forget()
+    belief, roster = cycle.belief, cycle.roster
+    belief.forget()
     for _ in range(ATTEMPTS):
         cycle.sample()
-        silent = [roster.names[i] for i in np.flatnonzero(np.isnan(watch.position))]
+        silent = [roster.names[i] for i in np.flatnonzero(np.isnan(belief.position))]
         if not silent:
             return
         cycle.clock.wait_until(cycle.clock.now() + 1.0 / rate)

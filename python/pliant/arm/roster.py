@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import ConfigError, LimitError, Servos
-from pliant.arm.watch import FASTEST
+from pliant.arm.belief import FASTEST
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

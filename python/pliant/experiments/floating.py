@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: How nearly dry friction holds a joint still (MuJoCo's solimp). By its default, 0.9, a joint that
-#: friction holds creeps by up to some mrad/s: what a small arm then drifts is the simulator's.
-STICKING = 0.999
+#: How far joints creep that friction holds, over MuJoCo's default. By that, 1, they slide by up to
+#: some mrad/s: what a small arm then drifts is the simulator's.
+CREEP = 0.1
 COUNT, DEADBAND = float(np.deg2rad(0.088)), float(np.deg2rad(0.06))
 #: When the hand comes, by when it has gone its way, when it lets go, and the end [s].
 COMES, THERE, GONE, END = 22.0, 24.0, 25.0, 35.0
@@ -53,7 +53,7 @@ class Floated:
 
 
 def floated(
-    name: str, pose: int, kp_scale: float, *, known: bool = False, creeps: bool = False
+    name: str, pose: int, kp_scale: float, *, known: bool = False, creep: float = CREEP
 ) -> Floated:
     """Let an arm float: alone for 10 s, then led along y and left again.
 
@@ -62,7 +62,7 @@ def floated(
         pose: Index among its random poses.
         kp_scale: True over believed stiffness.
         known: Whether the table claims that k_p is known.
-        creeps: Whether dry friction creeps as MuJoCo's does by default.
+        creep: How fast joints slide that friction should hold, over MuJoCo's default.
     """
     arm = load(name)
     q = arm.poses(pose + 1)[pose]
@@ -70,9 +70,8 @@ def floated(
     course = Course(start=COMES, rise=THERE - COMES, end=GONE)
     hand = Drag(axis="y", distance=way, stiffness=2000.0, limit=60.0, at="tool", course=course)
     table = arm.servos.replace(count=COUNT, kp_known=known)
-    plant = Plant(arm.model, table, kp_scale=kp_scale, count=COUNT, deadband=DEADBAND, scene=[hand])
-    if not creeps:
-        plant.mj_model.dof_solimp[:, :2] = STICKING
+    coarse = {"count": COUNT, "deadband": DEADBAND}
+    plant = Plant(arm.model, table, kp_scale=kp_scale, creep=creep, scene=[hand], **coarse)
     plant.reset(q)
     floating = pliant.Float(arm.model, table)
     rows, ready = [], 0.0
@@ -111,13 +110,13 @@ class Options:
         arm: Arms by name; by default all of ours.
         poses: Random poses of each.
         jobs: Processes at once.
-        creeps: Whether dry friction creeps as MuJoCo's does by default.
+        creep: How fast joints slide that friction should hold, over MuJoCo's default.
     """
 
     arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     poses: int = 20
     jobs: int = 2
-    creeps: bool = False
+    creep: float = CREEP
 
 
 def main() -> None:
@@ -125,7 +124,7 @@ def main() -> None:
     options = tyro.cli(Options)
     cases = [(name, kp) for name in options.arm or tuple(WAYS) for kp in (0.5, 1.0, 2.0)]
     jobs = [
-        Job(f"{name} {kp} {pose}", floated, (name, pose, kp), {"creeps": options.creeps})
+        Job(f"{name} {kp} {pose}", floated, (name, pose, kp), {"creep": options.creep})
         for name, kp in cases
         for pose in range(options.poses)
     ]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
+from pliant.arguments import instance, number
 from pliant.identify.seam import Order, Procedure, drive
 
 if TYPE_CHECKING:
@@ -15,13 +16,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pliant import Command, Controller, Servos
+    from pliant import Command, Controller, Servos, Settings
     from pliant.identify.seam import Arm, Steps, Tick
 
     Array = NDArray[np.float64]
 
 #: Rate at which the goal integrates while holding [1/s], and the share of the time averaged.
 INTEGRATE, AVERAGED = 4.0, 0.25
+#: Shares of the feed-forward that are tried where the arm does not stay with all of it, and for how
+#: long it is held still in between [s].
+LESS, HELD = (0.5, 0.0), 0.5
 #: Speed of the tool that still counts as standing [m/s].
 STANDING = 2e-3
 #: Least and largest share of the believed k_p that `Controller.capture_gravity` takes.
@@ -41,8 +45,11 @@ class Captured:
         clipped: Joints whose measure was outside 0.3 … 3 × the believed k_p (n,).
         still: Whether the arm stood still before its lead was read.
         drift: How far the tool moved in the check, under the settings in force [m]; NaN without.
+            The check ends once this exceeds the bound.
         bound: How far it might [m].
         joint_names: For the sentences.
+        remedy: Where the check failed: the same settings with less feed-forward of friction and
+            damping, under which the arm did stay; None where there is none.
     """
 
     stiffness: NDArray[np.float64]
@@ -55,6 +62,7 @@ class Captured:
     drift: float
     bound: float
     joint_names: tuple[str, ...]
+    remedy: Settings | None = None
 
     @property
     def stays(self) -> bool:
@@ -88,11 +96,23 @@ class Captured:
         if self.drift > self.bound:
             out.append(
                 f"the check failed: the tool moved {1e3 * self.drift:.1f} mm, more than "
-                f"{1e3 * self.bound:.1f} mm; weigh the payload or identify the servos."
+                f"{1e3 * self.bound:.1f} mm, and was stopped; {self._advice()}"
             )
         elif np.isfinite(self.drift):
             out.append(f"the check passed: the tool moved {1e3 * self.drift:.1f} mm.")
         return out
+
+    def _advice(self) -> str:
+        if self.remedy is None:
+            return (
+                "weigh the payload or identify the servos, or lower eta, before you let it yield."
+            )
+        friction, damping = self.remedy.friction_share, self.remedy.damping_share
+        return (
+            f"with friction_share={friction:g}, damping_share={damping:g} it stays (a servo "
+            "that is stiffer than its table has its friction compensated too much): "
+            "controller.update(found.remedy) until the servos are identified."
+        )
 
     def __str__(self) -> str:
         return "\n".join(self.sentences())
@@ -107,11 +127,12 @@ def capture(
     bound: float = 2e-3,
     loop: Iterable[Tick] | None = None,
 ) -> Captured:
-    """Capture the gravity offset where the arm stands; about four seconds, nobody may touch it.
+    """Capture the gravity offset where the arm stands; four to nine seconds, nobody may touch it.
 
     Holds every axis with an integrating goal and without feed-forward of friction and damping
     (together they ring), averages the lead, hands it to `Controller.capture_gravity`, puts the
-    settings back, also after an error, and then lets the controller hold the arm under them.
+    settings back, also after an error, and then lets the controller hold the arm under them. Where
+    it does not stay, it is stopped, and tried again with half of that feed-forward and with none.
 
     Args:
         arm: The arm, at rest; simulated or connected and enabled.
@@ -123,33 +144,28 @@ def capture(
 
     Raises:
         ConfigError: The controller knows no stiffness.
-        LimitError: A number out of range.
+        LimitError: A number out of range. TypeError: This is no arm, or no controller.
+        ShapeError: The arm has other joints than the controller's model.
     """
-    return drive(
-        arm,
-        capturing(controller, seconds=seconds, check=check, bound=bound),
-        loop,
-        rate=controller.settings.rate,
-    )
+    procedure = capturing(controller, seconds=seconds, check=check, bound=bound)
+    return drive(arm, procedure, loop, rate=controller.settings.rate)
 
 
 def capturing(
     controller: Controller, *, seconds: float = 2.0, check: float = 2.0, bound: float = 2e-3
 ) -> Procedure[Captured]:
     """The procedure of `capture`, for a loop of one's own."""
-    servos = controller.servos
+    servos = instance(controller, pliant.Controller, "controller").servos
     if servos is None:
         raise pliant.ConfigError(
             "capturing gravity needs the believed k_p: Controller(model, settings, servos=…)"
         )
-    for name, value, low in (
-        ("seconds", seconds, 1.0),
-        ("check", check, 0.0),
-        ("bound", bound, 0.0),
-    ):
-        if not low <= value < np.inf:
-            raise pliant.LimitError(f"{name} must be at least {low:g}, got {value:g}")
-    return Procedure(lambda q: _capture(controller, servos, q, (seconds, check, bound)))
+    numbers = (
+        number(seconds, "seconds", 1.0, unit="s"),
+        number(check, "check", 0.0, unit="s"),
+        number(bound, "bound", 0.0, unit="m"),
+    )
+    return Procedure(lambda q: _capture(controller, servos, q, numbers), controller.model.n)
 
 
 def _capture(
@@ -183,9 +199,11 @@ def _capture(
     first, last = (model.forward_kinematics(tail[k][0])[:3, 3] for k in (0, -1))
     counts = float(np.abs(model.jacobian(where)[:3] * np.asarray(servos.count)).sum())
     still = float(np.linalg.norm(last - first)) < STANDING * seconds * AVERAGED + counts
-    drift = np.nan
+    drift, remedy = np.nan, None
     if check > 0.0:
-        drift, q = yield from _watch(controller, q, round(check * before.rate))
+        drift, q = yield from _watch(controller, q, round(check * before.rate), bound)
+        if drift > bound:
+            remedy = yield from _remedy(controller, q, (check, bound), stiff)
     believed = np.array(servos.kp)
     lead, gravity = goal - where, np.asarray(controller.gravity if check else model.gravity(where))
     measured = np.abs(gravity) > 3.0 * np.asarray(servos.friction)
@@ -201,6 +219,7 @@ def _capture(
         drift=float(drift),
         bound=bound,
         joint_names=tuple(model.joint_names),
+        remedy=remedy,
     )
 
 
@@ -209,8 +228,39 @@ def _order(command: Command) -> Order:
     return Order(np.array(command.goal), np.array(command.torque_limit))
 
 
-def _watch(controller: Controller, q: Array, ticks: int) -> Steps[tuple[float, Array]]:
-    """Hold the present pose under the settings in force; how far the tool moves [m]."""
+def _remedy(
+    controller: Controller, q: Array, numbers: tuple[float, float], stiff: Settings
+) -> Steps[Settings | None]:
+    """Settings with less feed-forward under which the arm stays; those in force come back."""
+    check, bound = numbers
+    before = controller.settings
+    ticks, rest = round(check * before.rate), round(HELD * before.rate)
+    try:
+        for share in LESS:
+            controller.update(stiff)
+            _, q = yield from _watch(controller, q, rest)
+            less = before.replace(
+                friction_share=share * before.friction_share,
+                damping_share=share * before.damping_share,
+            )
+            controller.update(less)
+            drift, q = yield from _watch(controller, q, ticks, bound)
+            if drift <= bound:
+                return less
+        controller.update(stiff)
+        yield from _watch(controller, q, rest)
+    finally:
+        controller.update(before)
+    return None
+
+
+def _watch(
+    controller: Controller, q: Array, ticks: int, bound: float = np.inf
+) -> Steps[tuple[float, Array]]:
+    """Hold the present pose under the settings in force; how far the tool moves [m].
+
+    Ends once that is more than `bound`.
+    """
     model = controller.model
     target = model.forward_kinematics(q)
     drift = 0.0
@@ -218,4 +268,6 @@ def _watch(controller: Controller, q: Array, ticks: int) -> Steps[tuple[float, A
         q = yield _order(controller.step(q, target))
         away = model.forward_kinematics(q)[:3, 3] - target[:3, 3]
         drift = max(drift, float(np.linalg.norm(away)))
+        if drift > bound:
+            break
     return drift, q

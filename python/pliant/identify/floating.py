@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
+from pliant.arguments import given, instance, number, vector
 from pliant.identify.guided import wide_enough
 from pliant.identify.rig import Rig
 from pliant.identify.seam import Order
@@ -75,7 +76,8 @@ class Float:
         play: Play of each joint in this tick (n,) [rad].
 
     Raises:
-        ConfigError: No model, or nothing is known of its servos. LimitError: A number out of range.
+        ConfigError: Nothing is known of the servos, or this is no number or payload.
+        LimitError: A number out of range. TypeError: This is no model, or no servo table.
 
     Example:
         >>> floating = pliant.Float(model)
@@ -94,19 +96,16 @@ class Float:
         swing: float = 0.04,
         torque_share: float = 0.3,
     ) -> None:
-        if not isinstance(model, pliant.Model):
-            raise pliant.ConfigError(f"Float(model) needs a pliant.Model, got {model!r}")
-        table = servos if servos is not None else model.servos
+        known = instance(model, pliant.Model, "model").servos
+        table = known if servos is None else instance(servos, pliant.Servos, "servos")
         if table is None:
             raise pliant.ConfigError("Float needs a servo table: pass servos=pliant.Servos(…)")
-        for name, value, low, high in (
-            ("rate", rate, 10.0, 1000.0),
-            ("delay", delay, 0.0, 0.5),
-            ("swing", swing, 0.01, 0.3),
-            ("torque_share", torque_share, 0.05, 1.0),
-        ):
-            if not low <= value <= high:
-                raise pliant.LimitError(f"{name} must be in [{low:g}, {high:g}], got {value:g}")
+        rate, delay = (
+            number(rate, "rate", 10.0, 1000.0, "Hz"),
+            number(delay, "delay", 0.0, 0.5, "s"),
+        )
+        swing = number(swing, "swing", 0.01, 0.3, "rad")
+        torque_share = number(torque_share, "torque_share", 0.05, 1.0)
         n = self._n = model.n
         self._model, self._dt, self._delay, self._share = model, 1.0 / rate, delay, torque_share
         self._table, self._swing = table, swing
@@ -116,13 +115,11 @@ class Float:
         self._wrong = KNOWN if table.kp_known else UNKNOWN
         self._moments = np.zeros(4)
         if payload is not None:
-            if not isinstance(payload, pliant.Payload):
-                payload = pliant.Payload(*payload)
-            self._moments = first_moments(payload.mass, payload.com)
-        known = model.payload
+            load = as_payload(payload)
+            self._moments = first_moments(load.mass, load.com)
         self._carried = self._moments.copy()
-        if known is not None:
-            self._carried += first_moments(known.mass, known.com)
+        if model.payload is not None:
+            self._carried += first_moments(model.payload.mass, model.payload.com)
         self._begin: Steps[Array] | None = None
         self.ready = False
         self.play = np.full(n, LEAST)
@@ -280,7 +277,20 @@ class Float:
         return gravity
 
     def _positions(self, q: ArrayLike) -> Array:
-        q = np.array(q, dtype=np.float64)
-        if q.shape != (self._n,) or not np.isfinite(q).all():
-            raise pliant.ShapeError(f"q must be {self._n} finite positions [rad], got {q!r}")
-        return q
+        return vector(q, self._n, "q", "rad")
+
+
+def as_payload(value: pliant.Payload | tuple[float, ArrayLike]) -> pliant.Payload:
+    """A payload, or its mass [kg] and centre (3,) [m] in the tool frame.
+
+    Raises:
+        ConfigError: Neither.
+    """
+    if isinstance(value, pliant.Payload):
+        return value
+    if not isinstance(value, tuple | list) or len(value) != 2:
+        raise pliant.ConfigError(
+            "payload must be a Payload, or mass [kg] and centre [m] as in (0.3, (0, 0, 0.05)), "
+            f"got {given(value)}"
+        )
+    return pliant.Payload(*value)

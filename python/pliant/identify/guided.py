@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
+from pliant.arguments import instance, number
 from pliant.identify.delay import delay as fit_delay
 from pliant.identify.found import Identification
-from pliant.identify.poses import pose_list
+from pliant.identify.poses import SPAN, SWING, pose_list, wanted
 from pliant.identify.regress import Beliefs, Solution, solve
 from pliant.identify.rig import Rig
 from pliant.identify.seam import Procedure, drive
@@ -71,7 +72,8 @@ def run(
         LimitError: The motion would leave the position limits. Nothing is sent.
         ServoError: A joint does not follow. The arm is left holding.
     """
-    period = 1.0 / float(rate or getattr(arm, "rate", None) or 100.0)
+    own = rate if rate is not None else getattr(arm, "rate", 100.0)
+    period = 1.0 / number(own, "rate", 10.0, 1000.0, "Hz")
     procedure = identification(
         model, servos, period=period, poses=poses, span=span, amplitude=amplitude, **options
     )
@@ -104,15 +106,20 @@ def identification(
     Raises:
         ConfigError: Nothing is believed of the servos. LimitError: A number out of range.
     """
-    believed = servos if servos is not None else model.servos
+    known = instance(model, pliant.Model, "model").servos
+    believed = known if servos is None else instance(servos, pliant.Servos, "servos")
     if believed is None:
         raise pliant.ConfigError(
             "identification starts from a servo table: pass servos=pliant.Servos(kp=…, torque=…)"
         )
     rig = Rig(model, believed, period, torque_share=torque_share)
-    if not 0.01 <= amplitude <= 0.5:
-        raise pliant.LimitError(f"amplitude must be in [0.01, 0.5] rad, got {amplitude:g}")
-    return Procedure(lambda q: _identify(rig, q, poses, (span, amplitude, limit_error)))
+    numbers = (
+        number(span, "span", 0.0, SPAN, "rad"),
+        number(amplitude, "amplitude", *SWING, "rad"),
+        number(limit_error, "limit_error", 1e-3, 1.0),
+    )
+    chosen = wanted(poses, rig.n)
+    return Procedure(lambda q: _identify(rig, q, chosen, numbers), rig.n)
 
 
 def swing(rig: Rig, amplitude: float) -> Array:
@@ -159,7 +166,7 @@ def statics(rig: Rig, q: Array, route: list[Array], size: Array) -> Steps[Array]
 
 
 def _identify(
-    rig: Rig, q: Array, poses: int | ArrayLike, numbers: tuple[float, float, float]
+    rig: Rig, q: Array, poses: int | Array, numbers: tuple[float, float, float]
 ) -> Steps[Identification]:
     span, amplitude, limit_error = numbers
     start = q

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
+from pliant.arguments import instance, number
 from pliant.identify.found import PayloadEstimate
 from pliant.identify.guided import statics, wide_enough
-from pliant.identify.poses import pose_list
+from pliant.identify.poses import SPAN, SWING, pose_list, wanted
 from pliant.identify.regress import Beliefs, solve
 from pliant.identify.rig import Rig
 from pliant.identify.seam import Procedure, drive
@@ -56,12 +57,8 @@ def payload(
         LimitError: The motion would leave the position limits, or the servos cannot hold what was
             found. ServoError: A joint does not follow; the arm is left holding.
     """
-    return drive(
-        arm,
-        weighing(controller, poses=poses, span=span, amplitude=amplitude),
-        loop,
-        rate=controller.settings.rate,
-    )
+    procedure = weighing(controller, poses=poses, span=span, amplitude=amplitude)
+    return drive(arm, procedure, loop, rate=controller.settings.rate)
 
 
 def weighing(
@@ -72,13 +69,15 @@ def weighing(
     amplitude: float = 0.05,
 ) -> Procedure[PayloadEstimate]:
     """The procedure of `payload`, for a loop of one's own."""
-    servos = controller.servos
+    servos = instance(controller, pliant.Controller, "controller").servos
     if servos is None:
         raise pliant.ConfigError(
             "weighing needs to know the servos: Controller(model, settings, servos=…)"
         )
     rig = Rig(controller.model, servos, 1.0 / controller.settings.rate)
-    return Procedure(lambda q: _weigh(rig, controller, q, poses, (span, amplitude)))
+    numbers = number(span, "span", 0.0, SPAN, "rad"), number(amplitude, "amplitude", *SWING, "rad")
+    chosen = wanted(poses, rig.n)
+    return Procedure(lambda q: _weigh(rig, controller, q, chosen, numbers), rig.n)
 
 
 def _weigh(

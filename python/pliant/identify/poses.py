@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError, ShapeError
+from pliant import LimitError, ShapeError
+from pliant.arguments import given
 from pliant.identify.rig import ROOM
 from pliant.identify.slides import bare_gravity, payload_rows
 
@@ -21,36 +22,53 @@ if TYPE_CHECKING:
 
 #: Candidates drawn, and the share of the usable torque that holding one of them may ask for.
 DRAWN, HOLDING = 200, 0.6
+#: Most that a chosen pose may be from the present one, least and most swing about it [rad].
+SPAN, SWING = np.pi, (0.01, 0.5)
 #: How far the tool may come below where it stands at first [m].
 DROP = 0.05
 
 
-def pose_list(rig: Rig, q: Array, poses: int | ArrayLike, span: float, size: Array) -> list[Array]:
+def wanted(poses: int | ArrayLike, n: int) -> int | Array:
+    """Check how many poses, or which (K, n) [rad].
+
+    Raises:
+        LimitError: Fewer than one. ShapeError: Postures of another length, or not finite.
+    """
+    if isinstance(poses, (int, np.integer)):
+        if poses < 1:
+            raise LimitError(f"poses must be at least 1, got {poses}")
+        return int(poses)
+    try:
+        postures = np.atleast_2d(np.array(poses, dtype=np.float64))
+    except (TypeError, ValueError):
+        postures = np.zeros((0, 0))
+    if postures.ndim != 2 or postures.shape[1] != n or not np.isfinite(postures).all():
+        raise ShapeError(
+            f"poses must be how many to choose, or postures (K, {n}) of finite numbers [rad], "
+            f"got {given(poses)}"
+        )
+    return postures
+
+
+def pose_list(rig: Rig, q: Array, poses: int | Array, span: float, size: Array) -> list[Array]:
     """The poses to visit, the present one first unless they are given.
 
     Args:
         rig: The arm.
         q: Where it stands (n,) [rad].
-        poses: Postures (K, n) [rad], or how many to choose.
+        poses: Postures (K, n) [rad], or how many to choose, as `wanted` returns them.
         span: How far a joint may go from q for a chosen one [rad].
         size: Swing about each pose (n,) [rad], inside the position limits.
 
     Raises:
         LimitError: A pose and its swing leave the position limits.
-        ShapeError: Postures of another length.
-        ConfigError: No pose at all.
     """
-    if isinstance(poses, (int, np.integer)):
-        if poses < 1:
-            raise ConfigError(f"poses must be at least 1, got {poses}")
+    if isinstance(poses, int):
         rig.check(q - size, q + size)
-        return choose(rig, q, int(poses), span, size)
-    given = np.atleast_2d(np.asarray(poses, dtype=np.float64))
-    if given.ndim != 2 or given.shape[1] != rig.n or not len(given):
-        raise ShapeError(f"poses have shape {given.shape}; expected (K, {rig.n})")
-    for pose in given:
+        return choose(rig, q, poses, span, size)
+    for pose in poses:
         rig.check(pose - size, pose + size)
-    return list(given)
+    return list(poses)
 
 
 def choose(rig: Rig, q: Array, count: int, span: float, size: Array) -> list[Array]:

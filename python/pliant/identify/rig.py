@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import ConfigError, LimitError, ServoError
+from pliant.arguments import number
 from pliant.identify.seam import Order
 
 if TYPE_CHECKING:
@@ -90,10 +91,8 @@ class Rig:
         torque_share: float = 0.6,
         doubt: float = 1.3,
     ) -> None:
-        if not 0.0 < torque_share <= 1.0:
-            raise LimitError(f"torque_share must be in (0, 1], got {torque_share:g}")
-        if not 1e-3 <= period <= 0.1:
-            raise LimitError(f"period must be in [0.001, 0.1] s, got {period:g}")
+        torque_share = number(torque_share, "torque_share", 0.01, 1.0)
+        period = number(period, "period", 1e-3, 0.1, "s")
         n = self.n = model.n
         self.model, self.servos, self.period = model, servos, period
         spread = [

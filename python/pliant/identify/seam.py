@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from pliant import ConfigError, ServoError, ShapeError
+from pliant.arguments import given, vector
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -68,6 +69,7 @@ class Procedure(Generic[T]):
 
     Args:
         start: Makes the generator for the first positions (n,) [rad].
+        n: How many joints it is made for.
 
     Attributes:
         done: Whether it has ended; the last order then goes on holding the arm.
@@ -80,8 +82,8 @@ class Procedure(Generic[T]):
         >>> procedure.result
     """
 
-    def __init__(self, start: Callable[[Array], Steps[T]]) -> None:
-        self._start = start
+    def __init__(self, start: Callable[[Array], Steps[T]], n: int) -> None:
+        self._start, self._n = start, n
         self._steps: Steps[T] | None = None
         self._order: Order | None = None
         self._result: list[T] = []
@@ -94,9 +96,12 @@ class Procedure(Generic[T]):
             ShapeError, ServoError: q cannot be used; the procedure's own finding. It has then put
                 back what it had changed.
         """
-        q = np.array(q, dtype=np.float64)
-        if q.ndim != 1 or not np.isfinite(q).all():
-            raise ShapeError(f"q must be n finite positions [rad], got {q!r}")
+        try:
+            q = vector(q, self._n, "q", "rad")
+        except ShapeError:
+            if self._steps is not None and np.shape(q) != (self._n,):
+                self.close()  # another arm's positions: nothing good can follow
+            raise
         try:
             if self._steps is None:
                 self._steps = self._start(q)
@@ -145,8 +150,14 @@ def drive(
         rate: Of that loop [Hz]; None for the arm's.
 
     Raises:
-        ServoError: The loop ended first. Also whatever the procedure or the loop raises.
+        TypeError: This is no arm. ServoError: The loop ended first. Also whatever the procedure or
+            the loop raises.
     """
+    if not (callable(getattr(arm, "read", None)) and callable(getattr(arm, "write", None))):
+        raise TypeError(
+            "arm must have read() and write(goal, limit), as what pliant.connect(…) and "
+            f"pliant.sim.Plant(…) return, got {given(arm)}"
+        )
     try:
         for tick in _ticks(arm, rate) if loop is None else loop:
             order = procedure.step(tick.q)

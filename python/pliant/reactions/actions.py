@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import pliant
+from pliant.arguments import given, positive, vector
 from pliant.reactions.moment import indices
 from pliant.reactions.poses import moved
 
@@ -121,6 +122,16 @@ class Yield(Action):
     axes: str
     fields: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Check the words and numbers once."""
+        indices(self.axes)
+        if not isinstance(self.fields, Mapping):
+            raise pliant.ConfigError(
+                'Yield.fields must be a dict of fields of Axis, as in {"soft": 2.0}, '
+                f"got {given(self.fields)}"
+            )
+        pliant.Axis(**self.fields)
+
     def _settings(self, settings: pliant.Settings) -> pliant.Settings:
         names = settings.task.names
         chosen = [names[index] for index in indices(self.axes, names)]
@@ -185,7 +196,7 @@ class Follow(Action):
     def __post_init__(self) -> None:
         """Check the numbers once."""
         indices(self.axes)
-        _positive("Follow.leash", self.leash)
+        positive(self.leash, "Follow.leash", "m, rad")
 
     def begin(self, now: Moment) -> Running:
         """Take the axes."""
@@ -221,11 +232,11 @@ class Retract(Action):
 
     def __post_init__(self) -> None:
         """Check the numbers once."""
-        _positive("Retract.distance", self.distance)
-        _positive("Retract.speed", self.speed)
+        positive(self.distance, "Retract.distance", "m")
+        positive(self.speed, "Retract.speed", "m/s")
         if self.along is not None:
-            size = np.linalg.norm(self.along) if np.shape(self.along) == (3,) else 0.0
-            _positive("length of Retract.along", float(size))
+            along = vector(self.along, 3, "Retract.along")
+            positive(np.linalg.norm(along), "length of Retract.along")
 
     @property
     def feels(self) -> bool:  # type: ignore[override]
@@ -247,13 +258,14 @@ class Call(Action):
     function: Callable[[Moment], object]
     momentary = True
 
+    def __post_init__(self) -> None:
+        """Check that it can be called."""
+        if not callable(self.function):
+            raise TypeError(
+                f"Call.function must be a function of a Moment, got {given(self.function)}"
+            )
+
     def begin(self, now: Moment) -> Running:
         """Call it."""
         self.function(now)
         return Running()
-
-
-def _positive(what: str, value: float) -> None:
-    """Raise unless a number is above zero."""
-    if not (np.isfinite(value) and value > 0.0):
-        raise pliant.ConfigError(f"{what} must be a number > 0, got {value!r}")

@@ -11,11 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
-import pliant
+from pliant.arguments import instance, number
 
 if TYPE_CHECKING:
+    import pliant
     from pliant.reactions.moment import Moment
 
 #: Says at every tick whether a condition holds; to be called once per tick.
@@ -44,11 +43,11 @@ class Condition(ABC):
 
     def __and__(self, other: Condition) -> Condition:
         """Both hold."""
-        return Joined("&", self, other)
+        return Joined("&", self, instance(other, Condition, "what follows &"))
 
     def __or__(self, other: Condition) -> Condition:
         """One or both hold."""
-        return Joined("|", self, other)
+        return Joined("|", self, instance(other, Condition, "what follows |"))
 
     def __invert__(self) -> Condition:
         """It does not hold."""
@@ -128,8 +127,7 @@ class Lasting(Condition):
 
     def __post_init__(self) -> None:
         """Check the time."""
-        if not (np.isfinite(self.seconds) and self.seconds >= 0.0):
-            raise pliant.ConfigError(f"lasting needs a time >= 0 s, got {self.seconds!r}")
+        number(self.seconds, "lasting", 0.0, unit="s")
 
     @property
     def feels(self) -> bool:  # type: ignore[override]

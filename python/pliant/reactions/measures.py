@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 import pliant
+from pliant.arguments import given, number, positive
 from pliant.reactions.conditions import Condition, Judge
 from pliant.reactions.moment import AXES, indices
 
@@ -18,9 +20,14 @@ if TYPE_CHECKING:
 
 def _one_side(above: float | None, below: float | None, what: str) -> None:
     """Check that one positive threshold is given."""
-    given = [value for value in (above, below) if value is not None]
-    if len(given) != 1 or not (np.isfinite(given[0]) and given[0] > 0.0):
-        raise pliant.ConfigError(f"{what} needs either above or below, a number > 0")
+    sides = {"above": above, "below": below}
+    thresholds = {name: value for name, value in sides.items() if value is not None}
+    if len(thresholds) != 1:
+        raise pliant.ConfigError(
+            f"{what} needs either above or below, got above={above!r}, below={below!r}"
+        )
+    for name, value in thresholds.items():
+        positive(value, f"{what}.{name}")
 
 
 @dataclass(frozen=True, repr=False)
@@ -216,6 +223,10 @@ class Elapsed(Condition):
 
     seconds: float
 
+    def __post_init__(self) -> None:
+        """Check the time."""
+        number(self.seconds, "Elapsed.seconds", 0.0, unit="s")
+
     def judge(self) -> Judge:
         """Count from the first tick on."""
         passed = -1.0
@@ -237,6 +248,13 @@ class Saturated(Condition):
 
     joints: tuple[str, ...] = ()
     feels = True
+
+    def __post_init__(self) -> None:
+        """Check that it is a list of names: a text is one of letters."""
+        if isinstance(self.joints, str) or not isinstance(self.joints, Iterable):
+            raise pliant.ConfigError(
+                f"Saturated.joints must be names, as in ('elbow_pitch',), got {given(self.joints)}"
+            )
 
     def check(self, contact: pliant.Contact | None, controller: pliant.Controller) -> None:
         """Refuse joints that the arm has not."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 import pliant
+from pliant.arguments import given, instance, number
 from pliant.reactions.actions import Action, Running, Stop
 from pliant.reactions.conditions import Condition, Judge
 from pliant.reactions.moment import Moment
@@ -40,12 +41,18 @@ class Reaction:
 
     def __post_init__(self) -> None:
         """Check the parts once."""
-        if not self.actions or not all(isinstance(one, Action) for one in self.actions):
-            raise pliant.ConfigError("Reaction.then is an action, or several in a list")
+        instance(self.when, Condition, "Reaction.when", "as Force('z', above=8.0)")
+        if self.until is not None:
+            instance(self.until, Condition, "Reaction.until", "as Elapsed(1.0)")
+        listed = isinstance(self.then, Action | Sequence)
+        if not (listed and self.actions and all(isinstance(one, Action) for one in self.actions)):
+            raise pliant.ConfigError(
+                "Reaction.then must be an action, as Hold() or Retract(0.05), or several in a "
+                f"list, got {given(self.then)}"
+            )
         if self.until is not None and any(isinstance(one, Stop) for one in self.actions):
             raise pliant.ConfigError("a Stop ends by Watch.resume() alone; use Hold with until")
-        if not (np.isfinite(self.clear) and self.clear >= 0.0):
-            raise pliant.ConfigError(f"Reaction.clear must be at least 0 s, got {self.clear!r}")
+        number(self.clear, "Reaction.clear", 0.0, unit="s")
 
     @property
     def actions(self) -> tuple[Action, ...]:
@@ -134,6 +141,7 @@ class Watch:
 
     Raises:
         LimitError: A threshold below the uncertainty.
+        TypeError: This is no controller, no contact, or there is something else than reactions.
         ConfigError: Axes or joints that are not there, settings that do not go together.
     """
 
@@ -145,7 +153,12 @@ class Watch:
         contact: pliant.Contact | None = None,
         resume_speed: tuple[float, float] = (0.1, 0.5),
     ) -> None:
-        self.controller, self.reactions = controller, tuple(reactions)
+        self.controller = instance(controller, pliant.Controller, "controller")
+        if contact is not None:
+            instance(contact, pliant.Contact, "contact")
+        if not isinstance(reactions, Iterable):
+            raise TypeError(f"reactions must be a list of Reaction, got {given(reactions)}")
+        self.reactions = tuple(instance(one, Reaction, "a reaction") for one in reactions)
         if contact is None and any(reaction.feels for reaction in self.reactions):
             contact = pliant.Contact(controller)
         if contact is not None and contact.controller is not controller:

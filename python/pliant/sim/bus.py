@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pliant import ConfigError
 from pliant.arm.state import State
-from pliant.sim.imperfections import Encoder, Line, delays, share
+from pliant.sim.imperfections import Encoder, Line, delays, is_whole, share, span
 from pliant.sim.state import Order
 
 if TYPE_CHECKING:
@@ -40,7 +41,9 @@ class Bus:
         seed: int,
     ) -> None:
         """Check the numbers; see `Plant` for their meaning."""
-        self._n, self._delay, self._silent, self._seed = n, delays(delay), silent, seed
+        self._n, self._delay, self._silent, self._seed = n, delays(delay), span(silent), seed
+        if not is_whole(seed):
+            raise ConfigError(f"seed must be a whole number, at least 0, got {seed!r}")
         self._read_loss = share(read_loss, "read_loss")
         self._write_loss = share(write_loss, "write_loss")
         self._count, self._flicker, self._noise = count, flicker, noise

@@ -6,16 +6,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import ConfigError
+from pliant import ConfigError, Servos
+from pliant.arguments import given, instance, number
+from pliant.sim.imperfections import Overload
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
+
+    from pliant.sim.hand import Hand
+    from pliant.sim.scene import Fixture
 
     Array = NDArray[np.float64]
 
 
 def physics_steps(dt: float, rate: float) -> int:
     """Physics steps per control period."""
+    dt, rate = (_float(value, name) for value, name in ((dt, "dt"), (rate, "rate")))
     if not (np.isfinite(dt) and 0.0 < dt <= 0.01):
         raise ConfigError(f"dt must be in (0, 0.01] s, got {dt!r}")
     if not (np.isfinite(rate) and rate > 0.0):
@@ -26,12 +34,71 @@ def physics_steps(dt: float, rate: float) -> int:
     return steps
 
 
+def table(servos: Any | None) -> Servos | None:
+    """Check that a servo table is one, if there is one."""
+    return None if servos is None else instance(servos, Servos, "servos")
+
+
+def protection(overload: Any | None) -> Overload | None:
+    """Check the servos' self-protection, if they have one."""
+    kind = "e.g. Overload(threshold=0.95, seconds=3.0)"
+    return None if overload is None else instance(overload, Overload, "overload", kind)
+
+
+def off_chain(value: str) -> None:
+    """Check what becomes of joints beyond the chain."""
+    if value not in {"held", "welded"}:
+        raise ConfigError(f"off_chain is 'held' or 'welded', got {given(value)}")
+
+
+def creep(value: float) -> float:
+    """Check how fast joints creep; MuJoCo has no dry friction that holds entirely."""
+    return number(value, "creep", 1e-3, 1.0)
+
+
+def split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
+    """Tell force laws from things with bodies.
+
+    Raises:
+        TypeError: No list, or something in it is neither.
+    """
+    hands: list[Hand] = []
+    fixtures: list[Fixture] = []
+    try:
+        items: list[Any] = list(scene)
+    except TypeError:
+        raise TypeError(f"scene must be a list of hands and fixtures, got {given(scene)}") from None
+    for i, item in enumerate(items):
+        if hasattr(item, "add"):
+            fixtures.append(item)
+        elif hasattr(item, "at"):
+            hands.append(item)
+        else:
+            known = "a hand (Drag, Push, Wall …) nor a fixture (door(), Surface …) of pliant.sim"
+            raise TypeError(f"scene[{i}] is neither {known}, got {given(item)}")
+    return hands, fixtures
+
+
 def load(payload: Any) -> tuple[float, Array] | None:
     """Check an unknown load, a pair or a `Payload`."""
     if payload is None:
         return None
-    mass, com = (payload.mass, payload.com) if hasattr(payload, "mass") else payload
-    com = np.asarray(com, dtype=np.float64)
+    try:
+        mass, com = (payload.mass, payload.com) if hasattr(payload, "mass") else payload
+        mass, com = float(mass), np.asarray(com, dtype=np.float64)
+    except (TypeError, ValueError):
+        mass, com = np.nan, np.zeros(0)
     if not (np.isfinite(mass) and mass >= 0.0) or com.shape != (3,) or not np.isfinite(com).all():
-        raise ConfigError(f"payload is a mass >= 0 kg and a centre (3,) m, got {payload!r}")
-    return float(mass), com
+        raise ConfigError(
+            f"payload is a mass >= 0 kg and a centre (3,) m, as in (0.3, [0, 0, 0.05]), "
+            f"got {given(payload)}"
+        )
+    return mass, com
+
+
+def _float(value: Any, name: str) -> float:
+    """A number whose range is checked elsewhere."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ConfigError(f"{name} must be a number, got {given(value)}") from None

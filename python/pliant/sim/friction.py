@@ -59,7 +59,11 @@ class Friction:
     def __post_init__(self) -> None:
         """Check the ranges."""
         for field in fields(self):
-            value = np.asarray(getattr(self, field.name), dtype=np.float64)
+            try:
+                value = np.asarray(getattr(self, field.name), dtype=np.float64)
+            except (TypeError, ValueError):
+                text = f"{getattr(self, field.name)!r}"
+                raise ConfigError(f"Friction.{field.name} must be numbers, got {text}") from None
             if not (np.isfinite(value).all() and (value >= 0.0).all()):
                 raise ConfigError(f"Friction.{field.name} must be at least 0, got {value.tolist()}")
         if not (np.asarray(self.speed) > 0.0).all():

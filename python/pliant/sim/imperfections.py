@@ -65,7 +65,7 @@ class Encoder:
         """
         self.count = per_joint(count, n, "count", low=0.0)
         self._noise = per_joint(noise, n, "noise", low=0.0)
-        if flicker < 0 or int(flicker) != flicker:
+        if not is_whole(flicker):
             raise ConfigError(
                 f"flicker must be a whole number of counts, at least 0, got {flicker!r}"
             )
@@ -141,19 +141,37 @@ class Latch:
         return np.where(self.tripped, np.minimum(limit, self._rule.remains * usable), limit)
 
 
+def is_whole(value: object) -> bool:
+    """Whether a value is a whole number, at least 0."""
+    return isinstance(value, (int, float, np.integer)) and value >= 0 and value == value // 1
+
+
+def span(value: object) -> tuple[float, float] | None:
+    """Check a time from when to when, None for never."""
+    if value is None:
+        return None
+    try:
+        start, end = (float(x) for x in value)  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        raise ConfigError(f"silent must be a pair of times (from, to) [s], got {value!r}") from None
+    if not start <= end:
+        raise ConfigError(f"silent must begin before it ends, got {value!r} [s]")
+    return start, end
+
+
 def delays(value: tuple[int, int]) -> tuple[int, int]:
     """Check a pair of read and write delays in ticks."""
     try:
         read, write = value
-    except TypeError:
+    except (TypeError, ValueError):
         raise ConfigError(f"delay must be a pair of ticks (read, write), got {value!r}") from None
-    if read < 0 or write < 0 or int(read) != read or int(write) != write:
+    if not (is_whole(read) and is_whole(write)):
         raise ConfigError(f"delay must be two whole numbers of ticks, at least 0, got {value!r}")
     return int(read), int(write)
 
 
 def share(value: float, name: str) -> float:
     """Check a probability."""
-    if not 0.0 <= value <= 1.0:
+    if isinstance(value, (str, bytes)) or np.ndim(value) or not 0.0 <= float(value) <= 1.0:
         raise ConfigError(f"{name} must be in [0, 1], got {value!r}")
     return float(value)

@@ -6,17 +6,18 @@ physics of one control period.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pliant import ConfigError, ShapeError
+from pliant import ConfigError, Model, ShapeError
+from pliant.arguments import given, instance
 from pliant.arm.state import State
+from pliant.sim import checks
 from pliant.sim import spec as spec_module
 from pliant.sim._mujoco import mujoco
 from pliant.sim.bank import ServoBank
 from pliant.sim.bus import Bus
-from pliant.sim.checks import load, physics_steps
 from pliant.sim.friction import Friction, Gears
 from pliant.sim.gains import per_joint, resolve
 from pliant.sim.state import Felt, Order
@@ -67,6 +68,8 @@ class Plant:
         kind: `current` or `duty`, overriding the table.
         overload: Self-protection of the servos, None for none.
         friction: Dry friction of the gears: `coulomb`, as in the table, or by speed and load.
+        creep: How fast a joint slides that dry friction should hold, in [0.001, 1]: about
+            1 ms · creep · torque / inertia. 1 is MuJoCo's own, 0.1 nearer to steel.
         off_chain: `held` gives a gripper servos of its own, `welded` freezes it.
         scene: Hands, walls and fixtures (doors).
         seed: Of all chance; equal seeds give equal runs.
@@ -83,7 +86,9 @@ class Plant:
 
     Raises:
         ConfigError: An argument is out of range; the message names it.
+        LimitError: `creep` is outside its range.
         ShapeError: An argument is no scalar and has not n entries.
+        TypeError: Model, servos, overload or something in the scene is not what it should be.
 
     Example:
         >>> plant = Plant(pliant.robots.arm7(), rate=100.0)
@@ -118,16 +123,20 @@ class Plant:
         kind: Kind | None = None,
         overload: Overload | None = None,
         friction: Literal["coulomb"] | Friction = "coulomb",
+        creep: float = 1.0,
         off_chain: OffChain = "held",
         scene: Iterable[Hand | Fixture] = (),
         seed: int = 0,
     ) -> None:
         """Build the arm; it stands in the middle of its ranges until reset."""
-        n = self.n = int(model.n)
+        n = self.n = int(instance(model, Model, "model").n)
+        self.steps = checks.physics_steps(dt, rate)
         self.model, self.dt, self.rate = model, float(dt), float(rate)
-        self.steps = physics_steps(dt, rate)
         self.period = 1.0 / self.rate
-        self.gains = resolve(model, servos, kind).scaled(kp_scale, friction_scale, damping_scale)
+        checks.off_chain(off_chain)
+        self.gains = resolve(model, checks.table(servos), kind).scaled(
+            kp_scale, friction_scale, damping_scale
+        )
         self._bus = Bus(
             n,
             delay=delay,
@@ -140,14 +149,15 @@ class Plant:
             seed=seed,
         )
         self.write_delay = self._bus.write_delay * self.period
-        hands, self._fixtures = _split(scene)
+        hands, self._fixtures = checks.split(scene)
         built = spec_module.build(
             model,
             self.gains,
             dt=self.dt,
             off_chain=off_chain,
-            payload=load(payload),
+            payload=checks.load(payload),
             backlash=per_joint(backlash, n, "backlash", low=0.0),
+            creep=checks.creep(creep),
         )
         for fixture in self._fixtures:
             fixture.add(built)
@@ -165,7 +175,7 @@ class Plant:
             self.gains,
             deadband=per_joint(deadband, n, "deadband", low=0.0),
             speed=None if speed_limit is None else per_joint(speed_limit, n, "speed_limit", low=0),
-            overload=overload,
+            overload=checks.protection(overload),
         )
         self._gears = self._make_gears(friction)
         names = {TOOL: model.tip, WRIST: last_moving(model)}
@@ -378,21 +388,12 @@ class Plant:
 
     def _vector(self, value: ArrayLike, name: str) -> Array:
         """Check a joint vector."""
-        array = np.array(value, dtype=np.float64)
+        try:
+            array = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ShapeError(f"{name} must be {self.n} numbers, got {given(value)}") from None
         if array.shape != (self.n,):
             raise ShapeError(f"{name} has shape {array.shape}, expected ({self.n},)")
         if not np.isfinite(array).all():
             raise ConfigError(f"{name} is not finite: {array.tolist()}")
         return array
-
-
-def _split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
-    """Tell force laws from things with bodies."""
-    hands: list[Hand] = []
-    fixtures: list[Fixture] = []
-    for item in scene:
-        if hasattr(item, "add"):
-            fixtures.append(cast("Fixture", item))
-        else:
-            hands.append(item)
-    return hands, fixtures

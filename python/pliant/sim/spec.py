@@ -52,6 +52,7 @@ def build(
     off_chain: OffChain = "held",
     payload: tuple[float, NDArray[np.float64]] | None = None,
     backlash: NDArray[np.float64],
+    creep: float = 1.0,
 ) -> Build:
     """Make the specification of an arm with one torque-limited position servo per chain joint.
 
@@ -67,6 +68,7 @@ def build(
         payload: Mass [kg] and centre (3,) [m] in the tool frame of a load that is fixed to the
             tool.
         backlash: Full play behind each gear (n,) [rad].
+        creep: How fast joints creep that friction holds, over what MuJoCo's do by default.
 
     Returns:
         The specification and its names; contacts are off, the integrator is `implicitfast`.
@@ -99,7 +101,7 @@ def build(
         made.append(body)
         moving = group.joint is not None
         if group.joint is not None:
-            parts.add_joint(out, body, group.joint, gains, backlash)
+            parts.add_joint(out, body, group.joint, gains, backlash=backlash, creep=creep)
         parts.add_mass(model, body, group, moving, payload)
         for index, pose in group.members:
             link = model.links[index]

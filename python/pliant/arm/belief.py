@@ -19,7 +19,7 @@ FASTEST, JUMP = 10.0, 0.2
 THROWN = 2.0
 
 
-class Watch:
+class Belief:
     """The last believed position of each of N joints.
 
     A position is believed when it was read in this cycle, is finite, and lies within

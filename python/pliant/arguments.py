@@ -1,0 +1,85 @@
+"""What a caller gave: checked once, and named in the error with its value and what would do."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from pliant import ConfigError, LimitError, Model, Servos, ShapeError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+T = TypeVar("T")
+
+#: How one comes by what a function wants.
+HINTS: dict[type, str] = {
+    Model: "as pliant.robots.arm7(), .so101(), .koch() or Model.from_urdf(path) make one",
+    Servos: "e.g. Servos.of(['sts3215'] * model.n)",
+}
+
+
+def given(value: Any) -> str:
+    """A value as errors quote it, with its type."""
+    text = repr(value)
+    return f"{text if len(text) <= 80 else text[:77] + '...'} ({type(value).__name__})"
+
+
+def instance(value: Any, kind: type[T], name: str, hint: str = "") -> T:
+    """Return a value that is of this kind.
+
+    Raises:
+        TypeError: It is not; says what would do.
+    """
+    if not isinstance(value, kind):
+        hint = hint or HINTS.get(kind, "")
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        wanted = f"{name} must be {article} {kind.__name__}" + (f", {hint}" if hint else "")
+        raise TypeError(f"{wanted}, got {given(value)}")
+    return value
+
+
+def number(value: Any, name: str, low: float, high: float = np.inf, unit: str = "") -> float:
+    """Return a finite number in [low, high].
+
+    Raises:
+        ConfigError: It is no number.
+        LimitError: It is NaN, infinite or outside.
+    """
+    if isinstance(value, (bool, str, bytes)) or np.ndim(value) != 0:
+        raise ConfigError(f"{name} must be a number, got {given(value)}")
+    try:
+        out = float(value)
+    except (TypeError, ValueError):
+        raise ConfigError(f"{name} must be a number, got {given(value)}") from None
+    if not (low <= out <= high and np.isfinite(out)):
+        end = "∞)" if np.isinf(high) else f"{high:g}]"
+        of = f" [{unit}]" if unit else ""
+        raise LimitError(f"{name}{of} must be in [{low:g}, {end}, got {out:g}")
+    return out
+
+
+def positive(value: Any, name: str, unit: str = "") -> float:
+    """Return a finite number above zero; errors as `number`."""
+    out = number(value, name, 0.0, unit=unit)
+    if out == 0.0:
+        of = f" [{unit}]" if unit else ""
+        raise LimitError(f"{name}{of} must be above 0, got 0")
+    return out
+
+
+def vector(value: ArrayLike, n: int, name: str, unit: str = "") -> NDArray[np.float64]:
+    """Return a fresh array (n,) of finite numbers.
+
+    Raises:
+        ShapeError: It has another shape, or is no array of numbers, or not finite.
+    """
+    of = f" [{unit}]" if unit else ""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if array.shape != (n,) or not np.isfinite(array).all():
+        raise ShapeError(f"{name} must be {n} finite numbers{of}, got {given(value)}")
+    return array

@@ -1,0 +1,63 @@
+"""What a stranger gives a plant, a float, an identification: refused by name, value, remedy."""
+
+import numpy as np
+import pytest
+
+import pliant
+import pliant.robots
+from pliant import identify
+from pliant.sim import Friction, Plant
+
+ARM = pliant.robots.arm7()
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"kp_scale": "x"}, r"kp_scale must be a number or 7 numbers.*'x'"),
+        ({"payload": 0.3}, r"payload is a mass .* got 0\.3"),
+        ({"rate": "fast"}, r"rate must be a number, got 'fast' \(str\)"),
+        ({"delay": ("a", 1)}, r"delay must be two whole numbers"),
+        ({"silent": 3}, r"silent must be a pair of times"),
+        ({"silent": (2.0, 1.0)}, r"silent must begin before it ends"),
+        ({"seed": "x"}, r"seed must be a whole number"),
+        ({"flicker": "a", "count": 1e-3}, r"flicker must be a whole number"),
+        ({"read_loss": "a"}, r"read_loss must be in \[0, 1\], got 'a'"),
+        ({"overload": 3}, r"overload must be an Overload"),
+        ({"scene": [3]}, r"scene\[0\] is neither a hand"),
+        ({"off_chain": "free"}, r"off_chain is 'held' or 'welded', got 'free'"),
+        ({"servos": "sts3215"}, r"servos must be a Servos.*Servos\.of"),
+        ({"creep": 2.0}, r"creep must be in \[0\.001, 1\], got 2"),
+    ],
+)
+def test_a_plant_names_what_it_cannot_take(options, text):
+    with pytest.raises((pliant.PliantError, TypeError), match=text):
+        Plant(ARM, **options)
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: Plant("arm7"), r"model must be a Model, as pliant\.robots\.arm7\(\)"),
+        (lambda: Friction(base="x"), r"Friction\.base must be numbers, got 'x'"),
+        (lambda: pliant.Float(None), r"model must be a Model.*got None"),
+        (lambda: pliant.Float(ARM, "sts"), r"servos must be a Servos"),
+        (lambda: pliant.Float(ARM, rate="x"), r"rate must be a number, got 'x'"),
+        (lambda: pliant.Float(ARM, payload=(0.3,)), r"payload must be a Payload, or mass"),
+        (lambda: identify.capturing(ARM), r"controller must be a Controller, got <Model"),
+        (lambda: identify.capture(None, pliant.Controller(ARM)), r"arm must have read\(\)"),
+        (lambda: identify.identification("arm7"), r"model must be a Model"),
+        (lambda: identify.identification(ARM, span=np.nan), r"span \[rad\] must be in"),
+        (lambda: identify.identification(ARM, poses=[[0.0]]), r"postures \(K, 7\)"),
+        (lambda: identify.identification(ARM, poses=0), r"poses must be at least 1"),
+        (lambda: identify.run(Plant(ARM), ARM, rate=np.nan), r"rate \[Hz\] must be in"),
+    ],
+)
+def test_whoever_gives_something_else_is_told_what_would_do(make, text):
+    with pytest.raises((pliant.PliantError, TypeError), match=text):
+        make()
+
+
+def test_another_arms_positions_end_a_procedure():
+    with pytest.raises(pliant.ShapeError, match="7 finite numbers"):
+        identify.capture(Plant(pliant.robots.so101()), pliant.Controller(ARM))
