@@ -9,6 +9,7 @@ import tyro
 from rich.console import Console
 
 from pliant import ConfigError, PliantError
+from pliant.extras import missing
 
 if TYPE_CHECKING:
     from pliant.view.source import Source
@@ -99,6 +100,4 @@ def _needs() -> None:
         try:
             import_module(needed)
         except ImportError as error:
-            raise PliantError(
-                f"the page needs {error.name or needed}: pip install 'pliant[view]'"
-            ) from error
+            raise PliantError(missing("the page", "view")) from error
