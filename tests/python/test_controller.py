@@ -263,6 +263,28 @@ def test_update_takes_over_position_targets(model, q, target):
     controller.step(q, target[:3, 3])
 
 
+def test_update_surveys_what_a_fresh_controller_would(model, q, target):
+    """What is kept of a survey belongs to axes and frame, not to the last task."""
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    tasks = (
+        pliant.Task("all"),
+        pliant.Task("xyz"),
+        pliant.Task("x z pitch"),
+        pliant.Task("x z pitch", frame=turned),
+        pliant.Task("x z pitch"),
+        pliant.Task("all"),
+    )
+    running = pliant.Controller(model)
+    for task in tasks:
+        settings = pliant.Settings(task=task)
+        running.update(settings)
+        fresh = pliant.Controller(model, settings)
+        assert running.strengths == fresh.strengths
+        running.reset(q)
+        assert running.step(q, target).goal.tobytes() == fresh.step(q, target).goal.tobytes()
+        assert running.report().sigma_0 == fresh.report().sigma_0
+
+
 def test_what_a_law_needs_is_said(q):
     from pathlib import Path
 

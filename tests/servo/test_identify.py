@@ -129,7 +129,7 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch):
 
     monkeypatch.setitem(sys.modules, "rustypot", None)
     chain = ServoChain([ServoSpec(port="p", **PAN)])
-    with pytest.raises(ImportError, match=r'pip install "pliant\[servo\]"'):
+    with pytest.raises(ImportError, match=r"pip install 'pliant\[servo\]'"):
         chain.open()
 
 

@@ -51,7 +51,9 @@ def quiet(seen):
 
 def click(handle):
     for callback in handle._impl.update_cb:
-        callback(SimpleNamespace(client="a browser", client_id=0, target=handle))
+        done = callback(SimpleNamespace(client="a browser", client_id=0, target=handle))
+        if done is not None:
+            asyncio.run(done)
 
 
 def move(handle, value):
@@ -62,6 +64,21 @@ def move(handle, value):
 
 def drag(callback, **event):
     asyncio.run(callback(SimpleNamespace(**event)))
+
+
+def test_a_snapshot_between_a_click_and_its_being_heard_does_not_undo_it(seen):
+    controls, last = seen.panel.controls, seen.running[-1]
+    controls.show(last)
+    assert not controls.firm.value
+    controls.firm._impl.value = True  # viser has the click, its callback is still to come
+    controls.show(last)
+    assert controls.firm.value
+    click(controls.firm)
+    (order,) = seen.said
+    assert isinstance(order, orders.Firm)
+    assert order.on
+    controls.show(replace(last, edit=order.number))  # the arm has heard, and refused
+    assert not controls.firm.value
 
 
 def test_scene_has_arm_wall_target_and_floor(seen):

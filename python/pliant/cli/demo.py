@@ -14,6 +14,7 @@ from rich.table import Table
 
 from pliant import ConfigError, PliantError
 from pliant.experiments.runner import draw_off_screen
+from pliant.extras import missing
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -80,9 +81,7 @@ def _load() -> ModuleType:
         for needed in ("mujoco", "matplotlib"):
             import_module(needed)
     except ImportError as error:
-        raise PliantError(
-            f"the demo needs {error.name or 'its extras'}: pip install 'pliant[demo]'"
-        ) from error
+        raise PliantError(missing("the demo", "demo")) from error
     from pliant.experiments import demo
 
     return demo

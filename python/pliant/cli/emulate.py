@@ -25,7 +25,7 @@ def run(
 ) -> None:
     """Emulate an arm's servos, with the simulated arm behind them, until Ctrl-C.
 
-    Prints the path of each port: open it with any driver, or with `pliant run ARM --port PATH`.
+    Prints the path of each port: open it with any driver, or with `pliant view ARM --port PATH`.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, arm7, ...).

@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 
 import pliant
+from pliant.extras import missing, pip
 
 if TYPE_CHECKING:
     from pliant.log import Log
@@ -126,7 +127,7 @@ def _plot(file: Path, log: Log) -> None:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise ImportError('plots need the extra "plot": pip install "pliant[plot]"') from error
+        raise ImportError(missing("pliant log plot", "plot")) from error
     kinds = [kind for kind in FIGURES if kind == "joints" or log.run["axes"]]
     rows = len(FIGURES["joints"])
     figure = Figure(figsize=(6.0 * len(kinds), 2.4 * rows), layout="constrained")
@@ -148,7 +149,7 @@ def _parquet(file: Path, log: Log) -> None:
         import pyarrow as pa
         from pyarrow import parquet
     except ImportError as error:
-        raise ImportError("--parquet needs pyarrow: pip install pyarrow") from error
+        raise ImportError(f"--parquet needs pyarrow: {pip()} pyarrow") from error
     table: dict[str, Any] = {}
     joints, axes, ticks = log.run["joints"], log.run["axes"] or [], len(log)
     for name, values in log.columns.items():

@@ -9,6 +9,7 @@ import tyro
 from rich.console import Console
 
 from pliant import ConfigError, PliantError
+from pliant.extras import missing
 
 if TYPE_CHECKING:
     from pliant.view.source import Source
@@ -21,10 +22,10 @@ def run(
     scene: str = "free",
     rate: float = 100.0,
     host: str = "127.0.0.1",
-    port: int = 8080,
+    page: int = 8080,
     browser: bool = False,
     log: Path | None = None,
-    serial: Annotated[str | None, tyro.conf.arg(name="serial-port")] = None,
+    port: str | None = None,
     backend: str | None = None,
     urdf: Path | None = None,
     calibration: Path | None = None,
@@ -41,10 +42,10 @@ def run(
         scene: Where it starts: free, door, drawer, wall or hand-over.
         rate: Of the simulated arm's control [Hz].
         host: Address to listen on; 0.0.0.0 opens the page to the network.
-        port: Of the page; the next free one is taken.
+        page: Port of the page; the next free one is taken.
         browser: Open the page in the browser.
         log: MCAP file to write (extra log).
-        serial: Device in place of the file's.
+        port: Device in place of the file's.
         backend: bus, emulator or sim in place of the file's.
         urdf: URDF in place of the file's.
         calibration: LeRobot's calibration file in place of the file's.
@@ -54,10 +55,10 @@ def run(
     from pliant.view.link import Link
     from pliant.view.session import Session
 
-    options = {"port": serial, "backend": backend, "urdf": urdf, "calibration": calibration}
+    options = {"port": port, "backend": backend, "urdf": urdf, "calibration": calibration}
     source = _configured(arm, options) if arm else _simulated(robot, scene, rate, options)
     console = Console()
-    with Link(host, port) as link:
+    with Link(host, page) as link:
         console.print(f"{link.address}", highlight=False, soft_wrap=True)
         if not is_loopback(host):
             console.print(
@@ -78,8 +79,8 @@ def _simulated(robot: str, scene: str, rate: float, options: dict[str, Any]) -> 
 
     odd = [name for name, value in options.items() if value is not None]
     if odd:
-        flag = "--serial-port" if odd[0] == "port" else f"--{odd[0]}"
-        raise ConfigError(f"{flag} belongs to a configuration: pliant view so101 {flag} ...")
+        given = f"--{odd[0]} {options[odd[0]]}"
+        raise ConfigError(f"--{odd[0]} belongs to a configuration: pliant view so101 {given}")
     return Simulated(robot, scene, rate)
 
 
@@ -99,6 +100,4 @@ def _needs() -> None:
         try:
             import_module(needed)
         except ImportError as error:
-            raise PliantError(
-                f"the page needs {error.name or needed}: pip install 'pliant[view]'"
-            ) from error
+            raise PliantError(missing("the page", "view")) from error

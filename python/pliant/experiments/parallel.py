@@ -6,6 +6,8 @@ import sys
 from time import monotonic
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from pliant.extras import missing
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
@@ -35,7 +37,7 @@ def parallel(work: Sequence[Job[R_co]], processes: int, what: str) -> Iterator[R
         try:
             from joblib import Parallel, delayed
         except ImportError:
-            print(f"{what}: one process only; for more: pip install 'pliant[sweep]'")
+            print(f"{what}: one process only; {missing('more', 'sweep')}")
         else:
             started = Parallel(n_jobs=processes, return_as="generator")
             done = started(delayed(_run)(job) for job in work)

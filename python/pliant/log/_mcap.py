@@ -9,7 +9,9 @@ try:
     from mcap_ros2.decoder import DecoderFactory
     from mcap_ros2.writer import Writer
 except ImportError as error:
-    raise ImportError('pliant.log needs the extra "log": pip install "pliant[log]"') from error
+    from pliant.extras import missing
+
+    raise ImportError(missing("pliant.log", "log")) from error
 
 __all__ = [
     "Attachment",

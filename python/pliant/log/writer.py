@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import pliant
+from pliant.background import step_back
 from pliant.log import frames, layout, words
 from pliant.log._mcap import Writer
 from pliant.log.journal import STEP
@@ -178,6 +179,7 @@ def _quaternion(matrix: Array) -> list[float]:
 
 def main() -> None:
     """Write frames until they end."""
+    step_back()
     source = sys.stdin.buffer
     first = frames.receive(source)
     if first is None:

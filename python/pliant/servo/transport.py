@@ -88,9 +88,9 @@ class RustypotTransport:
         try:
             import rustypot
         except ImportError as error:
-            raise ImportError(
-                'driving servos needs the extra "servo": pip install "pliant[servo]"'
-            ) from error
+            from pliant.extras import missing
+
+            raise ImportError(missing("driving servos", "servo")) from error
         self.port, self.baudrate = port, baudrate
         kind = rustypot.MxPyController if protocol == "p1" else rustypot.Xl430PyController
         try:

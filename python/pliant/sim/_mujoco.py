@@ -5,6 +5,8 @@ from __future__ import annotations
 try:
     import mujoco
 except ImportError as error:
-    raise ImportError('pliant.sim needs the extra "sim": pip install "pliant[sim]"') from error
+    from pliant.extras import missing
+
+    raise ImportError(missing("pliant.sim", "sim")) from error
 
 __all__ = ["mujoco"]

@@ -42,6 +42,8 @@ class Controls:
         self._gui, self._stage, self._tell = server.gui, stage, tell
         self._numbers = itertools.count(1)
         self._said = 0
+        #: Values that controls were last brought to, by the arm or by a visitor, by id.
+        self._known: dict[int, Any] = {}
         self._scene()
         self._softness()
         if stage.strong is not None:
@@ -140,7 +142,7 @@ class Controls:
             most = strong[turning]
             self.force.label, self.force.step = label, 10.0 ** np.floor(np.log10(most / 40.0))
             self.force.max = float(np.round(most, 3))
-            _put(self.force, float(np.round(FIRST * most, 3)))
+            self.force.value = float(np.round(FIRST * most, 3))
 
     def _pushing(self, seconds: float) -> orders.Push:
         side = self.side.value
@@ -174,37 +176,44 @@ class Controls:
 
         self._by_hand(handle, tell)
 
-    @staticmethod
-    def _by_hand(handle: Any, act: Callable[[], None]) -> None:
+    def _by_hand(self, handle: Any, act: Callable[[], None]) -> None:
         """Act on what a visitor changes, not on what the page itself sets."""
+        self._known[id(handle)] = handle.value
 
-        def moved(event: viser.GuiEvent[Any]) -> None:
+        # On the server's own thread: in order, and right after the control has its new value.
+        async def moved(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
+                self._known[id(handle)] = handle.value
                 act()
 
         handle.on_update(moved)
 
     def show(self, now: Snapshot) -> None:
-        """Bring controls to what is in force, unless a visitor's edit is still on its way."""
+        """Bring controls to what is in force, unless a visitor's edit is still on its way.
+
+        Snapshots come on another thread than visitors: a control that is not where it was left has
+        been moved by one who is about to be heard.
+        """
         self._places.content = meters.places(now)
         if now.shown is not None and now.edit >= self._said:
             self._bring(now.shown)
 
     def _bring(self, shown: Shown) -> None:
-        _put(self.preset, shown.preset)
-        _put(self.law, shown.law)
-        _put(self.firm, shown.firm)
+        self._put(self.preset, shown.preset)
+        self._put(self.law, shown.law)
+        self._put(self.firm, shown.firm)
         yielding = [axis["eta"] for axis in shown.axes.values() if axis["yields"] != "none"]
         if yielding:
-            _put(self.eta, max(yielding))
+            self._put(self.eta, max(yielding))
         for name, axis in shown.axes.items():
-            _put(self.yields[name], WORDS[axis["yields"]])
+            self._put(self.yields[name], WORDS[axis["yields"]])
             self.strength[name, "stiffness"].visible = shown.law == "impedance"
             for word in ("soft", "firm", "hold", "stiffness"):
                 if axis[word] is not None:
-                    _put(self.strength[name, word], axis[word])
+                    self._put(self.strength[name, word], axis[word])
 
-
-def _put(handle: Any, value: Any) -> None:
-    """Show a value; viser's own types call it read-only."""
-    handle.value = value
+    def _put(self, handle: Any, value: Any) -> None:
+        """Show what the arm has in a control that nobody has moved."""
+        if handle.value == self._known[id(handle)]:
+            handle.value = value
+            self._known[id(handle)] = handle.value

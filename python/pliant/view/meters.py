@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pliant.view.snapshot import Health, Shown, Snapshot, Stage, Step
+    from pliant.view.snapshot import Felt, Health, Shown, Snapshot, Stage, Step
 
     Array = NDArray[np.float64]
 
@@ -30,6 +30,8 @@ PHASES = {
     "down": ("torque is off", "#5b6675"),
 }
 LINEAR = ("x", "y", "z")
+#: Bound of a force from which on nothing is said of it [N].
+UNKNOWN = 1000.0
 
 
 def status(stage: Stage, now: Snapshot) -> str:
@@ -61,8 +63,8 @@ def _troubles(h: Health) -> tuple[tuple[str, int], ...]:
     return (
         ("missed", h.missed),
         ("without positions", h.stale),
-        ("commands not sent", h.refused),
-        ("restarts", h.restarts),
+        ("not sent", h.refused),
+        ("started anew", h.restarts),
     )
 
 
@@ -111,6 +113,19 @@ def axes(stage: Stage, shown: Shown, step: Step) -> str:
         )
     head = ("", "deviation", "", "push-back", "of its cap", "soft")
     return _table(head, rows, (32, 62, 50, 62, 86, 38))
+
+
+def felt(stage: Stage, what: Felt) -> str:
+    """What pushes at the tool, with its bound, as far as joint positions tell; base axes."""
+    words = []
+    for i, name in enumerate(("x", "y", "z")):
+        if name not in stage.axes and not np.isfinite(what.bound[i]):
+            continue
+        sure = abs(what.force[i]) > what.bound[i]
+        bound = f"{what.bound[i]:.1f}" if what.bound[i] < UNKNOWN else "?"
+        number = f"{what.force[i]:+.1f} ± {bound}"
+        words.append(f'{name} <b style="color:{FULL}">{number}</b>' if sure else f"{name} {number}")
+    return _box(f"felt at the tool [N]: {' · '.join(words)}")
 
 
 def joints(stage: Stage, step: Step) -> str:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import sys
 import time
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import viser
 
+from pliant.background import step_back
 from pliant.view.gate import Gate
 from pliant.view.link import Ear, Failed, Ready
 from pliant.view.orders import LetGo
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from pliant.view.orders import Order
 
-#: The page yields to the loop where both want the processor.
-NICE = 10
 #: How long the page says that the loop has ended before it ends too [s].
 FAREWELL = 2.0
 
@@ -85,7 +83,7 @@ class Page:
 def main(descriptor: int, host: str, port: int) -> int:
     """Serve until the loop ends."""
     ear = Ear(descriptor)
-    os.nice(NICE)
+    step_back()
     try:
         # viser tries a thousand ports and then waits for ever.
         family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]

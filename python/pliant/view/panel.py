@@ -35,7 +35,7 @@ class Panel:
         gui.reset()
         self._drawn = -np.inf
         self._report: tuple[str, ...] = ()
-        self._last: tuple[str, str] | None = None
+        self._last: tuple[str, ...] | None = None
         self.stop = StopPanel(server, stage, tell)
         self.controls = Controls(server, stage, tell)
         gui.main_panel.dock_right()
@@ -44,7 +44,9 @@ class Panel:
         with side.add_tab("Live", viser.Icon.ACTIVITY):
             self._health = gui.add_html("")
             self._axes = gui.add_html("")
+            self._felt = gui.add_html("")
             self._joints = gui.add_html("")
+            self._fading = self._axes, self._felt, self._joints
             self._plots = Plots(gui, stage)
         with side.add_tab("Why", viser.Icon.QUESTION_MARK):
             self._sentences = gui.add_html("")
@@ -66,9 +68,12 @@ class Panel:
             self._joints.content = meters.joints(self._stage, now.step)
             self._matrix.content = meters.matrix(self._stage, now.step)
             self._plots.show(now)
-            self._last = self._axes.content, self._joints.content
+            if now.felt is not None:
+                self._felt.content = meters.felt(self._stage, now.felt)
+            self._last = tuple(part.content for part in self._fading)
         elif self._last is not None:
-            self._axes.content, self._joints.content = map(meters.faded, self._last)
+            for part, content in zip(self._fading, self._last, strict=True):
+                part.content = meters.faded(content)
             self._last = None
         if now.report != self._report:
             self._report = now.report

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
-import time
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -16,9 +14,9 @@ from pliant.view import orders, scenes
 from pliant.view.body import Body
 from pliant.view.desk import Desk
 from pliant.view.hand import VisitorHand
-from pliant.view.link import PageGone
+from pliant.view.look import Look
 from pliant.view.pace import Pace
-from pliant.view.snapshot import Health, Shown, Snapshot, Stage, Step
+from pliant.view.snapshot import Stage
 from pliant.view.tap import Tap
 
 if TYPE_CHECKING:
@@ -26,19 +24,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pliant import Command, Controller
+    from pliant import Controller
     from pliant.arm import Arm
     from pliant.log import Recorder
-    from pliant.loop import Tick
     from pliant.view.link import Link
-    from pliant.view.snapshot import Phase
     from pliant.view.source import Source
 
     Array = NDArray[np.float64]
     Next = Literal["stop", "start", "scene"]
 
-#: How often the report is made anew [s].
-REPORT = 1.0
 #: How often orders are looked for while no loop runs [s].
 IDLE = 0.03
 #: Share of `hold` with which a visitor may push.
@@ -54,11 +48,10 @@ class Session:
         log: MCAP file to write; of later lives of the arm `-2`, `-3`, ... are added to its name.
 
     Attributes:
-        phase: Of the arm's life.
+        look: What the page is told.
         desk: The settings.
         target: Pose (4, 4) that the controller gets.
         loop: The loop of this life, or the last.
-        said: How many errors and news there were, the last, and whether it is an error.
     """
 
     def __init__(self, source: Source, link: Link, log: Path | None = None) -> None:
@@ -66,13 +59,9 @@ class Session:
         self._source, self._link, self._log = source, link, log
         self._life = 0
         self.loop: Loop | None = None
-        self.phase: Phase = "starting"
+        self.look = Look(link, source.rate)
         self.desk = Desk(source.axes, source.rate, source.settings)
-        self.said: tuple[int, str, bool] = (0, "", False)
-        self.edit, self._fresh = 0, True
-        self._shown: Shown | None = None
-        self._report: tuple[float, tuple[str, ...]] = (-np.inf, ())
-        self._health = Health(rate=source.rate)
+        self._fresh = True
 
     def run(self, lives: int | None = None) -> None:
         """Live, until the page or the program ends.
@@ -89,11 +78,11 @@ class Session:
             try:
                 self._live()
             except ServoError as error:
-                if self._shown is None:
+                if self.look.shown is None:
                     raise
                 # Whoever looks at the page shall read it, and may try again.
-                self.say(str(error), wrong=True)
-            self.phase = "down"
+                self.look.say(str(error), wrong=True)
+            self.look.phase = "down"
             if self._life == lives:
                 return
             self._wait()
@@ -103,18 +92,21 @@ class Session:
     def _live(self) -> None:
         """Torque on, control, torque off."""
         arm = self._source.arm()
-        self._tap = arm.drive = Tap(arm.drive)
+        tap = arm.drive = Tap(arm.drive)
         self._arm, self._body = arm, Body(arm)
         self._pace = Pace(arm.clock) if self._source.paced else None
-        self._tap.on_read = self._on_read
-        self.phase = "starting"
-        self._step: Step | None = None
+        self.look.at(arm, self._body, tap, self._pace)
+        tap.on_read = self.look.on_read
         with arm:
             try:
                 self._control(arm)
+            except ServoError as error:
+                # Not only once it is down: it may take a minute.
+                self.look.say(str(error), wrong=True)
+                raise
             finally:
                 # Whatever ends it, the page sees the arm come down.
-                self.phase = "lowering"
+                self.look.phase = "lowering"
             if self._next == "scene":
                 arm.limp()
 
@@ -134,18 +126,17 @@ class Session:
 
     def _turns(self, arm: Arm, controller: Controller, recorder: Recorder | None) -> None:
         """Until somebody wants something else."""
-        self.phase = "running"
+        self.look.phase = "running"
         loop = self.loop = Loop(arm, controller, rate=self._source.rate)
         for tick in loop:
             self._take(controller)
             self._scripted(tick.time)
+            self.look.before_step(tick, loop)
             command = controller.step(tick.q, self.target, dt=tick.dt)
             tick.write(command)
             if recorder is not None:
                 recorder.add(tick, command)
-            if self._link.due():
-                self._look(controller, command, loop)
-                self._publish(tick)
+            self.look.after_step(tick, controller, command, self.target, loop)
             if self._next is not None:
                 return
 
@@ -167,16 +158,18 @@ class Session:
         self._hand: VisitorHand | None = None
         if self._body.simulated:
             plant = self._body.plant
-            self._hand = VisitorHand(max(linear, default=0.0))
+            self._hand = self.look.hand = VisitorHand(max(linear, default=0.0))
             plant.set_hands([*(felt.hand for felt in plant.hands), self._hand])
         push = None if self._hand is None else (max(linear, default=0.0), max(turning, default=0.0))
-        self._shown = self.desk.show(controller, q)
+        self.look.feel(controller)
+        self.look.shown = self.desk.show(controller, q)
         stage = Stage(
             figure=self._body.plant.mj_model,
             arm=arm.model.name,
             where=self._source.where,
             axes=names,
             joints=arm.model.joint_names,
+            start=self._body.pose(q, {}),
             usable=np.asarray(arm.servos.torque),
             scene=self._source.name,
             scenes={name: scene.about for name, scene in self._source.scenes.items()},
@@ -185,6 +178,7 @@ class Session:
             walls=scenes.planes(self._body.plant),
             home=self.home,
             strong=push,
+            force=max(linear, default=0.0),
         )
         self._link.send(stage)
         return controller
@@ -200,7 +194,7 @@ class Session:
         """Do one thing; what is refused is said, and nothing has changed."""
         match order:
             case orders.Edit(number=number):
-                self.edit = number
+                self.look.edit = number
                 if controller is not None:
                     self._edit(order, controller)
             case orders.Target(pose=pose):
@@ -236,13 +230,9 @@ class Session:
         try:
             self.desk.take(order, controller)
         except PliantError as error:
-            self.say(str(error), wrong=True)
-        self._shown = self.desk.show(controller)
-        self._report = (-np.inf, ())
-
-    def say(self, text: str, *, wrong: bool = False) -> None:
-        """Tell the page something."""
-        self.said = (self.said[0] + 1, text, wrong)
+            self.look.say(str(error), wrong=True)
+        self.look.shown = self.desk.show(controller)
+        self.look.forget_report()
 
     def _play(self) -> None:
         if self._body.simulated and scenes.take(self._body.plant):
@@ -262,81 +252,6 @@ class Session:
             else:
                 self.target = pose
 
-    # Looking.
-
-    def _look(self, controller: Controller, command: Command, loop: Loop) -> None:
-        """What the step knew; the report once a second."""
-        now = time.perf_counter()
-        if now - self._report[0] > REPORT:
-            self._report = (now, tuple(controller.report().sentences()))
-        self._step = Step(
-            target=self.target,
-            reference=controller.reference,
-            deviation=controller.deviation,
-            compliance=controller.compliance,
-            softness=controller.softness,
-            strength=controller.holding_torque,
-            wrench=controller.wrench,
-            activation=controller.activation,
-            limit=command.torque_limit,
-            saturated=controller.saturated,
-            locked=controller.locked,
-        )
-        late = loop.lateness if self._pace is None else self._pace.lateness
-        self._health = Health(
-            rate=1.0 / loop.period,
-            ticks=len(late),
-            p50=late.percentile(50.0),
-            p99=late.percentile(99.0),
-            largest=late.largest,
-            missed=loop.missed,
-            stale=loop.stale,
-            refused=loop.refused,
-            restarts=loop.restarts,
-            delay=loop.delay,
-            speed=1.0 if self._pace is None else self._pace.speed,
-        )
-
-    def _publish(self, tick: Tick) -> None:
-        self._link.send(self._snapshot(tick.q, dict(tick.state.extra), tick.time))
-
-    def _on_read(self) -> None:
-        """After every reading: simulated time waits for life; the page sees the arm come down."""
-        if self._pace is not None:
-            self._pace.wait()
-        if self.phase == "lowering" and self._link.due():
-            # Whoever looks on, the arm comes down.
-            with contextlib.suppress(PageGone):
-                self._publish_still()
-
-    def _publish_still(self) -> None:
-        """Where the arm is without a step of the controller."""
-        last, names = self._tap.last, self._arm.drive.names
-        if last is None:
-            return
-        by_name = dict(zip(names, np.asarray(last.position).tolist(), strict=True))
-        q = np.array([by_name.pop(name) for name in self._arm.model.joint_names])
-        self._link.send(self._snapshot(q, by_name, self._arm.clock.now()))
-
-    def _snapshot(self, q: Array, extra: dict[str, float], now: float) -> Snapshot:
-        pull = None
-        if self._hand is not None:
-            pull = self._hand.felt
-        return Snapshot(
-            time=now,
-            phase=self.phase,
-            qpos=self._body.pose(q, extra),
-            mocap=self._body.mocap(),
-            tool=np.asarray(self._arm.model.forward_kinematics(q)),
-            step=self._step if self.phase == "running" else None,
-            pull=pull,
-            health=self._health,
-            report=self._report[1],
-            said=self.said,
-            edit=self.edit,
-            shown=self._shown,
-        )
-
     def _wait(self) -> None:
         """Torque is off; until somebody wants it on again."""
         if self._next == "scene":
@@ -345,8 +260,7 @@ class Session:
         clock = self._arm.clock
         while self._next not in {"start", "scene"}:
             self._take(None)
-            if self._link.due():
-                self._publish_still()
+            self.look.still()
             clock.wait_until(clock.now() + IDLE)
             if self._pace is not None:
                 self._pace.wait()

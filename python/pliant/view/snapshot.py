@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
@@ -25,6 +26,7 @@ class Stage:
         where: `simulated`, or what drives the joints.
         axes: Task axes in their order.
         joints: Joint names.
+        start: Generalised positions of the figure at the beginning.
         usable: Largest torque of each joint (n,) [N·m].
         scene: Name of the scene; empty without scenes.
         scenes: Name and one sentence of every scene there is.
@@ -33,6 +35,7 @@ class Stage:
         walls: Planes to be drawn: a point (3,) [m] and the direction (3,) into it.
         home: First pose of the tool (4, 4).
         strong: Force [N] and torque [N·m] that fill the push sliders; None: nobody can push.
+        force: Force [N] that the longest arrow stands for.
     """
 
     figure: Any
@@ -40,6 +43,7 @@ class Stage:
     where: str
     axes: tuple[str, ...]
     joints: tuple[str, ...]
+    start: Array
     usable: Array
     scene: str
     scenes: Mapping[str, str]
@@ -48,6 +52,7 @@ class Stage:
     walls: tuple[tuple[Array, Array], ...]
     home: Array
     strong: tuple[float, float] | None
+    force: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +118,24 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Felt:
+    """What the positions of the joints say of the force at the tool, base axes.
+
+    Attributes:
+        force: Force and torque (6,) of the surroundings on the tool [N, N·m].
+        bound: How far each may be off (6,); inf where nothing can be told.
+    """
+
+    force: Array
+    bound: Array
+
+    @property
+    def certain(self) -> Array:
+        """The force (3,) [N] along the axes where it is above its bound; 0 along the others."""
+        return np.where(np.abs(self.force) > self.bound, self.force, 0.0)[:3]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Snapshot:
     """One moment.
 
@@ -123,7 +146,9 @@ class Snapshot:
         mocap: Positions and quaternions wxyz of what is moved by prescription.
         tool: Pose of the tool (4, 4).
         step: The controller's step; None while there is none.
-        pull: Point of attack (3,) [m] and force (3,) [N] of the hand on the arm; None: no hand.
+        pull: Point of attack (3,) [m] and force (3,) [N] of the hand on the arm; of a real arm
+            what is felt at the tool beyond doubt. None: no hand.
+        felt: What is felt at the tool; None while there is no controller.
         health: Of the loop.
         report: Sentences on the present pose.
         said: How many errors and news there were, the last of them, and whether it is an error.
@@ -138,6 +163,7 @@ class Snapshot:
     tool: Array
     step: Step | None
     pull: tuple[Array, Array] | None
+    felt: Felt | None
     health: Health
     report: tuple[str, ...] = ()
     said: tuple[int, str, bool] = (0, "", False)

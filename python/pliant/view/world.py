@@ -33,6 +33,12 @@ LINK = (0.42, 0.48, 0.56)
 COOL, WARM, NOTICED = (52, 62, 78), (255, 106, 19), 6
 #: Size of a wall that is drawn [m].
 EXTENT = 0.5
+#: Size of the arrows at the target, as drawn [m].
+GIZMO = 0.16
+#: Angle of view from top to bottom [rad], least width over height of what the panels leave of the
+#: window, and where the eye is from the middle of the arm.
+FOV, ASPECT = 0.75, 0.75
+SIDE = np.array((0.532, -0.745, 0.404))
 #: A tool this near to its target needs no line [m].
 NEAR = 0.002
 
@@ -58,7 +64,9 @@ class World:
         scene.configure_environment_map(environment_intensity=0.35)
         self._hinges = Hinges(scene, stage)
         _ground(scene, stage)
-        _camera(server, stage)
+        self._data.qpos[:] = stage.start
+        mujoco.mj_kinematics(stage.figure, self._data)
+        _camera(server, stage, self._data)
         for number, (point, into) in enumerate(stage.walls):
             _wall(scene, f"/walls/{number}", point, into)
         self._arrow = scene.add_arrows(
@@ -81,7 +89,7 @@ class World:
         self._dragging = False
         self.gizmo = scene.add_transform_controls(
             "/target",
-            scale=0.16,
+            scale=GIZMO,
             line_width=3.0,
             disable_sliders=True,
             disable_rotations=not {"roll", "pitch", "yaw"} & set(stage.axes),
@@ -114,11 +122,10 @@ class World:
         self._leash.points = ends.astype(np.float32)
 
     def _show_hand(self, now: Snapshot) -> None:
-        strong = self._stage.strong
-        shown = now.pull is not None and strong is not None
-        if now.pull is not None and strong is not None:
+        shown = False
+        if now.pull is not None:
             point, force = now.pull
-            way = force * (LONGEST / max(strong[0], 1e-9))
+            way = force * (LONGEST / max(self._stage.force, 1e-9))
             shown = bool(np.linalg.norm(way) > 0.004)
             if shown:
                 # Its head is at the point of attack: a hand pushes.
@@ -223,14 +230,23 @@ def _ground(scene: viser.SceneApi, stage: Stage) -> None:
         )
 
 
-def _camera(server: viser.ViserServer, stage: Stage) -> None:
-    """From the front and the side, at a distance that suits the arm."""
-    tool = stage.home[:3, 3]
-    reach = max(float(np.linalg.norm(tool)), 0.25)
-    middle = 0.55 * tool
+def _camera(server: viser.ViserServer, stage: Stage, data: mujoco.MjData) -> None:
+    """From the front and the side, at a distance from which the whole arm is seen.
+
+    The data are those of its first posture. What is looked at is the sphere around its links and
+    the arrows at the tool.
+    """
+    figure = stage.figure
+    arm = [figure.body(int(b)).name.startswith("body:") for b in figure.geom_bodyid]
+    points = np.vstack((data.geom_xpos[arm], stage.home[:3, 3]))
+    sizes = np.append(figure.geom_rbound[arm], GIZMO)
+    middle = 0.5 * ((points - sizes[:, None]).min(axis=0) + (points + sizes[:, None]).max(axis=0))
+    around = float((np.linalg.norm(points - middle, axis=1) + sizes).max())
+    # Panels leave less of the width than of the height.
+    half = np.arctan(np.tan(0.5 * FOV) * ASPECT)
     server.initial_camera.look_at = tuple(middle)
-    server.initial_camera.position = tuple(middle + reach * np.array((1.25, -1.75, 0.95)))
-    server.initial_camera.fov = 0.75
+    server.initial_camera.position = tuple(middle + around / np.sin(half) * SIDE)
+    server.initial_camera.fov = FOV
 
 
 def _wall(scene: viser.SceneApi, name: str, point: Array, into: Array) -> None:

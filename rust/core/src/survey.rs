@@ -13,6 +13,45 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// Number of poses.
 const POSES: u32 = 512;
 
+/// What one arm with one set of servos was found to be able to do.
+///
+/// A survey takes milliseconds, longer than a tick may: a controller keeps it, so that a change of settings that asks the
+/// same again costs nothing.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Surveyed {
+    sigma: Option<(Vec<usize>, Frame, f64, f64)>,
+    capacity: Option<(JointVec, [f64; 2])>,
+}
+
+impl Surveyed {
+    /// [`median_sigma`], kept for these axes, frame and length.
+    pub(crate) fn median_sigma(&mut self, model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
+        if let Some((of, within, unit, sigma)) = &self.sigma
+            && of == axes
+            && within == frame
+            && unit.to_bits() == length.to_bits()
+        {
+            return *sigma;
+        }
+        let sigma = median_sigma(model, axes, frame, length);
+        self.sigma = Some((axes.to_vec(), *frame, length, sigma));
+        sigma
+    }
+
+    /// [`static_capacity`] with the model's own payload and gravity, kept for these torques.
+    pub(crate) fn static_capacity(&mut self, model: &Model, usable: &JointVec) -> [f64; 2] {
+        if let Some((of, capacity)) = &self.capacity
+            && of == usable
+        {
+            return *capacity;
+        }
+        let masses = model.chain().masses(model.payload());
+        let capacity = static_capacity(model, usable, &masses, model.gravity_vector());
+        self.capacity = Some((*usable, capacity));
+        capacity
+    }
+}
+
 /// The first 512 Halton points inside the position limits (±π for continuous joints).
 pub(crate) fn poses(model: &Model) -> impl Iterator<Item = JointVec> + '_ {
     (1..=POSES).map(|index| halton::joints(model.lower(), model.upper(), index))
@@ -22,7 +61,7 @@ pub(crate) fn poses(model: &Model) -> impl Iterator<Item = JointVec> + '_ {
 ///
 /// Of the rows in base axes for a task in the tool's axes too: those of a full translation or rotation differ by a
 /// rotation only, which changes no singular value.
-pub(crate) fn median_sigma(model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
+fn median_sigma(model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
     let n = model.n();
     median_over_rows(model, axes, frame, |rows| {
         let matrix = DMatrix::from_fn(axes.len(), n, |r, i| if axes[r] < 3 { rows[r][i] / length } else { rows[r][i] });
@@ -46,7 +85,7 @@ pub(crate) fn median_over_rows(model: &Model, axes: &[usize], frame: &Frame, of:
 
 /// Median static capacity of the arm: the push [N] and the twist [N·m] that its torques can answer, over the poses, the
 /// three base axes and both signs: `min_i (usable_i + s_i g_i) / |J_ji|`.
-pub(crate) fn static_capacity(model: &Model, usable: &JointVec, masses: &Masses, gravity: [f64; 3]) -> [f64; 2] {
+fn static_capacity(model: &Model, usable: &JointVec, masses: &Masses, gravity: [f64; 3]) -> [f64; 2] {
     let mut frames = Frames::default();
     let mut world: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
     let mut holding = [0.0; MAX_JOINTS];

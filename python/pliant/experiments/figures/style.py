@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant import PliantError
+from pliant.extras import missing
 
 try:
     import matplotlib
 except ImportError as error:
-    raise PliantError("figures need matplotlib: pip install 'pliant[plot]'") from error
+    raise PliantError(missing("a figure", "plot")) from error
 
 from matplotlib.figure import Figure
 

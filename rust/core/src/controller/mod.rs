@@ -20,7 +20,8 @@ use crate::plan::Plan;
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::servos::Servos;
 use crate::settings::{Law, Settings};
-use crate::{JointVec, MAX_JOINTS, survey};
+use crate::survey::{self, Surveyed};
+use crate::{JointVec, MAX_JOINTS};
 
 pub use record::Record;
 
@@ -74,6 +75,7 @@ pub struct Controller {
     model: Arc<Model>,
     settings: Settings,
     servos: Option<Servos>,
+    surveyed: Surveyed,
     pub(crate) plan: Plan,
     pub(crate) masses: Masses,
     pub(crate) gravity: [f64; 3],
@@ -93,7 +95,8 @@ impl Controller {
     /// # Errors
     /// [`Error::Limit`], [`Error::Shape`] or [`Error::Config`], naming the setting and the remedy.
     pub fn new(model: Arc<Model>, settings: Settings, servos: Option<Servos>) -> Result<Self> {
-        let plan = Plan::new(&model, &settings, servos.as_ref(), false)?;
+        let mut surveyed = Surveyed::default();
+        let plan = Plan::new(&model, &settings, servos.as_ref(), false, &mut surveyed)?;
         let masses = model.chain().masses(model.payload());
         if settings.gravity != crate::settings::GravityUse::Off {
             survey::check_holding(&model, &plan.servos.torque, &masses, model.gravity_vector())?;
@@ -111,6 +114,7 @@ impl Controller {
             model,
             settings,
             servos,
+            surveyed,
             plan,
             masses,
         };
@@ -222,7 +226,8 @@ impl Controller {
     /// # Errors
     /// As [`Controller::new`]; the controller is then as before.
     pub fn update(&mut self, settings: Settings) -> Result<()> {
-        let mut plan = Plan::new(&self.model, &settings, self.servos.as_ref(), self.captured.is_some())?;
+        let mut plan =
+            Plan::new(&self.model, &settings, self.servos.as_ref(), self.captured.is_some(), &mut self.surveyed)?;
         self.check_posture(&settings)?;
         if let Some(kg) = self.captured {
             plan.kg = kg;

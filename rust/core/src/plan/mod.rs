@@ -12,7 +12,7 @@ use crate::law::nullspace::Cost;
 use crate::model::Model;
 use crate::servos::{ServoArrays, Servos};
 use crate::settings::{Damping, Follow, Gain, Law, LimitRule, Projector, Settings};
-use crate::survey;
+use crate::survey::{self, Surveyed};
 use crate::task::axes::{AXIS_NAMES, Frame};
 use crate::task::deviation_limit::DeviationLimit;
 
@@ -101,7 +101,13 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
-    pub(crate) fn new(model: &Model, settings: &Settings, servos: Option<&Servos>, captured: bool) -> Result<Self> {
+    pub(crate) fn new(
+        model: &Model,
+        settings: &Settings,
+        servos: Option<&Servos>,
+        captured: bool,
+        surveyed: &mut Surveyed,
+    ) -> Result<Self> {
         settings.validate()?;
         let n = model.n();
         let axes: Vec<usize> = (0..MAX_AXES).filter(|&axis| settings.task.axes[axis]).collect();
@@ -121,7 +127,7 @@ impl Plan {
         check_gravity(model, settings)?;
         check_kp(settings, &arrays, model)?;
         let known = captured || servos.is_some_and(|s| s.kp_known);
-        let rows = resolve_rows(model, settings, &arrays, &axes, known)?;
+        let rows = resolve_rows(model, settings, &arrays, &axes, known, surveyed)?;
         let unit = settings.task.length.filter(|_| k > n).unwrap_or_else(|| scale_length(model.reach()));
         let (mut row_scale, mut damping_scale) = ([1.0; MAX_AXES], [1.0; MAX_AXES]);
         for (r, &axis) in axes.iter().enumerate() {
@@ -133,7 +139,7 @@ impl Plan {
             }
         }
         let redundant = k < n;
-        let damping = resolve_damping(model, settings, &axes, unit)?;
+        let damping = resolve_damping(model, settings, &axes, unit, surveyed)?;
         if settings.law == Law::Paper && !redundant && settings.null_torque.is_some_and(|torque| torque > 0.0) {
             return Err(Error::config(
                 "null_torque",
@@ -310,12 +316,18 @@ fn check_kp(settings: &Settings, servos: &ServoArrays, model: &Model) -> Result<
     })
 }
 
-fn resolve_damping(model: &Model, settings: &Settings, axes: &[usize], length: f64) -> Result<DampingPlan> {
+fn resolve_damping(
+    model: &Model,
+    settings: &Settings,
+    axes: &[usize],
+    length: f64,
+    surveyed: &mut Surveyed,
+) -> Result<DampingPlan> {
     Ok(match settings.damping {
         Damping::Fixed(lambda) => DampingPlan { lambda_0: lambda, sigma_0: 0.0, lambda_max: 0.0 },
         Damping::Adaptive { lambda_0, sigma_0, lambda_max } => DampingPlan { lambda_0, sigma_0, lambda_max },
         Damping::Auto => {
-            let sigma_0 = 2.0 * survey::median_sigma(model, axes, &settings.task.frame, length);
+            let sigma_0 = 2.0 * surveyed.median_sigma(model, axes, &settings.task.frame, length);
             if sigma_0 < 1e-6 {
                 let names: Vec<&str> = axes.iter().map(|&axis| AXIS_NAMES[axis]).collect();
                 return Err(Error::config(

@@ -2,12 +2,11 @@
 
 use crate::MAX_AXES;
 use crate::error::{Error, Result};
-use crate::kinematics::Masses;
 use crate::model::Model;
 use crate::plan::stiffness::default_stiffness;
 use crate::servos::ServoArrays;
 use crate::settings::{Law, Settings};
-use crate::survey;
+use crate::survey::{self, Surveyed};
 use crate::task::axes::{AXIS_NAMES, Axis, Profile, Yields};
 use crate::task::deviation_limit::DeviationLimit;
 
@@ -52,12 +51,16 @@ pub(super) fn deviation_limits(settings: &Settings, axes: &[usize]) -> Vec<Devia
 }
 
 /// Strengths where nothing is given: soft, firm, hold of translations and rotations.
-fn default_strengths(model: &Model, settings: &Settings, servos: &ServoArrays) -> [[f64; 3]; 2] {
+fn default_strengths(
+    model: &Model,
+    settings: &Settings,
+    servos: &ServoArrays,
+    surveyed: &mut Surveyed,
+) -> [[f64; 3]; 2] {
     match settings.law {
         Law::Paper => [[0.5, 10.0, 10.0]; 2],
         Law::Cap | Law::Impedance => {
-            let masses: Masses = model.chain().masses(model.payload());
-            let capacity = survey::static_capacity(model, &servos.torque, &masses, model.gravity_vector());
+            let capacity = surveyed.static_capacity(model, &servos.torque);
             let of = |shares: [f64; 3], capacity: f64| shares.map(|share| survey::round_to_halves(share * capacity));
             [of([0.12, 0.45, 1.2], capacity[0]), of([0.105, 0.2, 0.53], capacity[1])]
         }
@@ -86,12 +89,13 @@ pub(super) fn resolve_rows(
     servos: &ServoArrays,
     axes: &[usize],
     kp_known: bool,
+    surveyed: &mut Surveyed,
 ) -> Result<[Row; MAX_AXES]> {
     let given = |axis: &Axis| axis.soft.is_some() && axis.firm.is_some() && axis.hold.is_some();
     let defaults = if axes.iter().all(|&axis| given(&settings.axes[axis])) {
         [[0.0; 3]; 2]
     } else {
-        default_strengths(model, settings, servos)
+        default_strengths(model, settings, servos, surveyed)
     };
     check_defaults(settings, axes, &defaults)?;
     let springs = default_stiffness(model, settings, servos);
