@@ -18,6 +18,12 @@ def test_table_measures_and_judges():
     assert printed[-1].endswith("| yes |")
 
 
+def test_a_stiffer_hold_keeps_the_drift_where_friction_is_believed_too_high():
+    rows = [row for row in goals.table("15 N hand, η 0.999") if row.preset == "cap(kx=4.8)"]
+    assert [row.figure for row in rows] == ["force [N]", "drift [mm]"]
+    assert all(row.met for row in rows)  # (7.36 N of 7.5, 3.33 mm of 4.0)
+
+
 def test_drag_and_door_are_tried_at_every_rate_delay_and_belief():
     under = rates.conditions()
     assert len(under) == 12

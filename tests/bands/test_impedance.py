@@ -1,13 +1,15 @@
 """Law `impedance`: springs on the stiff axes, the soft ones free, from goals alone."""
 
+import re
 from functools import partial
 
 import numpy as np
 import pytest
 
-from pliant import Axis, Controller, Settings, robots
+from pliant import Axis, ConfigError, Controller, Settings, robots
 from pliant.experiments import doors, hands, laws
 from pliant.experiments.conditions import Conditions
+from pliant.experiments.setups import VERTICAL
 from pliant.sim import LIGHT, Plant
 
 #: Springs as asked for, whatever the delay: as in the study that the figures in brackets are from.
@@ -123,3 +125,32 @@ def test_well_damped_servos_bear_more_than_their_own_stiffness():
         speeds.append(plant.dq)
     assert controller.gain_factor == 1.0
     assert np.sqrt(np.mean(np.square(speeds[-50:]))) < 0.005  # [rad/s] (.0004)
+
+
+def rings(rate, stiffness, accept=()):
+    """Fastest joint [rad/s] a second and more after a tap, with a tick each way."""
+    controller = Controller(
+        robots.load("arm7"),
+        Settings(law="impedance", rate=rate, delay=2.0 / rate, axes=stiffness, accept=accept),
+    )
+    plant = Plant(robots.load("arm7"), rate=rate, delay=(1, 1))
+    plant.reset(VERTICAL)
+    still, tapped, speeds = plant.tool, plant.tool.copy(), []
+    tapped[0, 3] += 0.02
+    for tick in range(300):
+        command = controller.step(plant.read().q, tapped if 50 < tick < 60 else still)
+        plant.write(command.goal, command.torque_limit)
+        plant.advance()
+        speeds.append(np.abs(plant.dq).max())
+    return max(speeds[-50:])
+
+
+def test_what_is_refused_rings_and_what_is_proposed_instead_does_not():
+    asked_for = {"xyz": Axis(stiffness=800.0), "rpy": Axis(stiffness=20.0)}
+    with pytest.raises(ConfigError, match="a stiffer loop oscillates: use x=") as refused:
+        rings(50.0, asked_for)
+    proposed = re.findall(r"(x|y|z|roll|pitch|yaw)=([\d.]+) N", str(refused.value))
+    assert len(proposed) == 6
+    assert rings(50.0, asked_for, accept=("stiffness",)) > 0.1  # [rad/s] (1.1)
+    nearest = {name: Axis(stiffness=float(value)) for name, value in proposed}
+    assert rings(50.0, nearest) < 0.005  # [rad/s] (.001)
