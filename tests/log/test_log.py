@@ -15,6 +15,7 @@ from pliant.log.reader import arguments
 
 parquet = pytest.importorskip("pyarrow.parquet")
 rosbags = pytest.importorskip("rosbags.highlevel")
+read_ros2_messages = pytest.importorskip("mcap_ros2.reader").read_ros2_messages
 
 START = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]
 
@@ -107,8 +108,14 @@ def test_columns_are_what_the_loop_saw(file):
         log.torques  # noqa: B018
 
 
-def test_a_second_reader_opens_it(file):
+def test_two_other_readers_open_it(file):
     log = read(file)
+    by_topic = {"/joint_states": [], "/command/joint_states": []}
+    for message in read_ros2_messages(file, topics=list(by_topic)):
+        by_topic[message.channel.topic].append(message.ros_msg)
+    np.testing.assert_array_equal([m.position for m in by_topic["/joint_states"]], log.q)
+    limits = [m.effort for m in by_topic["/command/joint_states"]]
+    np.testing.assert_array_equal(limits, log.torque_limit)
     with rosbags.AnyReader([file]) as reader:
         topics = {connection.topic: connection for connection in reader.connections}
         assert {"/joint_states", "/command/joint_states", "/tcp/actual", "/tcp/target"} <= set(

@@ -141,8 +141,8 @@ def test_trim_smooth_and_interpolate():
     ("change", "words"),
     [
         ({"joints": NAMES[:4]}, "4 joints"),
-        ({"time": np.zeros(101)}, "rise"),
-        ({"q": np.full((101, 5), np.nan)}, "finite"),
+        ({"time": np.zeros(101)}, "rise: sample 2 is at 0 s"),
+        ({"q": np.full((101, 5), np.nan)}, "shoulder_pan of sample 1 of 101 is nan"),
         ({"extra": {"gripper": [0.0]}}, "as many"),
     ],
 )
@@ -164,6 +164,57 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
         teacher = Teacher(arm)
         with pytest.raises(pliant.ConfigError, match="swings"):
             teacher.start()
+
+
+def test_an_arm_whose_joints_have_the_same_names_is_told_apart_by_its_tool(tmp_path):
+    wave().of(MODEL).save(tmp_path / "m.json")
+    loaded = Motion.load(tmp_path / "m.json")
+    loaded.fits(MODEL)
+    with pytest.raises(pliant.ConfigError, match=r"another arm's.* koch_like"):
+        loaded.fits(pliant.robots.koch())
+    wave().fits(pliant.robots.koch())  # nobody has said where the tool was
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("m.json", "{", "m.json is no motion file: Expecting"),
+        (
+            "m.json",
+            '{"format": "pliant motion 1"}',
+            "m.json is no motion file: it has no 'samples'",
+        ),
+        ("m.mcap", "junk", "m.mcap is no log of pliant: it does not begin as MCAP does"),
+        ("m.mcap", "\x89MCAP0\r\n", "m.mcap is no log of pliant: it ends before"),
+    ],
+)
+def test_a_broken_file_is_named_with_what_is_wrong(tmp_path, capsys, name, text, words):
+    pytest.importorskip("mcap")
+    (tmp_path / name).write_bytes(text.encode("latin-1"))
+    assert main(["replay", "so101", str(tmp_path / name), "--backend", "sim"]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_missing_file_is_named_with_those_that_are_there(tmp_path, capsys):
+    wave().save(tmp_path / "wave.json")
+    assert main(["replay", "so101", str(tmp_path / "wav.json"), "--backend", "sim"]) == 2
+    assert "wav.json; there are wave.json" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--soft", "y=-2"], "--soft y=-2: a cap is a number from 0 up"),
+        (["--soft", "y=nan"], "got nan"),
+        (["--stop", "0.1"], "stop: touch.x [N] = 0.1 is outside"),
+        (["--speed", "50"], "speed must be in [0.05, 3]"),
+    ],
+)
+def test_bad_flags_of_replay_are_named(tmp_path, capsys, flags, words):
+    wave().save(tmp_path / "wave.json")
+    file = str(tmp_path / "wave.json")
+    assert main(["replay", "so101", file, "--backend", "sim", *flags]) == 2
+    assert words in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("backend", ["sim", "emulator"])

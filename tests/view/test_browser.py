@@ -21,6 +21,7 @@ import pytest
 import pliant
 from pliant.experiments.setups import VERTICAL
 from pliant.sim import Plant
+from pliant.view.world import FOV, GIZMO, overlook
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 if BROWSER is None:
@@ -46,6 +47,13 @@ SIZE = {"width": 1060, "height": 560}
 PATIENCE = 60.0
 #: Directions in base axes.
 LEFT, UP = np.eye(3)[1:]
+
+
+def standing():
+    """The arm as the page first shows it."""
+    plant = Plant(pliant.robots.arm7())
+    plant.reset(VERTICAL)
+    return plant
 
 
 class View:
@@ -134,16 +142,15 @@ class Tab:
 
     def pixel(self, point):
         """Where a point (3,) [m] of the scene is drawn by the first camera."""
-        home = np.array((0.38, 0.0, -0.28))
-        reach, middle = np.linalg.norm(home), 0.55 * home
-        eye = middle + reach * np.array((1.25, -1.75, 0.95))
+        plant = standing()
+        middle, eye = overlook(plant.mj_model, plant.mj_data, plant.tool[:3, 3], GIZMO)
         ahead = (middle - eye) / np.linalg.norm(middle - eye)
         right = np.cross(ahead, (0.0, 0.0, 1.0))
         right /= np.linalg.norm(right)
         up = np.cross(right, ahead)
         rel = np.asarray(point) - eye
         left, top, width, height = self.canvas()
-        scale = 0.5 * height / np.tan(0.5 * 0.75) / (ahead @ rel)
+        scale = 0.5 * height / np.tan(0.5 * FOV) / (ahead @ rel)
         return left + 0.5 * width + scale * (right @ rel), top + 0.5 * height - scale * (up @ rel)
 
     def drag(self, start, end, *, release=True):
@@ -220,8 +227,7 @@ def test_gizmo_drag_moves_target_and_arm(tab):
 
 @pytest.mark.full
 def test_arm_can_be_dragged_and_is_let_go(tab):
-    plant = Plant(pliant.robots.arm7())
-    plant.reset(VERTICAL)
+    plant = standing()
     names = ("elbow_pitch", "wrist_yaw")
     forearm = np.mean([plant.mj_data.joint(name).xanchor for name in names], axis=0)
     before = tab.place("tool")

@@ -6,6 +6,7 @@ import difflib
 import os
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pliant
@@ -13,6 +14,8 @@ import pliant
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+#: Files that are named in place of one that is not there.
+SHOWN = 8
 #: Module and summary of each command; the module has a function `run` whose arguments are the
 #: flags.
 COMMANDS = {
@@ -80,6 +83,8 @@ def _run(given: list[str]) -> int:
         )
     except BrokenPipeError:
         raise
+    except FileNotFoundError as error:
+        return _explain(_not_there(error))
     except (pliant.PliantError, OSError, ImportError) as error:
         return _explain(str(error))
     except SystemExit as stop:
@@ -106,6 +111,18 @@ def usage() -> str:
             "version.",
         )
     )
+
+
+def _not_there(error: FileNotFoundError) -> str:
+    """The missing file, and those of its kind that are there instead."""
+    if error.filename is None:
+        return str(error)
+    path = Path(os.fsdecode(error.filename))
+    if not path.absolute().parent.is_dir():
+        return f"there is no folder {path.absolute().parent} for {path.name}"
+    there = sorted(other.name for other in path.absolute().parent.glob(f"*{path.suffix}"))[:SHOWN]
+    hint = f"; there are {', '.join(there)}" if path.suffix and there else ""
+    return f"there is no file {path}{hint}"
 
 
 def _explain(message: str) -> int:

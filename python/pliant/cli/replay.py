@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -124,6 +125,8 @@ def softened(settings: pliant.Settings, soft: str) -> pliant.Settings:
             raise pliant.ConfigError(
                 f"--soft takes axis or axis=newtons, e.g. 'y=2 z=5', got {word!r}"
             ) from None
+        if cap is not None and not 0.0 <= cap < math.inf:
+            raise pliant.ConfigError(f"--soft {word}: a cap is a number from 0 up, got {cap:g}")
         axes[name] = (
             pliant.Axis(yields="both") if cap is None else pliant.Axis(soft=cap, profile="constant")
         )

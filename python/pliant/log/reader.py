@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+#: First bytes of an MCAP file.
+MAGIC = b"\x89MCAP0\r\n"
+
 
 @dataclass
 class Log:
@@ -121,7 +124,12 @@ def read(path: str | Path) -> Log:
                     whole = True
         except (McapError, StructError, EOFError, ValueError) as error:
             if run is None:
-                raise ConfigError(f"{path} is no log of pliant: {error}") from error
+                stream.seek(0)
+                mcap = stream.read(len(MAGIC)) == MAGIC
+                why = (
+                    "it ends before its first record" if mcap else "it does not begin as MCAP does"
+                )
+                raise ConfigError(f"{path} is no log of pliant: {why}") from error
     if run is None:
         raise ConfigError(f"{path} is no log of pliant: it has no attachment {layout.RUN!r}")
     if run["version"] != layout.VERSION:

@@ -27,6 +27,8 @@ RATE, DIGITS = 50.0, 5
 #: A joint within this of where it was first or last is still there [rad]; how much of the still
 #: ends is kept [s].
 STILL, KEEP = 0.02, 0.2
+#: Distance of the tool from where it was taught at which an arm is another one [m].
+ELSEWHERE = 0.03
 #: Samples of a motion that is none.
 LEAST = 2
 
@@ -41,6 +43,8 @@ class Motion:
         q: (N, n) [rad].
         extra: Positions (N,) of joints beside the chain, such as a gripper, by name [rad].
         note: A line of the user's.
+        start: Where the tool was at the first sample [m], base axes, as the arm's model had it; by
+            this another arm with joints of the same names is told apart. None: not known.
 
     Raises:
         ConfigError: Shapes, times or numbers do not go together.
@@ -51,6 +55,7 @@ class Motion:
     q: Array
     extra: Mapping[str, Array] = field(default_factory=dict)
     note: str = ""
+    start: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check once; what is wrong must be known before an arm moves."""
@@ -64,10 +69,19 @@ class Motion:
             )
         if any(row.shape != time.shape for row in extra.values()):
             raise ConfigError("a motion needs as many positions of each joint beside the chain")
-        if not all(np.isfinite(part).all() for part in (time, q, *extra.values())):
-            raise ConfigError("a motion has a number that is not finite")
+        columns = {"time": time, **dict(zip(self.joints, q.T, strict=True)), **extra}
+        for name, column in columns.items():
+            if not np.isfinite(column).all():
+                at = int(np.flatnonzero(~np.isfinite(column))[0])
+                raise ConfigError(
+                    f"{name} of sample {at + 1} of {time.size} is {column[at]}, not a finite number"
+                )
         if not (np.diff(time) > 0.0).all():
-            raise ConfigError("the times of a motion must rise")
+            at = int(np.flatnonzero(np.diff(time) <= 0.0)[0])
+            raise ConfigError(
+                f"the times of a motion must rise: sample {at + 2} is at {time[at + 1]:g} s, the "
+                f"one before it at {time[at]:g} s"
+            )
         parts = {"joints": tuple(self.joints), "time": time - time[0], "q": q, "extra": extra}
         for name, value in parts.items():
             object.__setattr__(self, name, value)
@@ -108,7 +122,8 @@ class Motion:
         """Check that an arm can do it.
 
         Raises:
-            ConfigError: Other joints, or positions beyond its limits.
+            ConfigError: Other joints, positions beyond its limits, or a tool that would be
+                elsewhere than it was.
         """
         if self.joints != tuple(model.joint_names):
             raise ConfigError(
@@ -122,6 +137,23 @@ class Motion:
             raise ConfigError(
                 f"the motion takes {self.joints[worst]} {beyond[worst]:.3f} rad beyond its limits"
             )
+
+        if self.start is not None:
+            tool = model.forward_kinematics(np.clip(self.q[0], model.lower, model.upper))[:3, 3]
+            off = float(np.linalg.norm(tool - self.start))
+            if off > ELSEWHERE:
+                raise ConfigError(
+                    f"the motion is another arm's: its tool began at {_place(self.start)}, that of "
+                    f"{model.name} is at {_place(tool)} with the same joint positions, {off:.3f} m "
+                    f"away where {ELSEWHERE:g} are allowed; give the URDF it was taught with, or "
+                    'take "start" out of the file'
+                )
+
+    def of(self, model: Model) -> Motion:
+        """The same, with the place where the tool of this model begins."""
+        q = np.clip(self.q[0], model.lower, model.upper)
+        x, y, z = model.forward_kinematics(q)[:3, 3].tolist()
+        return replace(self, start=(x, y, z))
 
     def trimmed(self, still: float = STILL, keep: float = KEEP) -> Motion:
         """Without the rest before the first and after the last motion beyond `still` [rad].
@@ -167,7 +199,7 @@ class Motion:
 
     def _of(self, chosen: NDArray[np.bool_]) -> Motion:
         extra = {name: row[chosen] for name, row in self.extra.items()}
-        return replace(self, time=self.time[chosen], q=self.q[chosen], extra=extra)
+        return replace(self, time=self.time[chosen], q=self.q[chosen], extra=extra, start=None)
 
     def save(self, path: str | Path) -> None:
         """Write JSON: one sample a line, so that two versions can be compared."""
@@ -177,6 +209,7 @@ class Motion:
             "joints": list(self.joints),
             "extra": list(self.extra),
             "note": self.note,
+            **({} if self.start is None else {"start": [round(x, DIGITS) for x in self.start]}),
             "columns": "time [s], joints [rad], extra [rad]",
         }
         samples = ",\n  ".join(json.dumps([round(x, DIGITS) for x in row]) for row in rows.tolist())
@@ -197,7 +230,8 @@ class Motion:
 
             log = read(path)
             extra = dict(zip(log.run["extra"], log.extra.T, strict=True))
-            return cls(tuple(log.run["joints"]), log.time, log.q, extra, log.run["note"])
+            made = cls(tuple(log.run["joints"]), log.time, log.q, extra, log.run["note"])
+            return made.of(log.model())
         try:
             data: Any = json.loads(path.read_text(encoding="utf-8"))
             if data["format"] != FORMAT:
@@ -208,8 +242,18 @@ class Motion:
             if rows.ndim != 2 or rows.shape[1] != 1 + n + len(names):
                 raise ConfigError(f"a sample needs a time, {n} joints and {len(names)} extra")
             beside = dict(zip(names, rows[:, 1 + n :].T, strict=True))
-            return cls(joints, rows[:, 0], rows[:, 1 : 1 + n], beside, str(data.get("note", "")))
-        except (ValueError, TypeError, KeyError) as error:
-            raise ConfigError(f"{path} is no motion file: {error!r}") from error
+            note, start = str(data.get("note", "")), data.get("start")
+            if start is not None:
+                x, y, z = map(float, start)
+                start = x, y, z
+            return cls(joints, rows[:, 0], rows[:, 1 : 1 + n], beside, note, start)
+        except KeyError as error:
+            raise ConfigError(f"{path} is no motion file: it has no {error}") from error
+        except (ValueError, TypeError) as error:
+            raise ConfigError(f"{path} is no motion file: {error}") from error
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error
+
+
+def _place(point: Any) -> str:
+    return "(" + ", ".join(f"{x:.3f}" for x in point) + ") m"

@@ -85,7 +85,11 @@ class Replay:
         if stop is not None:
             axes = "".join(name for name in names if name in "xyz")
             inner = getattr(controller, "inner", controller)
-            self._contact = pliant.Contact(inner, touch={axes: stop}, min_time=LASTING)
+            try:
+                self._contact = pliant.Contact(inner, touch={axes: stop}, min_time=LASTING)
+            except LimitError as error:
+                # The core speaks of what it was given, `touch` by axis.
+                raise LimitError(f"stop: {error}") from error
         self.time, self.pace, self.waited, self.stops = 0.0, 1.0, 0.0, 0
         self._offset: Array | None = None
         self._left = self._way = 0.0

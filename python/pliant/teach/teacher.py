@@ -176,6 +176,6 @@ def teach(
             break
         if late > wait and not teacher.moved:
             raise ConfigError(f"nobody led the arm within {wait:g} s")
-    motion = teacher.stop().trimmed().smoothed()
+    motion = teacher.stop().trimmed().smoothed().of(arm.model)
     tell(f"kept {motion.duration:.1f} s")
     return motion

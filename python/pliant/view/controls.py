@@ -142,7 +142,8 @@ class Controls:
             most = strong[turning]
             self.force.label, self.force.step = label, 10.0 ** np.floor(np.log10(most / 40.0))
             self.force.max = float(np.round(most, 3))
-            self.force.value = float(np.round(FIRST * most, 3))
+            force: Any = self.force
+            force.value = float(np.round(FIRST * most, 3))
 
     def _pushing(self, seconds: float) -> orders.Push:
         side = self.side.value

@@ -118,7 +118,9 @@ class Desk:
                     axes[name] = pliant.Axis(
                         **{**fields_of(axis), **bare, "yields": yields_of(axis)}
                     )
-                self.settings = self.settings.replace(law=law, axes=axes)  # type: ignore[arg-type]
+                # A word from a page: another than the three is what the core refuses.
+                known = cast("Literal['cap', 'impedance', 'paper']", law)
+                self.settings = self.settings.replace(law=known, axes=axes)
             case orders.Change(axis=name, fields=fields):
                 strengths: dict[str, pliant.Axis] = {n: a for n, a in controller.strengths.items()}
                 if name not in strengths:

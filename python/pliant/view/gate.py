@@ -97,7 +97,8 @@ class Gate:
 
             return inner(*args, process_request=ask, **more)
 
-        websockets.asyncio.server.serve = serve  # type: ignore[assignment,misc]
+        # A class of that name, of which viser uses the call alone: a function will do.
+        vars(websockets.asyncio.server)["serve"] = serve
 
 
 def is_loopback(host: str) -> bool:

@@ -179,6 +179,7 @@ class Session:
             home=self.home,
             strong=push,
             force=max(linear, default=0.0),
+            reach=arm.model.reach,
         )
         self._link.send(stage)
         return controller

@@ -36,6 +36,7 @@ class Stage:
         home: First pose of the tool (4, 4).
         strong: Force [N] and torque [N·m] that fill the push sliders; None: nobody can push.
         force: Force [N] that the longest arrow stands for.
+        reach: Of the arm [m].
     """
 
     figure: Any
@@ -53,6 +54,7 @@ class Stage:
     home: Array
     strong: tuple[float, float] | None
     force: float
+    reach: float
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,8 +23,11 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Tell = Callable[[orders.Order], None]
 
-#: Length of an arrow that stands for the largest push [m].
-LONGEST = 0.25
+#: Reach of an arm [m] for which lengths are given here; those of smaller ones shrink with them.
+REACH = 0.71
+#: Length of an arrow that stands for the largest push, thickness of its shaft and head, length of
+#: its head [m].
+LONGEST, SHAFT, HEAD, POINT = 0.25, 0.006, 0.016, 0.035
 #: Colours: the hand's arrow, the line from tool to target, walls.
 HAND, LEASH, WALL, POST = (235, 87, 60), (46, 125, 220), (150, 165, 180), (205, 211, 219)
 #: Links, as shares of red, green, blue; drums of joints with no torque and with all of it; a change
@@ -35,6 +38,8 @@ COOL, WARM, NOTICED = (52, 62, 78), (255, 106, 19), 6
 EXTENT = 0.5
 #: Size of the arrows at the target, as drawn [m].
 GIZMO = 0.16
+#: Least share to which lengths shrink.
+SMALLEST = 0.3
 #: Angle of view from top to bottom [rad], least width over height of what the panels leave of the
 #: window, and where the eye is from the middle of the arm.
 FOV, ASPECT = 0.75, 0.75
@@ -53,6 +58,7 @@ class World:
     def __init__(self, server: viser.ViserServer, stage: Stage, tell: Tell) -> None:
         """Draw the stage; whoever drags something in it tells the arm."""
         self._server, self._tell, self._stage = server, tell, stage
+        size = self._size = float(np.clip(stage.reach / REACH, SMALLEST, 1.0))
         scene = server.scene
         scene.reset()
         scene.set_up_direction("+z")
@@ -66,16 +72,20 @@ class World:
         _ground(scene, stage)
         self._data.qpos[:] = stage.start
         mujoco.mj_kinematics(stage.figure, self._data)
-        _camera(server, stage, self._data)
+        camera = server.initial_camera
+        camera.look_at, camera.position = overlook(
+            stage.figure, self._data, stage.home[:3, 3], GIZMO * size
+        )
+        camera.fov = FOV
         for number, (point, into) in enumerate(stage.walls):
             _wall(scene, f"/walls/{number}", point, into)
         self._arrow = scene.add_arrows(
             "/hand",
             np.zeros((1, 2, 3)),
             HAND,
-            shaft_radius=0.006,
-            head_radius=0.016,
-            head_length=0.035,
+            shaft_radius=SHAFT * size,
+            head_radius=HEAD * size,
+            head_length=POINT * size,
             visible=False,
         )
         self._leash = scene.add_line_segments(
@@ -89,7 +99,7 @@ class World:
         self._dragging = False
         self.gizmo = scene.add_transform_controls(
             "/target",
-            scale=GIZMO,
+            scale=GIZMO * size,
             line_width=3.0,
             disable_sliders=True,
             disable_rotations=not {"roll", "pitch", "yaw"} & set(stage.axes),
@@ -125,7 +135,7 @@ class World:
         shown = False
         if now.pull is not None:
             point, force = now.pull
-            way = force * (LONGEST / max(self._stage.force, 1e-9))
+            way = force * (self._size * LONGEST / max(self._stage.force, 1e-9))
             shown = bool(np.linalg.norm(way) > 0.004)
             if shown:
                 # Its head is at the point of attack: a hand pushes.
@@ -230,23 +240,21 @@ def _ground(scene: viser.SceneApi, stage: Stage) -> None:
         )
 
 
-def _camera(server: viser.ViserServer, stage: Stage, data: mujoco.MjData) -> None:
-    """From the front and the side, at a distance from which the whole arm is seen.
+def overlook(
+    figure: mujoco.MjModel, data: mujoco.MjData, tool: Array, room: float
+) -> tuple[Array, Array]:
+    """Where to look (3,), and from where (3,) [m]: front and side, so far that all is seen.
 
-    The data are those of its first posture. What is looked at is the sphere around its links and
-    the arrows at the tool.
+    All is the sphere around the links, as the data have them, and `room` [m] around the tool (3,).
     """
-    figure = stage.figure
     arm = [figure.body(int(b)).name.startswith("body:") for b in figure.geom_bodyid]
-    points = np.vstack((data.geom_xpos[arm], stage.home[:3, 3]))
-    sizes = np.append(figure.geom_rbound[arm], GIZMO)
+    points = np.vstack((data.geom_xpos[arm], tool))
+    sizes = np.append(figure.geom_rbound[arm], room)
     middle = 0.5 * ((points - sizes[:, None]).min(axis=0) + (points + sizes[:, None]).max(axis=0))
     around = float((np.linalg.norm(points - middle, axis=1) + sizes).max())
     # Panels leave less of the width than of the height.
     half = np.arctan(np.tan(0.5 * FOV) * ASPECT)
-    server.initial_camera.look_at = tuple(middle)
-    server.initial_camera.position = tuple(middle + around / np.sin(half) * SIDE)
-    server.initial_camera.fov = FOV
+    return middle, middle + around / np.sin(half) * SIDE
 
 
 def _wall(scene: viser.SceneApi, name: str, point: Array, into: Array) -> None:
