@@ -15,7 +15,7 @@ use crate::law::feedforward::Filtered;
 use crate::law::inverse::{axes, rows_array, transpose_times};
 use crate::law::singular::SingularValues;
 use crate::model::Chain;
-use crate::number::{Arithmetic, Kernel, LANES, Lanes, Machine, Pair, Wide};
+use crate::number::{Arithmetic, EveryJoint, Kernel, LANES, Lanes, Machine, Wide};
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::{Law, LimitRule, Settings};
@@ -130,11 +130,17 @@ impl Kernel for Cycle<'_> {
 
     #[inline(always)]
     fn run<M: Machine>(mut self) -> bool {
-        if self.plan.n <= LANES { self.tick::<M::Eight>() } else { self.tick::<Pair<M::Eight>>() }
+        if self.plan.n <= LANES { self.tick::<M::Eight>() } else { self.tick_of_many() }
     }
 }
 
 impl Cycle<'_> {
+    /// [`Cycle::tick`] of an arm with more joints than one has lanes, the same for all instructions.
+    #[inline(never)]
+    fn tick_of_many(&mut self) -> bool {
+        self.tick::<EveryJoint>()
+    }
+
     /// Lines 1 to 12.
     #[inline(always)]
     fn tick<J: Lanes>(&mut self) -> bool {

@@ -5,13 +5,14 @@
 
 use crate::command::goal::scale_to_fit;
 use crate::law::cap::Demand;
-use crate::law::inverse::{axes, load_rows, pseudo_inverse, transpose_times, weighted_gram, wide};
+use crate::law::inverse::{Factor, axes, damped, load_rows, transpose_times, weighted_gram, wide};
 use crate::number::{Arithmetic, EveryJoint, Lanes};
 use crate::plan::Plan;
 use crate::settings::{Follow, Law};
 use crate::{AxisVec, JointVec, MAX_JOINTS, Rows};
 
 type Axes = <EveryJoint as Lanes>::Axes;
+type One = <EveryJoint as Lanes>::One;
 
 /// The motion that locked joints leave to the others.
 #[derive(Debug, Clone, Copy)]
@@ -46,8 +47,10 @@ impl Takeover<'_> {
         let squared = plan.damping_scale.map(|scale| scale * plan.takeover_damping);
         let compliance = EveryJoint::load(&plan.servos.compliance);
         let (mut lead, mut wrench) = if plan.law == Law::Paper && plan.follow == Follow::Hold {
-            let pinv = pseudo_inverse(self.rows, &plan.joint_weight, &squared);
-            (transpose_times(&load_rows::<EveryJoint>(&pinv), self.lost), Axes::splat(0.0))
+            // The damped pseudo-inverse of (3), of which one product is wanted and not the whole.
+            let (rows, weight) = (load_rows(self.rows), EveryJoint::load(&plan.joint_weight));
+            let factor = Factor::new::<One>(&damped(weighted_gram(&rows, weight), &squared));
+            (weight * transpose_times(&rows, &factor.solve::<One>(self.lost)), Axes::splat(0.0))
         } else {
             let rows = load_rows(self.rows);
             let demand = Demand {

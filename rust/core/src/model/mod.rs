@@ -8,7 +8,7 @@ use std::path::Path;
 
 mod bodies;
 mod chain;
-mod guards;
+mod elements;
 mod names;
 mod options;
 mod parts;
@@ -82,7 +82,7 @@ impl Model {
             payload.validate()?;
         }
         let source = Source::new(name, text);
-        let mut tree = Tree::build(&source, urdf::read(&source, text)?)?;
+        let mut tree = Tree::build(&source, urdf::read(&source)?)?;
         override_limits(&mut tree, &options.limits)?;
         let base = options.base.as_deref().map_or(Ok(tree.root), |name| tree.frame(name))?;
         let tip = match &options.tip {

@@ -17,13 +17,17 @@ pub(super) fn some<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String 
 
 /// Names of some things, those first that look like `wanted`.
 pub(super) fn listed<T>(things: &[T], name: impl Fn(&T) -> &String, wanted: &str) -> String {
-    let mut names: Vec<&str> = things.iter().map(|thing| name(thing).as_str()).collect();
+    some(likeliest(things.iter().map(|thing| name(thing).as_str()).collect(), wanted).into_iter())
+}
+
+/// Those names first that look like `wanted`.
+pub(super) fn likeliest<'a>(mut names: Vec<&'a str>, wanted: &str) -> Vec<&'a str> {
     names.sort_by_key(|candidate| distance(candidate, wanted));
-    some(names.into_iter())
+    names
 }
 
 /// Letters to insert, remove or exchange between two names (Levenshtein), on their first hundred characters.
-pub(super) fn distance(a: &str, b: &str) -> usize {
+fn distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().take(100).collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();
     for (i, x) in a.chars().take(100).enumerate() {

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::names::{SHOWN, distance, listed, some};
+use super::names::{SHOWN, likeliest, listed, some};
 use super::parts::{Joint, Link, Mimic};
 use super::text::Source;
 use super::urdf::Robot;
@@ -196,10 +196,9 @@ impl Tree {
     /// Index of a link by name.
     pub(super) fn frame(&self, name: &str) -> Result<usize> {
         self.links.iter().position(|link| link.name == name).ok_or_else(|| {
-            let mut available: Vec<String> = self.links.iter().map(|link| link.name.clone()).collect();
             // The likeliest slip first, at most a screenful.
-            available.sort_by_key(|candidate| distance(candidate, name));
-            available.truncate(SHOWN);
+            let available = likeliest(self.links.iter().map(|link| link.name.as_str()).collect(), name);
+            let available = available.into_iter().take(SHOWN).map(str::to_owned).collect();
             Error::FrameNotFound { frame: name.to_owned(), available }
         })
     }

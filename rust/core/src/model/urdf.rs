@@ -1,11 +1,13 @@
-//! URDF text → links and joints. The only file that knows the reader.
+//! URDF text → links and joints as the file says them.
 
-use nalgebra::{Quaternion, Rotation3, UnitQuaternion};
+use std::collections::HashMap;
 
-use super::guards::{Checked, JointFacts, LinkFacts};
+use roxmltree::Node;
+
+use super::elements::Reader;
 use super::parts::{Inertial, JointKind};
-use super::text::{Source, shortened};
-use crate::error::{Error, Position, Result};
+use super::text::{MAX_LINKS, Source};
+use crate::error::{Position, Result};
 use crate::pose::Pose;
 
 /// A robot as the file says it, names not yet resolved.
@@ -44,96 +46,45 @@ pub(super) struct RawJoint {
 }
 
 /// Checks a text and reads it.
-pub(super) fn read(source: &Source, text: &str) -> Result<Robot> {
-    let checked = super::guards::check(source, text)?;
-    let robot = urdf_rs::read_from_string(&checked.text).map_err(|error| {
-        source
-            .error(Position(None), format!("the URDF reader refuses this file: {}", shortened(&error.to_string(), 300)))
-    })?;
-    same_names(source, &checked, &robot)?;
-    Ok(Robot {
-        name: robot.name,
-        links: robot.links.into_iter().zip(checked.links).map(|(link, facts)| raw_link(&link, facts)).collect(),
-        joints: robot.joints.into_iter().zip(checked.joints).map(|(joint, facts)| raw_joint(joint, facts)).collect(),
-    })
-}
-
-/// The two XML readers must have seen the same things in the same order, or facts would go to the wrong joint.
-fn same_names(source: &Source, checked: &Checked, robot: &urdf_rs::Robot) -> Result<()> {
-    let differ = |what: &str, at: Position, name: &str| -> Error {
-        source.error(
-            at,
-            format!("{what} '{name}' is read differently by two XML readers; use plain characters in its name"),
-        )
-    };
-    for (i, facts) in checked.links.iter().enumerate() {
-        if robot.links.get(i).is_none_or(|link| link.name != facts.name) {
-            return Err(differ("link", facts.at, &facts.name));
+pub(super) fn read(source: &Source) -> Result<Robot> {
+    let document = source.parse()?;
+    let root = document.root_element();
+    let reader = Reader { source, quaternions: quaternions_allowed(root) };
+    let (mut links, mut joints) = (Vec::new(), Vec::new());
+    for child in reader.children(root, &["link", "joint"]) {
+        let (what, count) =
+            if child.tag_name().name() == "link" { ("links", links.len()) } else { ("joints", joints.len()) };
+        if count == MAX_LINKS {
+            return Err(source.error_at(child, format!("more than {MAX_LINKS} {what}")));
+        }
+        if what == "links" {
+            links.push(reader.link(child)?);
+        } else {
+            joints.push(reader.joint(child)?);
         }
     }
-    for (i, facts) in checked.joints.iter().enumerate() {
-        if robot.joints.get(i).is_none_or(|joint| joint.name != facts.name) {
-            return Err(differ("joint", facts.at, &facts.name));
+    unique(source, "link", links.iter().map(|l| (l.name.as_str(), l.at)))?;
+    unique(source, "joint", joints.iter().map(|j| (j.name.as_str(), j.at)))?;
+    if links.is_empty() {
+        return Err(source.error_at(root, "the robot has no links"));
+    }
+    Ok(Robot { name: root.attribute("name").unwrap_or_default().to_owned(), links, joints })
+}
+
+/// URDF 1.1 brought `quat_xyzw`; a file that names no version, or only "1", is 1.0.
+fn quaternions_allowed(root: Node) -> bool {
+    let version = root.attribute("version").and_then(|v| v.trim().split_once('.'));
+    let number = version.and_then(|(major, minor)| Some((major.parse::<u32>().ok()?, minor.parse::<u32>().ok()?)));
+    number.is_some_and(|number| number >= (1, 1))
+}
+
+fn unique<'a>(source: &Source, what: &str, names: impl Iterator<Item = (&'a str, Position)>) -> Result<()> {
+    let mut seen: HashMap<&str, Position> = HashMap::new();
+    for (name, at) in names {
+        if let Some(Position(first)) = seen.insert(name, at) {
+            let line = first.map_or(String::new(), |(line, _)| format!(", first in line {line}"));
+            return Err(source.error(at, format!("two {what}s are named '{name}'{line}; names must be unique")));
         }
     }
     Ok(())
-}
-
-fn raw_link(link: &urdf_rs::Link, facts: LinkFacts) -> RawLink {
-    let inertial = facts.inertial.then(|| {
-        let i = &link.inertial.inertia;
-        let origin = pose(&link.inertial.origin, facts.quaternion);
-        Inertial {
-            mass: link.inertial.mass.value,
-            com: origin.position,
-            rotation: origin.rotation,
-            inertia: [[i.ixx, i.ixy, i.ixz], [i.ixy, i.iyy, i.iyz], [i.ixz, i.iyz, i.izz]],
-        }
-    });
-    RawLink { name: facts.name, at: facts.at, inertial }
-}
-
-fn raw_joint(joint: urdf_rs::Joint, facts: JointFacts) -> RawJoint {
-    let kind = match joint.joint_type {
-        urdf_rs::JointType::Revolute => JointKind::Revolute,
-        urdf_rs::JointType::Continuous => JointKind::Continuous,
-        urdf_rs::JointType::Prismatic => JointKind::Prismatic,
-        urdf_rs::JointType::Fixed => JointKind::Fixed,
-        _ => JointKind::Other,
-    };
-    // 0, negative and infinite all mean that nobody filled it in.
-    let positive = |value: f64| (value > 0.0 && value.is_finite()).then_some(value);
-    let continuous = kind == JointKind::Continuous;
-    RawJoint {
-        name: facts.name,
-        at: facts.at,
-        kind,
-        type_name: facts.type_name,
-        parent: joint.parent.link,
-        child: joint.child.link,
-        origin: pose(&joint.origin, facts.quaternion),
-        axis: if kind.is_actuated() { unit(joint.axis.xyz.0) } else { [0.0, 0.0, 1.0] },
-        lower: facts.lower.filter(|_| !continuous),
-        upper: facts.upper.filter(|_| !continuous),
-        velocity: positive(joint.limit.velocity),
-        effort: positive(joint.limit.effort),
-        damping: facts.damping,
-        friction: facts.friction,
-        mimic: joint.mimic.map(|m| (m.joint, m.multiplier.unwrap_or(1.0), m.offset.unwrap_or(0.0))),
-    }
-}
-
-/// The guards have seen that the length is not near 0.
-fn unit(axis: [f64; 3]) -> [f64; 3] {
-    let length = axis[0].hypot(axis[1]).hypot(axis[2]);
-    axis.map(|x| x / length)
-}
-
-/// The quaternion is used directly: the reader's detour over roll, pitch, yaw snaps near ±90° of pitch.
-fn pose(origin: &urdf_rs::Pose, quaternion: Option<[f64; 4]>) -> Pose {
-    let rotation = match quaternion {
-        Some([x, y, z, w]) => UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)).to_rotation_matrix(),
-        None => Rotation3::from_euler_angles(origin.rpy[0], origin.rpy[1], origin.rpy[2]),
-    };
-    Pose { rotation: [0, 1, 2].map(|i| [0, 1, 2].map(|j| rotation[(i, j)])), position: origin.xyz.0 }
 }

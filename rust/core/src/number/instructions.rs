@@ -1,13 +1,16 @@
 //! Which instructions the processor at hand has, and the way into code that uses them.
-#![expect(unsafe_code, reason = "code compiled for an instruction set is entered only where the processor has it")]
+#![cfg_attr(
+    target_arch = "x86_64",
+    expect(unsafe_code, reason = "code compiled for an instruction set is entered only where the processor has it")
+)]
 
 use std::fmt;
 use std::sync::OnceLock;
 
 #[cfg(not(target_arch = "x86_64"))]
-use super::Array as PlainEight;
+pub(super) use super::Array as PlainEight;
 #[cfg(target_arch = "x86_64")]
-use super::Sse2 as PlainEight;
+pub(super) use super::Sse2 as PlainEight;
 use super::{Arithmetic, Plain, Wide};
 #[cfg(target_arch = "x86_64")]
 use super::{Avx2, Avx512, Fused};
@@ -31,9 +34,6 @@ pub(crate) trait Kernel {
     /// Does the work with the numbers of one machine.
     fn run<M: Machine>(self) -> Self::Output;
 }
-
-/// One number per joint of any arm, on any processor: for what is compiled once.
-pub(crate) type EveryJoint = super::Pair<PlainEight>;
 
 /// Any processor of the architecture.
 pub(crate) struct Baseline;

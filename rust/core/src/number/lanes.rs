@@ -1,4 +1,4 @@
-//! Several numbers at once: eight in an array for any architecture, and one per joint of an arm.
+//! Several numbers at once: one per joint of an arm, and eight in an array for any architecture.
 #![forbid(unsafe_code)]
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -87,85 +87,6 @@ impl<W: Wide> Lanes for W {
     }
 }
 
-/// Sixteen numbers: of arms with more joints than one has lanes.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Pair<W>(W, W);
-
-impl<W: Wide> Lanes for Pair<W> {
-    type One = W::One;
-    type Axes = W;
-
-    #[inline(always)]
-    fn load(values: &JointVec) -> Self {
-        let (first, second) = (values.first_chunk(), values.last_chunk());
-        Self(first.map_or(W::splat(0.0), W::of), second.map_or(W::splat(0.0), W::of))
-    }
-
-    #[inline(always)]
-    fn store(self, values: &mut JointVec) {
-        if let Some(first) = values.first_chunk_mut() {
-            W::put(self.0, first);
-        }
-        if let Some(second) = values.last_chunk_mut() {
-            W::put(self.1, second);
-        }
-    }
-
-    #[inline(always)]
-    fn any_less(self, other: Self) -> bool {
-        W::less_anywhere(self.0, other.0) | W::less_anywhere(self.1, other.1)
-    }
-
-    #[inline(always)]
-    fn largest(self) -> f64 {
-        W::at_least(self.0, self.1).largest()
-    }
-
-    #[inline(always)]
-    fn sums(n: [Self; 4]) -> [f64; 4] {
-        W::four_sums([n[0].0 + n[0].1, n[1].0 + n[1].1, n[2].0 + n[2].1, n[3].0 + n[3].1])
-    }
-}
-
-/// Functions of a pair that do the same with both halves.
-macro_rules! by_half {
-    ($($function:ident($($argument:ident),*);)*) => {
-        $(#[inline(always)]
-        fn $function($($argument: Self),*) -> Self {
-            Self(W::$function($($argument.0),*), W::$function($($argument.1),*))
-        })*
-    };
-}
-
-impl<W: Wide> Arithmetic for Pair<W> {
-    type Real = Self;
-
-    const WIDE: bool = true;
-
-    #[inline(always)]
-    fn splat(value: f64) -> Self {
-        Self(W::splat(value), W::splat(value))
-    }
-
-    by_half! {
-        fma(a, b, c);
-        fnma(a, b, c);
-        sqrt(value);
-        abs(value);
-        at_least(value, bound);
-        at_most(value, bound);
-        copy_sign(size, sign);
-        if_less(a, b, then, otherwise);
-        power_of_two(sum);
-    }
-
-    #[inline(always)]
-    fn turn(turns: Self, s: Self, c: Self) -> (Self, Self) {
-        let (first, second) = (W::turn(turns.0, s.0, c.0), W::turn(turns.1, s.1, c.1));
-        (Self(first.0, second.0), Self(first.1, second.1))
-    }
-}
-
 /// Eight numbers in an array, vector code left to the compiler: architectures whose registers nobody has written down.
 #[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "x86-64 has registers of its own"))]
 #[derive(Debug, Clone, Copy)]
@@ -184,15 +105,6 @@ macro_rules! operators {
                 }
                 self
             }
-        }
-
-        impl<W: Wide> $trait for Pair<W> {
-            type Output = Self;
-
-            #[inline(always)]
-            fn $method(self, other: Self) -> Self {
-                Self(self.0.$method(other.0), self.1.$method(other.1))
-            }
         })*
     };
 }
@@ -202,15 +114,6 @@ operators! {
     Sub, sub;
     Mul, mul;
     Div, div;
-}
-
-impl<W: Wide> Neg for Pair<W> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn neg(self) -> Self {
-        Self(-self.0, -self.1)
-    }
 }
 
 impl Neg for Array {

@@ -13,6 +13,7 @@
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+mod every;
 mod functions;
 mod instructions;
 mod lanes;
@@ -20,13 +21,16 @@ mod scalar;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+pub(crate) use every::EveryJoint;
 pub(crate) use functions::{quadrant_angle, tanh};
 pub use instructions::Instructions;
-pub(crate) use instructions::{EveryJoint, Kernel, Machine};
+pub(crate) use instructions::{Kernel, Machine};
 #[cfg(not(target_arch = "x86_64"))]
 pub(crate) use lanes::Array;
-pub(crate) use lanes::{Lanes, Pair};
-pub(crate) use scalar::{Fused, Plain};
+pub(crate) use lanes::Lanes;
+#[cfg(target_arch = "x86_64")]
+pub(crate) use scalar::Fused;
+pub(crate) use scalar::Plain;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::{avx2::Avx2, avx512::Avx512, sse2::Sse2};
 

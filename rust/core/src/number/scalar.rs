@@ -3,11 +3,12 @@
 
 use super::Arithmetic;
 
-/// `f64` on any machine.
+/// `f64` as every processor of the architecture has it: on aarch64 with fused multiply-add, elsewhere without.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Plain;
 
-/// `f64` on a machine that fuses multiplication and addition.
+/// `f64` on x86-64 processors that fuse multiplication and addition, as not all do.
+#[cfg(target_arch = "x86_64")]
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Fused;
 
@@ -89,5 +90,9 @@ macro_rules! scalar {
     };
 }
 
+#[cfg(not(target_arch = "aarch64"))]
 scalar!(Plain, (a, b, c), a * b + c, c - a * b);
+#[cfg(target_arch = "aarch64")]
+scalar!(Plain, (a, b, c), a.mul_add(b, c), (-a).mul_add(b, c));
+#[cfg(target_arch = "x86_64")]
 scalar!(Fused, (a, b, c), a.mul_add(b, c), (-a).mul_add(b, c));

@@ -143,7 +143,8 @@ impl Controller {
                 value: None,
             });
         }
-        findings.sort_by_key(|finding| !finding.required);
+        let (mut findings, hints): (Vec<_>, Vec<_>) = findings.into_iter().partition(|finding| finding.required);
+        findings.extend(hints);
         Ok(Check {
             achievable: !findings.iter().any(|finding| finding.required),
             poses: path.len(),
