@@ -43,7 +43,7 @@ class Tried:
 
 
 def tried(
-    name: str, pose: int, kp_scale: float, *, eta: float = 0.999, creep: float = 1.0, **more: float
+    name: str, pose: int, kp_scale: float, *, eta: float = 0.999, creep: float = 1.0
 ) -> Tried:
     """Capture in one random pose of an arm, y yielding, and watch.
 
@@ -53,14 +53,13 @@ def tried(
         kp_scale: True over believed stiffness.
         eta: Of the axis that yields.
         creep: How fast joints slide that friction should hold, over MuJoCo's default.
-        **more: Other settings.
     """
     arm = load(name)
     table = arm.servos.replace(count=COUNT, kp_known=False)
     plant = Plant(arm.model, table, kp_scale=kp_scale, count=COUNT, creep=creep)
     plant.reset(arm.poses(pose + 1)[pose])
     axes = {"y": pliant.Axis(yields="both", eta=eta)}
-    settings = pliant.Settings(task=" ".join(arm.axes), axes=axes, accept=("eta",), **more)
+    settings = pliant.Settings(task=" ".join(arm.axes), axes=axes, accept=("eta",))
     controller = pliant.Controller(arm.model, settings, table)
     found = identify.capture(plant, controller)
     if found.remedy is not None:

@@ -70,8 +70,15 @@ def floated(
     course = Course(start=COMES, rise=THERE - COMES, end=GONE)
     hand = Drag(axis="y", distance=way, stiffness=2000.0, limit=60.0, at="tool", course=course)
     table = arm.servos.replace(count=COUNT, kp_known=known)
-    coarse = {"count": COUNT, "deadband": DEADBAND}
-    plant = Plant(arm.model, table, kp_scale=kp_scale, creep=creep, scene=[hand], **coarse)
+    plant = Plant(
+        arm.model,
+        table,
+        kp_scale=kp_scale,
+        count=COUNT,
+        deadband=DEADBAND,
+        creep=creep,
+        scene=[hand],
+    )
     plant.reset(q)
     floating = pliant.Float(arm.model, table)
     rows, ready = [], 0.0

@@ -156,7 +156,7 @@ _ENTRIES = (
         measure=merits.light(laws.cap()),
         goals={"force [N]": _most(5.6, 7.5), "drift [mm]": _most(2.3, 4.0)},
     ),
-    # K_x h = 1.2, the most that a tick each way allows: stiffer where friction is believed too high.
+    # K_x h = 1.2, the most that a tick each way allows: less drift where friction is overrated.
     _Entry(
         scenario="15 N hand, η 0.999",
         preset="cap(kx=4.8)",

@@ -84,7 +84,7 @@ def _weigh(
     rig: Rig,
     controller: Controller,
     q: Array,
-    poses: int | ArrayLike,
+    poses: int | Array,
     numbers: tuple[float, float],
 ) -> Steps[PayloadEstimate]:
     span, amplitude = numbers

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from pliant.arguments import instance, number
+from pliant.arguments import given, number
 
 if TYPE_CHECKING:
     import pliant
@@ -43,11 +43,11 @@ class Condition(ABC):
 
     def __and__(self, other: Condition) -> Condition:
         """Both hold."""
-        return Joined("&", self, instance(other, Condition, "what follows &"))
+        return Joined("&", self, condition(other, "what follows &"))
 
     def __or__(self, other: Condition) -> Condition:
         """One or both hold."""
-        return Joined("|", self, instance(other, Condition, "what follows |"))
+        return Joined("|", self, condition(other, "what follows |"))
 
     def __invert__(self) -> Condition:
         """It does not hold."""
@@ -60,6 +60,18 @@ class Condition(ABC):
     def lasting(self, seconds: float) -> Condition:
         """It has held for so long [s] without a break."""
         return Lasting(self, seconds)
+
+
+def condition(value: object, name: str) -> Condition:
+    """Return a value that is a condition.
+
+    Raises:
+        TypeError: It is none; says what would be one.
+    """
+    if not isinstance(value, Condition):
+        wanted = "a condition, as Force('z', above=8.0) or Elapsed(1.0)"
+        raise TypeError(f"{name} must be {wanted}, got {given(value)}")
+    return value
 
 
 @dataclass(frozen=True, repr=False)

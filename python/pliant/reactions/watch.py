@@ -12,7 +12,7 @@ import numpy as np
 import pliant
 from pliant.arguments import given, instance, number
 from pliant.reactions.actions import Action, Running, Stop
-from pliant.reactions.conditions import Condition, Judge
+from pliant.reactions.conditions import Condition, Judge, condition
 from pliant.reactions.moment import Moment
 from pliant.reactions.poses import toward
 
@@ -41,9 +41,9 @@ class Reaction:
 
     def __post_init__(self) -> None:
         """Check the parts once."""
-        instance(self.when, Condition, "Reaction.when", "as Force('z', above=8.0)")
+        condition(self.when, "Reaction.when")
         if self.until is not None:
-            instance(self.until, Condition, "Reaction.until", "as Elapsed(1.0)")
+            condition(self.until, "Reaction.until")
         listed = isinstance(self.then, Action | Sequence)
         if not (listed and self.actions and all(isinstance(one, Action) for one in self.actions)):
             raise pliant.ConfigError(

@@ -143,7 +143,7 @@ class Latch:
 
 def is_whole(value: object) -> bool:
     """Whether a value is a whole number, at least 0."""
-    return isinstance(value, (int, float, np.integer)) and value >= 0 and value == value // 1
+    return isinstance(value, (int, float, np.integer)) and bool(value >= 0 and value == value // 1)
 
 
 def span(value: object) -> tuple[float, float] | None:
