@@ -1639,7 +1639,8 @@ class Controller:
         With a state each row is what `step` of a controller of its own would give, bit for bit.
         Without one nothing is remembered: each row is the first step of a controller just reset to
         its q, with `goal_slew` and `max_tool_speed` infinite: goals may jump, so not for a real
-        arm. This controller's own memory and readings stay as they are. `RAYON_NUM_THREADS` says
+        arm. Under law `paper` as printed, arms of at most 7 joints are then stepped side by side in
+        the processor's registers, which changes results by rounding. This controller's own memory and readings stay as they are. `RAYON_NUM_THREADS` says
         how many threads there are.
 
         Args:

@@ -3,6 +3,8 @@
 use nalgebra::{Isometry3, Matrix3, Matrix4, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::error::{Error, Result};
+use crate::kinematics::spatial::{Mat3, cross, dot};
+use crate::number::{Arithmetic, Plain};
 
 /// Largest position [m] or joint coordinate that is taken for a real one.
 ///
@@ -79,10 +81,10 @@ impl Pose {
     pub(crate) fn check(&self, name: &str) -> Result<()> {
         let (r, p) = (&self.rotation, &self.position);
         let mut fine = (p[0].abs() <= COORDINATE_BOUND) & (p[1].abs() <= COORDINATE_BOUND);
-        fine &= (p[2].abs() <= COORDINATE_BOUND) & (determinant(r) >= 0.0);
+        fine &= (p[2].abs() <= COORDINATE_BOUND) & (determinant::<Plain>(r) >= 0.0);
         for i in 0..3 {
             for j in 0..=i {
-                fine &= orthogonality_error(r, i, j) <= ROTATION_TOLERANCE;
+                fine &= orthogonality_error::<Plain>(r, i, j) <= ROTATION_TOLERANCE;
             }
         }
         if fine { Ok(()) } else { self.explain(name) }
@@ -100,7 +102,7 @@ impl Pose {
         let mut worst: f64 = 0.0;
         for i in 0..3 {
             for j in 0..3 {
-                let error = orthogonality_error(&self.rotation, i, j);
+                let error = orthogonality_error::<Plain>(&self.rotation, i, j);
                 // `max` would drop a NaN.
                 worst = if error > worst || error.is_nan() { error } else { worst };
             }
@@ -138,14 +140,32 @@ impl Pose {
     }
 }
 
+impl<R: Copy> Pose<R> {
+    /// `fine` where this is a pose beyond doubt, 0 where [`Pose::check`] is to be asked.
+    #[inline(always)]
+    pub(crate) fn if_sure<A: Arithmetic<Real = R>>(&self, mut fine: R) -> R {
+        let (nothing, bound) = (A::splat(0.0), A::splat(COORDINATE_BOUND));
+        for value in self.position {
+            fine = A::if_less(A::abs(value), bound, fine, nothing);
+        }
+        for i in 0..3 {
+            for j in 0..=i {
+                let error = orthogonality_error::<A>(&self.rotation, i, j);
+                fine = A::if_less(error, A::splat(ROTATION_TOLERANCE), fine, nothing);
+            }
+        }
+        A::if_less(nothing, determinant::<A>(&self.rotation), fine, nothing)
+    }
+}
+
 /// Error of one entry of `RᵀR − I`.
 #[inline(always)]
-fn orthogonality_error(r: &[[f64; 3]; 3], i: usize, j: usize) -> f64 {
-    (r[0][i] * r[0][j] + r[1][i] * r[1][j] + r[2][i] * r[2][j] - f64::from(u8::from(i == j))).abs()
+fn orthogonality_error<A: Arithmetic>(r: &Mat3<A::Real>, i: usize, j: usize) -> A::Real {
+    let product = dot::<A>(&[r[0][i], r[1][i], r[2][i]], &[r[0][j], r[1][j], r[2][j]]);
+    A::abs(product - A::splat(f64::from(u8::from(i == j))))
 }
 
 #[inline(always)]
-fn determinant(r: &[[f64; 3]; 3]) -> f64 {
-    r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1]) - r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0])
-        + r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0])
+fn determinant<A: Arithmetic>(r: &Mat3<A::Real>) -> A::Real {
+    dot::<A>(&r[0], &cross::<A>(&r[1], &r[2]))
 }

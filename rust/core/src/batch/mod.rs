@@ -1,5 +1,6 @@
 //! Many arms at once: each row walks the staircase of the controller, pieces of them on every core.
 
+mod abreast;
 mod state;
 
 use std::sync::{Mutex, PoisonError};
@@ -14,9 +15,11 @@ use crate::law::feedforward::SPEED_BOUND;
 use crate::pose::Pose;
 use crate::threads::on_every_core;
 
+use abreast::Abreast;
+
 pub use state::BatchState;
 
-/// Arms that a thread takes at once; so many are done by the caller's thread.
+/// Arms that a thread takes at once, one bit each; so many are done by the caller's thread.
 const PIECE: usize = 64;
 
 /// Poses (`N`) toward which the arms are to go.
@@ -71,7 +74,9 @@ impl Controller {
     ///
     /// With a `state` each row is what a controller of its own would do, bit for bit. Without one there is no memory: each
     /// row is the first step of a controller that has just been reset to its q, with `goal_slew` and `max_tool_speed`
-    /// without bounds.
+    /// without bounds. Where the law is the printed one (damping, projector and inverse of the paper) and the arm has at
+    /// most seven joints, as many arms as a register holds are then stepped side by side: the same up to rounding, below
+    /// 1e-11 of a row's largest number at λ ≥ 0.02.
     ///
     /// # Errors
     /// [`Error::Shape`] where lengths do not fit together. With [`Invalid::Refuse`] the error of [`Controller::step`] for the
@@ -155,10 +160,19 @@ impl Controller {
     ) -> Result<()> {
         let (n, first) = (self.model().n(), First::default());
         let BatchCommand { goal, torque_limit, velocity } = out;
-        let step = |controller: &mut Self, index: usize, mut kept: Option<&mut [f64]>, outs: [&mut [f64]; 3]| {
+        let abreast = state.is_none() && self.goes_abreast();
+        let step = |controller: &mut Self, index: usize, mut kept: Option<&mut [f64]>, mut outs: [&mut [f64]; 3]| {
+            let mut left = u64::MAX;
+            if abreast {
+                let outs = outs.each_mut().map(|out| &mut **out);
+                left = self.instructions().run(Abreast { controller: self, input, first: index * PIECE, outs });
+            }
             let [goals, limits, velocities] = outs;
             let outs = goals.chunks_exact_mut(n).zip(limits.chunks_exact_mut(n)).zip(velocities.chunks_exact_mut(n));
             for (i, ((goal, limit), velocity)) in outs.enumerate() {
+                if left >> i & 1 == 0 {
+                    continue;
+                }
                 let row = index * PIECE + i;
                 let kept = kept.as_deref_mut().map(|rows| &mut rows[i * width(n)..][..width(n)]);
                 match controller.row(input, row, kept, changed) {

@@ -1,33 +1,33 @@
 //! Goals: scaling of parts, joints at their position limits, slew.
 
-use crate::number::Lanes;
+use crate::number::{Arithmetic, Lanes, Scalar};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Factors in [0, 1], one per part, so that `|base + Σ f_p part_p| ≤ bound` for every joint.
 ///
 /// Parts give way in their order: the second is scaled only when the first, gone altogether, was not enough.
 #[inline(always)]
-pub(crate) fn scale_to_fit<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [f64; P] {
+pub(crate) fn scale_to_fit<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
     // Nearly always everything fits: that is found out without a branch per joint.
     let mut all = base;
     for part in parts {
         all = all + part;
     }
-    if bound.any_less(J::abs(all)) { shrink(base, parts, bound) } else { [1.0; P] }
+    if bound.any_less(J::abs(all)) { shrink(base, parts, bound) } else { [J::One::splat(1.0); P] }
 }
 
 #[inline(always)]
-fn shrink<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [f64; P] {
+fn shrink<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
     let (zero, one) = (J::splat(0.0), J::splat(1.0));
     // A part that moves a joint by no more than rounding cannot mend it and must not vanish for it; nor may it for a sum
     // that the part before has brought to the bound up to rounding.
     let rounding = bound * J::splat(1e-9);
-    let mut factors = [1.0; P];
+    let mut factors = [J::One::splat(1.0); P];
     for p in 0..P {
         let mut others = base;
         for o in 0..P {
             if o != p {
-                others = J::fma(J::splat(factors[o]), parts[o], others);
+                others = J::fma(J::spread(factors[o]), parts[o], others);
             }
         }
         let (part, all) = (parts[p], others + parts[p]);
@@ -38,7 +38,7 @@ fn shrink<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [f64; P
         let room = (J::copy_sign(bound, all) - others) / part;
         let missing = one - J::at_most(J::at_least(room, zero), one);
         let missing = J::if_less(rounding, J::abs(part), missing, zero);
-        factors[p] = 1.0 - J::if_less(most, J::abs(all), missing, zero).largest();
+        factors[p] = J::One::splat(1.0) - J::if_less(most, J::abs(all), missing, zero).largest();
     }
     factors
 }
@@ -102,8 +102,8 @@ pub(crate) fn slew<J: Lanes>(before: Goals<J>, to: Goals<J>, step: f64) -> Goals
     let motion = (to.goal - to.weight) - (before.goal - before.weight);
     let (way, room) = (J::abs(motion), step - J::abs(lift));
     let missing = J::if_less(room, way, J::splat(1.0) - room / way, J::splat(0.0));
-    let share = 1.0 - missing.largest();
-    Goals { goal: before.goal + lift + J::splat(share) * motion, weight: before.weight + lift }
+    let share = J::One::splat(1.0) - missing.largest();
+    Goals { goal: before.goal + lift + J::spread(share) * motion, weight: before.weight + lift }
 }
 
 /// Joint speeds [rad/s] that keep the tool within its `[linear, angular]` speed by one joint alone, and the joint's own.

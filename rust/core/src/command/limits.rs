@@ -1,6 +1,6 @@
 //! Joint torque limits.
 
-use crate::number::Lanes;
+use crate::number::{Joints, Lanes};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// What the limits are made from; all torques in N·m, one per joint.
@@ -33,7 +33,9 @@ impl<J: Lanes> Load<J> {
     pub(crate) fn budget(&self, budget: J) -> J {
         J::fma(J::splat(self.gravity_scale), J::abs(self.gravity), budget)
     }
+}
 
+impl<J: Joints> Load<J> {
     /// The sum over all axes of what each may ask for: `s_g |g| + Σ_j |J_ji| most_j + null_i + |ff|`.
     #[cold]
     #[inline(never)]

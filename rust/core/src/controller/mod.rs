@@ -1,5 +1,6 @@
 //! The control step: the staircase that calls each floor once and has no formula of its own.
 
+pub(crate) mod floors;
 mod input;
 pub(crate) mod kept;
 pub(crate) mod memory;
@@ -72,8 +73,8 @@ pub struct StepInput<'a> {
 /// Compliant task-space controller of one arm.
 #[derive(Debug, Clone)]
 pub struct Controller {
-    model: Arc<Model>,
-    settings: Settings,
+    pub(crate) model: Arc<Model>,
+    pub(crate) settings: Settings,
     servos: Option<Servos>,
     surveyed: Surveyed,
     pub(crate) plan: Plan,

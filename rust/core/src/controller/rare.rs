@@ -4,7 +4,7 @@ use crate::command::dead_host::Dead;
 use crate::command::limits::Load;
 use crate::controller::record::Record;
 use crate::controller::step::{Aim, Cycle};
-use crate::number::{Arithmetic, EveryJoint};
+use crate::number::{Arithmetic, EveryJoint, Plain};
 use crate::plan::Plan;
 use crate::settings::LimitRule;
 use crate::task::deviation::{into_frame, out_of_frame};
@@ -17,7 +17,7 @@ use crate::{AxisVec, JointVec, MAX_JOINTS, Rows};
 #[inline(never)]
 pub(super) fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, aim: &mut Aim, governor: &mut Governor) {
     if let Some(kept) = pushed.keep(&plan.deviation_limits, &aim.reference) {
-        let mut velocity = into_frame(pushed.base_from_task, &governor.own_velocity());
+        let mut velocity = into_frame::<Plain>(pushed.base_from_task, &governor.own_velocity());
         for (value, met) in velocity.iter_mut().zip(kept.met) {
             *value *= if met { 0.0 } else { kept.advance };
         }

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::law::activation::{Activation, null_column, product, responsibility, row_lengths};
+use crate::law::activation::{Activation, null_column, product, responsibility};
 use crate::law::inverse::{load_rows, pseudo_inverse, rows_array};
 use crate::law::nullspace::{JointSquare, fade_squared, projector};
 use crate::number::{Arithmetic, EveryJoint, Lanes};
@@ -124,7 +124,7 @@ impl Record {
     pub(crate) fn shares(&self, plan: &Plan) -> Activation<EveryJoint> {
         let null = if plan.k < plan.n {
             let projector = self.projector(plan);
-            null_column(EveryJoint::load(&product(&projector, &self.gradient)), || row_lengths(&projector))
+            null_column(EveryJoint::load(&product(&projector, &self.gradient)), &projector)
         } else {
             EveryJoint::splat(0.0)
         };

@@ -1,117 +1,74 @@
 //! Lines 7 to 11: the law, and what the other joints take over where one meets a position limit.
 
-use crate::command::goal::{fade_beyond, lock};
+use crate::command::goal::lock;
+use crate::controller::floors::{Given, Seen, Solution};
 use crate::controller::input::Input;
 use crate::controller::memory::Memory;
-use crate::controller::step::Seen;
-use crate::law::feedforward::{Filtered, Resistance, damping_squared, fade};
+use crate::law::feedforward::{Filtered, damping_squared, fade};
 use crate::law::inverse::{Factor, Square, load_rows, rows_array, times, weighted_gram};
 use crate::law::nullspace::fade_squared;
 use crate::law::singular::{Condition, SingularValues};
 use crate::law::takeover::{Share, Takeover};
-use crate::law::wrench::Wrench;
-use crate::law::{Motion, Tick, motion, weighted_manipulability};
-use crate::number::{Arithmetic, EveryJoint, Lanes, Wide};
+use crate::law::{motion, weighted_manipulability};
+use crate::number::{Arithmetic, EveryJoint, Joints, Lanes, Packed};
 use crate::plan::Plan;
-use crate::settings::{Law, Settings};
+use crate::settings::Settings;
 use crate::task::wish::Wish;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Iterations that find the extreme singular vectors from nothing, and that follow them from tick to tick.
 const ITERATIONS: (usize, usize) = (30, 1);
 
-/// What the law came to.
+/// What of a solution one arm alone has.
 #[derive(Clone, Copy)]
-pub(super) struct Solution<J: Lanes> {
-    pub(super) motion: Motion<J>,
-    /// τ^q of (11) [N·m], only where the law makes its limits from it.
-    pub(super) budget: Option<J>,
+pub(super) struct Solved<J: Joints> {
+    pub(super) given: Given<J>,
+    pub(super) solution: Solution<J>,
     pub(super) locked: [bool; MAX_JOINTS],
-    /// Goals before the slew [rad]: what moves the arm within the position limits, what exerts a force beyond them too.
-    pub(super) goal: J,
-    /// What of them carries the weight [rad].
-    pub(super) weight: J,
-    pub(super) gradient: J,
-    pub(super) feed_forward: J,
-    /// λ².
-    pub(super) damping: f64,
-    /// γ: how much of feed-forward and prediction is used.
-    pub(super) gamma: f64,
-    /// λ² of each row.
-    pub(super) row_damping: J::Axes,
 }
 
 /// Solves for the goals; `singular` is followed where anybody asks for it.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "everything that the lines before came to")]
-pub(super) fn solve<J: Lanes>(
+pub(super) fn solve<J: Joints>(
     plan: &Plan,
     settings: &Settings,
     input: &Input,
+    q: J,
     seen: &Seen<J>,
     wish: &Wish<J::Axes>,
     memory: &Memory,
     filtered: &Filtered<J>,
     singular: &mut SingularValues,
-) -> Solution<J> {
-    let scaled = plan.scale_rows(&seen.rows);
-    let condition = condition(plan, &scaled, singular, memory.cold);
-    let row_damping = J::Axes::of(&plan.lanes.damping_scale) * J::Axes::splat(condition.damping);
-    let gradient = cost_gradient(plan, input, &memory.rest, seen, &scaled, condition.mu_squared);
+) -> Solved<J> {
+    let scaled_rows = plan.scale_rows(&seen.rows);
+    let condition = condition(plan, &scaled_rows, singular, memory.cold);
+    let gradient = cost_gradient(plan, input, &memory.rest, seen, &scaled_rows, condition.mu_squared);
     let integral = J::load(&memory.integral);
-    let (all_joints, budget) = motion(&Tick {
-        plan,
-        horizon: settings.horizon,
-        rows: &seen.rows,
-        scaled_rows: &scaled,
-        condition: &condition,
-        damping: row_damping,
-        wish,
-        velocity: filtered.velocity,
-        gradient,
-        gravity: seen.gravity_in_goal,
-        resistance: resist(plan, settings, filtered.velocity, condition.gamma),
-        integral,
-    });
-    let (kp, compliance) = (J::load(&plan.servos.kp), J::load(&plan.servos.compliance));
+    let given = Given { q, velocity: filtered.velocity, gradient, integral, scaled_rows, condition };
+    let law = motion(&given.tick(plan, settings, seen, wish));
+    let mut solution = Solution::new(plan, &given, seen, law);
+    let mut locked = [false; MAX_JOINTS];
     let (lower, upper) = (J::load(&plan.lower), J::load(&plan.upper));
-    let force_lead = fade_beyond(all_joints.force_lead, seen.q, lower, upper, plan.stop_slope);
-    let resistance = fade_beyond(all_joints.feed_forward * compliance, seen.q, lower, upper, plan.stop_slope);
-    let feed_forward = kp * resistance;
-    let without_lead = seen.q + integral;
-    let weight = seen.gravity_in_goal / J::load(&plan.kg);
-    let beside = force_lead + resistance + weight;
-    let (mut lead, mut null, mut stiff) = (all_joints.lead, all_joints.null, all_joints.wrench.stiff);
-    let (mut goal, mut locked) = (without_lead + lead + null, [false; MAX_JOINTS]);
-    if upper.any_less(goal) | goal.any_less(lower) {
+    if upper.any_less(solution.moving) | solution.moving.any_less(lower) {
+        let (kp, motion) = (J::load(&plan.servos.kp), &mut solution.motion);
+        let carried = seen.gravity_in_goal + solution.feed_forward + kp * (integral + motion.force_lead);
         let hands = Hands {
             plan,
             horizon: settings.horizon,
             rows: rows_array(&seen.rows),
             softness: <EveryJoint as Lanes>::Axes::of(&wish.softness.numbers()),
-            without_lead: without_lead.array(),
-            carried: (seen.gravity_in_goal + feed_forward + kp * (integral + force_lead)).array(),
-            force_lead: force_lead.array(),
+            without_lead: (seen.q + integral).array(),
+            carried: carried.array(),
+            force_lead: motion.force_lead.array(),
         };
-        let stiff_wrench = <EveryJoint as Lanes>::Axes::of(&stiff.numbers());
-        let mut share = Share { lead: lead.every(), null: null.every(), stiff: stiff_wrench };
-        goal = J::load(&hands.over(&mut share, &mut locked));
-        (lead, null) = (J::load(&share.lead.array()), J::load(&share.null.array()));
-        stiff = J::Axes::of(&share.stiff.numbers());
+        let stiff = <EveryJoint as Lanes>::Axes::of(&motion.wrench.stiff.numbers());
+        let mut share = Share { lead: motion.lead.every(), null: motion.null.every(), stiff };
+        solution.moving = J::load(&hands.over(&mut share, &mut locked));
+        (motion.lead, motion.null) = (J::load(&share.lead.array()), J::load(&share.null.array()));
+        motion.wrench.stiff = J::Axes::of(&share.stiff.numbers());
     }
-    let wrench = Wrench { soft: all_joints.wrench.soft, stiff };
-    Solution {
-        motion: Motion { lead, force_lead, null, wrench, ..all_joints },
-        budget,
-        locked,
-        goal: goal + beside,
-        weight,
-        gradient,
-        feed_forward,
-        damping: condition.damping,
-        gamma: condition.gamma,
-        row_damping,
-    }
+    Solved { given, solution, locked }
 }
 
 /// What is known when joints are to move beyond their position limits.
@@ -177,7 +134,7 @@ pub(super) fn without_locked(rows: &Rows, locked: &[bool; MAX_JOINTS]) -> Rows {
 
 /// Line 7: follows σ, sets γ, says λ².
 #[inline(always)]
-fn condition<J: Lanes>(plan: &Plan, scaled: &[J; MAX_AXES], values: &mut SingularValues, cold: bool) -> Condition {
+fn condition<J: Joints>(plan: &Plan, scaled: &[J; MAX_AXES], values: &mut SingularValues, cold: bool) -> Condition {
     let limits = plan.damping;
     if !plan.follows_sigma() {
         return Condition { damping: limits.lambda_0 * limits.lambda_0, mu_squared: 0.0, factor: None, gamma: 1.0 };
@@ -211,18 +168,9 @@ fn joint_gram(scaled: &Rows) -> Square {
     gram
 }
 
-/// Line 10; law `paper` has no feed-forward.
-#[inline(always)]
-fn resist<J: Lanes>(plan: &Plan, settings: &Settings, v: J, gamma: f64) -> Resistance<J> {
-    if plan.law == Law::Paper {
-        return Resistance::none();
-    }
-    Resistance::new(v, &plan.servos, (settings.friction_share, settings.damping_share), settings.friction_speed, gamma)
-}
-
 /// Gradient of the null-space cost, all its parts; `rest` is the posture where nobody gives another.
 #[inline(always)]
-fn cost_gradient<J: Lanes>(
+fn cost_gradient<J: Joints>(
     plan: &Plan,
     input: &Input,
     rest: &JointVec,

@@ -102,7 +102,7 @@ pub fn activation(
     // With as many axes as joints N is rounding error: there is nothing to share out.
     let null = if k < n {
         let motion = EveryJoint::load(&activation::product(&projector, &gradient));
-        activation::null_column(motion, || activation::row_lengths(&projector))
+        activation::null_column(motion, &projector)
     } else {
         EveryJoint::splat(0.0)
     };

@@ -1,4 +1,4 @@
-//! Many configurations at once: eight in every number, pieces of them on every core.
+//! Many configurations at once: as many in every number as a register holds, pieces of them on every core.
 
 use rayon::prelude::*;
 
@@ -6,7 +6,7 @@ use super::jacobian::turn_to_tool;
 use super::{Frames, Masses, Reference};
 use crate::error::{Error, Result};
 use crate::model::{Chain, Model};
-use crate::number::{Arithmetic, Instructions, Kernel, LANES, Machine, Wide};
+use crate::number::{Arithmetic, Instructions, Kernel, LANES, Machine, Many, Packed};
 use crate::pose::COORDINATE_BOUND;
 use crate::threads::on_every_core;
 use crate::{MAX_AXES, MAX_JOINTS};
@@ -104,41 +104,56 @@ fn check(what: &str, values: &[f64], expected: usize) -> Result<()> {
     if values.len() == expected { Ok(()) } else { Err(Error::length(what, values.len(), expected)) }
 }
 
-/// Eight configurations from the rows of `q`; the last one again where there are fewer.
+/// One number per joint, or entry of a pose, from the rows of `values`, each `size` long: 0 behind the last. Where there are
+/// fewer rows than configurations, the last one again.
 #[inline(always)]
-fn gather<A: Wide>(q: &[f64], n: usize) -> [A::Real; MAX_JOINTS] {
-    let mut columns = [[0.0; LANES]; MAX_JOINTS];
-    let last = (q.len() / n).saturating_sub(1);
-    for lane in 0..LANES {
-        let row = &q[lane.min(last) * n..][..n];
-        for k in 0..n {
-            columns[k & (MAX_JOINTS - 1)][lane] = row[k];
+pub(crate) fn gather<A: Many>(values: &[f64], size: usize) -> [A; MAX_JOINTS] {
+    let (mut out, last) = ([A::splat(0.0); MAX_JOINTS], (values.len() / size).saturating_sub(1));
+    let mut from = 0;
+    while from < size.min(MAX_JOINTS) {
+        let mut rows = [[0.0; LANES]; LANES];
+        for lane in 0..A::COUNT {
+            let row = &values[lane.min(last) * size + from..];
+            // What is read behind the row's end is not used.
+            match row.first_chunk::<LANES>() {
+                Some(row) => rows[lane] = *row,
+                None => rows[lane][..row.len()].copy_from_slice(row),
+            }
         }
-    }
-    let mut out = [A::splat(0.0); MAX_JOINTS];
-    for k in 0..n.min(MAX_JOINTS) {
-        out[k] = A::of(&columns[k]);
+        let columns = A::columns(&rows);
+        for k in 0..LANES.min(size - from) {
+            out[(from + k) & (MAX_JOINTS - 1)] = columns[k];
+        }
+        from += LANES;
     }
     out
 }
 
-/// The first `size` numbers of each configuration into the rows of `out`; `numbers` come in whole eights.
-#[inline(always)]
-fn scatter<A: Wide>(numbers: &[A::Real], size: usize, out: &mut [f64]) {
-    let lanes = (out.len() / size).min(LANES);
-    let mut from = 0;
-    while from < size {
-        let Some(eight) = numbers[from..].first_chunk::<LANES>() else { return };
-        let turned = A::transpose(eight);
-        let width = LANES.min(size - from);
-        for lane in 0..lanes {
-            let to = &mut out[lane * size + from..][..width];
-            match to.first_chunk_mut::<LANES>() {
-                Some(to) => *to = turned[lane],
-                None => to.copy_from_slice(&turned[lane][..width]),
+/// Rows as long as poses and Jacobians are, on their way to memory.
+pub(crate) struct Stage([[[f64; LANES]; LANES]; MAX_AXES * MAX_JOINTS / LANES]);
+
+impl Stage {
+    pub(crate) const fn new() -> Self {
+        Self([[[0.0; LANES]; LANES]; MAX_AXES * MAX_JOINTS / LANES])
+    }
+
+    /// The first `size` numbers of the first `count` configurations into the rows of `out`; `numbers` come in whole eights.
+    ///
+    /// Behind these rows `out` may be overwritten: whoever goes on writes the next rows there.
+    #[inline(always)]
+    pub(crate) fn scatter<A: Many>(&mut self, numbers: &[A], size: usize, count: usize, out: &mut [f64]) {
+        for (turned, eight) in self.0.iter_mut().zip(numbers.as_chunks::<LANES>().0).take(size.div_ceil(LANES)) {
+            *turned = A::transpose(eight);
+        }
+        for (lane, row) in (0..count.min(A::COUNT)).zip((0..).step_by(size)) {
+            for (turned, at) in self.0.iter().zip((0..size).step_by(LANES)) {
+                let to = &mut out[row + at..];
+                match to.first_chunk_mut::<LANES>() {
+                    Some(to) => *to = turned[lane],
+                    None => to.copy_from_slice(&turned[lane][..to.len()]),
+                }
             }
         }
-        from += LANES;
     }
 }
 
@@ -157,14 +172,15 @@ impl Kernel for PosePiece<'_> {
     #[inline(always)]
     fn run<M: Machine>(self) {
         let n = self.chain.n.clamp(1, MAX_JOINTS);
-        let (zero, one) = (M::Eight::splat(0.0), M::Eight::splat(1.0));
+        let (zero, one, count) = (M::Many::splat(0.0), M::Many::splat(1.0), M::Many::COUNT);
         let mut rows = [[zero; MAX_JOINTS]; MAX_AXES];
         let mut flat = [zero; MAX_AXES * MAX_JOINTS];
         let (with_poses, with_jacobians) = (!self.poses.is_empty(), !self.jacobians.is_empty());
-        let (mut poses, mut jacobians) = (self.poses.chunks_mut(16 * LANES), self.jacobians.chunks_mut(6 * n * LANES));
-        for q in self.q.chunks(n * LANES) {
-            let tool = self.chain.kinematics_by::<M::Eight>(&gather::<M::Eight>(q, n), &mut rows);
-            if let Some(out) = poses.next().filter(|_| with_poses) {
+        let (mut stage, total) = (Stage::new(), self.q.len() / n);
+        for from in (0..total).step_by(count) {
+            let here = count.min(total - from);
+            let tool = self.chain.kinematics_by::<M::Many>(&gather::<M::Many>(&self.q[n * from..], n), &mut rows);
+            if with_poses {
                 let (r, p) = (&tool.rotation, &tool.position);
                 let mut numbers = [zero; 16];
                 for i in 0..3 {
@@ -174,18 +190,18 @@ impl Kernel for PosePiece<'_> {
                     numbers[4 * i + 3] = p[i];
                 }
                 numbers[15] = one;
-                scatter::<M::Eight>(&numbers, 16, out);
+                stage.scatter(&numbers, 16, here, &mut self.poses[16 * from..]);
             }
             if self.reference == Reference::Local {
-                turn_to_tool::<M::Eight>(&tool.rotation, &mut rows, n);
+                turn_to_tool::<M::Many>(&tool.rotation, &mut rows, n);
             }
-            if let Some(out) = jacobians.next().filter(|_| with_jacobians) {
+            if with_jacobians {
                 for r in 0..MAX_AXES {
                     for k in 0..n {
                         flat[r * n + k] = rows[r][k];
                     }
                 }
-                scatter::<M::Eight>(&flat, 6 * n, out);
+                stage.scatter(&flat, 6 * n, here, &mut self.jacobians[6 * n * from..]);
             }
         }
     }
@@ -206,13 +222,15 @@ impl Kernel for GravityPiece<'_> {
     #[inline(always)]
     fn run<M: Machine>(self) {
         let n = self.chain.n.clamp(1, MAX_JOINTS);
-        let zero = M::Eight::splat(0.0);
+        let (zero, count) = (M::Many::splat(0.0), M::Many::COUNT);
         let mut frames = Frames::filled(zero);
         let mut torques = [zero; MAX_JOINTS];
-        for (q, out) in self.q.chunks(n * LANES).zip(self.torques.chunks_mut(n * LANES)) {
-            self.chain.forward_by::<M::Eight>(&gather::<M::Eight>(q, n), &mut frames);
-            self.chain.gravity_by::<M::Eight>(&frames, self.masses, self.gravity, &mut torques);
-            scatter::<M::Eight>(&torques, n, out);
+        let (mut stage, total) = (Stage::new(), self.q.len() / n);
+        for from in (0..total).step_by(count) {
+            let here = count.min(total - from);
+            self.chain.forward_by::<M::Many>(&gather::<M::Many>(&self.q[n * from..], n), &mut frames);
+            self.chain.gravity_by::<M::Many>(&frames, self.masses, self.gravity, &mut torques);
+            stage.scatter(&torques, n, here, &mut self.torques[n * from..]);
         }
     }
 }

@@ -5,15 +5,15 @@ use super::gravity::Masses;
 use super::spatial::{Mat3, Vec3, cross, dot, place, splat, sub};
 use crate::law::inverse::load_rows;
 use crate::model::Chain;
-use crate::number::{Arithmetic, Lanes};
+use crate::number::{Arithmetic, Joints, Lanes, Scalar};
 use crate::pose::Pose;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// What a control step sees of the arm.
 #[derive(Clone, Copy)]
-pub(crate) struct View<J> {
+pub(crate) struct View<J: Lanes> {
     /// `base_from_tool`.
-    pub(crate) tool: Pose,
+    pub(crate) tool: Pose<Scalar<J>>,
     /// Jacobian in base axes (6 × n).
     pub(crate) world: [J; MAX_AXES],
     /// Torques that hold the arm [N·m].
@@ -57,9 +57,30 @@ impl<A: Arithmetic<Real = f64>> Visitor<f64> for Columns<'_, A> {
 }
 
 impl Chain {
+    /// Tool, Jacobian and, where `heavy`, holding torques of several configurations.
+    #[inline(always)]
+    pub(crate) fn look_abreast<J: Lanes>(&self, q: J, masses: &Masses, g: &Vec3, heavy: bool) -> View<J> {
+        let (q, zero) = (q.array(), J::One::splat(0.0));
+        let (mut rows, mut holding) = ([[zero; MAX_JOINTS]; MAX_AXES], [zero; MAX_JOINTS]);
+        let tool = if heavy {
+            let mut frames = Frames::filled(zero);
+            self.forward_by::<J::One>(&q, &mut frames);
+            self.jacobian_by::<J::One>(&frames, &mut rows);
+            self.gravity_by::<J::One>(&frames, masses, g, &mut holding);
+            frames.tool
+        } else {
+            self.kinematics_by::<J::One>(&q, &mut rows)
+        };
+        let mut world = [J::splat(0.0); MAX_AXES];
+        for r in 0..MAX_AXES {
+            world[r] = J::of_joints(&rows[r]);
+        }
+        View { tool, world, holding: J::of_joints(&holding) }
+    }
+
     /// Tool, Jacobian and holding torques at `q`; `g` [m/s²] in the base.
     #[inline(always)]
-    pub(crate) fn look<J: Lanes>(&self, q: J, masses: &Masses, g: &Vec3, scratch: &mut LookScratch) -> View<J> {
+    pub(crate) fn look<J: Joints>(&self, q: J, masses: &Masses, g: &Vec3, scratch: &mut LookScratch) -> View<J> {
         let q = q.array();
         let LookScratch { frames, world, moment, holding } = scratch;
         if !(self.simple && self.path == self.total) {

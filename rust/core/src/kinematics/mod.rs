@@ -8,7 +8,7 @@ use crate::number::{Instructions, Kernel, Machine};
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-mod batch;
+pub(crate) mod batch;
 mod forward;
 mod gravity;
 mod inertia;

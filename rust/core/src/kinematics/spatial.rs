@@ -66,6 +66,12 @@ pub(crate) fn multiply<A: Arithmetic>(a: &Mat3<A::Real>, b: &Mat3<A::Real>) -> M
     [rotate_back::<A>(b, &a[0]), rotate_back::<A>(b, &a[1]), rotate_back::<A>(b, &a[2])]
 }
 
+/// `a bᵀ`.
+#[inline(always)]
+pub(crate) fn multiply_back<A: Arithmetic>(a: &Mat3<A::Real>, b: &Mat3<A::Real>) -> Mat3<A::Real> {
+    [rotate::<A>(b, &a[0]), rotate::<A>(b, &a[1]), rotate::<A>(b, &a[2])]
+}
+
 /// The same vector in every configuration.
 #[inline(always)]
 pub(crate) fn splat<A: Arithmetic>(v: &Vec3) -> Vec3<A::Real> {

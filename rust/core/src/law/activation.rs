@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 
 use crate::law::inverse::{load_rows, transpose_times};
 use crate::law::nullspace::JointSquare;
-use crate::number::{Arithmetic, EveryJoint, LANES, Lanes, Wide};
+use crate::number::{Arithmetic, Axes, EveryJoint, Lanes};
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
 /// Size of `N∇g` [rad] below which the null column turns into the row norms of `N`.
@@ -12,11 +12,11 @@ const GRADIENT_THRESHOLD: f64 = 1e-3;
 
 /// Activation matrix, transposed: row r holds the shares of task axis r, the last row those of the null-space motion.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Activation<J> {
+pub(crate) struct Activation<J: Lanes> {
     /// Shares before they are divided by their sums.
     sizes: [J; MAX_AXES],
     /// One over the sum of each row.
-    per_sum: [f64; LANES],
+    per_sum: J::Axes,
     null: J,
 }
 
@@ -34,15 +34,15 @@ impl<J: Lanes> Activation<J> {
         let [a, b, c, d] = J::sums([sizes[0], sizes[1], sizes[2], sizes[3]]);
         let [e, f, ..] = J::sums([sizes[4], sizes[5], zero, zero]);
         // One over a denormal sum is infinite, and infinity times a joint at rest is not a number.
-        let sums = J::Axes::at_least(J::Axes::of(&[a, b, c, d, e, f, 0.0, 0.0]), J::Axes::splat(f64::MIN_POSITIVE));
+        let sums = J::Axes::at_least(J::Axes::of_axes(&[a, b, c, d, e, f]), J::Axes::splat(f64::MIN_POSITIVE));
         let per_sum = J::Axes::splat(1.0) / sums;
-        Self { sizes, per_sum: per_sum.numbers(), null }
+        Self { sizes, per_sum, null }
     }
 
     /// (11): `τ^q = A τ^x` [N·m], the null-space torque last.
     #[inline(always)]
     pub(crate) fn distribute(&self, strength: J::Axes, null_torque: f64) -> J {
-        let per_size = (J::Axes::of(&self.per_sum) * strength).numbers();
+        let per_size = (self.per_sum * strength).axes();
         J::fma(self.null, J::splat(null_torque), transpose_times(&self.sizes, &per_size))
     }
 }
@@ -50,12 +50,12 @@ impl<J: Lanes> Activation<J> {
 impl Activation<EveryJoint> {
     /// From the shares themselves.
     pub(crate) fn of(task: &Rows, null: &JointVec) -> Self {
-        Self { sizes: load_rows(task), per_sum: [1.0; LANES], null: EveryJoint::load(null) }
+        Self { sizes: load_rows(task), per_sum: <EveryJoint as Lanes>::Axes::splat(1.0), null: EveryJoint::load(null) }
     }
 
     /// Shares of one task axis.
     pub(crate) fn row(&self, axis: usize) -> JointVec {
-        (self.sizes[axis] * EveryJoint::splat(self.per_sum[axis])).array()
+        (self.sizes[axis] * EveryJoint::splat(self.per_sum.axes()[axis])).array()
     }
 
     /// Shares in the null-space motion.
@@ -86,24 +86,34 @@ pub(crate) fn responsibility(
 /// Shares of the joints in the null-space motion `N∇g`: its sizes, blended into the lengths of the rows of `N` where it
 /// vanishes.
 ///
-/// `row_lengths` is asked only there.
+/// `projector` is asked only there.
 #[inline(always)]
-pub(crate) fn null_column<J: Lanes>(motion: J, row_lengths: impl FnOnce() -> JointVec) -> J {
+pub(crate) fn null_column<J: Lanes>(motion: J, projector: &impl RowLengths<J>) -> J {
     let sizes = J::abs(motion);
     let sum = sizes.sum();
-    let blend = (sum - GRADIENT_THRESHOLD) / GRADIENT_THRESHOLD;
-    if blend >= 1.0 {
-        return sizes * J::splat(1.0 / sum);
+    let (zero, one) = (J::One::splat(0.0), J::One::splat(1.0));
+    let threshold = J::One::splat(GRADIENT_THRESHOLD);
+    let blend = (sum - threshold) / threshold;
+    if !J::One::less_anywhere(blend, one) {
+        return sizes * J::spread(one / sum);
     }
-    let (blend, lengths) = (blend.max(0.0), J::load(&row_lengths()));
+    let (blend, lengths) = (J::One::at_most(J::One::at_least(blend, zero), one), projector.row_lengths());
     // One over a denormal sum would be infinite, and infinity times a joint at rest is not a number.
-    let share = |part: f64, whole: f64| part / whole.max(f64::MIN_POSITIVE);
-    sizes * J::splat(share(blend, sum)) + lengths * J::splat(share(1.0 - blend, lengths.sum()))
+    let least = J::One::splat(f64::MIN_POSITIVE);
+    let (moved, still) = (J::One::at_least(sum, least), J::One::at_least(lengths.sum(), least));
+    sizes * J::spread(blend / moved) + lengths * J::spread((one - blend) / still)
 }
 
-/// Lengths of the rows of a matrix.
-pub(crate) fn row_lengths(matrix: &JointSquare) -> JointVec {
-    matrix.map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt())
+/// A matrix over the joints whose rows have lengths. No closure: it would be compiled for the plainest machine.
+pub(crate) trait RowLengths<J> {
+    /// Length of each row.
+    fn row_lengths(&self) -> J;
+}
+
+impl RowLengths<EveryJoint> for JointSquare {
+    fn row_lengths(&self) -> EveryJoint {
+        EveryJoint::load(&self.map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt()))
+    }
 }
 
 /// `M v` of an n × n matrix.

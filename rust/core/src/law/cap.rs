@@ -3,14 +3,14 @@
 use crate::law::inverse::{Factor, Square, axes, damped, diagonal, weighted_gram, wide};
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
-use crate::number::{Lanes, Wide};
+use crate::number::{Axes, AxisScalar, Lanes};
 use crate::settings::Follow;
 
 /// One tick of one task, rows of the task's axes.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Demand<'a, W> {
+pub(crate) struct Demand<'a, W: Axes> {
     /// `C = J K_p⁻¹ Jᵀ`: how far the servos let each axis go per unit of force.
-    pub(crate) compliance: &'a Square,
+    pub(crate) compliance: &'a Square<AxisScalar<W>>,
     /// `λ²/k̄` of each row, in its units.
     pub(crate) damping: W,
     /// Step `s = h (K_x ẽ + twist)` [m, rad].
@@ -23,7 +23,7 @@ pub(crate) struct Demand<'a, W> {
     pub(crate) cap: W,
 }
 
-impl<W: Wide> Demand<'_, W> {
+impl<W: Axes> Demand<'_, W> {
     /// The wrench that the servos are to exert.
     #[inline(always)]
     pub(crate) fn wrench(&self, follow: Follow) -> Wrench<W> {
@@ -49,10 +49,10 @@ impl<W: Wide> Demand<'_, W> {
         let root = W::sqrt(W::at_least(W::splat(1.0) - self.softness, W::splat(0.0)));
         let own = W::at_least(diagonal(self.compliance), W::splat(f64::MIN_POSITIVE));
         let added = W::fma(root * root, self.damping, self.softness * own);
-        let (roots, mut m) = (root.numbers(), *self.compliance);
+        let (roots, mut m) = (axes(root), *self.compliance);
         for (r, row) in m.iter_mut().enumerate() {
             for c in 0..=r {
-                row[c] *= roots[r] * roots[c];
+                row[c] = row[c] * (roots[r] * roots[c]);
             }
         }
         let y = Factor::new::<W::One>(&damped(m, &axes(added))).solve::<W::One>(&axes(root * self.bounded_step));

@@ -1,6 +1,6 @@
 //! Velocity, prediction over the known delay, and what the joints themselves resist: lines 1 and 10.
 
-use crate::number::{Lanes, NEGLIGIBLE, tanh};
+use crate::number::{Arithmetic, Joints, Lanes, NEGLIGIBLE, Scalar, tanh};
 use crate::servos::ServoArrays;
 use crate::{JointVec, MAX_JOINTS};
 
@@ -40,7 +40,7 @@ impl VelocityFilter {
 
     /// Goes on from there.
     #[inline(always)]
-    pub(crate) fn keep<J: Lanes>(&mut self, filtered: Filtered<J>) {
+    pub(crate) fn keep<J: Joints>(&mut self, filtered: Filtered<J>) {
         filtered.held.store(&mut self.held);
         filtered.velocity.store(&mut self.velocity);
     }
@@ -72,14 +72,14 @@ impl<J: Lanes> Resistance<J> {
     /// `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and `γ b_f (μ + s μ_s) tanh(v/v₀)`, `s = 1/(1 + x + x²)`, `x = |v|/v_s`:
     /// what friction at rest has more than in motion fades with the speed.
     #[inline(always)]
-    pub(crate) fn new(v: J, servos: &ServoArrays, shares: (f64, f64), friction_speed: f64, gamma: f64) -> Self {
+    pub(crate) fn new(v: J, servos: &ServoArrays, shares: (f64, f64), friction_speed: f64, gamma: Scalar<J>) -> Self {
         let one = J::splat(1.0);
         let x = J::abs(v) * J::load(&servos.stribeck_slowness);
         let at_rest = one / J::fma(x, x, one + x);
-        let way = tanh::<J>(v * J::splat(1.0 / friction_speed)) * J::splat(gamma * shares.0);
+        let way = tanh::<J>(v * J::splat(1.0 / friction_speed)) * J::spread(gamma * J::One::splat(shares.0));
         let dry = J::fma(at_rest, J::load(&servos.stribeck), J::load(&servos.friction));
         let per_load = J::fma(at_rest, J::load(&servos.load_stribeck), J::load(&servos.load_friction));
-        let damping = J::load(&servos.damping) * v * J::splat(gamma * shares.1);
+        let damping = J::load(&servos.damping) * v * J::spread(gamma * J::One::splat(shares.1));
         Self { idle: J::fma(dry, way, damping), loaded: per_load * way }
     }
 

@@ -1,9 +1,9 @@
 //! Law `impedance`: a spring and a damper on each task axis, no solve. Takes the place of lines 6 to 8 of the control step.
 
-use crate::law::inverse::{load_rows, times, weighted_gram, wide};
+use crate::law::inverse::{axes, load_rows, times, weighted_gram, wide};
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
-use crate::number::{Arithmetic, EveryJoint, Lanes, Wide};
+use crate::number::{Arithmetic, Axes, AxisScalar, EveryJoint, Lanes, Scalar, Spread};
 use crate::plan::Plan;
 use crate::{MAX_AXES, Rows};
 
@@ -15,43 +15,44 @@ const SQUARINGS: usize = 6;
 /// Never below the largest eigenvalue and at most 3 % above it (six equal ones); smooth where two of them cross, and
 /// without memory. `compliance` holds 1/k_p.
 #[inline(always)]
-pub(crate) fn rho<J: Lanes>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> f64 {
+pub(crate) fn rho<J: Lanes>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> Scalar<J> {
     // √K C √K has the same eigenvalues, and is symmetric.
     let (root, c) = (J::Axes::sqrt(stiffness), weighted_gram(rows, compliance));
-    let roots = root.numbers();
+    let roots = axes(root);
     let mut m = [root; MAX_AXES];
     for r in 0..MAX_AXES {
-        m[r] = wide::<J::Axes>(&c[r]) * root * J::Axes::splat(roots[r]);
+        m[r] = wide::<J::Axes>(&c[r]) * root * J::Axes::spread(roots[r]);
     }
     // The trace is taken out before each squaring, so that nothing overflows.
-    let mut traces = [0.0; SQUARINGS];
+    let mut traces = [J::One::splat(0.0); SQUARINGS];
     for trace in &mut traces {
         *trace = trace_of(&m);
-        if *trace <= 0.0 {
-            return 0.0;
-        }
-        m = squared(&m, 1.0 / trace.max(f64::MIN_POSITIVE));
+        m = squared(&m, J::One::splat(1.0) / J::One::at_least(*trace, J::One::splat(f64::MIN_POSITIVE)));
     }
-    traces.iter().rev().fold(trace_of(&m), |power, trace| trace * power.sqrt())
+    let mut power = trace_of(&m);
+    for trace in traces.iter().rev() {
+        power = *trace * J::One::sqrt(power);
+    }
+    power
 }
 
 #[inline(always)]
-fn trace_of<W: Wide>(m: &[W; MAX_AXES]) -> f64 {
-    let mut sum = 0.0;
+fn trace_of<W: Axes>(m: &[W; MAX_AXES]) -> AxisScalar<W> {
+    let mut sum = W::One::splat(0.0);
     for r in 0..MAX_AXES {
-        sum += m[r].numbers()[r];
+        sum = sum + axes(m[r])[r];
     }
     sum
 }
 
 /// `(f M)²` of a symmetric matrix.
 #[inline(always)]
-fn squared<W: Wide>(m: &[W; MAX_AXES], factor: f64) -> [W; MAX_AXES] {
-    let mut out = [W::splat(0.0); MAX_AXES];
+fn squared<W: Axes>(m: &[W; MAX_AXES], factor: AxisScalar<W>) -> [W; MAX_AXES] {
+    let (factor, mut out) = (W::spread(factor), [W::splat(0.0); MAX_AXES]);
     for r in 0..MAX_AXES {
-        let row = (m[r] * W::splat(factor) * W::splat(factor)).numbers();
+        let row = axes(m[r] * factor * factor);
         for c in 0..MAX_AXES {
-            out[r] = W::fma(W::splat(row[c]), m[c], out[r]);
+            out[r] = W::fma(W::spread(row[c]), m[c], out[r]);
         }
     }
     out
@@ -59,24 +60,24 @@ fn squared<W: Wide>(m: &[W; MAX_AXES], factor: f64) -> [W; MAX_AXES] {
 
 /// Factor ≤ 1 that brings `ρ` of these gains within `bound`.
 #[inline(always)]
-fn share<J: Lanes>(tick: &Tick<'_, J>, gains: J::Axes, bound: f64) -> f64 {
-    if !J::Axes::splat(0.0).any_less(gains) {
-        return 1.0;
+fn share<J: Lanes>(tick: &Tick<'_, J>, gains: J::Axes, bound: f64) -> Scalar<J> {
+    if !J::Axes::less_anywhere(J::Axes::splat(0.0), gains) {
+        return J::One::splat(1.0);
     }
-    let rho = rho(tick.rows, J::load(&tick.plan.servos.compliance), gains);
-    if rho > bound { bound / rho } else { 1.0 }
+    let (rho, bound) = (rho(tick.rows, J::load(&tick.plan.servos.compliance), gains), J::One::splat(bound));
+    J::One::if_less(bound, rho, bound / rho, J::One::splat(1.0))
 }
 
 /// `F = clip(f K ẽ + f_D D (twist − v), ±most)` per axis, and `f` ≤ 1; f and f_D keep `f ρ(K)` and `f_D ρ(D)` within
 /// their bounds at this pose.
 #[inline(always)]
-fn force<J: Lanes>(tick: &Tick<'_, J>) -> (J::Axes, f64) {
+fn force<J: Lanes>(tick: &Tick<'_, J>) -> (J::Axes, Scalar<J>) {
     let (wish, [most_stiff, most_damped]) = (tick.wish, tick.plan.impedance_bounds);
     let stiff = share(tick, wish.stiffness, most_stiff);
     let damped = share(tick, wish.viscosity, most_damped);
     let velocity: J::Axes = wide(&times(tick.rows, tick.velocity));
-    let spring = J::Axes::splat(stiff) * wish.stiffness * wish.adapted;
-    let force = J::Axes::fma(J::Axes::splat(damped) * wish.viscosity, wish.twist - velocity, spring);
+    let spring = J::Axes::spread(stiff) * wish.stiffness * wish.adapted;
+    let force = J::Axes::fma(J::Axes::spread(damped) * wish.viscosity, wish.twist - velocity, spring);
     (J::Axes::clip(force, wish.most), stiff)
 }
 

@@ -1,10 +1,10 @@
 //! Small symmetric systems and the damped pseudo-inverse.
 
-use crate::number::{Arithmetic, EveryJoint, Lanes, Wide};
+use crate::number::{Arithmetic, Axes, AxisScalar, EveryJoint, Joints, Lanes, Number, Scalar, Spread};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// A symmetric matrix of task axes.
-pub(crate) type Square = [[f64; MAX_AXES]; MAX_AXES];
+pub(crate) type Square<R = f64> = [[R; MAX_AXES]; MAX_AXES];
 
 /// The body once for each index: triangular loops within it then have constant bounds, and their numbers stay in registers.
 macro_rules! unrolled {
@@ -28,7 +28,7 @@ pub(crate) fn load_rows<J: Lanes>(rows: &Rows) -> [J; MAX_AXES] {
 
 /// Rows to memory, 0 beyond.
 #[inline(always)]
-pub(crate) fn rows_array<J: Lanes>(rows: &[J; MAX_AXES]) -> Rows {
+pub(crate) fn rows_array<J: Joints>(rows: &[J; MAX_AXES]) -> Rows {
     let mut out = [[0.0; MAX_JOINTS]; MAX_AXES];
     for r in 0..MAX_AXES {
         rows[r].store(&mut out[r]);
@@ -38,21 +38,25 @@ pub(crate) fn rows_array<J: Lanes>(rows: &[J; MAX_AXES]) -> Rows {
 
 /// `J diag(d) Jᵀ`.
 #[inline(always)]
-pub(crate) fn weighted_gram<J: Lanes>(rows: &[J; MAX_AXES], d: J) -> Square {
-    let zero = J::splat(0.0);
-    let mut out = [[0.0; MAX_AXES]; MAX_AXES];
-    let mut products = [zero; 24];
+pub(crate) fn weighted_gram<J: Lanes>(rows: &[J; MAX_AXES], d: J) -> Square<Scalar<J>> {
+    let (zero, nothing) = (J::splat(0.0), J::One::splat(0.0));
+    let mut out = [[nothing; MAX_AXES]; MAX_AXES];
+    let (mut left, mut right) = ([zero; 24], [zero; 24]);
     unrolled!(r in 0 1 2 3 4 5 => {
         let scaled = rows[r] * d;
         for c in 0..=r {
-            products[r * (r + 1) / 2 + c] = scaled * rows[c];
+            (left[r * (r + 1) / 2 + c], right[r * (r + 1) / 2 + c]) = (scaled, rows[c]);
         }
     });
-    let mut sums = [0.0; 24];
+    let mut sums = [nothing; 24];
     unrolled!(b in 0 1 2 3 4 5 => {
-        let four = J::sums([products[4 * b], products[4 * b + 1], products[4 * b + 2], products[4 * b + 3]]);
-        for i in 0..4 {
-            sums[4 * b + i] = four[i];
+        let i = 4 * b;
+        let four = J::dots(
+            [left[i], left[i + 1], left[i + 2], left[i + 3]],
+            [right[i], right[i + 1], right[i + 2], right[i + 3]],
+        );
+        for k in 0..4 {
+            sums[i + k] = four[k];
         }
     });
     unrolled!(r in 0 1 2 3 4 5 => {
@@ -66,41 +70,40 @@ pub(crate) fn weighted_gram<J: Lanes>(rows: &[J; MAX_AXES], d: J) -> Square {
 
 /// `Jᵀ w`.
 #[inline(always)]
-pub(crate) fn transpose_times<J: Lanes, const K: usize>(rows: &[J; MAX_AXES], w: &[f64; K]) -> J {
+pub(crate) fn transpose_times<J: Lanes, const K: usize>(rows: &[J; MAX_AXES], w: &[Scalar<J>; K]) -> J {
     const { assert!(K >= MAX_AXES) }
-    let (mut even, mut odd) = (rows[0] * J::splat(w[0]), rows[1] * J::splat(w[1]));
+    let (mut even, mut odd) = (rows[0] * J::spread(w[0]), rows[1] * J::spread(w[1]));
     for pair in 1..MAX_AXES / 2 {
-        even = J::fma(rows[2 * pair], J::splat(w[2 * pair]), even);
-        odd = J::fma(rows[2 * pair + 1], J::splat(w[2 * pair + 1]), odd);
+        even = J::fma(rows[2 * pair], J::spread(w[2 * pair]), even);
+        odd = J::fma(rows[2 * pair + 1], J::spread(w[2 * pair + 1]), odd);
     }
     even + odd
 }
 
 /// `J v`.
 #[inline(always)]
-pub(crate) fn times<J: Lanes>(rows: &[J; MAX_AXES], v: J) -> AxisVec {
+pub(crate) fn times<J: Lanes>(rows: &[J; MAX_AXES], v: J) -> [Scalar<J>; MAX_AXES] {
     let zero = J::splat(0.0);
-    let [a, b, c, d] = J::sums([rows[0] * v, rows[1] * v, rows[2] * v, rows[3] * v]);
-    let [e, f, ..] = J::sums([rows[4] * v, rows[5] * v, zero, zero]);
+    let [a, b, c, d] = J::dots([rows[0], rows[1], rows[2], rows[3]], [v; 4]);
+    let [e, f, ..] = J::dots([rows[4], rows[5], zero, zero], [v; 4]);
     [a, b, c, d, e, f]
 }
 
-/// The task axes of a wide number.
+/// The numbers of all task axes.
 #[inline(always)]
-pub(crate) fn axes<W: Wide>(values: W) -> AxisVec {
-    let n = values.numbers();
-    [n[0], n[1], n[2], n[3], n[4], n[5]]
+pub(crate) fn axes<W: Axes>(values: W) -> [AxisScalar<W>; MAX_AXES] {
+    values.axes()
 }
 
-/// A wide number of task axes, 0 beyond.
+/// A number per task axis.
 #[inline(always)]
-pub(crate) fn wide<W: Wide>(v: &AxisVec) -> W {
-    W::of(&[v[0], v[1], v[2], v[3], v[4], v[5], 0.0, 0.0])
+pub(crate) fn wide<W: Axes>(v: &[AxisScalar<W>; MAX_AXES]) -> W {
+    W::of_axes(v)
 }
 
-/// The diagonal of a matrix, 0 beyond.
+/// The diagonal of a matrix.
 #[inline(always)]
-pub(crate) fn diagonal<W: Wide>(m: &Square) -> W {
+pub(crate) fn diagonal<W: Axes>(m: &Square<AxisScalar<W>>) -> W {
     wide(&[m[0][0], m[1][1], m[2][2], m[3][3], m[4][4], m[5][5]])
 }
 
@@ -113,24 +116,25 @@ const LEAST_PIVOT: f64 = 1e-100;
 /// replaced by a tiny positive one: a singular matrix gives large but finite answers instead of NaN. A row of zeros gives
 /// zeros where the right side is zero there, so that a task of fewer axes needs no other code.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Factor {
+pub(crate) struct Factor<R = f64> {
     /// `L`, below the blocks of its diagonal.
-    l: Square,
+    l: Square<R>,
     /// `[a, b, c]` of each block's inverse `[[a, b], [b, c]]`.
-    inverse: [[f64; 3]; MAX_AXES / 2],
+    inverse: [[R; 3]; MAX_AXES / 2],
 }
 
-impl Factor {
+impl<R: Number> Factor<R> {
     #[inline(always)]
-    pub(crate) fn new<A: Arithmetic<Real = f64>>(m: &Square) -> Self {
-        let (mut s, mut l) = (*m, [[0.0; MAX_AXES]; MAX_AXES]);
-        let mut inverse = [[0.0; 3]; MAX_AXES / 2];
+    pub(crate) fn new<A: Arithmetic<Real = R>>(m: &Square<R>) -> Self {
+        let (zero, one, tiny, least_pivot) = (A::splat(0.0), A::splat(1.0), A::splat(1e-15), A::splat(LEAST_PIVOT));
+        let (mut s, mut l) = (*m, [[zero; MAX_AXES]; MAX_AXES]);
+        let mut inverse = [[zero; 3]; MAX_AXES / 2];
         unrolled!(block in 0 1 2 => {
             let (i, j) = (2 * block, 2 * block + 1);
-            let least = [A::at_least(1e-15 * m[i][i], LEAST_PIVOT), A::at_least(1e-15 * m[j][j], LEAST_PIVOT)];
+            let least = [A::at_least(tiny * m[i][i], least_pivot), A::at_least(tiny * m[j][j], least_pivot)];
             let (a, b, c) = (A::at_least(s[i][i], least[0]), s[j][i], A::at_least(s[j][j], least[1]));
             let determinant = A::at_least(A::fnma(b, b, a * c), a * least[1]);
-            let scale = 1.0 / determinant;
+            let scale = one / determinant;
             let [x, y, z] = [c * scale, -b * scale, a * scale];
             inverse[block] = [x, y, z];
             for r in j + 1..MAX_AXES {
@@ -147,25 +151,25 @@ impl Factor {
 
     /// Solves `M X = B` for one number in each row of `B`, or for one per joint.
     #[inline(always)]
-    pub(crate) fn solve<A: Arithmetic>(&self, b: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
+    pub(crate) fn solve<A: Spread<R>>(&self, b: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
         let mut x = *b;
         unrolled!(block in 0 1 => {
             let (i, j) = (2 * block, 2 * block + 1);
             for r in j + 1..MAX_AXES {
-                x[r] = A::fnma(A::splat(self.l[r][j]), x[j], A::fnma(A::splat(self.l[r][i]), x[i], x[r]));
+                x[r] = A::fnma(A::spread(self.l[r][j]), x[j], A::fnma(A::spread(self.l[r][i]), x[i], x[r]));
             }
         });
         unrolled!(block in 0 1 2 => {
             let ((i, j), [a, b, c]) = ((2 * block, 2 * block + 1), self.inverse[block]);
             let (u, v) = (x[i], x[j]);
-            x[i] = A::fma(A::splat(a), u, A::splat(b) * v);
-            x[j] = A::fma(A::splat(b), u, A::splat(c) * v);
+            x[i] = A::fma(A::spread(a), u, A::spread(b) * v);
+            x[j] = A::fma(A::spread(b), u, A::spread(c) * v);
         });
         unrolled!(block in 1 0 => {
             let (i, j) = (2 * block, 2 * block + 1);
             for r in j + 1..MAX_AXES {
-                x[i] = A::fnma(A::splat(self.l[r][i]), x[r], x[i]);
-                x[j] = A::fnma(A::splat(self.l[r][j]), x[r], x[j]);
+                x[i] = A::fnma(A::spread(self.l[r][i]), x[r], x[i]);
+                x[j] = A::fnma(A::spread(self.l[r][j]), x[r], x[j]);
             }
         });
         x
@@ -173,7 +177,7 @@ impl Factor {
 
     /// `M⁻¹ J D`: the transposed pseudo-inverse that belongs to this factor of `J D Jᵀ`.
     #[inline(always)]
-    pub(crate) fn weighted_rows<J: Lanes>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
+    pub(crate) fn weighted_rows<J: Lanes + Spread<R>>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
         let mut out = self.solve::<J>(rows);
         for row in &mut out {
             *row = *row * joint_weight;
@@ -183,11 +187,11 @@ impl Factor {
 
     /// Diagonal of `M⁻¹`.
     #[inline(always)]
-    pub(crate) fn inverse_diagonal<A: Arithmetic<Real = f64>>(&self) -> AxisVec {
-        let mut out = [0.0; MAX_AXES];
+    pub(crate) fn inverse_diagonal<A: Arithmetic<Real = R> + Spread<R>>(&self) -> [R; MAX_AXES] {
+        let mut out = [A::splat(0.0); MAX_AXES];
         for i in 0..MAX_AXES {
-            let mut unit = [0.0; MAX_AXES];
-            unit[i] = 1.0;
+            let mut unit = [A::splat(0.0); MAX_AXES];
+            unit[i] = A::splat(1.0);
             out[i] = self.solve::<A>(&unit)[i];
         }
         out
@@ -196,9 +200,9 @@ impl Factor {
 
 /// `M + Λ`, `Λ` diagonal.
 #[inline(always)]
-pub(crate) fn damped(mut m: Square, damping: &AxisVec) -> Square {
+pub(crate) fn damped<R: Number>(mut m: Square<R>, damping: &[R; MAX_AXES]) -> Square<R> {
     for r in 0..MAX_AXES {
-        m[r][r] += damping[r];
+        m[r][r] = m[r][r] + damping[r];
     }
     m
 }

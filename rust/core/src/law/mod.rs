@@ -17,7 +17,7 @@ use crate::law::inverse::axes;
 use crate::law::nullspace::{NullSpace, manipulability_gradient};
 use crate::law::singular::Condition;
 use crate::law::wrench::Wrench;
-use crate::number::Lanes;
+use crate::number::{Arithmetic, Lanes, Scalar};
 use crate::plan::Plan;
 use crate::settings::{Law, Projector};
 use crate::task::wish::Wish;
@@ -34,7 +34,7 @@ pub(crate) struct Tick<'a, J: Lanes> {
     pub(crate) rows: &'a [J; MAX_AXES],
     /// The same with translations divided by the arm's length.
     pub(crate) scaled_rows: &'a [J; MAX_AXES],
-    pub(crate) condition: &'a Condition,
+    pub(crate) condition: &'a Condition<Scalar<J>>,
     /// λ² of each row.
     pub(crate) damping: J::Axes,
     /// What each axis wants.
@@ -62,11 +62,11 @@ pub(crate) struct Motion<J: Lanes> {
     /// Wrench of the laws that speak of forces [N, N·m].
     pub(crate) wrench: Wrench<J::Axes>,
     /// Factors by which null-space, soft and stiff part were scaled.
-    pub(crate) factors: [f64; 3],
+    pub(crate) factors: [Scalar<J>; 3],
     /// Feed-forward of what the joints resist with [N·m].
     pub(crate) feed_forward: J,
     /// Factor ≤ 1 on the gain of the stiff axes that delay and pose demand.
-    pub(crate) gain_factor: f64,
+    pub(crate) gain_factor: Scalar<J>,
 }
 
 /// Runs the law; the joint budgets τ^q of (11) come along where the law makes its limits from them.
@@ -91,7 +91,9 @@ impl<J: Lanes> Tick<'_, J> {
         match (plan.projector, &self.condition.factor) {
             (Projector::Paper, _) => NullSpace::new(self.rows, weight, &axes(self.damping), size),
             // With joints that count alike and μ = 0 it is the matrix whose singular values were followed.
-            (Projector::Exact, Some(factor)) if plan.law.by_force() && self.condition.mu_squared <= 0.0 => {
+            (Projector::Exact, Some(factor))
+                if plan.law.by_force() && !J::One::less_anywhere(J::One::splat(0.0), self.condition.mu_squared) =>
+            {
                 NullSpace::of(self.scaled_rows, weight, factor, size)
             }
             (Projector::Exact, _) => {

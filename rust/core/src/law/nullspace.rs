@@ -1,7 +1,8 @@
 //! Redundancy: the projector of (4) and the cost that is descended in it, line 9.
 
+use crate::law::activation::RowLengths;
 use crate::law::inverse::{Factor, damped, load_rows, times, transpose_times, weighted_gram};
-use crate::number::{EveryJoint, Lanes};
+use crate::number::{Arithmetic, EveryJoint, Lanes, Scalar};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// An n × n matrix over the joints.
@@ -12,12 +13,13 @@ pub(crate) type JointSquare = [[f64; MAX_JOINTS]; MAX_JOINTS];
 /// With μ = 0 it is exact. μ = μ₁ clip(2 − σ/μ₁, 0, 1) with μ₁ = 10⁻³ σ_max fades it at singular poses, where the exact
 /// one jumps.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct NullSpace<'a, J> {
+pub(crate) struct NullSpace<'a, J: Lanes> {
     rows: &'a [J; MAX_AXES],
     weight: J,
-    factor: Factor,
-    /// Whether there are more rows than joints.
-    empty: bool,
+    factor: Factor<Scalar<J>>,
+    /// Rows of the task, and joints: with more rows there is no redundancy.
+    task: usize,
+    joints: usize,
 }
 
 /// μ² of the exact projector, from the largest and smallest singular value of the rows.
@@ -34,21 +36,31 @@ pub(crate) fn fade_squared(smallest: f64, largest: f64) -> f64 {
 impl<'a, J: Lanes> NullSpace<'a, J> {
     /// Of `task` rows over `joints`; `added` holds what is added to the diagonal of `J D Jᵀ`.
     #[inline(always)]
-    pub(crate) fn new(rows: &'a [J; MAX_AXES], weight: J, added: &AxisVec, (task, joints): (usize, usize)) -> Self {
+    pub(crate) fn new(
+        rows: &'a [J; MAX_AXES],
+        weight: J,
+        added: &[Scalar<J>; MAX_AXES],
+        (task, joints): (usize, usize),
+    ) -> Self {
         let factor = Factor::new::<J::One>(&damped(weighted_gram(rows, weight), added));
         Self::of(rows, weight, &factor, (task, joints))
     }
 
     /// The same of a matrix that is factored already.
     #[inline(always)]
-    pub(crate) fn of(rows: &'a [J; MAX_AXES], weight: J, factor: &Factor, (task, joints): (usize, usize)) -> Self {
-        Self { rows, weight, factor: *factor, empty: task > joints }
+    pub(crate) fn of(
+        rows: &'a [J; MAX_AXES],
+        weight: J,
+        factor: &Factor<Scalar<J>>,
+        (task, joints): (usize, usize),
+    ) -> Self {
+        Self { rows, weight, factor: *factor, task, joints }
     }
 
     /// `N v`; zero where there are more rows than joints, as there is no redundancy then.
     #[inline(always)]
     pub(crate) fn project(&self, v: J) -> J {
-        if self.empty {
+        if self.task > self.joints {
             return J::splat(0.0);
         }
         let along = self.factor.solve::<J::One>(&times(self.rows, v));
@@ -58,36 +70,38 @@ impl<'a, J: Lanes> NullSpace<'a, J> {
     /// The same where the pseudo-inverse is known, `N = I − J⁺J`: without another solution.
     #[inline(always)]
     pub(crate) fn project_by(&self, pinv_transposed: &[J; MAX_AXES], v: J) -> J {
-        if self.empty { J::splat(0.0) } else { v - transpose_times(pinv_transposed, &times(self.rows, v)) }
-    }
-
-    /// Length of each row of `N = I − J⁺J`.
-    #[inline(always)]
-    pub(crate) fn row_lengths(&self, joints: usize) -> JointVec {
-        let mut lengths = [0.0; MAX_JOINTS];
-        if self.empty {
-            return lengths;
-        }
-        let (mut columns, pinv_transposed) = ([[0.0; MAX_JOINTS]; MAX_AXES], self.pseudo_inverse());
-        for r in 0..MAX_AXES {
-            pinv_transposed[r].store(&mut columns[r]);
-        }
-        for i in 0..joints.min(MAX_JOINTS) {
-            let mut unit = [0.0; MAX_JOINTS];
-            unit[i] = 1.0;
-            let mut row = J::load(&unit);
-            for r in 0..MAX_AXES {
-                row = J::fnma(J::splat(columns[r][i]), self.rows[r], row);
-            }
-            lengths[i] = (row * row).sum().sqrt();
-        }
-        lengths
+        if self.task > self.joints { J::splat(0.0) } else { v - transpose_times(pinv_transposed, &times(self.rows, v)) }
     }
 
     /// Transposed pseudo-inverse that belongs to this projector.
     #[inline(always)]
     pub(crate) fn pseudo_inverse(&self) -> [J; MAX_AXES] {
         self.factor.weighted_rows(self.rows, self.weight)
+    }
+}
+
+impl<J: Lanes> RowLengths<J> for NullSpace<'_, J> {
+    #[inline(always)]
+    fn row_lengths(&self) -> J {
+        let zero = J::One::splat(0.0);
+        let mut lengths = [zero; MAX_JOINTS];
+        if self.task > self.joints {
+            return J::of_joints(&lengths);
+        }
+        let (mut columns, pinv_transposed) = ([[zero; MAX_JOINTS]; MAX_AXES], self.pseudo_inverse());
+        for r in 0..MAX_AXES {
+            columns[r] = pinv_transposed[r].array();
+        }
+        for i in 0..self.joints.min(MAX_JOINTS) {
+            let mut unit = [0.0; MAX_JOINTS];
+            unit[i] = 1.0;
+            let mut row = J::load(&unit);
+            for r in 0..MAX_AXES {
+                row = J::fnma(J::spread(columns[r][i]), self.rows[r], row);
+            }
+            lengths[i] = J::One::sqrt((row * row).sum());
+        }
+        J::of_joints(&lengths)
     }
 }
 

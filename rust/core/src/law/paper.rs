@@ -7,9 +7,9 @@ use crate::law::inverse::{Factor, axes, damped, transpose_times, weighted_gram, 
 use crate::law::nullspace::NullSpace;
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
-use crate::number::{Arithmetic, Lanes, Wide};
+use crate::number::{Arithmetic, Axes, Lanes};
 use crate::plan::Plan;
-use crate::settings::{Follow, Projector};
+use crate::settings::{Follow, Law, Projector};
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Task step within what the budgets can do: `|s_j| ≤ τ_j / Σ_i k_i |J⁺_ij|`.
@@ -44,7 +44,7 @@ fn free_lead<J: Lanes>(tick: &Tick<'_, J>, step: J::Axes) -> J {
     };
     let factor = Factor::new::<J::One>(&damped(c, &axes(demand.damping)));
     let soft = demand.softness * wide(&factor.inverse_diagonal::<J::One>()) * step;
-    compliance * transpose_times(tick.rows, &(demand.stiff_force() + soft).numbers())
+    compliance * transpose_times(tick.rows, &(demand.stiff_force() + soft).axes())
 }
 
 /// Goals' lead of law `paper`, `h K_q (J⁺Δx − α N∇g)`, and the joint budgets τ^q of (11).
@@ -52,16 +52,14 @@ fn free_lead<J: Lanes>(tick: &Tick<'_, J>, step: J::Axes) -> J {
 /// With `budget_on_goal` each axis' step is clamped to its τ^x.
 #[inline(always)]
 pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, J) {
-    let (plan, h) = (tick.plan, tick.horizon);
-    let size = (plan.k, plan.n);
-    let damped = NullSpace::new(tick.rows, J::load(&plan.joint_weight), &axes(tick.damping), size);
+    let (plan, damped) = (tick.plan, damped_space(tick));
     let pinv = damped.pseudo_inverse();
     let mut step = tick.wish.bounded;
     if plan.budget_on_goal {
         step = within_budget(&pinv, step, tick.wish.most, J::load(&plan.servos.kp));
     }
     let task = match plan.follow {
-        Follow::Hold => transpose_times(&pinv, &step.numbers()),
+        Follow::Hold => transpose_times(&pinv, &step.axes()),
         Follow::Free => free_lead(tick, step),
     };
     let (null_space, along) = match plan.projector {
@@ -71,20 +69,57 @@ pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, J) {
             (exact, exact.project(tick.gradient))
         }
     };
+    within_limits(tick, &pinv, task, &null_space, along)
+}
+
+/// Whether the settings ask for the law as printed, without what this package can add.
+pub(crate) fn is_printed(plan: &Plan) -> bool {
+    plan.law == Law::Paper
+        && plan.follow == Follow::Hold
+        && plan.projector == Projector::Paper
+        && !plan.budget_on_goal
+        && !plan.follows_sigma()
+}
+
+/// [`motion`] as printed.
+#[inline(always)]
+pub(crate) fn printed<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, J) {
+    let damped = damped_space(tick);
+    let pinv = damped.pseudo_inverse();
+    let task = transpose_times(&pinv, &tick.wish.bounded.axes());
+    within_limits(tick, &pinv, task, &damped, damped.project_by(&pinv, tick.gradient))
+}
+
+/// What belongs to the damped pseudo-inverse of (3).
+#[inline(always)]
+fn damped_space<'a, J: Lanes>(tick: &Tick<'a, J>) -> NullSpace<'a, J> {
+    let plan = tick.plan;
+    NullSpace::new(tick.rows, J::load(&plan.joint_weight), &axes(tick.damping), (plan.k, plan.n))
+}
+
+/// The motion toward `task` and `along` the null space [rad] within speed limits, and the budgets of (11).
+#[inline(always)]
+fn within_limits<J: Lanes>(
+    tick: &Tick<'_, J>,
+    pinv: &[J; MAX_AXES],
+    task: J,
+    null_space: &NullSpace<'_, J>,
+    along: J,
+) -> (Motion<J>, J) {
+    let (plan, h) = (tick.plan, tick.horizon);
     let (lead, null) = (gained(plan, task), gained(plan, along * J::splat(-plan.alpha * h)));
     let null = plan.bound_null_speed(null, h);
     let [null_factor, task_factor] = scale_to_fit(J::splat(0.0), [null, lead], plan.reach(h));
-    let null_shares =
-        if plan.k < plan.n { null_column(along, || null_space.row_lengths(plan.n)) } else { J::splat(0.0) };
-    let budget = Activation::new(&pinv, null_shares).distribute(tick.wish.most, plan.null_torque);
+    let null_shares = if plan.k < plan.n { null_column(along, null_space) } else { J::splat(0.0) };
+    let budget = Activation::new(pinv, null_shares).distribute(tick.wish.most, plan.null_torque);
     let motion = Motion {
-        lead: lead * J::splat(task_factor),
+        lead: lead * J::spread(task_factor),
         force_lead: J::splat(0.0),
-        null: null * J::splat(null_factor),
+        null: null * J::spread(null_factor),
         wrench: Wrench::none(),
         factors: [null_factor, task_factor, task_factor],
         feed_forward: J::splat(0.0),
-        gain_factor: 1.0,
+        gain_factor: J::One::splat(1.0),
     };
     (motion, budget)
 }
@@ -94,12 +129,12 @@ pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, J) {
 fn gained<J: Lanes>(plan: &Plan, v: J) -> J {
     match plan.kq_scalar {
         Some(gain) => v * J::splat(gain),
-        None => J::load(&gained_by_matrix(plan, &v.array())),
+        None => {
+            let (values, mut out) = (v.array(), J::splat(0.0));
+            for i in 0..plan.n.min(MAX_JOINTS) {
+                out = J::fma(J::load(&plan.kq_columns[i]), J::spread(values[i]), out);
+            }
+            out
+        }
     }
-}
-
-#[cold]
-#[inline(never)]
-fn gained_by_matrix(plan: &Plan, v: &[f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
-    plan.kq.map(|row| row.iter().zip(v).map(|(gain, value)| gain * value).sum())
 }

@@ -1,7 +1,7 @@
 //! The smallest and the largest singular value, followed from tick to tick.
 
 use crate::law::inverse::{Factor, Square};
-use crate::number::Arithmetic;
+use crate::number::{Arithmetic, Spread};
 use crate::{AxisVec, MAX_AXES};
 
 /// Estimates of the largest and the smallest singular value of scaled task rows, with the vectors to start from.
@@ -37,7 +37,7 @@ impl SingularValues {
     /// `gram` is `JJᵀ` of `k` rows, or `JᵀJ` where there are fewer joints than axes; `factor` is its own. Warm-started, one
     /// iteration a tick follows a moving arm to about a percent.
     #[inline(always)]
-    pub(crate) fn update<A: Arithmetic<Real = f64>>(
+    pub(crate) fn update<A: Arithmetic<Real = f64> + Spread<f64>>(
         &mut self,
         gram: &Square,
         factor: &Factor,
@@ -68,15 +68,15 @@ impl SingularValues {
 
 /// What a step came to know of its task rows.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Condition {
+pub(crate) struct Condition<R = f64> {
     /// λ².
-    pub(crate) damping: f64,
+    pub(crate) damping: R,
     /// μ² of the exact projector.
-    pub(crate) mu_squared: f64,
+    pub(crate) mu_squared: R,
     /// Factor of the scaled rows' `JJᵀ`, where there is one.
-    pub(crate) factor: Option<Factor>,
+    pub(crate) factor: Option<Factor<R>>,
     /// γ: how much of feed-forward and prediction is used.
-    pub(crate) gamma: f64,
+    pub(crate) gamma: R,
 }
 
 /// A unit vector `v` and `M v`, which an inverse iteration knows without a product.

@@ -3,7 +3,7 @@
 use crate::command::goal::scale_to_fit;
 use crate::law::inverse::transpose_times;
 use crate::law::{Motion, Tick};
-use crate::number::{Arithmetic, Lanes, Wide};
+use crate::number::{Arithmetic, Axes, Lanes, Spread};
 
 /// Wrench on the target, in two parts that are scaled apart when a limit is met [N, N·m].
 #[derive(Debug, Clone, Copy)]
@@ -12,7 +12,7 @@ pub(crate) struct Wrench<W> {
     pub(crate) stiff: W,
 }
 
-impl<W: Wide> Wrench<W> {
+impl<W: Axes> Wrench<W> {
     /// No force at all.
     #[inline(always)]
     pub(crate) fn none() -> Self {
@@ -35,27 +35,27 @@ impl<J: Lanes> Tick<'_, J> {
         let (kp, compliance, torque) = (J::load(&servos.kp), J::load(&servos.compliance), J::load(&servos.torque));
 
         // Torque ceilings: the soft part gives way first, then the stiff one, gravity never.
-        let soft = transpose_times(self.rows, &wrench.soft.numbers());
-        let stiff = transpose_times(self.rows, &wrench.stiff.numbers());
+        let soft = transpose_times(self.rows, &wrench.soft.axes());
+        let stiff = transpose_times(self.rows, &wrench.stiff.axes());
         let feed_forward = self.resistance.under(J::clip(self.gravity + soft + stiff, torque));
         let base = J::fma(kp, null + self.integral, self.gravity + feed_forward);
         let [soft_torque, stiff_torque] = scale_to_fit(base, [soft, stiff], torque);
         // Joint speeds: the null part first.
-        let (soft, stiff) = (soft * compliance * J::splat(soft_torque), stiff * compliance * J::splat(stiff_torque));
+        let (soft, stiff) = (soft * compliance * J::spread(soft_torque), stiff * compliance * J::spread(stiff_torque));
         let [null_speed, soft_speed, stiff_speed] =
             scale_to_fit(J::splat(0.0), [null, soft, stiff], plan.reach(self.horizon));
         let factors = [null_speed, soft_torque * soft_speed, stiff_torque * stiff_speed];
         Motion {
-            lead: stiff * J::splat(stiff_speed),
-            force_lead: soft * J::splat(soft_speed),
-            null: null * J::splat(null_speed),
+            lead: stiff * J::spread(stiff_speed),
+            force_lead: soft * J::spread(soft_speed),
+            null: null * J::spread(null_speed),
             wrench: Wrench {
-                soft: wrench.soft * J::Axes::splat(factors[1]),
-                stiff: wrench.stiff * J::Axes::splat(factors[2]),
+                soft: wrench.soft * J::Axes::spread(factors[1]),
+                stiff: wrench.stiff * J::Axes::spread(factors[2]),
             },
             factors,
             feed_forward,
-            gain_factor: plan.kx_derating,
+            gain_factor: J::One::splat(plan.kx_derating),
         }
     }
 
@@ -64,7 +64,12 @@ impl<J: Lanes> Tick<'_, J> {
     fn bound_null(&self, null: J) -> J {
         let plan = self.plan;
         let torque = (J::load(&plan.servos.kp) * J::abs(null)).sum();
-        let null = if torque > plan.null_torque { null * J::splat(plan.null_torque / torque) } else { null };
+        let most = J::One::splat(plan.null_torque);
+        let null = if J::One::less_anywhere(most, torque) {
+            null * J::spread(most / J::One::at_least(torque, most))
+        } else {
+            null
+        };
         plan.bound_null_speed(null, self.horizon)
     }
 }

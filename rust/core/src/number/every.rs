@@ -5,7 +5,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::instructions::PlainEight;
 use super::scalar::{Plain, turn};
-use super::{Arithmetic, Lanes};
+use super::{Arithmetic, Joints, Lanes, Spread};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Sixteen numbers, of arms with more joints than one has lanes and of what few steps do.
@@ -92,11 +92,27 @@ impl Arithmetic for EveryJoint {
         power_of_two(sum);
     }
 
+    #[inline(always)]
+    fn less_anywhere(a: Self, b: Self) -> bool {
+        #[inline(never)]
+        fn anywhere(a: &EveryJoint, b: &EveryJoint) -> bool {
+            a.0.iter().zip(&b.0).any(|(a, b)| a < b)
+        }
+        anywhere(&a, &b)
+    }
+
     fn turn(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
         for i in 0..MAX_JOINTS {
             (s.0[i], c.0[i]) = turn(turns.0[i], s.0[i], c.0[i]);
         }
         (s, c)
+    }
+}
+
+impl Spread<f64> for EveryJoint {
+    #[inline(always)]
+    fn spread(value: f64) -> Self {
+        Self::splat(value)
     }
 }
 
@@ -110,17 +126,13 @@ impl Lanes for EveryJoint {
     }
 
     #[inline(always)]
-    fn store(self, values: &mut JointVec) {
-        *values = self.0;
+    fn of_joints(values: &JointVec) -> Self {
+        Self::load(values)
     }
 
     #[inline(always)]
-    fn any_less(self, other: Self) -> bool {
-        #[inline(never)]
-        fn anywhere(a: &EveryJoint, b: &EveryJoint) -> bool {
-            a.0.iter().zip(&b.0).any(|(a, b)| a < b)
-        }
-        anywhere(&self, &other)
+    fn array(self) -> JointVec {
+        self.0
     }
 
     #[inline(never)]
@@ -143,5 +155,12 @@ impl Lanes for EveryJoint {
         }
         let [a, b, c, d] = &numbers;
         [sum(a), sum(b), sum(c), sum(d)]
+    }
+}
+
+impl Joints for EveryJoint {
+    #[inline(always)]
+    fn store(self, values: &mut JointVec) {
+        *values = self.0;
     }
 }

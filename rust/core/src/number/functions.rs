@@ -24,20 +24,25 @@ const ARC: [f64; 12] = [
 
 /// Angle [rad] of the point (x, y) in the first quadrant, to 3e-16; 0 for the origin.
 #[inline(always)]
-pub(crate) fn quadrant_angle(y: f64, x: f64) -> f64 {
-    let (small, large) = if y > x { (x, y) } else { (y, x) };
+pub(crate) fn quadrant_angle<A: Arithmetic>(y: A::Real, x: A::Real) -> A::Real {
+    let c = A::splat;
+    let (small, large) = (A::at_most(y, x), A::at_least(y, x));
     // Beyond an eighth of a half turn the angle is measured from the diagonal: one division serves both.
-    let steep = small > TAN_EIGHTH * large;
-    let (up, down, from) =
-        if steep { (small - large, small + large, std::f64::consts::FRAC_PI_4) } else { (small, large, 0.0) };
-    let t = up / down.max(f64::MIN_POSITIVE);
+    let edge = c(TAN_EIGHTH) * large;
+    let up = A::if_less(edge, small, small - large, small);
+    let down = A::if_less(edge, small, small + large, large);
+    let from = A::if_less(edge, small, c(std::f64::consts::FRAC_PI_4), c(0.0));
+    let t = up / A::at_least(down, c(f64::MIN_POSITIVE));
     let u = t * t;
     let (u2, u4) = (u * u, u * u * u * u);
-    let pair = |i: usize| ARC[i] + u * ARC[i + 1];
-    let four = |i: usize| pair(i) + u2 * pair(i + 2);
-    let series = four(0) + u4 * (four(4) + u4 * four(8));
-    let angle = from + (t + t * u * series);
-    if y > x { std::f64::consts::FRAC_PI_2 - angle } else { angle }
+    let mut fours = [c(0.0); 3];
+    for i in 0..3 {
+        let low = A::fma(u, c(ARC[4 * i + 1]), c(ARC[4 * i]));
+        fours[i] = A::fma(u2, A::fma(u, c(ARC[4 * i + 3]), c(ARC[4 * i + 2])), low);
+    }
+    let series = A::fma(u4, A::fma(u4, fours[2], fours[1]), fours[0]);
+    let angle = from + A::fma(t * u, series, t);
+    A::if_less(x, y, c(std::f64::consts::FRAC_PI_2) - angle, angle)
 }
 
 /// Hyperbolic tangent, to 5e-16 absolute; NaN where `x` is.
@@ -75,13 +80,13 @@ mod tests {
     fn angles_of_the_first_quadrant() {
         for i in 0..=100_000 {
             let (y, x) = (f64::from(i) / 100_000.0 * std::f64::consts::FRAC_PI_2).sin_cos();
-            let off = (quadrant_angle(y, x) - y.atan2(x)).abs();
+            let off = (quadrant_angle::<Plain>(y, x) - y.atan2(x)).abs();
             assert!(off <= 3e-16, "{i}: {off:e}");
         }
         for small in [1e-300, 1e-9, 1e-3] {
-            assert!((quadrant_angle(small, 1.0) / small.atan() - 1.0).abs() <= 3e-16);
+            assert!((quadrant_angle::<Plain>(small, 1.0) / small.atan() - 1.0).abs() <= 3e-16);
         }
-        assert_eq!(quadrant_angle(0.0, 0.0).to_bits(), 0.0_f64.to_bits());
+        assert_eq!(quadrant_angle::<Plain>(0.0, 0.0).to_bits(), 0.0_f64.to_bits());
     }
 
     #[test]

@@ -9,21 +9,27 @@ use std::sync::OnceLock;
 
 #[cfg(not(target_arch = "x86_64"))]
 pub(super) use super::Array as PlainEight;
+#[cfg(not(target_arch = "x86_64"))]
+use super::Array as PlainMany;
 #[cfg(target_arch = "x86_64")]
 pub(super) use super::Sse2 as PlainEight;
-use super::{Arithmetic, Plain, Wide};
 #[cfg(target_arch = "x86_64")]
-use super::{Avx2, Avx512, Fused};
+use super::Two as PlainMany;
+use super::{Arithmetic, Many, Plain, Spread, Wide};
+#[cfg(target_arch = "x86_64")]
+use super::{Avx2, Avx512, Four, Fused};
 
 /// Environment variable that forces a slower set of instructions: `baseline`, `avx2` or `avx512`.
 const FORCED: &str = "PLIANT_INSTRUCTIONS";
 
 /// The numbers that one instruction set offers.
 pub(crate) trait Machine {
-    /// One configuration.
-    type One: Arithmetic<Real = f64>;
-    /// Eight configurations; or what one has per joint or per task axis.
-    type Eight: Wide;
+    /// One number.
+    type One: Arithmetic<Real = f64> + Spread<f64>;
+    /// What one configuration has per joint or per task axis.
+    type Eight: Wide<One = Self::One>;
+    /// Several configurations.
+    type Many: Many;
 }
 
 /// Work that is compiled for every machine; `run` must be `#[inline(always)]`, as must all that it calls.
@@ -41,18 +47,21 @@ pub(crate) struct Baseline;
 impl Machine for Baseline {
     type One = Plain;
     type Eight = PlainEight;
+    type Many = PlainMany;
 }
 
 #[cfg(target_arch = "x86_64")]
 impl Machine for Avx2 {
     type One = Fused;
     type Eight = Avx2;
+    type Many = Four;
 }
 
 #[cfg(target_arch = "x86_64")]
 impl Machine for Avx512 {
     type One = Fused;
     type Eight = Avx512;
+    type Many = Avx512;
 }
 
 /// A set of instructions that this processor has.

@@ -4,8 +4,10 @@
 //! fuses by itself, and `mul_add` without the instruction is a slow call, so it is the type that decides. [`Machine`] is the
 //! pair of them that one instruction set offers, and [`Instructions`] which of these the processor at hand has.
 //!
-//! Lanes are eight configurations in a batch of kinematics ([`Wide`]), and the joints or the task axes of one arm in the
-//! control step ([`Lanes`], [`Wide`]). What few steps need takes [`EveryJoint`] and is compiled once.
+//! What stands side by side in a register is the joints or the task axes of one configuration in the control step
+//! ([`Wide`], [`EveryJoint`]), and in batches several configurations ([`Many`]), of which each joint or axis then has its own
+//! ([`Columns`]). Laws are written over [`Lanes`], which is either. What few steps need takes [`EveryJoint`] and is
+//! compiled once.
 //!
 //! Everything between an entry of [`Instructions::run`] and its last formula is `#[inline(always)]`: what is not inlined
 //! would be compiled for the plainest machine. Formulas over [`Arithmetic`] use loops, not closures, for the same reason.
@@ -13,6 +15,7 @@
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+mod columns;
 mod every;
 mod functions;
 mod instructions;
@@ -21,25 +24,33 @@ mod scalar;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+pub(crate) use columns::Columns;
 pub(crate) use every::EveryJoint;
 pub(crate) use functions::{quadrant_angle, tanh};
 pub use instructions::Instructions;
 pub(crate) use instructions::{Kernel, Machine};
 #[cfg(not(target_arch = "x86_64"))]
 pub(crate) use lanes::Array;
-pub(crate) use lanes::Lanes;
+pub(crate) use lanes::{Axes, AxisScalar, Joints, Lanes, Scalar};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use scalar::Fused;
 pub(crate) use scalar::Plain;
 #[cfg(target_arch = "x86_64")]
-pub(crate) use x86::{avx2::Avx2, avx512::Avx512, sse2::Sse2};
+pub(crate) use x86::{
+    avx2::{Avx2, Four},
+    avx512::Avx512,
+    sse2::{Sse2, Two},
+};
 
 /// Positions [rad, m] and velocities below this are 0 where they are read or kept: a filter that decays would come to
 /// denormal numbers and stay there, for whose products some processors need a hundred cycles each.
 pub(crate) const NEGLIGIBLE: f64 = 1e-30;
 
-/// How many configurations the wide numbers hold.
+/// How many numbers stand side by side at most.
 pub(crate) const LANES: usize = 8;
+
+/// Most joints of arms that are stepped side by side: each has a register of its own, used or not.
+pub(crate) const ABREAST: usize = 7;
 
 /// What has the operators.
 pub(crate) trait Number:
@@ -99,6 +110,9 @@ pub(crate) trait Arithmetic: Copy + Debug + 'static {
     /// `then` where `a < b`, else `otherwise`.
     fn if_less(a: Self::Real, b: Self::Real, then: Self::Real, otherwise: Self::Real) -> Self::Real;
 
+    /// Whether `a < b` in any configuration.
+    fn less_anywhere(a: Self::Real, b: Self::Real) -> bool;
+
     /// Two to the power of the whole number in the last bits of `sum`.
     fn power_of_two(sum: Self::Real) -> Self::Real;
 
@@ -106,33 +120,48 @@ pub(crate) trait Arithmetic: Copy + Debug + 'static {
     fn turn(turns: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
 }
 
-/// Eight numbers: one per configuration, per joint or per task axis.
-pub(crate) trait Wide: Arithmetic<Real = Self> + Number {
-    /// One number of the same machine.
-    type One: Arithmetic<Real = f64>;
+/// Where one `R` can stand for many: the same for every joint or task axis, or itself.
+pub(crate) trait Spread<R>: Arithmetic {
+    /// The same everywhere.
+    fn spread(value: R) -> Self::Real;
+}
 
-    /// From memory.
+/// Several numbers in registers.
+pub(crate) trait Packed: Arithmetic<Real = Self> + Number {
+    /// How many, at most [`LANES`].
+    const COUNT: usize;
+
+    /// From the first [`Packed::COUNT`] numbers.
     fn of(values: &[f64; LANES]) -> Self;
 
-    /// To memory.
+    /// Into the first [`Packed::COUNT`] numbers.
     fn put(self, values: &mut [f64; LANES]);
 
-    /// As an array.
+    /// As an array, 0 behind the last.
     #[inline(always)]
     fn numbers(self) -> [f64; LANES] {
         let mut out = [0.0; LANES];
         self.put(&mut out);
         out
     }
+}
 
-    /// Whether any of them is less than its counterpart.
-    fn less_anywhere(self, other: Self) -> bool;
+/// One number of each of several configurations: as many as one register of the machine holds.
+pub(crate) trait Many: Packed + Spread<Self> {
+    /// Eight numbers as rows of eight: row `i` holds what configuration `i` has of each; rows behind the last hold anything.
+    fn transpose(numbers: &[Self; LANES]) -> [[f64; LANES]; LANES];
+
+    /// Eight numbers from as many rows of eight as there are configurations.
+    fn columns(rows: &[[f64; LANES]; LANES]) -> [Self; LANES];
+}
+
+/// Eight numbers of one configuration: one per joint or per task axis.
+pub(crate) trait Wide: Packed + Spread<f64> {
+    /// One number of the same machine.
+    type One: Arithmetic<Real = f64> + Spread<f64>;
 
     /// The sum of each eight.
     fn four_sums(numbers: [Self; 4]) -> [f64; 4];
-
-    /// Eight numbers as eight rows of eight: row `i` holds what configuration `i` has of each.
-    fn transpose(numbers: &[Self; LANES]) -> [[f64; LANES]; LANES];
 }
 
 /// π/2 in three parts. The first two have 33 bits, so that their products with a whole number below 2²⁰ are exact.
@@ -182,8 +211,8 @@ mod tests {
         fn run<M: Machine>(self) -> Self::Output {
             let one = self.0.map(sin_cos::<M::One>);
             let (s, c) = sin_cos::<M::Eight>(M::Eight::of(self.0));
-            let rows = M::Eight::transpose(&[s, c, s, c, s, c, s, c]);
-            [one, rows.map(|row| (row[0], row[1]))]
+            let (s, c) = (s.numbers(), c.numbers());
+            [one, std::array::from_fn(|i| (s[i], c[i]))]
         }
     }
 
@@ -232,10 +261,11 @@ mod tests {
     struct Turned<'a>(&'a [[f64; LANES]; LANES]);
 
     impl Kernel for Turned<'_> {
-        type Output = [[f64; LANES]; LANES];
+        type Output = (usize, [[[f64; LANES]; LANES]; 2]);
 
         fn run<M: Machine>(self) -> Self::Output {
-            M::Eight::transpose(&self.0.map(|row| M::Eight::of(&row)))
+            let turned = M::Many::transpose(&self.0.map(|row| M::Many::of(&row)));
+            (M::Many::COUNT, [turned, M::Many::columns(self.0).map(M::Many::numbers)])
         }
     }
 
@@ -243,10 +273,12 @@ mod tests {
     fn a_transposed_table_has_its_rows_in_columns() {
         let table: [[f64; LANES]; LANES] = std::array::from_fn(|r| std::array::from_fn(|c| (10 * r + c) as f64));
         for instructions in Instructions::available() {
-            let turned = instructions.run(Turned(&table));
-            for (r, row) in turned.iter().enumerate() {
-                for (c, value) in row.iter().enumerate() {
-                    assert_eq!(value.to_bits(), table[c][r].to_bits(), "{instructions} {r} {c}");
+            let (count, [rows, columns]) = instructions.run(Turned(&table));
+            for r in 0..count {
+                for c in 0..LANES {
+                    let want = table[c][r].to_bits();
+                    assert_eq!(rows[r][c].to_bits(), want, "{instructions} {r} {c}");
+                    assert_eq!(columns[c][r].to_bits(), table[r][c].to_bits(), "{instructions} {r} {c}");
                 }
             }
         }

@@ -1,7 +1,7 @@
 //! One configuration: `f64`, with and without fused multiply-add.
 #![forbid(unsafe_code)]
 
-use super::Arithmetic;
+use super::{Arithmetic, Spread};
 
 /// `f64` as every processor of the architecture has it: on aarch64 with fused multiply-add, elsewhere without.
 #[derive(Debug, Clone, Copy)]
@@ -78,6 +78,11 @@ macro_rules! scalar {
             }
 
             #[inline(always)]
+            fn less_anywhere(a: f64, b: f64) -> bool {
+                a < b
+            }
+
+            #[inline(always)]
             fn power_of_two(sum: f64) -> f64 {
                 f64::from_bits((sum.to_bits() << 52).wrapping_add(1023 << 52))
             }
@@ -85,6 +90,13 @@ macro_rules! scalar {
             #[inline(always)]
             fn turn(turns: f64, s: f64, c: f64) -> (f64, f64) {
                 turn(turns, s, c)
+            }
+        }
+
+        impl Spread<f64> for $name {
+            #[inline(always)]
+            fn spread(value: f64) -> f64 {
+                value
             }
         }
     };

@@ -1,6 +1,6 @@
 //! The task axes side by side, as vector code reads them.
 
-use crate::number::{LANES, Wide};
+use crate::number::{Arithmetic, Axes, AxisScalar, LANES};
 use crate::plan::{Plan, Row};
 use crate::{AxisVec, MAX_AXES};
 
@@ -72,14 +72,16 @@ impl RowLanes {
 impl Plan {
     /// The entries of a vector over x, y, z, roll, pitch, yaw that the task has, in the order of its rows.
     #[inline(always)]
-    pub(crate) fn of_rows<W: Wide>(&self, v: &AxisVec) -> W {
+    pub(crate) fn of_rows<W: Axes>(&self, v: &[AxisScalar<W>; MAX_AXES]) -> W {
         if self.k == MAX_AXES {
-            return W::of(&[v[0], v[1], v[2], v[3], v[4], v[5], 0.0, 0.0]);
+            return W::of_axes(v);
         }
-        let (all, mut out) = ([v[0], v[1], v[2], v[3], v[4], v[5], 0.0, 0.0], [0.0; LANES]);
+        let nothing = W::One::splat(0.0);
+        let all = [v[0], v[1], v[2], v[3], v[4], v[5], nothing, nothing];
+        let mut out = [nothing; MAX_AXES];
         for r in 0..MAX_AXES {
             out[r] = all[self.lanes.axis[r] % LANES];
         }
-        W::of(&out)
+        W::of_axes(&out)
     }
 }

@@ -61,7 +61,8 @@ pub(crate) struct Plan {
     /// Factor on λ² of each row.
     pub(crate) damping_scale: AxisVec,
     pub(crate) kx: [[f64; MAX_AXES]; MAX_AXES],
-    pub(crate) kq: [[f64; MAX_JOINTS]; MAX_JOINTS],
+    /// Columns of K_q.
+    pub(crate) kq_columns: [JointVec; MAX_JOINTS],
     /// K_q where it is one number.
     pub(crate) kq_scalar: Option<f64>,
     /// Factor ≤ 1 on K_x that keeps it within the bound of the present delay.
@@ -163,7 +164,7 @@ impl Plan {
             row_scale,
             damping_scale,
             kx,
-            kq: settings.kq.spread("kq", n)?,
+            kq_columns: columns(&settings.kq.spread("kq", n)?),
             kq_scalar: match settings.kq {
                 Gain::Scalar(gain) => Some(gain),
                 _ => None,
@@ -251,6 +252,11 @@ fn compact(full: &[[f64; MAX_AXES]; MAX_AXES], k: usize) -> [[f64; MAX_AXES]; MA
         out[r][..k].copy_from_slice(&full[r][..k]);
     }
     out
+}
+
+/// Rows of a matrix as its columns.
+fn columns(rows: &[JointVec; MAX_JOINTS]) -> [JointVec; MAX_JOINTS] {
+    std::array::from_fn(|i| rows.map(|row| row[i]))
 }
 
 fn check_gain(settings: &Settings, plan: &Plan) -> Result<()> {

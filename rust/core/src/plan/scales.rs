@@ -1,7 +1,7 @@
 //! What the cycle scales and bounds by constants of the plan.
 
 use crate::model::Model;
-use crate::number::{Lanes, Wide};
+use crate::number::{Arithmetic, Axes, Lanes};
 use crate::plan::Plan;
 use crate::pose::COORDINATE_BOUND;
 use crate::settings::{Law, Projector};
@@ -36,7 +36,7 @@ impl Plan {
 
     /// λ² of each row per mean stiffness, `λ²/k̄`.
     #[inline(always)]
-    pub(crate) fn per_stiffness<W: Wide>(&self, squared: W) -> W {
+    pub(crate) fn per_stiffness<W: Axes>(&self, squared: W) -> W {
         squared / W::splat(self.servos.kp_mean)
     }
 
@@ -61,6 +61,7 @@ impl Plan {
         if !J::splat(most).any_less(J::abs(null)) {
             return null;
         }
-        null * J::splat(most / J::abs(null).largest())
+        let most = J::One::splat(most);
+        null * J::spread(most / J::One::at_least(J::abs(null).largest(), most))
     }
 }

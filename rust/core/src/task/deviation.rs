@@ -1,8 +1,9 @@
 //! Deviation between two poses, e = x_d − x.
 
-use crate::AxisVec;
-use crate::number::{Plain, quadrant_angle, sin_cos};
+use crate::kinematics::spatial::{Mat3, Vec3, dot, multiply_back, rotate_back, sub};
+use crate::number::{Arithmetic, Plain, quadrant_angle, sin_cos};
 use crate::pose::Pose;
+use crate::{AxisVec, MAX_AXES};
 
 /// Deviation `e = x_d − x` in base axes: `[m, m, m, rad, rad, rad]`.
 ///
@@ -10,22 +11,16 @@ use crate::pose::Pose;
 /// angle of exactly π the axis is the one of the quaternion with non-negative scalar part.
 #[inline(always)]
 pub fn pose_error(actual: &Pose, target: &Pose) -> AxisVec {
-    let (r, d) = (&actual.rotation, &target.rotation);
-    let mut m = [[0.0; 3]; 3];
-    for i in 0..3 {
-        for j in 0..3 {
-            m[i][j] = d[i][0] * r[j][0] + d[i][1] * r[j][1] + d[i][2] * r[j][2];
-        }
-    }
-    let w = rotation_vector(&m);
-    [
-        target.position[0] - actual.position[0],
-        target.position[1] - actual.position[1],
-        target.position[2] - actual.position[2],
-        w[0],
-        w[1],
-        w[2],
-    ]
+    pose_error_by::<Plain>(actual, target)
+}
+
+/// [`pose_error`] of one configuration or of several.
+#[inline(always)]
+pub(crate) fn pose_error_by<A: Arithmetic>(actual: &Pose<A::Real>, target: &Pose<A::Real>) -> [A::Real; MAX_AXES] {
+    let (p, d) = (&actual.position, &target.position);
+    let [x, y, z] = sub::<A>(d, p);
+    let [roll, pitch, yaw] = rotation_vector_by::<A>(&multiply_back::<A>(&target.rotation, &actual.rotation));
+    [x, y, z, roll, pitch, yaw]
 }
 
 /// Rotation vector [rad] of a rotation matrix (row-major), of length at most π.
@@ -34,36 +29,38 @@ pub fn pose_error(actual: &Pose, target: &Pose) -> AxisVec {
 /// loses half the digits.
 #[inline(always)]
 pub fn rotation_vector(m: &[[f64; 3]; 3]) -> [f64; 3] {
+    rotation_vector_by::<Plain>(m)
+}
+
+/// [`rotation_vector`] of one rotation or of several.
+#[inline(always)]
+fn rotation_vector_by<A: Arithmetic>(m: &Mat3<A::Real>) -> Vec3<A::Real> {
+    let c = A::splat;
+    let (zero, one) = (c(0.0), c(1.0));
     let trace = m[0][0] + m[1][1] + m[2][2];
-    let (mut w, mut v) = if trace > 0.0 {
-        let s = (1.0 + trace).sqrt();
-        let f = 0.5 / s;
-        (0.5 * s, [(m[2][1] - m[1][2]) * f, (m[0][2] - m[2][0]) * f, (m[1][0] - m[0][1]) * f])
-    } else {
-        let i = if m[0][0] >= m[1][1] && m[0][0] >= m[2][2] {
-            0
-        } else if m[1][1] >= m[2][2] {
-            1
-        } else {
-            2
-        };
-        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
-        let s = (1.0 + m[i][i] - m[j][j] - m[k][k]).max(0.0).sqrt();
-        let f = if s > 0.0 { 0.5 / s } else { 0.0 };
-        let mut v = [0.0; 3];
-        v[i] = 0.5 * s;
-        v[j] = (m[j][i] + m[i][j]) * f;
-        v[k] = (m[k][i] + m[i][k]) * f;
-        ((m[k][j] - m[j][k]) * f, v)
-    };
-    if w < 0.0 {
-        w = -w;
-        v = [-v[0], -v[1], -v[2]];
+    // Four times the products of the quaternion's largest component with itself and with the others: scalar, x, y, z.
+    let turned = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
+    let mut products = [one + trace, turned[0], turned[1], turned[2]];
+    if A::less_anywhere(trace, zero) {
+        let shared = [m[1][0] + m[0][1], m[0][2] + m[2][0], m[2][1] + m[1][2]];
+        let twice = [m[0][0] + m[0][0], m[1][1] + m[1][1], m[2][2] + m[2][2]];
+        let rest = one - trace;
+        let x = [turned[0], rest + twice[0], shared[0], shared[1]];
+        let y = [turned[1], shared[0], rest + twice[1], shared[2]];
+        let z = [turned[2], shared[1], shared[2], rest + twice[2]];
+        let larger = A::at_least(m[0][0], m[1][1]);
+        for i in 0..4 {
+            let of_two = A::if_less(m[0][0], m[1][1], y[i], x[i]);
+            let of_three = A::if_less(larger, m[2][2], z[i], of_two);
+            products[i] = A::if_less(trace, zero, of_three, products[i]);
+        }
     }
-    let length = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
-    // Below 1e-8 the series 2 (1 + |v|²/6) is 2 in double precision.
-    let scale = if length < 1e-8 { 2.0 } else { 2.0 * quadrant_angle(length, w) / length };
-    [scale * v[0], scale * v[1], scale * v[2]]
+    // The angle of (length, w) does not ask by what they were multiplied, and for a small one their errors cancel.
+    let [w, x, y, z] = products;
+    let length = A::sqrt(dot::<A>(&[x, y, z], &[x, y, z]));
+    let angle = quadrant_angle::<A>(length, A::abs(w));
+    let scale = A::copy_sign((angle + angle) / A::at_least(length, c(f64::MIN_POSITIVE)), w);
+    [scale * x, scale * y, scale * z]
 }
 
 /// Rotation matrix (row-major) of a rotation vector [rad]: Rodrigues' formula.
@@ -88,17 +85,13 @@ pub fn rotation_matrix(v: [f64; 3]) -> [[f64; 3]; 3] {
 
 /// A 6-vector of base axes in the axes whose unit vectors are the columns of `base_from_task`.
 #[inline(always)]
-pub(crate) fn into_frame(base_from_task: &[[f64; 3]; 3], v: &AxisVec) -> AxisVec {
-    let r = base_from_task;
-    let turn = |a: f64, b: f64, c: f64, i: usize| r[0][i] * a + r[1][i] * b + r[2][i] * c;
-    [
-        turn(v[0], v[1], v[2], 0),
-        turn(v[0], v[1], v[2], 1),
-        turn(v[0], v[1], v[2], 2),
-        turn(v[3], v[4], v[5], 0),
-        turn(v[3], v[4], v[5], 1),
-        turn(v[3], v[4], v[5], 2),
-    ]
+pub(crate) fn into_frame<A: Arithmetic>(
+    base_from_task: &Mat3<A::Real>,
+    v: &[A::Real; MAX_AXES],
+) -> [A::Real; MAX_AXES] {
+    let [x, y, z] = rotate_back::<A>(base_from_task, &[v[0], v[1], v[2]]);
+    let [roll, pitch, yaw] = rotate_back::<A>(base_from_task, &[v[3], v[4], v[5]]);
+    [x, y, z, roll, pitch, yaw]
 }
 
 /// Both halves of a 6-vector turned from the task frame into base axes.

@@ -3,6 +3,7 @@
 //! The deviation is bounded by moving the reference, never by cutting the deviation behind its back: the reference has a
 //! speed and a memory, so that a release ends in a motion at the tool's speed, not in a throw.
 
+use crate::number::Plain;
 use crate::pose::Pose;
 use crate::task::axes::Beyond;
 use crate::task::deviation::{into_frame, out_of_frame, pose_error, rotation_matrix, rotation_vector};
@@ -52,7 +53,7 @@ pub(crate) struct Kept {
 impl Pushed<'_> {
     /// The deviation (6,) of a reference, in the task frame.
     fn error(&self, reference: &Pose) -> AxisVec {
-        into_frame(self.base_from_task, &pose_error(self.tool, reference))
+        into_frame::<Plain>(self.base_from_task, &pose_error(self.tool, reference))
     }
 
     /// Bounds the deviation from `reference`; `None` where nothing is beyond its limit.

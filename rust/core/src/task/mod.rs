@@ -9,19 +9,20 @@ pub(crate) mod deviation_limit;
 pub(crate) mod governor;
 pub(crate) mod wish;
 
+use crate::kinematics::spatial::{Mat3, splat_matrix};
 use crate::law::inverse::{load_rows, rows_array};
-use crate::number::{EveryJoint, Lanes};
+use crate::number::{Arithmetic, EveryJoint, Lanes, Scalar};
 use crate::pose::Pose;
 use crate::task::axes::Frame;
 use crate::{MAX_AXES, Rows};
 
 /// `base_from_task` of a task frame, given the pose of the tool.
 #[inline(always)]
-pub(crate) fn base_from_task(frame: &Frame, tool: &Pose) -> [[f64; 3]; 3] {
+pub(crate) fn base_from_task<A: Arithmetic>(frame: &Frame, tool: &Pose<A::Real>) -> Mat3<A::Real> {
     match frame {
-        Frame::Base => Pose::IDENTITY.rotation,
+        Frame::Base => splat_matrix::<A>(&Pose::IDENTITY.rotation),
         Frame::Tool => tool.rotation,
-        Frame::Rotation(rotation) => *rotation,
+        Frame::Rotation(rotation) => splat_matrix::<A>(rotation),
     }
 }
 
@@ -35,7 +36,7 @@ pub(crate) fn rows(world: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[usize])
 pub(crate) fn rows_in<J: Lanes>(
     frame: &Frame,
     world: &[J; MAX_AXES],
-    base_from_task: &[[f64; 3]; 3],
+    base_from_task: &Mat3<Scalar<J>>,
     axes: &[usize],
 ) -> [J; MAX_AXES] {
     match frame {
@@ -46,15 +47,15 @@ pub(crate) fn rows_in<J: Lanes>(
 }
 
 #[inline(always)]
-fn turned_rows<J: Lanes>(world: &[J; MAX_AXES], base_from_task: &[[f64; 3]; 3], axes: &[usize]) -> [J; MAX_AXES] {
+fn turned_rows<J: Lanes>(world: &[J; MAX_AXES], base_from_task: &Mat3<Scalar<J>>, axes: &[usize]) -> [J; MAX_AXES] {
     let mut out = [J::splat(0.0); MAX_AXES];
     for r in 0..axes.len().min(MAX_AXES) {
         let axis = axes[r];
         let (block, column) = if axis < 3 { (0, axis) } else { (3, (axis - 3) % 3) };
         let [x, y, z] = [
-            J::splat(base_from_task[0][column]),
-            J::splat(base_from_task[1][column]),
-            J::splat(base_from_task[2][column]),
+            J::spread(base_from_task[0][column]),
+            J::spread(base_from_task[1][column]),
+            J::spread(base_from_task[2][column]),
         ];
         out[r] = J::fma(z, world[block + 2], J::fma(y, world[block + 1], x * world[block]));
     }

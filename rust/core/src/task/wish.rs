@@ -1,11 +1,11 @@
 //! What each axis wants at one tick: lines 3 to 6 of the control step.
 
-use crate::number::Wide;
+use crate::MAX_AXES;
+use crate::number::{Axes, AxisScalar};
 use crate::plan::{AxisLanes, Plan};
 use crate::settings::Settings;
 use crate::task::adapt::{adapt_deviation, plus_share};
 use crate::task::compliance::{between, compliance_by};
-use crate::{AxisVec, MAX_AXES};
 
 /// Deviation and what softness, compliance and gains make of it; one lane per task row, 0 behind the last.
 #[derive(Debug, Clone, Copy)]
@@ -34,48 +34,56 @@ pub(crate) struct Wish<W> {
     pub(crate) bounded: W,
 }
 
-impl<W: Wide> Wish<W> {
+impl<W: Axes> Wish<W> {
     /// From the deviation and the target's velocity (6,), both in the task frame.
     #[inline(always)]
-    pub(crate) fn new(plan: &Plan, settings: &Settings, error: &AxisVec, twist: &AxisVec) -> Self {
+    pub(crate) fn new(
+        plan: &Plan,
+        settings: &Settings,
+        error: &[AxisScalar<W>; 6],
+        twist: &[AxisScalar<W>; 6],
+    ) -> Self {
         let rows = &plan.lanes;
         let (e, twist) = (plan.of_rows(error), plan.of_rows(twist));
-        let plus = plus_share::<W>(e, W::of(&rows.band));
+        let plus = plus_share::<W>(e, W::constant(&rows.band));
         let w = side(plus, &rows.yields);
-        let adapted = adapt_deviation::<W>(e, W::of(&rows.eta), w);
+        let adapted = adapt_deviation::<W>(e, W::constant(&rows.eta), w);
         let seen = if settings.raw_deviation { e } else { adapted };
-        let c = compliance_by::<W>(seen, W::of(&rows.d_minus), W::of(&rows.d_plus));
+        let c = compliance_by::<W>(seen, W::constant(&rows.d_minus), W::constant(&rows.d_plus));
         let strength = between::<W>(c, side(plus, &rows.far), side(plus, &rows.near));
         let step = W::splat(settings.horizon) * W::fma(W::splat(plan.kx_derating), pulled(plan, adapted), twist);
-        let soft_most = W::splat(settings.horizon) * W::of(&rows.soft_step_limit);
+        let soft_most = W::splat(settings.horizon) * W::constant(&rows.soft_step_limit);
         Self {
             deviation: e,
             adapted,
             softness: w,
             compliance: c,
             strength,
-            most: between::<W>(w, W::of(&rows.hold), strength),
+            most: between::<W>(w, W::constant(&rows.hold), strength),
             stiffness: side(plus, &rows.stiffness),
             viscosity: side(plus, &rows.viscosity),
             twist,
             step: W::clip(step, soft_most),
-            bounded: W::clip(step, largest_step(w, W::splat(settings.horizon) * W::of(&rows.step_limit), soft_most)),
+            bounded: W::clip(
+                step,
+                largest_step(w, W::splat(settings.horizon) * W::constant(&rows.step_limit), soft_most),
+            ),
         }
     }
 }
 
 /// What holds for the side that an axis is pushed from.
 #[inline(always)]
-fn side<W: Wide>(plus: W, pair: &[AxisLanes; 2]) -> W {
-    between::<W>(plus, W::of(&pair[0]), W::of(&pair[1]))
+fn side<W: Axes>(plus: W, pair: &[AxisLanes; 2]) -> W {
+    between::<W>(plus, W::constant(&pair[0]), W::constant(&pair[1]))
 }
 
 /// `K_x ẽ`.
 #[inline(always)]
-fn pulled<W: Wide>(plan: &Plan, adapted: W) -> W {
-    let (adapted, mut pull) = (adapted.numbers(), W::splat(0.0));
+fn pulled<W: Axes>(plan: &Plan, adapted: W) -> W {
+    let (adapted, mut pull) = (adapted.axes(), W::splat(0.0));
     for c in 0..MAX_AXES {
-        pull = W::fma(W::of(&plan.lanes.kx[c]), W::splat(adapted[c]), pull);
+        pull = W::fma(W::constant(&plan.lanes.kx[c]), W::spread(adapted[c]), pull);
     }
     pull
 }
@@ -83,7 +91,7 @@ fn pulled<W: Wide>(plan: &Plan, adapted: W) -> W {
 /// Per-axis limits of the step of line 6. Whole vectors are never scaled by their norm, which would spend the stiff axes'
 /// share on the soft ones.
 #[inline(always)]
-fn largest_step<W: Wide>(w: W, stiff: W, soft: W) -> W {
+fn largest_step<W: Axes>(w: W, stiff: W, soft: W) -> W {
     let (zero, one, endless) = (W::splat(0.0), W::splat(1.0), W::splat(f64::INFINITY));
     // Where one of the two has no limit, the stiff part of an axis between them keeps its own.
     let mixed = W::if_less(W::at_least(stiff, soft), endless, between::<W>(w, stiff, soft), stiff);

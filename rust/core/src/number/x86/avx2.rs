@@ -11,12 +11,24 @@ use std::arch::x86_64::{
     _mm256_sub_pd as sub, _mm256_xor_pd as xor,
 };
 
-use super::{sums_of_four, transpose_halves};
+use std::ops::{Add, Div, Mul, Neg, Sub};
 
-eight! {
+use super::{sums_of_four, transpose_four};
+use crate::number::{Arithmetic, LANES, Many, Packed, Spread, Wide};
+
+numbers! {
     /// Eight numbers in two registers, with fused multiply-add.
-    Avx2 beside Fused, 4: 0 1
+    Avx2, 8 in registers of 4: 0 1
 }
+
+wide! { Avx2 beside Fused }
+
+numbers! {
+    /// Four numbers in one register, with fused multiply-add.
+    Four, 4 in registers of 4: 0
+}
+
+many! { Four }
 
 #[inline(always)]
 unsafe fn less(a: Register, b: Register) -> Register {
@@ -63,6 +75,32 @@ fn sums(a: [Register; 2], b: [Register; 2], c: [Register; 2], d: [Register; 2]) 
 }
 
 #[inline(always)]
-fn transpose(n: [[Register; 2]; LANES]) -> [[f64; LANES]; LANES] {
-    transpose_halves(&n)
+fn transpose(n: [Register; LANES]) -> [[f64; LANES]; LANES] {
+    let mut out = [[0.0; LANES]; LANES];
+    let left = transpose_four([n[0], n[1], n[2], n[3]]);
+    let right = transpose_four([n[4], n[5], n[6], n[7]]);
+    for i in 0..4 {
+        let row = out[i].as_mut_ptr();
+        // SAFETY: as above; a row has room for eight.
+        unsafe {
+            storeu(row, left[i]);
+            storeu(row.add(4), right[i]);
+        }
+    }
+    out
+}
+
+#[inline(always)]
+fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
+    // SAFETY: as above.
+    let zero = unsafe { set1(0.0) };
+    let mut halves = [[zero; 4]; 2];
+    for i in 0..4 {
+        for half in 0..2 {
+            // SAFETY: as above; a row has eight.
+            halves[half][i] = unsafe { loadu(rows[i].as_ptr().add(4 * half)) };
+        }
+    }
+    let ([a, b, c, d], [e, f, g, h]) = (transpose_four(halves[0]), transpose_four(halves[1]));
+    [a, b, c, d, e, f, g, h]
 }

@@ -3,21 +3,29 @@
 // SAFETY of every `unsafe` below: see the module above.
 
 use std::arch::x86_64::{
-    __m256d, __m512d as Register, __mmask8 as Mask, _CMP_LT_OQ, _mm256_add_pd, _mm512_add_epi64, _mm512_add_pd as add,
-    _mm512_and_pd as and, _mm512_andnot_pd as andnot, _mm512_castpd_si512, _mm512_castpd512_pd256, _mm512_castsi512_pd,
-    _mm512_cmp_pd_mask, _mm512_div_pd as div, _mm512_extractf64x4_pd, _mm512_fmadd_pd as fmadd,
-    _mm512_fnmadd_pd as fnmadd, _mm512_loadu_pd as loadu, _mm512_mask_blend_pd, _mm512_max_pd as max,
-    _mm512_min_pd as min, _mm512_mul_pd as mul, _mm512_or_pd as or, _mm512_set1_epi64, _mm512_set1_pd as set1,
-    _mm512_slli_epi64, _mm512_sqrt_pd as sqrt, _mm512_storeu_pd as storeu, _mm512_sub_pd as sub,
-    _mm512_test_epi64_mask, _mm512_xor_pd as xor,
+    __m256d, __m512d as Register, __mmask8 as Mask, _CMP_LT_OQ, _mm256_add_pd, _mm256_loadu_pd, _mm256_setzero_pd,
+    _mm256_storeu_pd, _mm512_add_epi64, _mm512_add_pd as add, _mm512_and_pd as and, _mm512_andnot_pd as andnot,
+    _mm512_castpd_si512, _mm512_castpd256_pd512, _mm512_castpd512_pd256, _mm512_castsi512_pd, _mm512_cmp_pd_mask,
+    _mm512_div_pd as div, _mm512_extractf64x4_pd, _mm512_fmadd_pd as fmadd, _mm512_fnmadd_pd as fnmadd,
+    _mm512_insertf64x4, _mm512_loadu_pd as loadu, _mm512_mask_blend_pd, _mm512_max_pd as max, _mm512_min_pd as min,
+    _mm512_mul_pd as mul, _mm512_or_pd as or, _mm512_set1_epi64, _mm512_set1_pd as set1, _mm512_slli_epi64,
+    _mm512_sqrt_pd as sqrt, _mm512_storeu_pd as storeu, _mm512_sub_pd as sub, _mm512_test_epi64_mask,
+    _mm512_xor_pd as xor,
 };
 
-use super::{sums_of_four, transpose_halves};
+use std::ops::{Add, Div, Mul, Neg, Sub};
 
-eight! {
+use super::{sums_of_four, transpose_four};
+use crate::number::{Arithmetic, LANES, Many, Packed, Spread, Wide};
+
+numbers! {
     /// Eight numbers in one register.
-    Avx512 beside Fused, 8: 0
+    Avx512, 8 in registers of 8: 0
 }
+
+wide! { Avx512 beside Fused }
+
+many! { Avx512 }
 
 #[inline(always)]
 unsafe fn less(a: Register, b: Register) -> Mask {
@@ -77,15 +85,49 @@ fn sums(a: [Register; 1], b: [Register; 1], c: [Register; 1], d: [Register; 1]) 
 }
 
 #[inline(always)]
-fn transpose(n: [[Register; 1]; LANES]) -> [[f64; LANES]; LANES] {
-    transpose_halves(&[
-        halves(n[0][0]),
-        halves(n[1][0]),
-        halves(n[2][0]),
-        halves(n[3][0]),
-        halves(n[4][0]),
-        halves(n[5][0]),
-        halves(n[6][0]),
-        halves(n[7][0]),
-    ])
+fn transpose(n: [Register; LANES]) -> [[f64; LANES]; LANES] {
+    let n = [
+        halves(n[0]),
+        halves(n[1]),
+        halves(n[2]),
+        halves(n[3]),
+        halves(n[4]),
+        halves(n[5]),
+        halves(n[6]),
+        halves(n[7]),
+    ];
+    let mut out = [[0.0; LANES]; LANES];
+    for half in 0..2 {
+        let left = transpose_four([n[0][half], n[1][half], n[2][half], n[3][half]]);
+        let right = transpose_four([n[4][half], n[5][half], n[6][half], n[7][half]]);
+        for i in 0..4 {
+            let row = out[4 * half + i].as_mut_ptr();
+            // SAFETY: as above; a row has room for eight.
+            unsafe {
+                _mm256_storeu_pd(row, left[i]);
+                _mm256_storeu_pd(row.add(4), right[i]);
+            }
+        }
+    }
+    out
+}
+
+#[inline(always)]
+fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
+    // SAFETY: as above.
+    let mut out = unsafe { [set1(0.0); LANES] };
+    for half in 0..2 {
+        // SAFETY: as above.
+        let mut quarters = unsafe { [[_mm256_setzero_pd(); 4]; 2] };
+        for i in 0..LANES {
+            // SAFETY: as above; a row has eight.
+            quarters[i / 4][i % 4] = unsafe { _mm256_loadu_pd(rows[i].as_ptr().add(4 * half)) };
+        }
+        let (first, second) = (transpose_four(quarters[0]), transpose_four(quarters[1]));
+        for i in 0..4 {
+            // SAFETY: as above.
+            out[4 * half + i] = unsafe { _mm512_insertf64x4::<1>(_mm512_castpd256_pd512(first[i]), second[i]) };
+        }
+    }
+    out
 }

@@ -3,23 +3,17 @@
 
 use std::arch::x86_64::__m256d;
 
-use super::LANES;
-
 // SAFETY of every `unsafe` below: values of these types come into being only in code entered through `Instructions::run`,
 // that is on a processor that has the instructions; memory is reached through references of the right size alone.
 
-/// The type of eight numbers over registers whose instructions the module around it has under common names.
-macro_rules! eight {
-    ($(#[$doc:meta])* $name:ident beside $one:ident, $width:literal: $($i:literal)*) => {
-        use std::ops::{Add, Div, Mul, Neg, Sub};
-
-        use crate::number::{Arithmetic, LANES, Wide};
-
+/// A type of several numbers over registers whose instructions the module around it has under common names.
+macro_rules! numbers {
+    ($(#[$doc:meta])* $name:ident, $count:literal in registers of $width:literal: $($i:literal)*) => {
         $(#[$doc])*
         #[derive(Debug, Clone, Copy)]
-        pub(crate) struct $name([Register; LANES / $width]);
+        pub(crate) struct $name([Register; $count / $width]);
 
-        eight!(@operators $name ($($i)*) Add add, Sub sub, Mul mul, Div div);
+        numbers!(@operators $name ($($i)*) Add add, Sub sub, Mul mul, Div div);
 
         impl Neg for $name {
             type Output = Self;
@@ -39,7 +33,7 @@ macro_rules! eight {
             #[inline(always)]
             fn splat(value: f64) -> Self {
                 // SAFETY: as above.
-                Self([unsafe { set1(value) }; LANES / $width])
+                Self([unsafe { set1(value) }; $count / $width])
             }
 
             #[inline(always)]
@@ -91,6 +85,12 @@ macro_rules! eight {
             }
 
             #[inline(always)]
+            fn less_anywhere(a: Self, b: Self) -> bool {
+                // SAFETY: as above.
+                unsafe { false $(| any(less(a.0[$i], b.0[$i])))* }
+            }
+
+            #[inline(always)]
             fn power_of_two(sum: Self) -> Self {
                 // SAFETY: as above.
                 Self(unsafe { [$(power_of_two(sum.0[$i])),*] })
@@ -104,8 +104,8 @@ macro_rules! eight {
             }
         }
 
-        impl Wide for $name {
-            type One = crate::number::$one;
+        impl Packed for $name {
+            const COUNT: usize = $count;
 
             #[inline(always)]
             fn of(values: &[f64; LANES]) -> Self {
@@ -118,26 +118,10 @@ macro_rules! eight {
                 // SAFETY: as above; there is room for eight values.
                 unsafe { $(storeu(values.as_mut_ptr().add($i * $width), self.0[$i]);)* }
             }
-
-            #[inline(always)]
-            fn less_anywhere(self, other: Self) -> bool {
-                // SAFETY: as above.
-                unsafe { false $(| any(less(self.0[$i], other.0[$i])))* }
-            }
-
-            #[inline(always)]
-            fn four_sums(n: [Self; 4]) -> [f64; 4] {
-                sums(n[0].0, n[1].0, n[2].0, n[3].0)
-            }
-
-            #[inline(always)]
-            fn transpose(n: &[Self; LANES]) -> [[f64; LANES]; LANES] {
-                transpose([n[0].0, n[1].0, n[2].0, n[3].0, n[4].0, n[5].0, n[6].0, n[7].0])
-            }
         }
     };
     (@operators $name:ident $indices:tt $($trait:ident $method:ident),*) => {
-        $(eight!(@operator $name $indices $trait $method);)*
+        $(numbers!(@operator $name $indices $trait $method);)*
     };
     (@operator $name:ident ($($i:literal)*) $trait:ident $method:ident) => {
         impl $trait for $name {
@@ -147,6 +131,61 @@ macro_rules! eight {
             fn $method(self, other: Self) -> Self {
                 // SAFETY: as above.
                 Self(unsafe { [$($method(self.0[$i], other.0[$i])),*] })
+            }
+        }
+    };
+}
+
+/// Eight numbers of one configuration.
+macro_rules! wide {
+    ($name:ident beside $one:ident) => {
+        impl Wide for $name {
+            type One = crate::number::$one;
+
+            #[inline(always)]
+            fn four_sums(n: [Self; 4]) -> [f64; 4] {
+                sums(n[0].0, n[1].0, n[2].0, n[3].0)
+            }
+        }
+
+        impl Spread<f64> for $name {
+            #[inline(always)]
+            fn spread(value: f64) -> Self {
+                Self::splat(value)
+            }
+        }
+    };
+}
+
+/// One register with a number of each of several configurations.
+macro_rules! many {
+    ($name:ident) => {
+        impl Many for $name {
+            #[inline(always)]
+            fn transpose(n: &[Self; LANES]) -> [[f64; LANES]; LANES] {
+                transpose([n[0].0[0], n[1].0[0], n[2].0[0], n[3].0[0], n[4].0[0], n[5].0[0], n[6].0[0], n[7].0[0]])
+            }
+
+            #[inline(always)]
+            fn columns(rows: &[[f64; LANES]; LANES]) -> [Self; LANES] {
+                let n = columns(rows);
+                [
+                    Self([n[0]]),
+                    Self([n[1]]),
+                    Self([n[2]]),
+                    Self([n[3]]),
+                    Self([n[4]]),
+                    Self([n[5]]),
+                    Self([n[6]]),
+                    Self([n[7]]),
+                ]
+            }
+        }
+
+        impl Spread<Self> for $name {
+            #[inline(always)]
+            fn spread(value: Self) -> Self {
+                value
             }
         }
     };
@@ -185,24 +224,4 @@ fn transpose_four(r: [__m256d; 4]) -> [__m256d; 4] {
             _mm256_permute2f128_pd::<0x31>(b, d),
         ]
     }
-}
-
-/// Eight rows of eight in halves, turned.
-#[inline(always)]
-fn transpose_halves(n: &[[__m256d; 2]; LANES]) -> [[f64; LANES]; LANES] {
-    use std::arch::x86_64::_mm256_storeu_pd;
-    let mut out = [[0.0; LANES]; LANES];
-    for half in 0..2 {
-        let left = transpose_four([n[0][half], n[1][half], n[2][half], n[3][half]]);
-        let right = transpose_four([n[4][half], n[5][half], n[6][half], n[7][half]]);
-        for i in 0..4 {
-            let row = out[4 * half + i].as_mut_ptr();
-            // SAFETY: as above; a row has room for eight.
-            unsafe {
-                _mm256_storeu_pd(row, left[i]);
-                _mm256_storeu_pd(row.add(4), right[i]);
-            }
-        }
-    }
-    out
 }

@@ -10,10 +10,23 @@ use std::arch::x86_64::{
     _mm_sub_pd as sub, _mm_unpackhi_pd as high, _mm_unpacklo_pd as low, _mm_xor_pd as xor, _mm_xor_si128,
 };
 
-eight! {
-    /// What every x86-64 processor has: no fused multiply-add.
-    Sse2 beside Plain, 2: 0 1 2 3
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use crate::number::{Arithmetic, LANES, Many, Packed, Spread, Wide};
+
+numbers! {
+    /// Eight numbers in four registers; there is no fused multiply-add.
+    Sse2, 8 in registers of 2: 0 1 2 3
 }
+
+wide! { Sse2 beside Plain }
+
+numbers! {
+    /// Two numbers in one register; there is no fused multiply-add.
+    Two, 2 in registers of 2: 0
+}
+
+many! { Two }
 
 #[inline(always)]
 unsafe fn fmadd(a: Register, b: Register, c: Register) -> Register {
@@ -79,16 +92,28 @@ fn sums(a: [Register; 4], b: [Register; 4], c: [Register; 4], d: [Register; 4]) 
 }
 
 #[inline(always)]
-fn transpose(n: [[Register; 4]; LANES]) -> [[f64; LANES]; LANES] {
+fn transpose(n: [Register; LANES]) -> [[f64; LANES]; LANES] {
     let mut out = [[0.0; LANES]; LANES];
     for pair in 0..LANES / 2 {
-        for register in 0..LANES / 2 {
-            let (a, b) = (n[2 * pair][register], n[2 * pair + 1][register]);
-            // SAFETY: as above; a row has room for eight.
-            unsafe {
-                storeu(out[2 * register].as_mut_ptr().add(2 * pair), low(a, b));
-                storeu(out[2 * register + 1].as_mut_ptr().add(2 * pair), high(a, b));
-            }
+        let (a, b) = (n[2 * pair], n[2 * pair + 1]);
+        // SAFETY: as above; a row has room for eight.
+        unsafe {
+            storeu(out[0].as_mut_ptr().add(2 * pair), low(a, b));
+            storeu(out[1].as_mut_ptr().add(2 * pair), high(a, b));
+        }
+    }
+    out
+}
+
+#[inline(always)]
+fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
+    // SAFETY: as above.
+    let mut out = unsafe { [set1(0.0); LANES] };
+    for pair in 0..LANES / 2 {
+        // SAFETY: as above; a row has eight.
+        unsafe {
+            let (a, b) = (loadu(rows[0].as_ptr().add(2 * pair)), loadu(rows[1].as_ptr().add(2 * pair)));
+            (out[2 * pair], out[2 * pair + 1]) = (low(a, b), high(a, b));
         }
     }
     out

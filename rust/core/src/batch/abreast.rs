@@ -1,0 +1,162 @@
+//! Steps without a memory, several arms side by side: the staircase over numbers that hold one of each arm.
+//!
+//! What few arms meet (an input that cannot be used, a joint at its limit) is left to single steps.
+
+use crate::MAX_AXES;
+use crate::batch::{BatchInput, Targets};
+use crate::command::goal::register_speed;
+use crate::command::limits::finish;
+use crate::controller::Controller;
+use crate::controller::floors::{Given, Seen, Solution};
+use crate::kinematics::batch::{Stage, gather};
+use crate::law::feedforward::SPEED_BOUND;
+use crate::law::paper::{is_printed, printed};
+use crate::law::singular::Condition;
+use crate::number::{ABREAST, Arithmetic, Columns, Kernel, Lanes, Machine, Many, NEGLIGIBLE, Packed};
+use crate::pose::Pose;
+use crate::settings::GravityUse;
+use crate::task::deviation::{into_frame, pose_error_by};
+use crate::task::wish::Wish;
+
+/// Rows of one piece of a batch, at most 64.
+pub(super) struct Abreast<'a> {
+    pub(super) controller: &'a Controller,
+    pub(super) input: &'a BatchInput<'a>,
+    /// Index of the first row.
+    pub(super) first: usize,
+    /// Goals, torque limits, velocities.
+    pub(super) outs: [&'a mut [f64]; 3],
+}
+
+impl Controller {
+    /// Whether arms can be stepped side by side.
+    pub(super) fn goes_abreast(&self) -> bool {
+        let plan = &self.plan;
+        plan.n <= ABREAST && is_printed(plan) && plan.deviation_limits.is_empty() && plan.dead_host_max.is_none()
+    }
+}
+
+impl Kernel for Abreast<'_> {
+    /// Rows that are left to single steps, the first in the lowest bit.
+    type Output = u64;
+
+    #[inline(always)]
+    fn run<M: Machine>(mut self) -> u64 {
+        let (n, mut left) = (self.controller.plan.n.clamp(1, ABREAST), 0);
+        let (rows, count) = (self.outs[0].len() / n, M::Many::COUNT);
+        let (mut from, mut stage) = (0, Stage::new());
+        while from < rows {
+            let sure = self.rows::<M::Many>(n, from, rows.min(from + count), &mut stage).numbers();
+            for lane in 0..count.min(rows - from) {
+                left |= u64::from(sure[lane] == 0.0) << (from + lane);
+            }
+            from += count;
+        }
+        left
+    }
+}
+
+impl Abreast<'_> {
+    /// Steps rows `from` to `to`; 0 for those that are left to single steps, else 1.
+    #[inline(always)]
+    fn rows<W: Many>(&mut self, n: usize, from: usize, to: usize, stage: &mut Stage) -> W {
+        let Controller { plan, settings, model, masses, gravity, .. } = self.controller;
+        let (row, nothing, mut sure) = (self.first + from, W::splat(0.0), W::splat(1.0));
+        let q = &gather::<W>(&self.input.q[n * row..], n);
+        for i in 0..n {
+            sure = W::if_less(W::splat(plan.readable[0][i]), q[i], sure, nothing);
+            sure = W::if_less(q[i], W::splat(plan.readable[1][i]), sure, nothing);
+        }
+        let q = without_negligible(Columns::of_joints(q));
+        let mut velocity = Columns::<W, ABREAST>::splat(0.0);
+        if let Some(dq) = self.input.dq {
+            let dq = gather::<W>(&dq[n * row..], n);
+            for i in 0..n {
+                sure = W::if_less(W::abs(dq[i]), W::splat(SPEED_BOUND), sure, nothing);
+            }
+            velocity = without_negligible(Columns::of_joints(&dq));
+        }
+        let target = self.targets(row, &mut sure);
+
+        let view = model.chain().look_abreast(q, masses, gravity, settings.gravity != GravityUse::Off);
+        let seen = Seen::new(plan, settings, q, view);
+        let error = into_frame::<W>(&seen.base_from_task, &pose_error_by::<W>(&seen.view.tool, &target));
+        let wish = Wish::new(plan, settings, &error, &[nothing; MAX_AXES]);
+        let rest = plan.rest.as_ref().map_or(q, Columns::load);
+        let lambda = plan.damping.lambda_0;
+        let given = Given {
+            q,
+            velocity,
+            gradient: plan.cost.gradient(q, rest),
+            integral: Columns::splat(0.0),
+            scaled_rows: plan.scale_rows(&seen.rows),
+            condition: Condition {
+                damping: W::splat(lambda * lambda),
+                mu_squared: nothing,
+                factor: None,
+                gamma: W::splat(1.0),
+            },
+        };
+        let (motion, budget) = printed(&given.tick(plan, settings, &seen, &wish));
+        let solution = Solution::new(plan, &given, &seen, (motion, None));
+        let wanted = solution.load(plan, settings, &given, &seen, &wish).budget(budget);
+        let load = |values| Columns::<W, ABREAST>::load(values);
+        let limit = finish(wanted, None, load(&plan.floor), load(&plan.servos.torque), Columns::splat(0.0));
+        let goal = solution.goal(plan, settings, limit);
+        let speed = register_speed(&seen.view.world, settings.max_tool_speed, load(&plan.joint_speed));
+
+        let (moving, goals, limits) = (solution.moving.array(), goal.array(), limit.array());
+        for i in 0..n {
+            sure = W::if_less(W::splat(plan.upper[i]), moving[i], nothing, sure);
+            sure = W::if_less(moving[i], W::splat(plan.lower[i]), nothing, sure);
+            sure = W::if_less(W::abs(goals[i]) + W::abs(limits[i]), W::splat(f64::INFINITY), sure, nothing);
+        }
+        for (out, numbers) in self.outs.iter_mut().zip([goals, limits, speed.array()]) {
+            stage.scatter(&numbers, n, to - from, &mut out[n * from..]);
+        }
+        sure
+    }
+
+    /// Poses toward which the arms from `row` on go; `sure` becomes 0 where they may be none.
+    #[inline(always)]
+    fn targets<W: Many>(&self, row: usize, sure: &mut W) -> Pose<W> {
+        let (nothing, one) = (W::splat(0.0), W::splat(1.0));
+        let mut target = Pose { rotation: [[nothing; 3]; 3], position: [nothing; 3] };
+        match self.input.targets {
+            Targets::One(pose) => {
+                for i in 0..3 {
+                    for j in 0..3 {
+                        target.rotation[i][j] = W::splat(pose.rotation[i][j]);
+                    }
+                    target.position[i] = W::splat(pose.position[i]);
+                }
+            }
+            Targets::Poses(values) => {
+                let m = gather::<W>(&values[16 * row..], 16);
+                for i in 0..3 {
+                    target.rotation[i] = [m[4 * i], m[4 * i + 1], m[4 * i + 2]];
+                    target.position[i] = m[4 * i + 3];
+                }
+                for off in [m[12], m[13], m[14], m[15] - one] {
+                    *sure = W::if_less(W::abs(off), W::splat(1e-9), *sure, nothing);
+                }
+                *sure = target.if_sure::<W>(*sure);
+            }
+            Targets::Positions(values) => {
+                let p = gather::<W>(&values[3 * row..], 3);
+                for i in 0..3 {
+                    target.rotation[i][i] = one;
+                    target.position[i] = p[i];
+                }
+                *sure = target.if_sure::<W>(*sure);
+            }
+        }
+        target
+    }
+}
+
+/// Numbers as a step reads them.
+#[inline(always)]
+fn without_negligible<J: Lanes>(values: J) -> J {
+    J::if_less(J::abs(values), J::splat(NEGLIGIBLE), J::splat(0.0), values)
+}
