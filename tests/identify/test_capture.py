@@ -6,6 +6,7 @@ import pytest
 import pliant
 import pliant.robots
 from pliant import identify
+from pliant.experiments.capturing import tried
 from pliant.sim import Plant
 
 COUNT = np.deg2rad(0.088)
@@ -85,3 +86,10 @@ def test_numbers_out_of_range_are_refused(arm):
         identify.capturing(controller, seconds=0.2)
     bare = pliant.Controller(arm, pliant.Settings.paper())
     assert bare.servos is not None  # built-in arms carry theirs
+
+
+@pytest.mark.parametrize("kp", [0.8, 2.0])
+def test_what_the_call_says_is_what_comes_of_it(kp):
+    seen = tried("arm7", 0, kp)
+    assert seen.stays or seen.remedied
+    assert seen.later < 5e-3

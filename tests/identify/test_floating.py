@@ -24,7 +24,7 @@ def test_an_arm_that_nobody_touches_stays_and_can_be_led(arm, pose, kp):
 def test_nineteen_of_twenty_poses_stay(arm, kp):
     idle = np.array([floated(arm, pose, kp).idle for pose in range(20)])
     assert np.median(idle) < 1.2e-3
-    assert (idle < 2e-3).mean() >= (0.95 if arm == "arm7" else 0.75)
+    assert (idle < 2e-3).mean() >= 0.95
 
 
 def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):

@@ -111,7 +111,8 @@ def main() -> None:
         runs = [outcomes[f"{name} {kp} {pose}"] for pose in range(options.poses)]
         stay, remedied = (float(np.mean([getattr(run, key) for run in runs])) for key in KINDS)
         true = [run.later < 5e-3 for run in runs if run.stays or run.remedied]
-        shares = (stay, remedied, 1.0 - stay - remedied, float(np.mean(true)) if true else np.nan)
+        neither = max(1.0 - stay - remedied, 0.0)
+        shares = (stay, remedied, neither, float(np.mean(true)) if true else np.nan)
         print(f"| {name} | {kp:g} | " + " | ".join(f"{100.0 * x:.0f}" for x in shares) + " |")
 
 
