@@ -10,7 +10,7 @@ import pliant
 import pliant.robots
 from pliant.cli import main
 from pliant.sim import Course, Drag
-from pliant.teach import Motion, Replay, Teacher, lead, teach
+from pliant.teach import Motion, Replay, Teacher, bounded, lead, teach
 
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
 MODEL = pliant.robots.so101()
@@ -173,6 +173,28 @@ def test_an_arm_whose_joints_have_the_same_names_is_told_apart_by_its_tool(tmp_p
     with pytest.raises(pliant.ConfigError, match=r"another arm's.* koch_like"):
         loaded.fits(pliant.robots.koch())
     wave().fits(pliant.robots.koch())  # nobody has said where the tool was
+
+
+def test_bounds_are_kept_and_what_is_slower_stays():
+    pytest.importorskip("ruckig")
+    rate, (speed, acceleration, jerk) = 50.0, (1.0, 3.0, 30.0)
+    calm = bounded(wave(), (speed, acceleration, jerk), rate)
+    assert np.abs(calm.q - [wave().at(t) for t in calm.time]).max() < 0.001
+    fast = replace(wave(), time=0.25 * wave().time)
+    kept = bounded(fast, (speed, acceleration, jerk), rate)
+    first = np.diff(kept.q, axis=0) * rate
+    second = np.diff(first, axis=0) * rate
+    third = np.diff(second, axis=0) * rate
+    assert np.abs(first).max() < 1.001 * speed
+    assert np.abs(second).max() < 1.001 * acceleration
+    assert np.abs(third).max() < 1.001 * jerk
+    assert np.abs(np.diff(fast.smoothed(0.0, rate).q, 3, axis=0)).max() * rate**3 > jerk
+    np.testing.assert_allclose(kept.q[[0, -1]], fast.q[[0, -1]], atol=1e-6)
+    assert fast.duration < kept.duration < 2.5 * fast.duration
+    back = np.maximum.accumulate(kept.q[:, 0]) - kept.q[:, 0]
+    assert back.max() < 0.001  # it takes no run-up, nor does it swing at the end
+    with pytest.raises(pliant.ConfigError, match="above 0"):
+        bounded(fast, (1.0, 0.0, 1.0))
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ def run(
     by: Literal["rest", "enter", "gripper"] = "rest",
     seconds: float = 60.0,
     hand: bool = False,
+    bounds: tuple[float, float, float] | None = None,
     note: str = "",
     port: str | None = None,
     backend: str | None = None,
@@ -43,6 +44,8 @@ def run(
             Enter; or the gripper pressed shut.
         seconds: Longest recording [s].
         hand: Without an arm (sim, emulator): a scripted hand leads the tool aside and up.
+        bounds: Speed [rad/s], acceleration [rad/s²] and jerk [rad/s³] that no joint of the motion
+            may exceed (needs ruckig). Nothing: smoothed only.
         note: A line of your own.
         port: Device in place of the file's.
         backend: bus, emulator or sim in place of the file's.
@@ -80,7 +83,8 @@ def run(
             said=None if by == "rest" else said,
             tell=tell,
         )
-    replace(made, note=note).save(motion)
+    kept = made if bounds is None else pliant.teach.bounded(made, bounds)
+    replace(kept, note=note).save(motion)
     where = "" if backend is None else f" --backend {backend}"
     again = f"{motion}: pliant replay {arm} {motion}{where}"
     console.print(again, highlight=False, soft_wrap=True)

@@ -121,9 +121,11 @@ def felt(stage: Stage, what: Felt) -> str:
     for i, name in enumerate(("x", "y", "z")):
         if name not in stage.axes and not np.isfinite(what.bound[i]):
             continue
+        if what.bound[i] > UNKNOWN:
+            words.append(f"{name} ?")
+            continue
         sure = abs(what.force[i]) > what.bound[i]
-        bound = f"{what.bound[i]:.1f}" if what.bound[i] < UNKNOWN else "?"
-        number = f"{what.force[i]:+.1f} ± {bound}"
+        number = f"{what.force[i]:+.1f} ± {what.bound[i]:.1f}"
         words.append(f'{name} <b style="color:{FULL}">{number}</b>' if sure else f"{name} {number}")
     return _box(f"felt at the tool [N]: {' · '.join(words)}")
 

@@ -97,14 +97,15 @@ class World:
             visible=False,
         )
         self._dragging = False
+        self._turns = bool({"roll", "pitch", "yaw"} & set(stage.axes))
         self.gizmo = scene.add_transform_controls(
             "/target",
             scale=GIZMO * size,
             line_width=3.0,
             disable_sliders=True,
-            disable_rotations=not {"roll", "pitch", "yaw"} & set(stage.axes),
+            disable_rotations=not self._turns,
             depth_test=False,
-            wxyz=tf.SO3.from_matrix(stage.home[:3, :3]).wxyz,
+            wxyz=self._handles(stage.home),
             position=stage.home[:3, 3],
         )
         self.gizmo.on_update(self._led)
@@ -126,7 +127,7 @@ class World:
             return
         if not self._dragging:
             self.gizmo.position = step.target[:3, 3]
-            self.gizmo.wxyz = tf.SO3.from_matrix(step.target[:3, :3]).wxyz
+            self.gizmo.wxyz = self._handles(step.target)
         ends = np.stack((now.tool[:3, 3], step.target[:3, 3]))[None]
         self._leash.visible = bool(np.linalg.norm(ends[0, 1] - ends[0, 0]) > NEAR)
         self._leash.points = ends.astype(np.float32)
@@ -142,11 +143,17 @@ class World:
                 self._arrow.points = np.stack((point - way, point))[None].astype(np.float32)
         self._arrow.visible = shown
 
+    def _handles(self, target: Array) -> Array:
+        """How the arrows of a target (4, 4) stand: as it, or along the axes if nothing turns."""
+        turned = target[:3, :3] if self._turns else np.eye(3)
+        return np.asarray(tf.SO3.from_matrix(turned).wxyz)
+
     async def _led(self, event: viser.TransformControlsEvent) -> None:
         """The gizmo: in order, hence on the server's own thread."""
         self._dragging = event.phase != "end"
-        pose = np.eye(4)
-        pose[:3, :3] = tf.SO3(np.asarray(event.target.wxyz)).as_matrix()
+        pose = self._stage.home.copy()
+        if self._turns:
+            pose[:3, :3] = tf.SO3(np.asarray(event.target.wxyz)).as_matrix()
         pose[:3, 3] = event.target.position
         self._tell(orders.Target(pose))
 

@@ -1,0 +1,91 @@
+"""A motion within bounds of speed, acceleration and jerk; ruckig (not ours) does the work."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant import ConfigError
+from pliant.extras import pip
+from pliant.teach.motion import RATE
+
+if TYPE_CHECKING:
+    from pliant.teach.motion import Motion
+
+#: Longest time that the end may take more than the motion [s].
+LATE = 60.0
+#: Share of the bounds that a slowed motion takes: the rest is for following it.
+ROOM = 0.9
+
+
+def bounded(motion: Motion, bounds: tuple[float, float, float], rate: float = RATE) -> Motion:
+    """Follow a motion as closely as speed, acceleration and jerk of every joint allow.
+
+    A motion whose speed or acceleration is beyond its bound is first played as much slower as it
+    needs, whole, so that the joints stay on their common path. Then ruckig follows it: what is
+    within the bounds stays as it is, and corners become as round as the jerk wants.
+
+    Args:
+        motion: The motion; joints beside the chain keep their positions at its times.
+        bounds: Speed [rad/s], acceleration [rad/s²], jerk [rad/s³].
+        rate: Samples per second of the result [Hz].
+
+    Returns:
+        A motion that begins and ends at rest, where the given one does.
+
+    Raises:
+        ConfigError: Bounds that are not above 0, or too low for the motion.
+        ImportError: ruckig is not installed.
+    """
+    if not all(0.0 < bound < np.inf for bound in bounds):
+        raise ConfigError(f"speed, acceleration and jerk must be above 0, got {bounds!r}")
+    try:
+        import ruckig
+    except ImportError as error:
+        raise ImportError(f"bounds of a motion need ruckig: {pip()} ruckig") from error
+    n, step = len(motion.joints), 1.0 / rate
+    motion = _slowed(motion, bounds[0], bounds[1], step)
+    planner = ruckig.Ruckig(n, step)
+    given, made = ruckig.InputParameter(n), ruckig.OutputParameter(n)
+    speed, acceleration, jerk = bounds
+    given.current_position = motion.q[0].tolist()
+    given.max_velocity, given.max_acceleration = [speed] * n, [acceleration] * n
+    given.max_jerk = [jerk] * n
+    rows, count = [motion.q[0]], 0
+    while True:
+        count += 1
+        time = count * step
+        ended = time >= motion.duration
+        before, here, after = (motion.at(time + shift) for shift in (-step, 0.0, step))
+        slope, bend = (after - before) * (0.5 * rate), (after - 2.0 * here + before) * rate**2
+        given.target_position = here.tolist()
+        slope, bend = np.clip(slope, -speed, speed), np.clip(bend, -acceleration, acceleration)
+        given.target_velocity = [0.0] * n if ended else slope.tolist()
+        given.target_acceleration = [0.0] * n if ended else bend.tolist()
+        result = planner.update(given, made)
+        if int(result) < 0:
+            raise ConfigError(f"ruckig refuses the motion at {time:.2f} s: {result}")
+        rows.append(np.array(made.new_position))
+        made.pass_to_input(given)
+        if ended and result == ruckig.Result.Finished:
+            break
+        if time > motion.duration + LATE:
+            raise ConfigError(
+                f"within {bounds!r} (rad/s, rad/s², rad/s³) the motion of {motion.duration:.1f} s "
+                f"is not over after {LATE:g} s more: raise them"
+            )
+    times = step * np.arange(len(rows), dtype=np.float64)
+    extra = {name: np.interp(times, motion.time, row) for name, row in motion.extra.items()}
+    return replace(motion, time=times, q=np.array(rows), extra=extra)
+
+
+def _slowed(motion: Motion, speed: float, acceleration: float, step: float) -> Motion:
+    """The motion with its time stretched until speed and acceleration are within these."""
+    times = np.arange(0.0, motion.duration + step, step)
+    q = np.array([motion.at(time) for time in times.tolist()])
+    first = float(np.abs(np.diff(q, axis=0)).max()) / step
+    second = float(np.abs(np.diff(q, 2, axis=0)).max(initial=0.0)) / step**2
+    factor = max(1.0, first / (ROOM * speed), np.sqrt(second / (ROOM * acceleration)))
+    return replace(motion, time=motion.time * factor)
