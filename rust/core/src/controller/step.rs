@@ -15,7 +15,7 @@ use crate::law::feedforward::Filtered;
 use crate::law::inverse::{axes, rows_array, transpose_times};
 use crate::law::singular::SingularValues;
 use crate::model::Chain;
-use crate::number::{Arithmetic, EveryJoint, Kernel, LANES, Lanes, Machine, Wide};
+use crate::number::{Arithmetic, EveryJoint, Instructions, Kernel, LANES, Lanes, Machine, Wide};
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::{Law, LimitRule, Settings};
@@ -96,6 +96,7 @@ impl Controller {
             masses: &self.masses,
             gravity: &self.gravity,
             delay: self.delay,
+            instructions: self.instructions,
             q,
             target,
             input,
@@ -115,6 +116,7 @@ pub(super) struct Cycle<'a> {
     pub(super) masses: &'a Masses,
     pub(super) gravity: &'a [f64; 3],
     delay: f64,
+    instructions: Instructions,
     pub(super) q: &'a JointVec,
     target: &'a Pose,
     input: &'a Input,
@@ -166,7 +168,8 @@ impl Cycle<'_> {
         };
         let wish = Wish::new(plan, settings, &aim.error, &twist);
         let mut singular = self.memory.singular;
-        let solution = solve(plan, settings, self.input, &seen, &wish, self.memory, &filtered, &mut singular);
+        let solution =
+            solve(plan, settings, self.instructions, self.input, &seen, &wish, self.memory, &filtered, &mut singular);
 
         let wanted = self.wanted_limits(&seen, &wish, &solution, &singular);
         let (floor, ceiling) = (J::load(&plan.floor), J::load(&plan.servos.torque));
