@@ -75,21 +75,29 @@ pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
     /// A [`Error::Limit`].
+    #[cold]
+    #[inline(never)]
     pub(crate) fn limit(what: impl Into<String>, value: f64, bound: impl Into<String>) -> Self {
         Self::Limit { what: what.into(), value, bound: bound.into() }
     }
 
     /// A [`Error::Shape`] of a one-dimensional argument.
+    #[cold]
+    #[inline(never)]
     pub(crate) fn length(what: impl Into<String>, got: usize, expected: usize) -> Self {
         Self::Shape { what: what.into(), got: format!("({got},)"), expected: format!("({expected},)") }
     }
 
     /// A [`Error::Config`].
+    #[cold]
+    #[inline(never)]
     pub(crate) fn config(key: impl Into<String>, message: impl Into<String>) -> Self {
         Self::Config { key: key.into(), message: message.into() }
     }
 
     /// What is wrong in row `row` of a batch.
+    #[cold]
+    #[inline(never)]
     pub(crate) fn in_row(self, batch: &str, row: usize) -> Self {
         match self {
             Self::Limit { what, value, bound } => Self::Limit { what: format!("{batch}[{row}]: {what}"), value, bound },

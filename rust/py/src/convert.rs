@@ -190,6 +190,7 @@ pub(crate) fn only_reference(object: &Bound<'_, PyAny>) -> bool {
 }
 
 /// A new array with these numbers, row by row.
+#[inline(never)]
 pub(crate) fn new_array<'py>(py: Python<'py>, shape: &[usize], values: &[f64]) -> Bound<'py, PyAny> {
     let array = PyArrayDyn::<f64>::zeros(py, shape, false);
     let count: usize = shape.iter().product();
@@ -199,6 +200,7 @@ pub(crate) fn new_array<'py>(py: Python<'py>, shape: &[usize], values: &[f64]) -
 }
 
 /// A new array of zeros.
+#[inline(never)]
 pub(crate) fn zeros<'py>(py: Python<'py>, shape: &[usize]) -> Bound<'py, PyAny> {
     PyArrayDyn::<f64>::zeros(py, shape, false).into_any()
 }

@@ -48,6 +48,8 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 }
 
 /// A core error as the exception of its class.
+#[cold]
+#[inline(never)]
 fn raised(error: &Error) -> PyErr {
     Python::attach(|py| build(py, error).unwrap_or_else(|failure| failure))
 }
@@ -107,21 +109,29 @@ impl<T> OrRaise<T> for pliant_core::Result<T> {
 }
 
 /// A `ConfigError`.
+#[cold]
+#[inline(never)]
 pub(crate) fn config(key: &str, message: impl Into<String>) -> PyErr {
     raised(&Error::Config { key: key.into(), message: message.into() })
 }
 
 /// A `ShapeError`.
+#[cold]
+#[inline(never)]
 pub(crate) fn shape(what: &str, got: &[usize], expected: impl Into<String>) -> PyErr {
     raised(&Error::Shape { what: what.into(), got: tuple(got), expected: expected.into() })
 }
 
 /// A `TypeError` that shows the value.
+#[cold]
+#[inline(never)]
 pub(crate) fn wrong_type(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyErr {
     PyTypeError::new_err(format!("{name} must be {expected}, got {}", shown(value)))
 }
 
 /// A value and its type, short enough for a message.
+#[cold]
+#[inline(never)]
 pub(crate) fn shown(value: &Bound<'_, PyAny>) -> String {
     let text = value.repr().map_or_else(|_| String::new(), |repr| repr.to_string());
     let kind = value.get_type().name().map_or_else(|_| String::new(), |name| name.to_string());
@@ -129,6 +139,8 @@ pub(crate) fn shown(value: &Bound<'_, PyAny>) -> String {
 }
 
 /// A shape as Python prints it.
+#[cold]
+#[inline(never)]
 pub(crate) fn tuple(shape: &[usize]) -> String {
     match shape {
         [one] => format!("({one},)"),
@@ -137,6 +149,8 @@ pub(crate) fn tuple(shape: &[usize]) -> String {
 }
 
 /// `; did you mean 'x'?` where one of the names is close, by Python's own difflib; else the `stop`.
+#[cold]
+#[inline(never)]
 pub(crate) fn suggestion(py: Python<'_>, word: &str, names: &[&str], stop: &str) -> String {
     let close = || -> PyResult<Option<String>> {
         let matches = py.import("difflib")?.call_method1("get_close_matches", (word, names.to_vec(), 1))?;

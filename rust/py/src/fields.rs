@@ -88,7 +88,7 @@ macro_rules! fields {
 
             fn set(core: &mut $core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<bool> {
                 match name {
-                    $(stringify!($field) => core.$field = <$kind as $crate::kinds::Kind>::read(name, value)?,)*
+                    $(stringify!($field) => core.$field = $crate::kinds::read::<$kind>(name, value)?,)*
                     _ => return Ok(false),
                 }
                 Ok(true)
@@ -97,7 +97,7 @@ macro_rules! fields {
             fn changed<'py>(core: &$core, base: &$core, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
                 let out = PyDict::new(py);
                 $(if $crate::fields::differ(&core.$field, &base.$field) {
-                    out.set_item(stringify!($field), <$kind as $crate::kinds::Kind>::plain(&core.$field, py)?)?;
+                    out.set_item(stringify!($field), $crate::kinds::plain::<$kind>(&core.$field, py)?)?;
                 })*
                 Ok(out)
             }
@@ -111,7 +111,7 @@ macro_rules! fields {
         impl $class {
             $(#[getter]
             fn $field<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-                <$kind as $crate::kinds::Kind>::show(&self.0.$field, py)
+                $crate::kinds::show::<$kind>(&self.0.$field, py)
             })*
 
             #[pyo3(signature = (**changes))]

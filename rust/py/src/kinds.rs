@@ -28,6 +28,24 @@ pub(crate) trait Kind {
     }
 }
 
+/// [`Kind::read`], one function for all fields of a kind.
+#[inline(never)]
+pub(crate) fn read<K: Kind>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<K::Core> {
+    K::read(name, value)
+}
+
+/// [`Kind::plain`], likewise.
+#[inline(never)]
+pub(crate) fn plain<'py, K: Kind>(core: &K::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+    K::plain(core, py)
+}
+
+/// [`Kind::show`], likewise.
+#[inline(never)]
+pub(crate) fn show<'py, K: Kind>(core: &K::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+    K::show(core, py)
+}
+
 /// A `ConfigError` that says what the field `name` may be.
 pub(crate) fn wrong(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyErr {
     config(name, format!("must be {expected}, got {}", shown(value)))

@@ -10,7 +10,7 @@ use crate::law::nullspace::fade_squared;
 use crate::law::singular::{Condition, SingularValues};
 use crate::law::takeover::{Share, Takeover};
 use crate::law::{motion, weighted_manipulability};
-use crate::number::{Arithmetic, EveryJoint, Joints, Lanes, Packed};
+use crate::number::{EveryJoint, Instructions, Joints, Kernel, LANES, Machine, Packed};
 use crate::plan::Plan;
 use crate::settings::Settings;
 use crate::task::wish::Wish;
@@ -33,6 +33,7 @@ pub(super) struct Solved<J: Joints> {
 pub(super) fn solve<J: Joints>(
     plan: &Plan,
     settings: &Settings,
+    instructions: Instructions,
     input: &Input,
     q: J,
     seen: &Seen<J>,
@@ -57,66 +58,119 @@ pub(super) fn solve<J: Joints>(
             plan,
             horizon: settings.horizon,
             rows: rows_array(&seen.rows),
-            softness: <EveryJoint as Lanes>::Axes::of(&wish.softness.numbers()),
+            softness: wish.softness.numbers(),
             without_lead: (seen.q + integral).array(),
             carried: carried.array(),
             force_lead: motion.force_lead.array(),
+            share: Shares {
+                lead: motion.lead.array(),
+                null: motion.null.array(),
+                stiff: motion.wrench.stiff.numbers(),
+            },
         };
-        let stiff = <EveryJoint as Lanes>::Axes::of(&motion.wrench.stiff.numbers());
-        let mut share = Share { lead: motion.lead.every(), null: motion.null.every(), stiff };
-        solution.moving = J::load(&hands.over(&mut share, &mut locked));
-        (motion.lead, motion.null) = (J::load(&share.lead.array()), J::load(&share.null.array()));
-        motion.wrench.stiff = J::Axes::of(&share.stiff.numbers());
+        let held = hands.over(instructions);
+        locked = held.locked;
+        solution.moving = J::load(&held.goal);
+        (motion.lead, motion.null) = (J::load(&held.share.lead), J::load(&held.share.null));
+        motion.wrench.stiff = J::Axes::of(&held.share.stiff);
     }
     Solved { given, solution, locked }
 }
 
+/// A [`Share`] in memory.
+struct Shares {
+    lead: JointVec,
+    null: JointVec,
+    stiff: [f64; LANES],
+}
+
 /// What is known when joints are to move beyond their position limits.
 ///
-/// Rare, hence compiled once and kept out of the step.
+/// Rare, hence kept out of the step, with an entry of its own for each set of instructions.
 struct Hands<'a> {
     plan: &'a Plan,
     horizon: f64,
     rows: Rows,
-    softness: <EveryJoint as Lanes>::Axes,
+    /// Of each task axis.
+    softness: [f64; LANES],
     /// Goals without any lead [rad].
     without_lead: JointVec,
     /// Torque of everything but lead and null-space motion [N·m].
     carried: JointVec,
     force_lead: JointVec,
+    /// With all joints.
+    share: Shares,
+}
+
+/// What the joints do once none is left to lock.
+struct Held {
+    share: Shares,
+    locked: [bool; MAX_JOINTS],
+    /// Goals without what exerts a force [rad].
+    goal: JointVec,
+}
+
+impl Kernel for Hands<'_> {
+    type Output = Held;
+
+    #[inline(always)]
+    fn run<M: Machine>(self) -> Held {
+        if self.plan.n <= LANES { self.hold::<M::Eight>() } else { self.hold_many() }
+    }
 }
 
 impl Hands<'_> {
-    /// Locks joints until none is left to lock; the goals then, without what exerts a force [rad].
     #[cold]
     #[inline(never)]
-    fn over(&self, share: &mut Share, locked: &mut [bool; MAX_JOINTS]) -> JointVec {
-        let (plan, all_joints, mut fixed_lead) = (self.plan, *share, [0.0; MAX_JOINTS]);
+    fn over(self, instructions: Instructions) -> Held {
+        instructions.run_single(self)
+    }
+
+    /// [`Hands::hold`] of an arm with more joints than one has lanes.
+    #[inline(never)]
+    fn hold_many(&self) -> Held {
+        self.hold::<EveryJoint>()
+    }
+
+    /// Locks joints until none is left to lock.
+    #[inline(always)]
+    fn hold<J: Joints>(&self) -> Held {
+        let (plan, rows) = (self.plan, load_rows::<J>(&self.rows));
+        let all_joints = Share {
+            lead: J::load(&self.share.lead),
+            null: J::load(&self.share.null),
+            stiff: J::Axes::of(&self.share.stiff),
+        };
         let whole = all_joints.lead + all_joints.null;
-        let (all, lead) = (whole.array(), (whole + EveryJoint::load(&self.force_lead)).array());
-        let carried = EveryJoint::load(&self.carried);
-        let torque = EveryJoint::fma(EveryJoint::load(&plan.servos.kp), whole, carried).array();
+        let (all, lead) = (whole.array(), (whole + J::load(&self.force_lead)).array());
+        let torque = J::fma(J::load(&plan.servos.kp), whole, J::load(&self.carried)).array();
+        let (mut share, mut locked, mut fixed_lead) = (all_joints, [false; MAX_JOINTS], [0.0; MAX_JOINTS]);
         loop {
-            let goal = (EveryJoint::load(&self.without_lead) + share.lead + share.null).array();
-            if !lock(&goal, &self.without_lead, &plan.lower, &plan.upper, locked, &mut fixed_lead) {
-                return goal;
+            let goal = (J::load(&self.without_lead) + share.lead + share.null).array();
+            if !lock(&goal, &self.without_lead, &plan.lower, &plan.upper, &mut locked, &mut fixed_lead) {
+                let share = Shares { lead: share.lead.array(), null: share.null.array(), stiff: share.stiff.numbers() };
+                return Held { share, locked, goal };
             }
-            let (mut cut, mut lead, mut torque) = ([0.0; MAX_JOINTS], lead, torque);
+            let (mut cut, mut free, mut lead, mut torque) = ([0.0; MAX_JOINTS], [1.0; MAX_JOINTS], lead, torque);
             for i in 0..MAX_JOINTS {
                 if locked[i] {
-                    (cut[i], lead[i], torque[i]) = (all[i] - fixed_lead[i], 0.0, 0.0);
+                    (cut[i], free[i], lead[i], torque[i]) = (all[i] - fixed_lead[i], 0.0, 0.0, 0.0);
                 }
+            }
+            let (mut free_rows, free) = (rows, J::load(&free));
+            for row in &mut free_rows {
+                *row = *row * free;
             }
             let takeover = Takeover {
                 plan,
                 horizon: self.horizon,
-                rows: &without_locked(&self.rows, locked),
-                lost: &times(&load_rows(&self.rows), EveryJoint::load(&cut)),
-                softness: self.softness,
-                torque: EveryJoint::load(&torque),
-                lead: EveryJoint::load(&lead),
+                rows: &free_rows,
+                lost: &times(&rows, J::load(&cut)),
+                softness: J::Axes::of(&self.softness),
+                torque: J::load(&torque),
+                lead: J::load(&lead),
             };
-            *share = all_joints.with(locked, &fixed_lead, &takeover.addition());
+            share = all_joints.with(&locked, &fixed_lead, &takeover.addition());
         }
     }
 }

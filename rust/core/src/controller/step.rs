@@ -16,7 +16,7 @@ use crate::law::feedforward::Filtered;
 use crate::law::inverse::{axes, rows_array};
 use crate::law::singular::SingularValues;
 use crate::model::Chain;
-use crate::number::{Arithmetic, EveryJoint, Joints, Kernel, LANES, Machine};
+use crate::number::{Arithmetic, EveryJoint, Instructions, Joints, Kernel, LANES, Machine};
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::{LimitRule, Settings};
@@ -79,6 +79,7 @@ impl Controller {
             masses: &self.masses,
             gravity: &self.gravity,
             delay: self.delay,
+            instructions: self.instructions,
             q,
             target,
             input,
@@ -98,6 +99,7 @@ pub(super) struct Cycle<'a> {
     pub(super) masses: &'a Masses,
     pub(super) gravity: &'a [f64; 3],
     delay: f64,
+    instructions: Instructions,
     pub(super) q: &'a JointVec,
     target: &'a Pose,
     input: &'a Input,
@@ -151,7 +153,18 @@ impl Cycle<'_> {
         let wish = Wish::new(plan, settings, &aim.error, &twist);
         let mut singular = self.memory.singular;
         let measured = J::load(self.q);
-        let solved = solve(plan, settings, self.input, measured, &seen, &wish, self.memory, &filtered, &mut singular);
+        let solved = solve(
+            plan,
+            settings,
+            self.instructions,
+            self.input,
+            measured,
+            &seen,
+            &wish,
+            self.memory,
+            &filtered,
+            &mut singular,
+        );
         let solution = &solved.solution;
 
         let wanted = self.wanted_limits(&seen, &wish, &solved, &singular);

@@ -5,98 +5,96 @@
 
 use crate::command::goal::scale_to_fit;
 use crate::law::cap::Demand;
-use crate::law::inverse::{Factor, axes, damped, load_rows, transpose_times, weighted_gram, wide};
-use crate::number::{Arithmetic, EveryJoint, Lanes};
+use crate::law::inverse::{Factor, axes, damped, transpose_times, weighted_gram, wide};
+use crate::number::{Arithmetic, Joints, Packed};
 use crate::plan::Plan;
 use crate::settings::{Follow, Law};
-use crate::{AxisVec, JointVec, MAX_JOINTS, Rows};
-
-type Axes = <EveryJoint as Lanes>::Axes;
-type One = <EveryJoint as Lanes>::One;
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
 /// The motion that locked joints leave to the others.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Takeover<'a> {
+pub(crate) struct Takeover<'a, J: Joints> {
     pub(crate) plan: &'a Plan,
     pub(crate) horizon: f64,
     /// Task rows, columns of locked joints zero.
-    pub(crate) rows: &'a Rows,
+    pub(crate) rows: &'a [J; MAX_AXES],
     /// What the task has lost, per row [m, rad].
     pub(crate) lost: &'a AxisVec,
     /// Softness of each row.
-    pub(crate) softness: Axes,
+    pub(crate) softness: J::Axes,
     /// Torque that every joint gives already [N·m]; 0 for locked ones.
-    pub(crate) torque: EveryJoint,
+    pub(crate) torque: J,
     /// Lead that every joint has already [rad]; 0 for locked ones.
-    pub(crate) lead: EveryJoint,
+    pub(crate) lead: J,
 }
 
 /// What the others do in addition.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Addition {
+pub(crate) struct Addition<J: Joints> {
     /// [rad]
-    lead: EveryJoint,
+    lead: J,
     /// Wrench of the laws that speak of forces [N, N·m].
-    wrench: Axes,
+    wrench: J::Axes,
 }
 
-impl Takeover<'_> {
+impl<J: Joints> Takeover<'_, J> {
     /// Soft rows keep their force and ask for nothing where they are free; ceilings and joint speeds hold.
-    pub(crate) fn addition(&self) -> Addition {
-        let plan = self.plan;
-        let squared = plan.damping_scale.map(|scale| scale * plan.takeover_damping);
-        let compliance = EveryJoint::load(&plan.servos.compliance);
+    #[inline(always)]
+    pub(crate) fn addition(&self) -> Addition<J> {
+        let (plan, nothing) = (self.plan, J::Axes::splat(0.0));
+        let squared = J::Axes::of(&plan.lanes.damping_scale) * J::Axes::splat(plan.takeover_damping);
         let (mut lead, mut wrench) = if plan.law == Law::Paper && plan.follow == Follow::Hold {
             // The damped pseudo-inverse of (3), of which one product is wanted and not the whole.
-            let (rows, weight) = (load_rows(self.rows), EveryJoint::load(&plan.joint_weight));
-            let factor = Factor::new::<One>(&damped(weighted_gram(&rows, weight), &squared));
-            (weight * transpose_times(&rows, &factor.solve::<One>(self.lost)), Axes::splat(0.0))
+            let weight = J::load(&plan.joint_weight);
+            let factor = Factor::new::<J::One>(&damped(weighted_gram(self.rows, weight), &axes(squared)));
+            (weight * transpose_times(self.rows, &factor.solve::<J::One>(self.lost)), nothing)
         } else {
-            let rows = load_rows(self.rows);
+            let compliance = J::load(&plan.servos.compliance);
             let demand = Demand {
-                compliance: &weighted_gram(&rows, compliance),
-                damping: plan.per_stiffness(wide(&squared)),
+                compliance: &weighted_gram(self.rows, compliance),
+                damping: plan.per_stiffness(squared),
                 step: wide(self.lost),
                 bounded_step: wide(self.lost),
-                softness: if plan.follow == Follow::Free { self.softness } else { Axes::splat(0.0) },
-                cap: Axes::splat(0.0),
+                softness: if plan.follow == Follow::Free { self.softness } else { nothing },
+                cap: nothing,
             };
             let wrench = demand.stiff_force();
-            (transpose_times(&rows, &axes(wrench)) * compliance, wrench)
+            (transpose_times(self.rows, &wrench.numbers()) * compliance, wrench)
         };
         let mut factor: f64 = 1.0;
         if plan.law.by_force() {
-            let torque = lead * EveryJoint::load(&plan.servos.kp);
-            [factor] = scale_to_fit(self.torque, [torque], EveryJoint::load(&plan.servos.torque));
+            let torque = lead * J::load(&plan.servos.kp);
+            [factor] = scale_to_fit(self.torque, [torque], J::load(&plan.servos.torque));
         }
         let [slower] = scale_to_fit(self.lead, [lead], plan.reach(self.horizon));
         factor = factor.min(slower);
-        lead = lead * EveryJoint::splat(factor);
-        wrench = if plan.law.by_force() { wrench * Axes::splat(factor) } else { Axes::splat(0.0) };
+        lead = lead * J::splat(factor);
+        wrench = if plan.law.by_force() { wrench * J::Axes::splat(factor) } else { nothing };
         Addition { lead, wrench }
     }
 }
 
 /// What of a motion locked joints change.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Share {
+pub(crate) struct Share<J: Joints> {
     /// [rad]
-    pub(crate) lead: EveryJoint,
+    pub(crate) lead: J,
     /// [rad]
-    pub(crate) null: EveryJoint,
+    pub(crate) null: J,
     /// Wrench of the stiff axes [N, N·m].
-    pub(crate) stiff: Axes,
+    pub(crate) stiff: J::Axes,
 }
 
-impl Share {
+impl<J: Joints> Share<J> {
     /// With locked joints at their `fixed` lead and what the others do instead.
-    pub(crate) fn with(&self, locked: &[bool; MAX_JOINTS], fixed: &JointVec, addition: &Addition) -> Self {
+    #[inline(always)]
+    pub(crate) fn with(&self, locked: &[bool; MAX_JOINTS], fixed: &JointVec, addition: &Addition<J>) -> Self {
         let (mut lead, mut null) = ((self.lead + addition.lead).array(), self.null.array());
         for i in 0..MAX_JOINTS {
             if locked[i] {
                 (lead[i], null[i]) = (fixed[i], 0.0);
             }
         }
-        Self { lead: EveryJoint::load(&lead), null: EveryJoint::load(&null), stiff: self.stiff + addition.wrench }
+        Self { lead: J::load(&lead), null: J::load(&null), stiff: self.stiff + addition.wrench }
     }
 }

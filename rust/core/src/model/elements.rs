@@ -23,16 +23,16 @@ pub(super) struct Reader<'a> {
     pub(super) quaternions: bool,
 }
 
-impl Reader<'_> {
-    /// Child elements of these names; everything else inside `parent` is for other programs.
-    pub(super) fn children<'n, 'i>(&self, parent: Node<'n, 'i>, names: &[&str]) -> impl Iterator<Item = Node<'n, 'i>> {
-        let space = parent.tag_name().namespace();
-        parent.children().filter(move |child| {
-            let tag = child.tag_name();
-            child.is_element() && tag.namespace() == space && names.contains(&tag.name())
-        })
-    }
+/// Child elements of these names; everything else inside `parent` is for other programs.
+pub(super) fn children<'n, 'i>(parent: Node<'n, 'i>, names: &[&str]) -> impl Iterator<Item = Node<'n, 'i>> {
+    let space = parent.tag_name().namespace();
+    parent.children().filter(move |child| {
+        let tag = child.tag_name();
+        child.is_element() && tag.namespace() == space && names.contains(&tag.name())
+    })
+}
 
+impl Reader<'_> {
     /// At most one child of each name, in the order of `names`.
     fn parts<'n, 'i, const N: usize>(
         &self,
@@ -41,7 +41,7 @@ impl Reader<'_> {
         owner: &str,
     ) -> Result<[Option<Node<'n, 'i>>; N]> {
         let mut parts = [None; N];
-        for child in self.children(parent, names) {
+        for child in children(parent, names) {
             let name = child.tag_name().name();
             for (part, _) in parts.iter_mut().zip(names).filter(|(_, n)| **n == name) {
                 if part.replace(child).is_some() {

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use roxmltree::Node;
 
-use super::elements::Reader;
+use super::elements::{Reader, children};
 use super::parts::{Inertial, JointKind};
 use super::text::{MAX_LINKS, Source};
 use crate::error::{Position, Result};
@@ -51,7 +51,7 @@ pub(super) fn read(source: &Source) -> Result<Robot> {
     let root = document.root_element();
     let reader = Reader { source, quaternions: quaternions_allowed(root) };
     let (mut links, mut joints) = (Vec::new(), Vec::new());
-    for child in reader.children(root, &["link", "joint"]) {
+    for child in children(root, &["link", "joint"]) {
         let (what, count) =
             if child.tag_name().name() == "link" { ("links", links.len()) } else { ("joints", joints.len()) };
         if count == MAX_LINKS {

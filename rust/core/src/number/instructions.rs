@@ -136,7 +136,7 @@ impl Instructions {
     #[inline]
     pub(crate) fn run_single<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
-            Set::Baseline => kernel.run::<Baseline>(),
+            Set::Baseline => baseline(kernel),
             // SAFETY: as in `run`; whoever has AVX-512 has AVX2, see `available`.
             #[cfg(target_arch = "x86_64")]
             Set::Avx2 | Set::Avx512 => unsafe { avx2(kernel) },
@@ -147,7 +147,7 @@ impl Instructions {
     #[inline]
     pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
-            Set::Baseline => kernel.run::<Baseline>(),
+            Set::Baseline => baseline(kernel),
             // SAFETY: values of this kind are made in `available` alone, where the processor was asked for all of it.
             #[cfg(target_arch = "x86_64")]
             Set::Avx2 => unsafe { avx2(kernel) },
@@ -162,6 +162,12 @@ impl fmt::Display for Instructions {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
+}
+
+/// Never inlined, as the others cannot be: who calls it may be optimised for size.
+#[inline(never)]
+fn baseline<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Baseline>()
 }
 
 #[cfg(target_arch = "x86_64")]
