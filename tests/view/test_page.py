@@ -12,6 +12,7 @@ import pytest
 import viser
 
 from pliant.view import meters, orders
+from pliant.view.page import Page
 from pliant.view.panel import Panel
 from pliant.view.session import Session
 from pliant.view.source import Simulated
@@ -205,7 +206,7 @@ def test_dragging_the_arm_grabs_pulls_and_lets_go(seen):
     pulled = seen.world._pulled(np.array([3]))
     place = {"instance_index": 0, "start_position": (0.1, 0.0, 0.0), "end_position": (0.2, 0, 0)}
     for phase in ("start", "update", "end"):
-        drag(pulled, phase=phase, **place)
+        drag(pulled, phase=phase, client_id=7, **place)
     first, second, last = seen.said
     assert (first.body, first.point, first.toward) == (3, (0.1, 0.0, 0.0), (0.2, 0, 0))
     assert second.point is None
@@ -215,3 +216,13 @@ def test_dragging_the_arm_grabs_pulls_and_lets_go(seen):
 def test_every_part_of_the_arm_can_be_dragged(seen):
     for group in seen.world._figure._mesh_groups:
         assert group.handle._impl.drag_cb
+
+
+def test_only_the_tab_that_holds_the_arm_lets_go_when_it_closes(seen):
+    page = Page.__new__(Page)
+    page.world, page._tell = seen.world, seen.said.append
+    for held_by, closed, said in ((None, 3, []), (7, 3, []), (7, 7, [orders.LetGo()])):
+        seen.world.held_by = held_by
+        page._left(SimpleNamespace(client_id=closed))
+        assert seen.said == said
+    seen.world.held_by = None

@@ -56,9 +56,10 @@ class Page:
         )
         self.server.on_client_disconnect(self._left)
 
-    def _left(self, _: viser.ClientHandle) -> None:
-        """Whoever pushed is no longer there to let go."""
-        self._tell(LetGo())
+    def _left(self, client: viser.ClientHandle) -> None:
+        """Whoever holds the arm is no longer there to let go; a push ends by itself."""
+        if self.world is not None and self.world.held_by == client.client_id:
+            self._tell(LetGo())
 
     def hear(self, word: Stage | Snapshot) -> None:
         """Show what the loop says."""

@@ -53,6 +53,7 @@ class World:
 
     Attributes:
         gizmo: The target, to be dragged.
+        held_by: Number of the tab that drags the arm; None: none does.
     """
 
     def __init__(self, server: viser.ViserServer, stage: Stage, tell: Tell) -> None:
@@ -97,6 +98,7 @@ class World:
             visible=False,
         )
         self._dragging = False
+        self.held_by: int | None = None
         self._turns = bool({"roll", "pitch", "yaw"} & set(stage.axes))
         self.gizmo = scene.add_transform_controls(
             "/target",
@@ -163,8 +165,10 @@ class World:
         async def pulled(event: Any) -> None:
             body = int(bodies[event.instance_index or 0])
             if event.phase == "end":
+                self.held_by = None
                 self._tell(orders.LetGo())
                 return
+            self.held_by = event.client_id
             first = event.start_position if event.phase == "start" else None
             self._tell(orders.Grab(body, first, event.end_position))
 
