@@ -168,7 +168,8 @@ wheel: setup $(WHEELS)/.built ## Build wheel and source distribution into build/
 $(WHEELS)/.built: $(RUST) $(PY_SOURCES) pyproject.toml README.md LICENSE
 	$(call say,wheel)
 	@rm -rf $(WHEELS)
-	@$(BIN)/maturin build --release $(LOCKED) --quiet --interpreter $(BIN)/python --out $(WHEELS)
+	@$(BIN)/maturin build --release $(LOCKED) --quiet --interpreter $(BIN)/python --out $(WHEELS) \
+	  --compression-level 9
 	@$(BIN)/maturin sdist --out $(WHEELS)
 	@touch $@
 
