@@ -1640,7 +1640,8 @@ class Controller:
         Without one nothing is remembered: each row is the first step of a controller just reset to
         its q, with `goal_slew` and `max_tool_speed` infinite: goals may jump, so not for a real
         arm. Under law `paper` as printed, arms of at most 7 joints are then stepped side by side in
-        the processor's registers, which changes results by rounding. This controller's own memory and readings stay as they are. `RAYON_NUM_THREADS` says
+        the processor's registers, which changes results by rounding. This controller's own memory
+        and readings stay as they are. `RAYON_NUM_THREADS` says
         how many threads there are.
 
         Args:

@@ -2,12 +2,11 @@
 //!
 //! What few arms meet (an input that cannot be used, a joint at its limit) is left to single steps.
 
-use crate::MAX_AXES;
 use crate::batch::{BatchInput, Targets};
 use crate::command::goal::register_speed;
 use crate::command::limits::finish;
 use crate::controller::Controller;
-use crate::controller::floors::{Given, Seen, Solution};
+use crate::controller::floors::{Given, Seen, Solution, row_damping};
 use crate::kinematics::batch::{Stage, gather};
 use crate::law::feedforward::SPEED_BOUND;
 use crate::law::paper::{is_printed, printed};
@@ -17,6 +16,7 @@ use crate::pose::Pose;
 use crate::settings::GravityUse;
 use crate::task::deviation::{into_frame, pose_error_by};
 use crate::task::wish::Wish;
+use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Rows of one piece of a batch, at most 64.
 pub(super) struct Abreast<'a> {
@@ -26,6 +26,13 @@ pub(super) struct Abreast<'a> {
     pub(super) first: usize,
     /// Goals, torque limits, velocities.
     pub(super) outs: [&'a mut [f64]; 3],
+}
+
+/// Memory that the arms of a piece share one after another.
+struct Scratch<W> {
+    stage: Stage,
+    /// Jacobian; the columns behind the last joint stay 0.
+    rows: [[W; MAX_JOINTS]; MAX_AXES],
 }
 
 impl Controller {
@@ -44,9 +51,10 @@ impl Kernel for Abreast<'_> {
     fn run<M: Machine>(mut self) -> u64 {
         let (n, mut left) = (self.controller.plan.n.clamp(1, ABREAST), 0);
         let (rows, count) = (self.outs[0].len() / n, M::Many::COUNT);
-        let (mut from, mut stage) = (0, Stage::new());
+        let mut scratch = Scratch { stage: Stage::new(), rows: [[M::Many::splat(0.0); MAX_JOINTS]; MAX_AXES] };
+        let mut from = 0;
         while from < rows {
-            let sure = self.rows::<M::Many>(n, from, rows.min(from + count), &mut stage).numbers();
+            let sure = self.rows::<M::Many>(n, from, rows.min(from + count), &mut scratch).numbers();
             for lane in 0..count.min(rows - from) {
                 left |= u64::from(sure[lane] == 0.0) << (from + lane);
             }
@@ -59,7 +67,7 @@ impl Kernel for Abreast<'_> {
 impl Abreast<'_> {
     /// Steps rows `from` to `to`; 0 for those that are left to single steps, else 1.
     #[inline(always)]
-    fn rows<W: Many>(&mut self, n: usize, from: usize, to: usize, stage: &mut Stage) -> W {
+    fn rows<W: Many>(&mut self, n: usize, from: usize, to: usize, scratch: &mut Scratch<W>) -> W {
         let Controller { plan, settings, model, masses, gravity, .. } = self.controller;
         let (row, nothing, mut sure) = (self.first + from, W::splat(0.0), W::splat(1.0));
         let q = &gather::<W>(&self.input.q[n * row..], n);
@@ -78,28 +86,25 @@ impl Abreast<'_> {
         }
         let target = self.targets(row, &mut sure);
 
-        let view = model.chain().look_abreast(q, masses, gravity, settings.gravity != GravityUse::Off);
+        let view =
+            model.chain().look_abreast(q, masses, gravity, settings.gravity != GravityUse::Off, &mut scratch.rows);
         let seen = Seen::new(plan, settings, q, view);
         let error = into_frame::<W>(&seen.base_from_task, &pose_error_by::<W>(&seen.view.tool, &target));
         let wish = Wish::new(plan, settings, &error, &[nothing; MAX_AXES]);
         let rest = plan.rest.as_ref().map_or(q, Columns::load);
-        let lambda = plan.damping.lambda_0;
+        let (lambda, integral) = (W::splat(plan.damping.lambda_0), Columns::splat(0.0));
+        let condition = Condition { damping: lambda * lambda, mu_squared: nothing, factor: None, gamma: W::splat(1.0) };
         let given = Given {
-            q,
             velocity,
             gradient: plan.cost.gradient(q, rest),
-            integral: Columns::splat(0.0),
-            scaled_rows: plan.scale_rows(&seen.rows),
-            condition: Condition {
-                damping: W::splat(lambda * lambda),
-                mu_squared: nothing,
-                factor: None,
-                gamma: W::splat(1.0),
-            },
+            integral,
+            scaled_rows: &plan.scale_rows(&seen.rows),
+            condition: &condition,
+            damping: row_damping::<Columns<W, ABREAST>>(plan, &condition),
         };
         let (motion, budget) = printed(&given.tick(plan, settings, &seen, &wish));
         let solution = Solution::new(plan, &given, &seen, (motion, None));
-        let wanted = solution.load(plan, settings, &given, &seen, &wish).budget(budget);
+        let wanted = solution.load(plan, settings, (q, integral), &seen, &wish).budget(budget);
         let load = |values| Columns::<W, ABREAST>::load(values);
         let limit = finish(wanted, None, load(&plan.floor), load(&plan.servos.torque), Columns::splat(0.0));
         let goal = solution.goal(plan, settings, limit);
@@ -112,7 +117,7 @@ impl Abreast<'_> {
             sure = W::if_less(W::abs(goals[i]) + W::abs(limits[i]), W::splat(f64::INFINITY), sure, nothing);
         }
         for (out, numbers) in self.outs.iter_mut().zip([goals, limits, speed.array()]) {
-            stage.scatter(&numbers, n, to - from, &mut out[n * from..]);
+            scratch.stage.scatter(&numbers, n, to - from, &mut out[n * from..]);
         }
         sure
     }

@@ -46,9 +46,7 @@ impl<J: Lanes> Seen<J> {
 
 /// What a tick starts from beside the arm's pose.
 #[derive(Clone, Copy)]
-pub(crate) struct Given<J: Lanes> {
-    /// Measured positions [rad].
-    pub(crate) q: J,
+pub(crate) struct Given<'a, J: Lanes> {
     /// Filtered velocity [rad/s].
     pub(crate) velocity: J,
     /// Gradient of the null-space cost.
@@ -56,8 +54,10 @@ pub(crate) struct Given<J: Lanes> {
     /// Lead that the integrating goal has stored [rad].
     pub(crate) integral: J,
     /// Task rows with translations divided by the arm's length.
-    pub(crate) scaled_rows: [J; MAX_AXES],
-    pub(crate) condition: Condition<Scalar<J>>,
+    pub(crate) scaled_rows: &'a [J; MAX_AXES],
+    pub(crate) condition: &'a Condition<Scalar<J>>,
+    /// λ² of each row.
+    pub(crate) damping: J::Axes,
 }
 
 /// What the law came to.
@@ -75,17 +75,17 @@ pub(crate) struct Solution<J: Lanes> {
     pub(crate) feed_forward: J,
 }
 
-impl<J: Lanes> Given<J> {
-    /// λ² of each row.
-    #[inline(always)]
-    pub(crate) fn row_damping(&self, plan: &Plan) -> J::Axes {
-        J::Axes::constant(&plan.lanes.damping_scale) * J::Axes::spread(self.condition.damping)
-    }
+/// λ² of each row.
+#[inline(always)]
+pub(crate) fn row_damping<J: Lanes>(plan: &Plan, condition: &Condition<Scalar<J>>) -> J::Axes {
+    J::Axes::constant(&plan.lanes.damping_scale) * J::Axes::spread(condition.damping)
+}
 
+impl<'a, J: Lanes> Given<'a, J> {
     /// What the law is given.
     #[inline(always)]
-    pub(crate) fn tick<'a>(
-        &'a self,
+    pub(crate) fn tick(
+        &self,
         plan: &'a Plan,
         settings: &Settings,
         seen: &'a Seen<J>,
@@ -95,9 +95,9 @@ impl<J: Lanes> Given<J> {
             plan,
             horizon: settings.horizon,
             rows: &seen.rows,
-            scaled_rows: &self.scaled_rows,
-            condition: &self.condition,
-            damping: self.row_damping(plan),
+            scaled_rows: self.scaled_rows,
+            condition: self.condition,
+            damping: self.damping,
             wish,
             velocity: self.velocity,
             gradient: self.gradient,
@@ -111,7 +111,12 @@ impl<J: Lanes> Given<J> {
 impl<J: Lanes> Solution<J> {
     /// Lines 7 to 11 from what the law came to, as if no joint had a position limit.
     #[inline(always)]
-    pub(crate) fn new(plan: &Plan, given: &Given<J>, seen: &Seen<J>, (motion, budget): (Motion<J>, Option<J>)) -> Self {
+    pub(crate) fn new(
+        plan: &Plan,
+        given: &Given<'_, J>,
+        seen: &Seen<J>,
+        (motion, budget): (Motion<J>, Option<J>),
+    ) -> Self {
         let (kp, compliance) = (J::load(&plan.servos.kp), J::load(&plan.servos.compliance));
         let (mut force_lead, mut resistance) = (motion.force_lead, motion.feed_forward);
         // Law `paper` has neither.
@@ -131,13 +136,13 @@ impl<J: Lanes> Solution<J> {
         }
     }
 
-    /// What line 12 makes the limits from under the rule of demand.
+    /// What line 12 makes the limits from under the rule of demand, given measured positions and the stored lead [rad].
     #[inline(always)]
     pub(crate) fn load(
         &self,
         plan: &Plan,
         settings: &Settings,
-        given: &Given<J>,
+        (q, integral): (J, J),
         seen: &Seen<J>,
         wish: &Wish<J::Axes>,
     ) -> Load<J> {
@@ -146,12 +151,12 @@ impl<J: Lanes> Solution<J> {
         let pull = transpose_times(&seen.rows, &wrench.axes());
         // The null space, and what a position limit has taken of the joint's part of the wrench.
         let lead = J::fnma(J::load(&plan.servos.compliance), pull, motion.lead + motion.force_lead + motion.null);
-        let ahead = seen.q - given.q;
+        let ahead = seen.q - q;
         Load {
             gravity: seen.gravity_in_limit,
             feed_forward: self.feed_forward,
             task: transpose_times(&seen.rows, &J::Axes::clip(wrench, wish.most).axes()),
-            offset: J::load(&plan.servos.kp) * (lead + given.integral + ahead),
+            offset: J::load(&plan.servos.kp) * (lead + integral + ahead),
             gravity_scale: settings.gravity_scale,
             margin: J::load(&plan.margin),
         }

@@ -1,7 +1,7 @@
 //! Lines 7 to 11: the law, and what the other joints take over where one meets a position limit.
 
 use crate::command::goal::lock;
-use crate::controller::floors::{Given, Seen, Solution};
+use crate::controller::floors::{Given, Seen, Solution, row_damping};
 use crate::controller::input::Input;
 use crate::controller::memory::Memory;
 use crate::law::feedforward::{Filtered, damping_squared, fade};
@@ -22,8 +22,14 @@ const ITERATIONS: (usize, usize) = (30, 1);
 /// What of a solution one arm alone has.
 #[derive(Clone, Copy)]
 pub(super) struct Solved<J: Joints> {
-    pub(super) given: Given<J>,
     pub(super) solution: Solution<J>,
+    pub(super) gradient: J,
+    /// λ².
+    pub(super) damping: f64,
+    /// γ: how much of feed-forward and prediction is used.
+    pub(super) gamma: f64,
+    /// λ² of each row.
+    pub(super) row_damping: J::Axes,
     pub(super) locked: [bool; MAX_JOINTS],
 }
 
@@ -35,7 +41,6 @@ pub(super) fn solve<J: Joints>(
     settings: &Settings,
     instructions: Instructions,
     input: &Input,
-    q: J,
     seen: &Seen<J>,
     wish: &Wish<J::Axes>,
     memory: &Memory,
@@ -46,7 +51,9 @@ pub(super) fn solve<J: Joints>(
     let condition = condition(plan, &scaled_rows, singular, memory.cold);
     let gradient = cost_gradient(plan, input, &memory.rest, seen, &scaled_rows, condition.mu_squared);
     let integral = J::load(&memory.integral);
-    let given = Given { q, velocity: filtered.velocity, gradient, integral, scaled_rows, condition };
+    let damping = row_damping::<J>(plan, &condition);
+    let (scaled_rows, condition) = (&scaled_rows, &condition);
+    let given = Given { velocity: filtered.velocity, gradient, integral, scaled_rows, condition, damping };
     let law = motion(&given.tick(plan, settings, seen, wish));
     let mut solution = Solution::new(plan, &given, seen, law);
     let mut locked = [false; MAX_JOINTS];
@@ -74,7 +81,8 @@ pub(super) fn solve<J: Joints>(
         (motion.lead, motion.null) = (J::load(&held.share.lead), J::load(&held.share.null));
         motion.wrench.stiff = J::Axes::of(&held.share.stiff);
     }
-    Solved { given, solution, locked }
+    let (damping, gamma, row_damping) = (condition.damping, condition.gamma, damping);
+    Solved { solution, gradient, damping, gamma, row_damping, locked }
 }
 
 /// A [`Share`] in memory.

@@ -152,19 +152,8 @@ impl Cycle<'_> {
         };
         let wish = Wish::new(plan, settings, &aim.error, &twist);
         let mut singular = self.memory.singular;
-        let measured = J::load(self.q);
-        let solved = solve(
-            plan,
-            settings,
-            self.instructions,
-            self.input,
-            measured,
-            &seen,
-            &wish,
-            self.memory,
-            &filtered,
-            &mut singular,
-        );
+        let solved =
+            solve(plan, settings, self.instructions, self.input, &seen, &wish, self.memory, &filtered, &mut singular);
         let solution = &solved.solution;
 
         let wanted = self.wanted_limits(&seen, &wish, &solved, &singular);
@@ -187,7 +176,7 @@ impl Cycle<'_> {
             return false;
         }
         self.memory.filter.keep(filtered);
-        self.memory.gamma = solved.given.condition.gamma;
+        self.memory.gamma = solved.gamma;
         (self.memory.singular, self.memory.cold) = (singular, self.memory.cold && !plan.follows_sigma());
         self.memory.governor = governor;
         // A deviation that a limit keeps up is not to be worked off.
@@ -223,7 +212,7 @@ impl Cycle<'_> {
             gravity: &(seen.view.holding * J::splat(self.settings.gravity_scale)).array(),
             softness: &axes(wish.softness),
             rows: &without_locked(&rows_array(&seen.rows), locked),
-            damping: &axes(solved.given.row_damping(self.plan)),
+            damping: &axes(solved.row_damping),
         };
         addition.store(&mut self.memory.integral, self.plan);
     }
@@ -259,16 +248,17 @@ impl Cycle<'_> {
         solved: &Solved<J>,
         singular: &SingularValues,
     ) -> J {
-        let (plan, Solved { given, solution, .. }) = (self.plan, solved);
-        let load = solution.load(plan, self.settings, given, seen, wish);
+        let (plan, solution) = (self.plan, &solved.solution);
+        let held = (J::load(self.q), J::load(&self.memory.integral));
+        let load = solution.load(plan, self.settings, held, seen, wish);
         match (solution.budget, plan.limits) {
             (Some(budget), _) => load.budget(budget),
             (None, LimitRule::Demand) => load.demand(),
             (None, LimitRule::Sum) => {
                 let asked = Asked {
                     rows: rows_array(&seen.rows),
-                    gradient: given.gradient.array(),
-                    damping: given.condition.damping.sqrt(),
+                    gradient: solved.gradient.array(),
+                    damping: solved.damping.sqrt(),
                     sigma: [singular.smallest, singular.largest],
                     most: axes(wish.most),
                     gravity: seen.gravity_in_limit.every(),
@@ -289,7 +279,7 @@ impl Cycle<'_> {
         solved: &Solved<J>,
         filtered: &Filtered<J>,
     ) {
-        let Solved { given, solution, locked } = solved;
+        let solution = &solved.solution;
         let (plan, record, motion) = (self.plan, &mut *self.record, &solution.motion);
         seen.q.store(&mut record.q);
         filtered.velocity.store(&mut record.velocity);
@@ -302,17 +292,17 @@ impl Cycle<'_> {
         record.wrench = axes(motion.wrench.whole());
         seen.view.holding.store(&mut record.gravity);
         solution.feed_forward.store(&mut record.feed_forward);
-        given.gradient.store(&mut record.gradient);
+        solved.gradient.store(&mut record.gradient);
         for r in 0..MAX_AXES {
             seen.rows[r].store(&mut record.rows[r]);
         }
         let SingularValues { smallest, largest, .. } = self.memory.singular;
         record.followed_sigma = plan.follows_sigma().then_some([smallest, largest]);
-        record.damping = given.condition.damping.sqrt();
-        record.gamma = given.condition.gamma;
+        record.damping = solved.damping.sqrt();
+        record.gamma = solved.gamma;
         record.factors = motion.factors;
         record.gain_factor = motion.gain_factor;
-        record.locked = *locked;
+        record.locked = solved.locked;
         record.deviation_limited = [false; MAX_AXES];
         if !plan.deviation_limits.is_empty() {
             for (slot, &axis) in record.deviation_limited.iter_mut().zip(&plan.axes) {

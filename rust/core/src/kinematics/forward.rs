@@ -62,11 +62,25 @@ impl<R> Visitor<R> for () {
     fn joint(&mut self, _: usize, _: &Mat3<R>, _: &Vec3<R>) {}
 }
 
-/// Sine and cosine of each joint's angle, and its travel.
-pub(super) struct Motions<R> {
-    sine: [R; MAX_JOINTS],
-    cosine: [R; MAX_JOINTS],
-    slide: [R; MAX_JOINTS],
+/// Sine and cosine of a joint's angle, and its travel.
+#[derive(Clone, Copy)]
+struct Motion<R> {
+    sine: R,
+    cosine: R,
+    slide: R,
+}
+
+impl<R> Motion<R> {
+    #[inline(always)]
+    fn store(self, k: usize, all: &mut [[R; MAX_JOINTS]; 3]) {
+        (all[0][k], all[1][k], all[2][k]) = (self.sine, self.cosine, self.slide);
+    }
+}
+
+/// Motions of all joints: of one configuration already known.
+pub(super) struct Motions<'a, R> {
+    q: &'a [R; MAX_JOINTS],
+    all: [[R; MAX_JOINTS]; 3],
 }
 
 impl Chain {
@@ -95,42 +109,43 @@ impl Chain {
         }
     }
 
-    /// Motions of the first `count` joints.
+    /// Motions of the first `count` joints at `q`.
     #[inline(always)]
-    pub(super) fn motions<A: Arithmetic>(&self, q: &[A::Real; MAX_JOINTS], count: usize) -> Motions<A::Real> {
+    pub(super) fn motions<'a, A: Arithmetic>(
+        &self,
+        q: &'a [A::Real; MAX_JOINTS],
+        count: usize,
+    ) -> Motions<'a, A::Real> {
         let zero = A::splat(0.0);
-        let mut motions = Motions { sine: [zero; MAX_JOINTS], cosine: [zero; MAX_JOINTS], slide: [zero; MAX_JOINTS] };
-        if A::WIDE {
-            for k in 0..count.min(MAX_JOINTS) {
-                self.motion::<A>(k, q, &mut motions);
-            }
-        } else {
-            // Whole eights, so that the sines become vector code.
+        let mut all = [[zero; MAX_JOINTS]; 3];
+        // Whole eights, so that the sines become vector code; what is that by itself is not stored.
+        if !A::WIDE {
             for k in 0..8 {
-                self.motion::<A>(k, q, &mut motions);
+                self.motion::<A>(k, q).store(k, &mut all);
             }
             if count > 8 {
                 for k in 8..MAX_JOINTS {
-                    self.motion::<A>(k, q, &mut motions);
+                    self.motion::<A>(k, q).store(k, &mut all);
                 }
             }
         }
-        motions
+        Motions { q, all }
     }
 
     #[inline(always)]
-    fn motion<A: Arithmetic>(&self, k: usize, q: &[A::Real; MAX_JOINTS], motions: &mut Motions<A::Real>) {
+    fn motion<A: Arithmetic>(&self, k: usize, q: &[A::Real; MAX_JOINTS]) -> Motion<A::Real> {
         let driver = q[self.driver[k] & (MAX_JOINTS - 1)];
         let angle = A::fma(A::splat(self.angle_per_q[k]), driver, A::splat(self.angle_offset[k]));
-        motions.slide[k] = A::fma(A::splat(self.slide_per_q[k]), driver, A::splat(self.slide_offset[k]));
-        (motions.sine[k], motions.cosine[k]) = sin_cos::<A>(angle);
+        let slide = A::fma(A::splat(self.slide_per_q[k]), driver, A::splat(self.slide_offset[k]));
+        let (sine, cosine) = sin_cos::<A>(angle);
+        Motion { sine, cosine, slide }
     }
 
     /// From the base to the tool, whose pose is returned.
     #[inline(always)]
     pub(super) fn walk<A: Arithmetic>(
         &self,
-        motions: &Motions<A::Real>,
+        motions: &Motions<'_, A::Real>,
         visitor: &mut impl Visitor<A::Real>,
     ) -> Pose<A::Real> {
         let mut rotation = splat_matrix::<A>(&self.base.rotation);
@@ -155,9 +170,14 @@ impl Chain {
         k: usize,
         r: &Mat3<A::Real>,
         p: &Vec3<A::Real>,
-        motions: &Motions<A::Real>,
+        motions: &Motions<'_, A::Real>,
     ) -> (Mat3<A::Real>, Vec3<A::Real>) {
-        let (s, c) = (motions.sine[k], motions.cosine[k]);
+        let Motion { sine: s, cosine: c, slide } = if A::WIDE {
+            self.motion::<A>(k, motions.q)
+        } else {
+            let [sine, cosine, slide] = &motions.all;
+            Motion { sine: sine[k], cosine: cosine[k], slide: slide[k] }
+        };
         let (st, ct) = (A::splat(self.tilt[k].0), A::splat(self.tilt[k].1));
         let (x1, x2, y1, y2) = (ct * s, st * s, ct * c, st * c);
         let mut rotation = *r;
@@ -170,7 +190,7 @@ impl Chain {
         let mut origin = place::<A>(r, &splat::<A>(&self.offset[k]), p);
         if self.slides[k] {
             for i in 0..3 {
-                origin[i] = A::fma(rotation[i][2], motions.slide[k], origin[i]);
+                origin[i] = A::fma(rotation[i][2], slide, origin[i]);
             }
         }
         (rotation, origin)

@@ -57,19 +57,26 @@ impl<A: Arithmetic<Real = f64>> Visitor<f64> for Columns<'_, A> {
 }
 
 impl Chain {
-    /// Tool, Jacobian and, where `heavy`, holding torques of several configurations.
+    /// Tool, Jacobian and, where `heavy`, holding torques of several configurations; `rows` are 0 behind the last joint.
     #[inline(always)]
-    pub(crate) fn look_abreast<J: Lanes>(&self, q: J, masses: &Masses, g: &Vec3, heavy: bool) -> View<J> {
+    pub(crate) fn look_abreast<J: Lanes>(
+        &self,
+        q: J,
+        masses: &Masses,
+        g: &Vec3,
+        heavy: bool,
+        rows: &mut [[Scalar<J>; MAX_JOINTS]; MAX_AXES],
+    ) -> View<J> {
         let (q, zero) = (q.array(), J::One::splat(0.0));
-        let (mut rows, mut holding) = ([[zero; MAX_JOINTS]; MAX_AXES], [zero; MAX_JOINTS]);
+        let mut holding = [zero; MAX_JOINTS];
         let tool = if heavy {
             let mut frames = Frames::filled(zero);
             self.forward_by::<J::One>(&q, &mut frames);
-            self.jacobian_by::<J::One>(&frames, &mut rows);
+            self.jacobian_by::<J::One>(&frames, rows);
             self.gravity_by::<J::One>(&frames, masses, g, &mut holding);
             frames.tool
         } else {
-            self.kinematics_by::<J::One>(&q, &mut rows)
+            self.kinematics_by::<J::One>(&q, rows)
         };
         let mut world = [J::splat(0.0); MAX_AXES];
         for r in 0..MAX_AXES {

@@ -55,9 +55,7 @@ pub(crate) fn weighted_gram<J: Lanes>(rows: &[J; MAX_AXES], d: J) -> Square<Scal
             [left[i], left[i + 1], left[i + 2], left[i + 3]],
             [right[i], right[i + 1], right[i + 2], right[i + 3]],
         );
-        for k in 0..4 {
-            sums[i + k] = four[k];
-        }
+        sums[i..i + 4].copy_from_slice(&four);
     });
     unrolled!(r in 0 1 2 3 4 5 => {
         for c in 0..=r {

@@ -127,14 +127,12 @@ fn within_limits<J: Lanes>(
 /// `K_q v`.
 #[inline(always)]
 fn gained<J: Lanes>(plan: &Plan, v: J) -> J {
-    match plan.kq_scalar {
-        Some(gain) => v * J::splat(gain),
-        None => {
-            let (values, mut out) = (v.array(), J::splat(0.0));
-            for i in 0..plan.n.min(MAX_JOINTS) {
-                out = J::fma(J::load(&plan.kq_columns[i]), J::spread(values[i]), out);
-            }
-            out
-        }
+    if let Some(gain) = plan.kq_scalar {
+        return v * J::splat(gain);
     }
+    let (values, mut out) = (v.array(), J::splat(0.0));
+    for i in 0..plan.n.min(MAX_JOINTS) {
+        out = J::fma(J::load(&plan.kq_columns[i]), J::spread(values[i]), out);
+    }
+    out
 }

@@ -26,18 +26,14 @@ impl<W: Many> Lanes for Columns<W, ABREAST> {
     #[inline(always)]
     fn of_joints(values: &[W; MAX_JOINTS]) -> Self {
         let mut out = [W::splat(0.0); ABREAST];
-        for i in 0..ABREAST {
-            out[i] = values[i];
-        }
+        out.copy_from_slice(&values[..ABREAST]);
         Self(out)
     }
 
     #[inline(always)]
     fn array(self) -> [W; MAX_JOINTS] {
         let mut out = [W::splat(0.0); MAX_JOINTS];
-        for i in 0..ABREAST {
-            out[i] = self.0[i];
-        }
+        out[..ABREAST].copy_from_slice(&self.0);
         out
     }
 
