@@ -5,7 +5,7 @@ use crate::command::integral::Addition;
 use crate::command::limits::{Load, finish};
 use crate::controller::input::Input;
 use crate::controller::memory::Memory;
-use crate::controller::rare::{Asked, limit_deviation};
+use crate::controller::rare::{Asked, Waiting, limit_deviation, strain};
 use crate::controller::record::Record;
 use crate::controller::solve::{Solution, solve, without_locked};
 use crate::controller::{Command, Controller, StepInput};
@@ -176,7 +176,13 @@ impl Cycle<'_> {
         let (lower, upper) = (J::load(&plan.lower) - beyond, J::load(&plan.upper) + beyond);
         let to = Goals { goal: J::at_most(J::at_least(goal, lower), upper), weight: solution.weight };
         let from = Goals { goal: J::load(&self.memory.goal), weight: J::load(&self.memory.weight) };
-        let Goals { goal, weight } = slew(from, to, settings.goal_slew * dt);
+        let (Goals { goal, weight }, share) = slew(from, to, settings.goal_slew * dt);
+        let strain = strain(solution.motion.factors[2].min(share));
+        if strain > 0.0 {
+            let lag = axes(wish.deviation * (J::Axes::splat(1.0) - wish.softness));
+            let waiting = Waiting { plan, speed, base_from_task: &seen.base_from_task, lag: &lag, strain, dt };
+            waiting.of(&self.memory.governor.pose(), &mut governor);
+        }
         if let Some(most) = plan.dead_host_max {
             let (holding, in_limit) = (seen.view.holding.array(), seen.gravity_in_limit.array());
             let spared = self.spare(most, [&goal.array(), &limit.array()], [&holding, &in_limit], seen.base_from_task);
