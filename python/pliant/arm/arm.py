@@ -15,7 +15,7 @@ from pliant.arm.entry import hear_all, take_up
 from pliant.arm.exits import descend, settle
 from pliant.arm.gripper import Gripper, Jaw
 from pliant.arm.keeper import Keeper
-from pliant.arm.lowering import SUPPORT, margin
+from pliant.arm.lowering import SUPPORT
 from pliant.arm.points import Points
 from pliant.arm.signals import Signals
 
@@ -168,7 +168,7 @@ class Arm:
         # A joint that carries weight already would dip if its goal went to where it is.
         stood = cycle.q
         start = stood + np.where(on, np.clip(gravity / kp, -LEAD, LEAD), 0.0)
-        weight = SUPPORT * np.abs(gravity) + margin(self.servos, gravity)
+        weight = SUPPORT * np.abs(gravity) + 2.0 * np.asarray(self.servos.friction)
         for name, gripper in self.grippers.items():
             cycle.orders[name] = (gripper.position, gripper.limit)
         if self._signals is not None:

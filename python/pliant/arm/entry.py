@@ -26,7 +26,7 @@ CARRIED, RAISED = 0.1, 0.1
 SUNK = 0.002
 #: How fast a joint is drawn back to where it stood, per rad that it is away [1/s], and at most
 #: [rad/s].
-BACK, RETURN = 4.0, 0.2
+BACK, RETURN = 2.0, 0.1
 #: An arm this near to where it stood has arrived [rad], and is waited for no longer than this [s].
 ARRIVED, LONGEST = 0.01, 2.0
 
@@ -66,8 +66,10 @@ def take_up(cycle: Cycle, start: Array, stood: Array, rate: float) -> None:
     """
     servos, clock = cycle.servos, cycle.clock
     kp, usable = np.asarray(servos.kp), np.asarray(servos.torque)
+    least = 2.0 * np.asarray(servos.friction)
     still = np.maximum(SUNK, 2.0 * np.asarray(servos.count))
-    place, lead, more, before = stood.copy(), start - stood, np.zeros(stood.size), stood
+    place, lead, before = stood.copy(), start - stood, stood
+    pull, more = np.zeros(stood.size), np.zeros(stood.size)
     begin = clock.now()
     while (passed := clock.now() - begin) < EASE or (
         passed < LONGEST and np.abs(stood - cycle.q).max() > ARRIVED
@@ -78,10 +80,13 @@ def take_up(cycle: Cycle, start: Array, stood: Array, rate: float) -> None:
         away = q - stood
         sinking = (np.abs(away) > still) & (away * (q - before) > 0.0)
         more += np.where(sinking, usable / (RAISED * rate), 0.0)
-        limit = np.minimum(SUPPORT * np.abs(gravity) + margin(servos, gravity) + more, usable)
+        rise = min(2.0 * passed / EASE, 1.0) * margin(servos, gravity)
+        firm = np.minimum(SUPPORT * np.abs(gravity) + np.maximum(rise, least), usable)
+        limit = np.minimum(firm + more, usable)
         carried = lead + min(passed / CARRIED, 1.0) * (gravity / kp - lead)
-        place += np.clip(BACK * (stood - q), -RETURN, RETURN) / rate
-        place = q + np.clip(place + carried - q, -limit / kp, limit / kp) - carried
-        cycle.send(place + carried, limit)
+        place = q + np.clip(place + carried - q, -firm / kp, firm / kp) - carried
+        pull += np.clip(BACK * (stood - q), -RETURN, RETURN) / rate
+        pull = np.clip(pull, -more / kp, more / kp)
+        cycle.send(place + carried + pull, limit)
         before = q
     cycle.ease(limit)
