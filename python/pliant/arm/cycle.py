@@ -56,7 +56,8 @@ class Cycle:
         self.belief = Belief(self.roster.fastest(model))
         self.goal, self.limit = np.zeros(model.n), np.zeros(model.n)
         self.orders: dict[str, tuple[float, float]] = {}
-        self._eased = -np.inf
+        self._eased: float = -np.inf
+        self._least: Array | float = 0.0
         self._used: float | None = None
         self._sent: tuple[Array, Array] | None = None
         self._voltage = np.full(size, np.nan)
@@ -142,9 +143,9 @@ class Cycle:
 
     # Writing.
 
-    def ease(self) -> None:
-        """Let limits rise from what carries the arm again."""
-        self._eased = self.clock.now()
+    def ease(self, limit: Array | float = 0.0) -> None:
+        """Let limits rise again from what carries the arm, and from `limit` (n,) [N·m] at least."""
+        self._eased, self._least = self.clock.now(), limit
 
     def write(
         self,
@@ -184,7 +185,7 @@ class Cycle:
         """Limits (n,) [N·m] within heat, supply, and the rise after a silence."""
         chain, least = self.roster.chain, SUPPORT * np.abs(gravity)
         usable = self._usable[chain]
-        firm = np.minimum(least + margin(self.servos, gravity), usable)
+        firm = np.minimum(np.maximum(least + margin(self.servos, gravity), self._least), usable)
         share = min(max((self.clock.now() - self._eased) / EASE, 0.0), 1.0)
         limit = np.minimum(limit, firm + share * (usable - firm))
         limit = np.minimum(limit, np.maximum(self.meter.ceiling()[chain], least))

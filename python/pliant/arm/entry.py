@@ -19,8 +19,16 @@ if TYPE_CHECKING:
 
 #: Cycles within which every joint must have answered before torque goes on.
 ATTEMPTS = 10
-#: Speed of a joint on the way back to where it stood before it sank [rad/s].
-RETURN = 0.2
+#: Time in which goals take up the weight, and in which the limit of a joint that sinks rises from
+#: nothing to all that its servo has [s].
+CARRIED, RAISED = 0.1, 0.1
+#: A joint has sunk that is farther away than this, or two counts, and still moves away [rad].
+SUNK = 0.002
+#: How fast a joint is drawn back to where it stood, per rad that it is away [1/s], and at most
+#: [rad/s].
+BACK, RETURN = 2.0, 0.1
+#: An arm this near to where it stood has arrived [rad], and is waited for no longer than this [s].
+ARRIVED, LONGEST = 0.01, 2.0
 
 
 def hear_all(cycle: Cycle, rate: float) -> None:
@@ -45,9 +53,10 @@ def hear_all(cycle: Cycle, rate: float) -> None:
 def take_up(cycle: Cycle, start: Array, stood: Array, rate: float) -> None:
     """Goals go from `start` to where they carry the weight of an arm that stands where it stood.
 
-    A goal does not lead by more than its limit can use, and what it gives up it takes back slowly:
-    an arm with a load that nobody told it of sinks until the limits have risen, and is not thrown
-    back up.
+    Limits begin with what carries the arm that the model knows. A joint that sinks all the same
+    gets more at once, up to all that its servo has, and the next limits begin with that. A goal
+    does not lead by more than its limit can use, and what it gives up it takes back slowly: an arm
+    with a load that nobody told it of is brought back to where it stood, and not thrown.
 
     Args:
         cycle: The arm, torque on.
@@ -56,17 +65,28 @@ def take_up(cycle: Cycle, start: Array, stood: Array, rate: float) -> None:
         rate: Of this loop [Hz].
     """
     servos, clock = cycle.servos, cycle.clock
-    kp, least = np.asarray(servos.kp), 2.0 * np.asarray(servos.friction)
-    place, lead = stood.copy(), start - stood
+    kp, usable = np.asarray(servos.kp), np.asarray(servos.torque)
+    least = 2.0 * np.asarray(servos.friction)
+    still = np.maximum(SUNK, 2.0 * np.asarray(servos.count))
+    place, lead, before = stood.copy(), start - stood, stood
+    pull, more = np.zeros(stood.size), np.zeros(stood.size)
     begin = clock.now()
-    while (passed := clock.now() - begin) < EASE:
+    while (passed := clock.now() - begin) < EASE or (
+        passed < LONGEST and np.abs(stood - cycle.q).max() > ARRIVED
+    ):
         clock.wait_until(clock.now() + 1.0 / rate)
         cycle.sample()
-        gravity = cycle.gravity()
-        share = min(2.0 * passed / EASE, 1.0)
-        limit = SUPPORT * np.abs(gravity) + np.maximum(share * margin(servos, gravity), least)
-        carried = lead + share * (gravity / kp - lead)
-        place += np.clip(stood - place, -RETURN / rate, RETURN / rate)
-        place = cycle.q + np.clip(place + carried - cycle.q, -limit / kp, limit / kp) - carried
-        cycle.send(place + carried, limit)
-    cycle.ease()
+        gravity, q = cycle.gravity(), cycle.q
+        away = q - stood
+        sinking = (np.abs(away) > still) & (away * (q - before) > 0.0)
+        more += np.where(sinking, usable / (RAISED * rate), 0.0)
+        rise = min(2.0 * passed / EASE, 1.0) * margin(servos, gravity)
+        firm = np.minimum(SUPPORT * np.abs(gravity) + np.maximum(rise, least), usable)
+        limit = np.minimum(firm + more, usable)
+        carried = lead + min(passed / CARRIED, 1.0) * (gravity / kp - lead)
+        place = q + np.clip(place + carried - q, -firm / kp, firm / kp) - carried
+        pull += np.clip(BACK * (stood - q), -RETURN, RETURN) / rate
+        pull = np.clip(pull, -more / kp, more / kp)
+        cycle.send(place + carried + pull, limit)
+        before = q
+    cycle.ease(limit)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from pliant.arm import Arm
     from pliant.servo.emulator import ArmEmulator
+    from pliant.sim.truth import Truth
 
     Array = NDArray[np.float64]
 
@@ -55,9 +56,10 @@ class Outcome:
         joint: Highest speed of a joint meanwhile [rad/s].
         drop: How far the tool sank meanwhile [m].
         lowered: Highest speed of the tool afterwards, while it is lowered [m/s].
-        force: Largest mean over a physics step of the force on the hand [N]; 0 without one.
-        allowed: What it may be: the axis' cap, the friction of its joints and 3 N while the host
-            runs, `dead_host` + 3 N where it does not [N].
+        force: Mean over a physics step of the force on the hand where it is farthest above what it
+            may be, or least below it [N]; 0 without a hand.
+        allowed: What it may be in that pose: the axis' cap, the friction of its joints and 3 N
+            while the host runs; `dead_host` at its end + 3 N where it does not [N].
         torque: Whether all torque was off in the end.
     """
 
@@ -80,7 +82,8 @@ class Watcher:
         self.bus, self.begun, self.ended = bus, np.inf, np.inf
         self._least = least
         self.speeds: dict[bool, float] = {False: 0.0, True: 0.0}
-        self.joint = self.force = 0.0
+        self.joint = self.force = self.allowed = 0.0
+        self.worst = (0.0, np.inf)
         self.start = self.lowest = 0.0
         self._step: Callable[[int], None] = bus.world.physics.step
         bus.world.physics.step = self.step  # type: ignore[method-assign]
@@ -103,7 +106,10 @@ class Watcher:
         speed = float(np.linalg.norm(plant.truth.frame("tool").twist()[:3]))
         late = plant.time > self.ended
         self.speeds[late] = max(self.speeds[late], speed)
-        self.force = max([self.force, *(float(np.linalg.norm(f.force)) for f in plant.hands)])
+        force = max([0.0, *(float(np.linalg.norm(felt.force)) for felt in plant.hands)])
+        self.force = max(self.force, force)
+        if force > 0.0 and force - self.allowed > self.worst[0] - self.worst[1]:
+            self.worst = (force, self.allowed)
         if not late:
             self.joint = max(self.joint, float(np.abs(plant.dq).max()))
             self.lowest = min(self.lowest, float(plant.tool[2, 3]))
@@ -119,7 +125,7 @@ def suffer(mishap: Mishap, *, held: bool = False) -> Outcome:
     """
     with stepped(mishap.family, arm={"rate": RATE, "watchdog": mishap.watchdog}) as (bus, arm):
         watcher = Watcher(bus, FALL if mishap.state == "no torque" else 0.0)
-        reason, allowed, torque = _run(mishap, bus, arm, watcher, held)
+        reason, torque = _run(mishap, bus, arm, watcher, held)
     speed, lowered = watcher.speeds[False], watcher.speeds[True]
     ending = "goes on" if not reason else "keeps its last order" if torque else "is lowered"
     if mishap.state == "no torque" and reason:
@@ -131,32 +137,32 @@ def suffer(mishap: Mishap, *, held: bool = False) -> Outcome:
         joint=watcher.joint,
         drop=max(watcher.start - watcher.lowest, 0.0),
         lowered=lowered,
-        force=watcher.force,
-        allowed=allowed,
+        force=watcher.worst[0],
+        allowed=watcher.worst[1] if watcher.worst[0] > 0.0 else watcher.allowed,
         torque=torque,
     )
 
 
 def _run(
     mishap: Mishap, bus: ArmEmulator, arm: Arm, watcher: Watcher, held: bool
-) -> tuple[str, float, bool]:
-    """Control until it ends; return why, the force a hand may meet, and whether torque is left."""
+) -> tuple[str, bool]:
+    """Control until it ends; return why, and whether torque is left."""
     arm.enable()
     settings = pliant.Settings.soft("y")
     controller = pliant.Controller(arm.model, settings, arm.servos)
     target = arm.model.forward_kinematics(arm.read().q)
-    allowed = 0.0
     reason = ""
     try:
         for tick in Loop(arm, controller, rate=settings.rate, duration=WHEN + END):
             wanted: Array | None = target
             if bus.plant.time >= WHEN:
                 first = watcher.begun == np.inf
+                if first or mishap.state != "dead host":
+                    watcher.allowed = _allowed(controller, mishap)
                 if first:
-                    allowed = _allowed(controller, mishap)
                     watcher.begin()
                     if held:
-                        bus.plant.set_hands([_hand(bus)])
+                        bus.plant.set_hands([Grasp()])
                 since = bus.plant.time - watcher.begun
                 wanted = mishap.act(Scene(bus, arm, tick, target, since, first))
             if wanted is not None:
@@ -185,21 +191,37 @@ def _run(
     watcher.begun = np.inf
     with suppress(pliant.PliantError):
         arm.limp()
-    return reason, allowed, torque
+    return reason, torque
 
 
-def _hand(bus: ArmEmulator) -> Drag:
-    """A hand that takes hold of the tool where it is by now."""
-    return Drag(
-        axis="y",
-        distance=WAY,
-        stiffness=3000.0,
-        damping=30.0,
-        limit=300.0,
-        at=TOOL,
-        course=Course(start=WHEN + 0.2, rise=RISE, end=np.inf),
-        offset=float(bus.plant.truth.frame(TOOL).shift()[1]),
-    )
+class Grasp:
+    """A hand that takes hold of the tool where it is by then, and pulls it along y.
+
+    A hand that is put beside a tool under way pulls it back to where it was: its own doing.
+    """
+
+    at = TOOL
+
+    def __init__(self) -> None:
+        """Nothing is held yet."""
+        self._hand: Drag | None = None
+
+    def force(self, truth: Truth, t: float) -> tuple[Array, Array, Array]:
+        """The hand's force, torque and point of attack; see `pliant.sim.hand.Hand`."""
+        if self._hand is None and t >= WHEN + 0.2:
+            self._hand = Drag(
+                axis="y",
+                distance=WAY,
+                stiffness=3000.0,
+                damping=30.0,
+                limit=300.0,
+                at=TOOL,
+                course=Course(start=t, rise=RISE, end=np.inf),
+                offset=float(truth.frame(TOOL).shift()[1]),
+            )
+        if self._hand is None:
+            return np.zeros(3), np.zeros(3), truth.frame(TOOL).position
+        return self._hand.force(truth, t)
 
 
 def _allowed(controller: pliant.Controller, mishap: Mishap) -> float:

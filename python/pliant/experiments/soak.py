@@ -139,6 +139,12 @@ class Soaked:
     load: tuple[float, ...] = field(default_factory=os.getloadavg)
 
     @property
+    def missed(self) -> float:
+        """Share of the loop's deadlines that it skipped [%]."""
+        ticks, missed = self.loop["ticks"], self.loop["missed"]
+        return 100.0 * missed / max(ticks + missed, 1)
+
+    @property
     def good(self) -> bool:
         """Whether nothing happened that must not."""
         return not (self.ended or self.broken or self.stale or self.above) and self.off <= 1.0
@@ -296,14 +302,15 @@ def table(runs: list[Soaked]) -> str:
     row("under control [s]", [run.seconds for run in runs])
     for name in runs[0].loop:
         row(name, [run.loop[name] for run in runs])
+    row("share of deadlines missed [%]", [run.missed for run in runs])
     row("ticks late by", [run.lateness for run in runs])
     row("emulator dropped [s]", [run.lag for run in runs])
     row("load of the machine", [run.load[0] for run in runs])
     row("faults", [sum(run.struck.values()) for run in runs])
     for kind in KINDS:
         row(f"of which `{kind}`", [run.struck.get(kind, 0) for run in runs])
-    for name in runs[0].bus:
-        row(f"bus: {name}", [run.bus[name] for run in runs])
+    for name in dict.fromkeys(name for run in runs for name in run.bus):
+        row(f"bus: {name}", [run.bus.get(name, 0) for run in runs])
     row("positions compared with the truth", [run.positions for run in runs])
     row("of which answers to an earlier request", [run.late for run in runs])
     row("of which not true within 0.1 s", [run.stale for run in runs])

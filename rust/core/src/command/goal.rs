@@ -90,20 +90,20 @@ pub(crate) struct Goals<J> {
 }
 
 /// Moves the goals from `before` toward `to` by at most `step` [rad] each, all by the same share of what is left, and
-/// their weight toward that of `to`, each by itself and first.
+/// their weight toward that of `to`, each by itself and first; and says that share.
 ///
 /// Joints that went each as far as they may would take the tool off its path, and faster than its target moves: one that
 /// has farthest to go holds the others up. What carries the arm waits for nobody.
 /// A goal that is not a number stays one, so that the step can refuse to send it.
 #[inline(always)]
-pub(crate) fn slew<J: Lanes>(before: Goals<J>, to: Goals<J>, step: f64) -> Goals<J> {
+pub(crate) fn slew<J: Lanes>(before: Goals<J>, to: Goals<J>, step: f64) -> (Goals<J>, Scalar<J>) {
     let step = J::splat(step);
     let lift = J::clip(to.weight - before.weight, step);
     let motion = (to.goal - to.weight) - (before.goal - before.weight);
     let (way, room) = (J::abs(motion), step - J::abs(lift));
     let missing = J::if_less(room, way, J::splat(1.0) - room / way, J::splat(0.0));
     let share = J::One::splat(1.0) - missing.largest();
-    Goals { goal: before.goal + lift + J::spread(share) * motion, weight: before.weight + lift }
+    (Goals { goal: before.goal + lift + J::spread(share) * motion, weight: before.weight + lift }, share)
 }
 
 /// Joint speeds [rad/s] that keep the tool within its `[linear, angular]` speed by one joint alone, and the joint's own.
@@ -169,7 +169,7 @@ mod tests {
     /// Goals and weights after a slew by at most `step`.
     fn slewed(goal: [f64; 2], weight: [f64; 2], to: [f64; 2], new: [f64; 2], step: f64) -> [[f64; 2]; 2] {
         let goals = |goal: &[f64], weight: &[f64]| Goals { goal: vector(goal), weight: vector(weight) };
-        let out = slew(goals(&goal, &weight), goals(&to, &new), step);
+        let (out, _) = slew(goals(&goal, &weight), goals(&to, &new), step);
         [out.goal, out.weight].map(|values| [values.array()[0], values.array()[1]])
     }
 

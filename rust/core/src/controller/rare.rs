@@ -6,11 +6,12 @@ use crate::controller::record::Record;
 use crate::controller::step::{Aim, Cycle};
 use crate::number::{Arithmetic, EveryJoint, Plain};
 use crate::plan::Plan;
+use crate::pose::Pose;
 use crate::settings::LimitRule;
 use crate::task::deviation::{into_frame, out_of_frame};
 use crate::task::deviation_limit::Pushed;
 use crate::task::governor::Governor;
-use crate::{AxisVec, JointVec, MAX_JOINTS, Rows};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Bounds the deviation of stiff axes by moving the reference; its speed along these axes is then spent.
 #[cold]
@@ -23,6 +24,41 @@ pub(super) fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, aim: &mut Aim, g
         }
         governor.put(kept.reference, out_of_frame(pushed.base_from_task, &velocity));
         (aim.reference, aim.error, aim.limited) = (kept.reference, kept.error, kept.met);
+    }
+}
+
+/// Share of what the stiff axes want that they must lack before a reference waits altogether.
+const STRAINED: f64 = 0.2;
+
+/// How much a reference waits for an arm that can do this `share` of what its stiff axes want, 0 to 1.
+#[inline(always)]
+pub(super) fn strain(share: f64) -> f64 {
+    ((1.0 - share) / STRAINED).min(1.0)
+}
+
+/// A reference that runs ahead of an arm whose stiff axes exert what they may.
+pub(super) struct Waiting<'a> {
+    pub(super) plan: &'a Plan,
+    /// Of the tool, linear and angular.
+    pub(super) speed: [f64; 2],
+    pub(super) base_from_task: &'a [[f64; 3]; 3],
+    /// Deviation of each row as far as it is stiff [m, rad].
+    pub(super) lag: &'a AxisVec,
+    /// How much the reference waits, 0 to 1.
+    pub(super) strain: f64,
+    pub(super) dt: f64,
+}
+
+impl Waiting<'_> {
+    /// Takes back what the reference has gained on the arm since `before`.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn of(&self, before: &Pose, governor: &mut Governor) {
+        let mut lag = [0.0; MAX_AXES];
+        for (&axis, &value) in self.plan.axes.iter().zip(self.lag) {
+            lag[axis] = value;
+        }
+        governor.wait(before, &out_of_frame(self.base_from_task, &lag), self.strain, self.speed, self.dt);
     }
 }
 

@@ -6,7 +6,7 @@ use crate::command::limits::finish;
 use crate::controller::floors::Seen;
 use crate::controller::input::Input;
 use crate::controller::memory::Memory;
-use crate::controller::rare::{Asked, limit_deviation};
+use crate::controller::rare::{Asked, Waiting, limit_deviation, strain};
 use crate::controller::record::Record;
 use crate::controller::solve::{Solved, solve, without_locked};
 use crate::controller::{Command, Controller, StepInput};
@@ -163,7 +163,13 @@ impl Cycle<'_> {
         let mut limit = finish(wanted, before, floor, ceiling, rise);
         let to = Goals { goal: solution.goal(plan, settings, limit), weight: solution.weight };
         let from = Goals { goal: J::load(&self.memory.goal), weight: J::load(&self.memory.weight) };
-        let Goals { goal, weight } = slew(from, to, settings.goal_slew * dt);
+        let (Goals { goal, weight }, share) = slew(from, to, settings.goal_slew * dt);
+        let strain = strain(solution.motion.factors[2].min(share));
+        if strain > 0.0 {
+            let lag = axes(wish.deviation * (J::Axes::splat(1.0) - wish.softness));
+            let waiting = Waiting { plan, speed, base_from_task: &seen.base_from_task, lag: &lag, strain, dt };
+            waiting.of(&self.memory.governor.pose(), &mut governor);
+        }
         if let Some(most) = plan.dead_host_max {
             let (holding, in_limit) = (seen.view.holding.array(), seen.gravity_in_limit.array());
             let spared = self.spare(most, [&goal.array(), &limit.array()], [&holding, &in_limit], seen.base_from_task);

@@ -32,6 +32,33 @@ impl Governor {
         (self.pose, self.velocity, self.arrived) = (pose, velocity, [false; 2]);
     }
 
+    /// Takes back `share` of what the last step, from `before`, led farther along the deviation `lag` (6,), base axes.
+    ///
+    /// Sideways and back it goes as it did, so that an arm that is pressed against something follows along it, and one that
+    /// is left behind is not pulled on. No motion is taken back where `speed` is infinite: the target is the reference then.
+    pub(crate) fn wait(&mut self, before: &Pose, lag: &[f64; 6], share: f64, speed: [f64; 2], dt: f64) {
+        let mut moved = pose_error(before, &self.pose);
+        for b in 0..2 {
+            let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
+            let (d, m) = (part(lag), part(&moved));
+            let gained = d[0] * m[0] + d[1] * m[1] + d[2] * m[2];
+            if speed[b].is_infinite() || gained <= 0.0 {
+                continue;
+            }
+            let most = share * gained / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+            for i in 0..3 {
+                moved[3 * b + i] -= most * d[i];
+                self.velocity[3 * b + i] -= most * d[i] / dt;
+            }
+            self.arrived[b] = false;
+            if b == 0 {
+                self.pose.position = along(&before.position, 1.0, &part(&moved));
+            } else {
+                self.pose.rotation = orthonormal(&multiply(&rotation_matrix(part(&moved)), &before.rotation));
+            }
+        }
+    }
+
     /// Its own velocity (6,), base axes.
     pub(crate) fn own_velocity(&self) -> [f64; 6] {
         self.velocity
@@ -215,6 +242,30 @@ mod tests {
             // From rest the reference needs 0.1 s to the target's speed, and a while to catch up.
             assert!(tick < 40 || (x - target.position[0]).abs() < 1e-9, "tick {tick}: {x}");
         }
+    }
+
+    #[test]
+    fn a_reference_waits_for_an_arm_that_lags_but_not_sideways_nor_back() {
+        let far = |x: f64, y: f64| Pose { position: [x, y, 0.0], rotation: rotation_matrix([0.0, 0.0, 0.2 * x]) };
+        let (speed, lag) = ([0.25, 1.0], [0.02, 0.0, 0.0, 0.0, 0.0, 0.1]);
+        let gone = |target: &Pose, share: f64| {
+            let mut governor = Governor::new(Pose::IDENTITY);
+            for _ in 0..50 {
+                let before = governor.pose;
+                governor.follow(target, speed, [1.0, 4.0], 0.01);
+                governor.wait(&before, &lag, share, speed, 0.01);
+            }
+            governor
+        };
+        let waiting = gone(&far(5.0, 0.0), 1.0);
+        assert!(norm(waiting.pose.position) < 1e-12 && pose_error(&Pose::IDENTITY, &waiting.pose)[5].abs() < 1e-12);
+        assert!(waiting.velocity.iter().all(|v| v.abs() < 1e-9) && waiting.arrived == [false; 2]);
+        let sideways = gone(&far(0.0, 5.0), 1.0).pose.position;
+        assert!(sideways[1] > 0.08 && sideways[0].abs() < 1e-12);
+        let (free, back) = (gone(&far(-5.0, 0.0), 0.0), gone(&far(-5.0, 0.0), 1.0));
+        assert_eq!((free.pose, free.velocity), (back.pose, back.velocity));
+        let half = gone(&far(5.0, 0.0), 0.5).pose.position[0];
+        assert!(half > 1e-4 && half < 0.5 * -free.pose.position[0]);
     }
 
     #[test]
