@@ -41,7 +41,7 @@ impl Surveyed {
     /// [`static_capacity`] with the model's own payload and gravity, kept for these torques.
     pub(crate) fn static_capacity(&mut self, model: &Model, usable: &JointVec) -> [f64; 2] {
         if let Some((of, capacity)) = &self.capacity
-            && of == usable
+            && of.map(f64::to_bits) == usable.map(f64::to_bits)
         {
             return *capacity;
         }
