@@ -15,6 +15,7 @@
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+mod array;
 mod columns;
 mod functions;
 mod instructions;
@@ -23,12 +24,12 @@ mod scalar;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+#[cfg(not(target_arch = "x86_64"))]
+pub(crate) use array::Array;
 pub(crate) use columns::Columns;
 pub(crate) use functions::{quadrant_angle, tanh};
 pub use instructions::Instructions;
 pub(crate) use instructions::{EveryJoint, Kernel, Machine};
-#[cfg(not(target_arch = "x86_64"))]
-pub(crate) use lanes::Array;
 pub(crate) use lanes::{Axes, AxisScalar, Joints, Lanes, Pair, Scalar};
 pub(crate) use scalar::{Fused, Plain};
 #[cfg(target_arch = "x86_64")]
