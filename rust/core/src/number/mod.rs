@@ -15,6 +15,7 @@
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+mod array;
 mod columns;
 mod every;
 mod functions;
@@ -24,13 +25,13 @@ mod scalar;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+#[cfg(not(target_arch = "x86_64"))]
+pub(crate) use array::Array;
 pub(crate) use columns::Columns;
 pub(crate) use every::EveryJoint;
 pub(crate) use functions::{quadrant_angle, tanh};
 pub use instructions::Instructions;
 pub(crate) use instructions::{Kernel, Machine};
-#[cfg(not(target_arch = "x86_64"))]
-pub(crate) use lanes::Array;
 pub(crate) use lanes::{Axes, AxisScalar, Joints, Lanes, Scalar};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use scalar::Fused;

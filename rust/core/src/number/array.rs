@@ -1,0 +1,166 @@
+//! Eight numbers in an array, for any architecture.
+#![forbid(unsafe_code)]
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use super::scalar::{Plain, turn};
+use super::{Arithmetic, LANES, Many, Packed, Spread, Wide};
+
+/// Eight numbers in an array, vector code left to the compiler: architectures whose registers nobody has written down.
+#[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "x86-64 has registers of its own"))]
+#[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
+pub(crate) struct Array([f64; LANES]);
+
+macro_rules! operators {
+    ($($trait:ident, $method:ident;)*) => {
+        $(impl $trait for Array {
+            type Output = Self;
+
+            #[inline(always)]
+            fn $method(mut self, other: Self) -> Self {
+                for i in 0..LANES {
+                    self.0[i] = self.0[i].$method(other.0[i]);
+                }
+                self
+            }
+        })*
+    };
+}
+
+operators! {
+    Add, add;
+    Sub, sub;
+    Mul, mul;
+    Div, div;
+}
+
+impl Neg for Array {
+    type Output = Self;
+
+    #[inline(always)]
+    fn neg(mut self) -> Self {
+        for value in &mut self.0 {
+            *value = -*value;
+        }
+        self
+    }
+}
+
+/// Functions of an array that do the same with every number.
+macro_rules! by_lane {
+    ($($function:ident($first:ident $(, $argument:ident)*);)*) => {
+        $(#[inline(always)]
+        fn $function(mut $first: Self $(, $argument: Self)*) -> Self {
+            for i in 0..LANES {
+                $first.0[i] = Plain::$function($first.0[i] $(, $argument.0[i])*);
+            }
+            $first
+        })*
+    };
+}
+
+impl Arithmetic for Array {
+    type Real = Self;
+
+    const WIDE: bool = true;
+
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        Self([value; LANES])
+    }
+
+    by_lane! {
+        fma(a, b, c);
+        fnma(a, b, c);
+        sqrt(value);
+        abs(value);
+        at_least(value, bound);
+        at_most(value, bound);
+        copy_sign(size, sign);
+        if_less(a, b, then, otherwise);
+        power_of_two(sum);
+    }
+
+    #[inline(always)]
+    fn less_anywhere(a: Self, b: Self) -> bool {
+        let mut any = false;
+        for i in 0..LANES {
+            any |= a.0[i] < b.0[i];
+        }
+        any
+    }
+
+    #[inline(always)]
+    fn turn(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
+        for i in 0..LANES {
+            (s.0[i], c.0[i]) = turn(turns.0[i], s.0[i], c.0[i]);
+        }
+        (s, c)
+    }
+}
+
+impl Packed for Array {
+    const COUNT: usize = LANES;
+
+    #[inline(always)]
+    fn of(values: &[f64; LANES]) -> Self {
+        Self(*values)
+    }
+
+    #[inline(always)]
+    fn put(self, values: &mut [f64; LANES]) {
+        *values = self.0;
+    }
+}
+
+impl Spread<f64> for Array {
+    #[inline(always)]
+    fn spread(value: f64) -> Self {
+        Self::splat(value)
+    }
+}
+
+impl Spread<Self> for Array {
+    #[inline(always)]
+    fn spread(value: Self) -> Self {
+        value
+    }
+}
+
+impl Wide for Array {
+    type One = Plain;
+
+    #[inline(always)]
+    fn four_sums(numbers: [Self; 4]) -> [f64; 4] {
+        let mut out = [0.0; 4];
+        for (sum, Self(n)) in out.iter_mut().zip(numbers) {
+            *sum = ((n[0] + n[4]) + (n[1] + n[5])) + ((n[2] + n[6]) + (n[3] + n[7]));
+        }
+        out
+    }
+}
+
+impl Many for Array {
+    #[inline(always)]
+    fn transpose(numbers: &[Self; LANES]) -> [[f64; LANES]; LANES] {
+        let mut out = [[0.0; LANES]; LANES];
+        for i in 0..LANES {
+            for j in 0..LANES {
+                out[i][j] = numbers[j].0[i];
+            }
+        }
+        out
+    }
+
+    #[inline(always)]
+    fn columns(rows: &[[f64; LANES]; LANES]) -> [Self; LANES] {
+        let mut out = [Self([0.0; LANES]); LANES];
+        for i in 0..LANES {
+            for j in 0..LANES {
+                out[i].0[j] = rows[j][i];
+            }
+        }
+        out
+    }
+}
