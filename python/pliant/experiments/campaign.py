@@ -3,8 +3,9 @@
 ``python -m pliant.experiments.campaign`` tries every axis, sign and cap in random poses of every
 arm, with the other axes free and guided; on `arm7` also one disturbance at a time on a tenth of the
 poses. A cap that the torque limits cannot hold in a pose is refused, with the formula of
-`Arm.capacity` as the proof. Where the report says before the push that a joint meets its position
-limit on the way, that counts as a refusal too: an announced stop. Everything else must be in band;
+`Arm.capacity` as the proof. Where the report's numbers say before the push that a joint meets its
+position limit on the way and that the others rub too much without it, that counts as a refusal too:
+an announced stop. Everything else must be in band;
 the strict count, of all that were run, is printed beside it.
 
 The promise is ``min(F, K_x h (1 - η)|e| / C_jj)``; it is kept within

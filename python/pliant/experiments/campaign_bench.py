@@ -100,8 +100,9 @@ class Promise:
         cap: F [N or N·m].
         guided: Whether springs held the other axes.
         refused: The limits cannot hold the cap here; nothing was run.
-        announced: Whether the report said, before the push, that a position limit is met on its
-            way (`stop_distance` of this axis and side is less than that way).
+        announced: Whether the report's numbers said, before the push, that the promise will not be
+            kept: within the band the tool comes farther than `stop_distance` of this axis and side,
+            and what the joints that are left rub there, `stop_friction`, is beyond it.
         rubs: What it said the joints that are left rub there, `stop_friction` [N or N·m].
         promise: min(F, K_x h (1 - η)|e| / C_jj) at the deviation reached [N or N·m].
         felt: What the hand felt [N or N·m].
@@ -226,8 +227,11 @@ class Bench:
         grip.hold(self.arm.rows if guided else [row])
         way, speed = self._way(q, row, cap)
         report, side = controller.report(q), (self.arm.rows.index(row), int(sign > 0.0))
-        # The hand's own spring takes part of the way: the tool goes less far.
-        announced = bool(report.stop_distance[side] < way - cap / grip.stiffness[row])
+        # To keep the promise the tool has to come this far: the hand's own spring takes the rest.
+        allowed, rubs = (0.40 if seen.wrong else 0.15) * cap, float(report.friction[side[0]])
+        far = way - (cap + allowed + rubs) / grip.stiffness[row]
+        meant = report.stop_friction[side] > rubs + allowed
+        announced = bool(report.stop_distance[side] < far and meant)
         target = model.forward_kinematics(q)
         stop = START + way / speed
         end = stop if seen.moving else stop + REST

@@ -96,7 +96,7 @@ impl Abreast<'_> {
         let condition = Condition { damping: lambda * lambda, mu_squared: nothing, factor: None, gamma: W::splat(1.0) };
         let given = Given {
             velocity,
-            gradient: plan.cost.gradient(q, rest),
+            gradient: plan.cost.gradient(q, rest, 1.0),
             integral,
             scaled_rows: &plan.scale_rows(&seen.rows),
             condition: &condition,

@@ -4,6 +4,7 @@ use crate::command::goal::lock;
 use crate::controller::floors::{Given, Seen, Solution, row_damping};
 use crate::controller::input::Input;
 use crate::controller::memory::Memory;
+use crate::law::clearance::posture_share;
 use crate::law::feedforward::{Filtered, damping_squared, fade};
 use crate::law::inverse::{Factor, Square, load_rows, rows_array, times, weighted_gram};
 use crate::law::nullspace::fade_squared;
@@ -241,7 +242,7 @@ fn cost_gradient<J: Joints>(
     mu_squared: f64,
 ) -> J {
     let rest = input.rest.as_ref().or(plan.rest.as_ref()).unwrap_or(rest);
-    let mut gradient = plan.cost.gradient(seen.q, J::load(rest));
+    let mut gradient = plan.cost.gradient(seen.q, J::load(rest), posture_share(plan, seen.q, rest));
     if plan.cost.manipulability > 0.0 {
         let (world, scaled) = (rows_array(&seen.view.world), rows_array(scaled));
         let more = weighted_manipulability(plan, &world, &scaled, &seen.base_from_task, mu_squared);

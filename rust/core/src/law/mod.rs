@@ -2,6 +2,7 @@
 
 pub mod activation;
 pub(crate) mod cap;
+pub(crate) mod clearance;
 pub(crate) mod feedforward;
 pub(crate) mod impedance;
 pub(crate) mod inverse;

@@ -141,11 +141,11 @@ pub(crate) struct Cost {
 }
 
 impl Cost {
-    /// Gradient of posture and joint-limit cost at `q`.
+    /// Gradient of a `share` of the posture cost and of the joint-limit cost at `q`.
     #[inline(always)]
-    pub(crate) fn gradient<J: Lanes>(&self, q: J, rest: J) -> J {
+    pub(crate) fn gradient<J: Lanes>(&self, q: J, rest: J, share: f64) -> J {
         let toward_middle = J::load(&self.limits) * (q - J::load(&self.middle));
-        J::fma(J::load(&self.posture), q - rest, toward_middle)
+        J::fma(J::splat(share) * J::load(&self.posture), q - rest, toward_middle)
     }
 }
 

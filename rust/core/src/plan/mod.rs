@@ -8,6 +8,7 @@ mod stiffness;
 use nalgebra::DMatrix;
 
 use crate::error::{Error, Result};
+use crate::law::clearance::clearance;
 use crate::law::nullspace::Cost;
 use crate::model::Model;
 use crate::servos::{ServoArrays, Servos};
@@ -91,6 +92,8 @@ pub(crate) struct Plan {
     pub(crate) beyond: JointVec,
     /// By how much a lead that serves a force fades per rad that its joint is beyond the limits, at most.
     pub(crate) stop_slope: f64,
+    /// Room of a joint to its limit [rad or m] below which the posture lets go; −∞ for never.
+    pub(crate) clearance: JointVec,
     pub(crate) floor: JointVec,
     pub(crate) margin: JointVec,
     /// Most that a hand shall meet along a translation if the host dies [N].
@@ -186,6 +189,7 @@ impl Plan {
             upper: fill(model.upper(), f64::INFINITY),
             beyond: [0.0; MAX_JOINTS],
             stop_slope: 0.0,
+            clearance: [f64::NEG_INFINITY; MAX_JOINTS],
             floor: match &settings.floor {
                 Some(floor) => list("floor", Some(floor), n, 0.0)?,
                 None => arrays.friction,
@@ -202,6 +206,9 @@ impl Plan {
             if settings.law == Law::Paper { plan.joint_weight.map(|w| 1.0 / w) } else { [1.0; MAX_JOINTS] };
         check_gain(settings, &plan)?;
         plan.stop_slope = plan.gain_bound(settings.delay, 1.0 / settings.rate) - 1.0;
+        if plan.law.by_force() && redundant {
+            plan.clearance = clearance(&plan.lower, &plan.upper);
+        }
         if plan.law == Law::Impedance {
             stiffness::check(model, settings, &plan)?;
         }

@@ -192,9 +192,23 @@ impl Oracle {
             (None, Some(p)) => Vector::from_column_slice(p),
             (None, None) => self.memory.rest.clone(),
         };
+        // Within w = 0.05 rad of a position limit, or 5 % of the range, the posture lets go, after half of that altogether;
+        // where it stands nearer itself, from there on and over its own room, at least 0.4 w.
+        let mut share = 1.0_f64;
+        if self.settings.law != Law::Paper && self.settings.task.axes.iter().filter(|&&on| on).count() < n {
+            for i in 0..n {
+                let (lower, upper) = (self.model.lower()[i], self.model.upper()[i]);
+                let most = (0.05 * (upper - lower)).min(0.05);
+                for (room, at_rest) in [(q[i] - lower, rest[i] - lower), (upper - q[i], upper - rest[i])] {
+                    let width = at_rest.max(0.4 * most).min(most);
+                    share = share.min(1.0 - 2.0 * (at_rest.min(width) - room) / width);
+                }
+            }
+        }
+        let share = share.max(0.0);
         let mut out = Vector::zeros(n);
         for i in 0..n {
-            let weight = self.settings.posture_weights.as_ref().map_or(1.0, |w| w[i]);
+            let weight = share * self.settings.posture_weights.as_ref().map_or(1.0, |w| w[i]);
             out[i] = weight * (q[i] - rest[i]) + input.gradient.map_or(0.0, |g| g[i]);
             let (lower, upper) = (self.model.lower()[i], self.model.upper()[i]);
             if lower.is_finite() && upper.is_finite() {
