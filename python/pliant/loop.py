@@ -100,9 +100,8 @@ class Loop:
 
     Args:
         arm: The arm, enabled.
-        controller: What makes the commands; its delay is set from measurements, to the middle of
-            the period for which a goal stays, and it is reset when it must start anew. None:
-            nothing to set or reset.
+        controller: What makes the commands; its delay is set from measurements, and it is reset
+            when it must start anew. None: nothing to set or reset.
         rate: Ticks per second [Hz]; None: the controller's, or the arm's.
         duration: Ends the loop [s]; None: never.
         stall: Longest time that one turn of the program may take [s]; None: `arm.hold_for`.
@@ -114,8 +113,7 @@ class Loop:
         stale: Ticks without new positions of all joints.
         refused: Commands that were not sent.
         restarts: How often the controller started anew.
-        delay: Measured, from positions to the arrival of the goal [s]; half a period comes on top
-            for the controller.
+        delay: Measured, from positions to the arrival of the goal [s].
 
     Raises:
         ConfigError: The rate does not fit.
@@ -270,8 +268,7 @@ class Loop:
             self._told = self.delay
             tell = getattr(self._controller, "set_delay", None)
             if tell is not None:
-                # A goal then stays for a period: on average it is older than when it arrived.
-                tell(self.delay + 0.5 * self.period)
+                tell(self.delay)
 
 
 def _never() -> None:

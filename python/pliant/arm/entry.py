@@ -23,7 +23,7 @@ ATTEMPTS = 10
 #: nothing to all that its servo has [s].
 CARRIED, RAISED = 0.1, 0.1
 #: A joint has sunk that is farther away than this, or two counts, and still moves away [rad].
-SUNK = 0.002
+SUNK = 0.004
 #: How fast a joint is drawn back to where it stood, per rad that it is away [1/s], and at most
 #: [rad/s].
 BACK, RETURN = 2.0, 0.1

@@ -1,5 +1,6 @@
 //! Settings, servos and model resolved into the arrays that the cycle reads.
 
+mod checks;
 mod lanes;
 mod rows;
 mod scales;
@@ -18,6 +19,7 @@ use crate::task::axes::{AXIS_NAMES, Frame};
 use crate::task::deviation_limit::DeviationLimit;
 
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
+use checks::{check_gain, check_gravity, check_kp};
 pub(crate) use lanes::{AxisLanes, RowLanes};
 pub(crate) use rows::Row;
 use rows::{deviation_limits, resolve_rows};
@@ -264,69 +266,6 @@ fn compact(full: &[[f64; MAX_AXES]; MAX_AXES], k: usize) -> [[f64; MAX_AXES]; MA
 /// Rows of a matrix as its columns.
 fn columns(rows: &[JointVec; MAX_JOINTS]) -> [JointVec; MAX_JOINTS] {
     std::array::from_fn(|i| rows.map(|row| row[i]))
-}
-
-fn check_gain(settings: &Settings, plan: &Plan) -> Result<()> {
-    let symmetric = DMatrix::from_fn(plan.k, plan.k, |r, c| 0.5 * (plan.kx[r][c] + plan.kx[c][r]));
-    let shift = 1e-9 * (1.0 + symmetric.amax());
-    if (symmetric + DMatrix::identity(plan.k, plan.k) * shift).cholesky().is_none() {
-        return Err(Error::config(
-            "kx",
-            "drives some direction away from its target: K + Kᵀ has a negative eigenvalue",
-        ));
-    }
-    let (gain, bound) = (plan.gain(settings.horizon), plan.gain_bound(settings.delay, 1.0 / settings.rate));
-    if settings.law == Law::Cap && gain > bound * (1.0 + 1e-12) {
-        return Err(Error::limit(
-            "kx · horizon",
-            gain,
-            format!(
-                "(0, {bound:.3}]: with a delay of {} s at {} Hz a stiffer loop oscillates; lower kx, or shorten delay and period",
-                settings.delay, settings.rate
-            ),
-        ));
-    }
-    Ok(())
-}
-
-fn check_gravity(model: &Model, settings: &Settings) -> Result<()> {
-    let unknown = model.unknown_mass_joints();
-    if settings.gravity == crate::settings::GravityUse::Off || unknown.is_empty() || settings.floor.is_some() {
-        return Ok(());
-    }
-    let names: Vec<&str> = unknown.iter().map(|&i| model.joint_names()[i].as_str()).collect();
-    Err(Error::config(
-        "gravity",
-        format!(
-            "no mass is known of what joints {} move, so gravity cannot be compensated there: add <inertial> to the URDF, \
-             or give floor=[...] [N·m] for the limits, or gravity=False",
-            names.join(", ")
-        ),
-    ))
-}
-
-fn check_kp(settings: &Settings, servos: &ServoArrays, model: &Model) -> Result<()> {
-    if servos.has_kp {
-        return Ok(());
-    }
-    let wants = match settings.law {
-        Law::Cap => Some("law=\"cap\""),
-        Law::Impedance => Some("law=\"impedance\""),
-        Law::Paper if settings.budget_on_goal => Some("budget_on_goal=True"),
-        Law::Paper if settings.effective_follow() == Follow::Free => Some("follow=\"free\""),
-        Law::Paper if settings.gravity.in_goal() => Some("gravity in the goals"),
-        Law::Paper => None,
-    };
-    wants.map_or(Ok(()), |what| {
-        Err(Error::config(
-            "servos",
-            format!(
-                "{what} needs the stiffness k_p of joints {}: give servos=Servos(kp=[...] [N·m/rad], torque=[...] [N·m]), \
-                 from the servo's table or identified on the arm",
-                model.joint_names().join(", ")
-            ),
-        ))
-    })
 }
 
 fn resolve_damping(

@@ -3,6 +3,12 @@
 use crate::pose::Pose;
 use crate::task::deviation::{pose_error, rotation_matrix};
 
+/// A target that is farther away than this [m, rad] has left its reference behind: it jumped.
+const LEFT_BEHIND: [f64; 2] = [0.05, 0.2];
+
+/// Trace of a rotation by the second of these, 1 + 2 cos.
+const TRACE_LEFT_BEHIND: f64 = 2.960_133_155_682_483;
+
 /// Reference pose between the start and the target, with its velocity; bounded in speed and acceleration.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Governor {
@@ -32,17 +38,31 @@ impl Governor {
         (self.pose, self.velocity, self.arrived) = (pose, velocity, [false; 2]);
     }
 
+    /// Whether position and rotation of the target have left their reference behind.
+    #[inline(always)]
+    pub(crate) fn behind(&self) -> [bool; 2] {
+        let (mut squared, mut trace) = (0.0, 0.0);
+        for i in 0..3 {
+            squared += (self.target.position[i] - self.pose.position[i]).powi(2);
+            for j in 0..3 {
+                trace += self.target.rotation[i][j] * self.pose.rotation[i][j];
+            }
+        }
+        [squared > LEFT_BEHIND[0].powi(2), trace < TRACE_LEFT_BEHIND]
+    }
+
     /// Takes back `share` of what the last step, from `before`, led farther along the deviation `lag` (6,), base axes.
     ///
     /// Sideways and back it goes as it did, so that an arm that is pressed against something follows along it, and one that
-    /// is left behind is not pulled on. No motion is taken back where `speed` is infinite: the target is the reference then.
-    pub(crate) fn wait(&mut self, before: &Pose, lag: &[f64; 6], share: f64, speed: [f64; 2], dt: f64) {
-        let mut moved = pose_error(before, &self.pose);
+    /// is left behind is not pulled on. Nothing is taken back while the target is near: an arm that is led
+    /// into something within the bounds is to press.
+    pub(crate) fn wait(&mut self, before: &Pose, lag: &[f64; 6], share: f64, dt: f64) {
+        let (mut moved, behind) = (pose_error(before, &self.pose), self.behind());
         for b in 0..2 {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
             let (d, m) = (part(lag), part(&moved));
             let gained = d[0] * m[0] + d[1] * m[1] + d[2] * m[2];
-            if speed[b].is_infinite() || gained <= 0.0 {
+            if !behind[b] || gained <= 0.0 {
                 continue;
             }
             let most = share * gained / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
@@ -50,7 +70,6 @@ impl Governor {
                 moved[3 * b + i] -= most * d[i];
                 self.velocity[3 * b + i] -= most * d[i] / dt;
             }
-            self.arrived[b] = false;
             if b == 0 {
                 self.pose.position = along(&before.position, 1.0, &part(&moved));
             } else {
@@ -253,7 +272,7 @@ mod tests {
             for _ in 0..50 {
                 let before = governor.pose;
                 governor.follow(target, speed, [1.0, 4.0], 0.01);
-                governor.wait(&before, &lag, share, speed, 0.01);
+                governor.wait(&before, &lag, share, 0.01);
             }
             governor
         };
