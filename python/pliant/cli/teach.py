@@ -11,6 +11,7 @@ from rich.console import Console
 import pliant
 from pliant import config
 from pliant.cli.keys import Keys
+from pliant.teach.bounded import ready
 from pliant.teach.lead import lead
 from pliant.teach.teacher import RECORDING
 
@@ -60,6 +61,8 @@ def run(
         raise pliant.ConfigError(f"there is no folder {motion.absolute().parent}")
     if not seconds > 0.0:
         raise pliant.ConfigError(f"--seconds must be above 0, got {seconds:g}")
+    if bounds is not None:
+        ready(bounds)
     read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
     if by == "gripper" and read.gripper is None:
         raise pliant.ConfigError(f"{arm} names no gripper: use --by enter or rest")
@@ -83,8 +86,11 @@ def run(
             said=None if by == "rest" else said,
             tell=tell,
         )
-    kept = made if bounds is None else pliant.teach.bounded(made, bounds)
-    replace(kept, note=note).save(motion)
+    taken = replace(made, note=note)
+    # First as it was led: bounds that it cannot keep shall not lose it.
+    taken.save(motion)
+    if bounds is not None:
+        pliant.teach.bounded(taken, bounds).save(motion)
     where = "" if backend is None else f" --backend {backend}"
     again = f"{motion}: pliant replay {arm} {motion}{where}"
     console.print(again, highlight=False, soft_wrap=True)

@@ -12,12 +12,29 @@ from pliant.extras import pip
 from pliant.teach.motion import RATE
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
     from pliant.teach.motion import Motion
 
 #: Longest time that the end may take more than the motion [s].
 LATE = 60.0
 #: Share of the bounds that a slowed motion takes: the rest is for following it.
 ROOM = 0.9
+
+
+def ready(bounds: tuple[float, float, float]) -> ModuleType:
+    """Check that motions can be held within these bounds, before one is made; return ruckig.
+
+    Raises:
+        ConfigError, ImportError: As `bounded`.
+    """
+    if not all(0.0 < bound < np.inf for bound in bounds):
+        raise ConfigError(f"speed, acceleration and jerk must be above 0, got {bounds!r}")
+    try:
+        import ruckig
+    except ImportError as error:
+        raise ImportError(f"bounds of a motion need ruckig: {pip()} ruckig") from error
+    return ruckig
 
 
 def bounded(motion: Motion, bounds: tuple[float, float, float], rate: float = RATE) -> Motion:
@@ -39,12 +56,7 @@ def bounded(motion: Motion, bounds: tuple[float, float, float], rate: float = RA
         ConfigError: Bounds that are not above 0, or too low for the motion.
         ImportError: ruckig is not installed.
     """
-    if not all(0.0 < bound < np.inf for bound in bounds):
-        raise ConfigError(f"speed, acceleration and jerk must be above 0, got {bounds!r}")
-    try:
-        import ruckig
-    except ImportError as error:
-        raise ImportError(f"bounds of a motion need ruckig: {pip()} ruckig") from error
+    ruckig = ready(bounds)
     n, step = len(motion.joints), 1.0 / rate
     motion = _slowed(motion, bounds[0], bounds[1], step)
     planner = ruckig.Ruckig(n, step)

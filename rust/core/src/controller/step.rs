@@ -165,9 +165,9 @@ impl Cycle<'_> {
         let from = Goals { goal: J::load(&self.memory.goal), weight: J::load(&self.memory.weight) };
         let (Goals { goal, weight }, share) = slew(from, to, settings.goal_slew * dt);
         let strain = strain(solution.motion.factors[2].min(share));
-        if strain > 0.0 && governor.behind() != [false; 2] {
+        if strain > 0.0 && governor.behind(speed) != [false; 2] {
             let lag = axes(wish.deviation * (J::Axes::splat(1.0) - wish.softness));
-            let waiting = Waiting { plan, base_from_task: &seen.base_from_task, lag: &lag, strain, dt };
+            let waiting = Waiting { plan, speed, base_from_task: &seen.base_from_task, lag: &lag, strain, dt };
             waiting.of(&self.memory.governor.pose(), &mut governor);
         }
         if let Some(most) = plan.dead_host_max {

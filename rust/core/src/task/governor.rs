@@ -38,9 +38,10 @@ impl Governor {
         (self.pose, self.velocity, self.arrived) = (pose, velocity, [false; 2]);
     }
 
-    /// Whether position and rotation of the target have left their reference behind.
+    /// Whether position and rotation of the target have left their reference behind; never where `speed` is infinite, and the
+    /// target the reference.
     #[inline(always)]
-    pub(crate) fn behind(&self) -> [bool; 2] {
+    pub(crate) fn behind(&self, speed: [f64; 2]) -> [bool; 2] {
         let (mut squared, mut trace) = (0.0, 0.0);
         for i in 0..3 {
             squared += (self.target.position[i] - self.pose.position[i]).powi(2);
@@ -48,7 +49,7 @@ impl Governor {
                 trace += self.target.rotation[i][j] * self.pose.rotation[i][j];
             }
         }
-        [squared > LEFT_BEHIND[0].powi(2), trace < TRACE_LEFT_BEHIND]
+        [squared > LEFT_BEHIND[0].powi(2) && speed[0].is_finite(), trace < TRACE_LEFT_BEHIND && speed[1].is_finite()]
     }
 
     /// Takes back `share` of what the last step, from `before`, led farther along the deviation `lag` (6,), base axes.
@@ -56,8 +57,8 @@ impl Governor {
     /// Sideways and back it goes as it did, so that an arm that is pressed against something follows along it, and one that
     /// is left behind is not pulled on. Nothing is taken back while the target is near: an arm that is led
     /// into something within the bounds is to press.
-    pub(crate) fn wait(&mut self, before: &Pose, lag: &[f64; 6], share: f64, dt: f64) {
-        let (mut moved, behind) = (pose_error(before, &self.pose), self.behind());
+    pub(crate) fn wait(&mut self, before: &Pose, lag: &[f64; 6], share: f64, speed: [f64; 2], dt: f64) {
+        let (mut moved, behind) = (pose_error(before, &self.pose), self.behind(speed));
         for b in 0..2 {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
             let (d, m) = (part(lag), part(&moved));
@@ -272,7 +273,7 @@ mod tests {
             for _ in 0..50 {
                 let before = governor.pose;
                 governor.follow(target, speed, [1.0, 4.0], 0.01);
-                governor.wait(&before, &lag, share, 0.01);
+                governor.wait(&before, &lag, share, speed, 0.01);
             }
             governor
         };
