@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich", "rustypot", "mcap", "viser")
 LONGEST_FILE = 400  # lines
 #: The goal, 1.5e6 [bytes], is missed: 1.24e6 are the compiled module, see docs/performance.md.
-LARGEST_WHEEL = 1.9e6
+LARGEST_WHEEL = 1.95e6
 LONGEST_RUN = 120  # [s] per example and per document
 
 
