@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,8 +12,6 @@ from pliant.extras import pip
 from pliant.teach.motion import RATE
 
 if TYPE_CHECKING:
-    from types import ModuleType
-
     from pliant.teach.motion import Motion
 
 #: Longest time that the end may take more than the motion [s].
@@ -22,8 +20,8 @@ LATE = 60.0
 ROOM = 0.9
 
 
-def ready(bounds: tuple[float, float, float]) -> ModuleType:
-    """Check that motions can be held within these bounds, before one is made; return ruckig.
+def ready(bounds: tuple[float, float, float]) -> Any:
+    """Check that motions can be held within these bounds, before one is made; return ruckig, a module.
 
     Raises:
         ConfigError, ImportError: As `bounded`.
