@@ -21,7 +21,7 @@ ROOM = 0.9
 
 
 def ready(bounds: tuple[float, float, float]) -> Any:
-    """Check that motions can be held within these bounds, before one is made; return ruckig, a module.
+    """Check that motions can be held within these bounds, before one is made; return ruckig.
 
     Raises:
         ConfigError, ImportError: As `bounded`.
