@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
@@ -146,12 +146,12 @@ def is_whole(value: object) -> bool:
     return isinstance(value, (int, float, np.integer)) and bool(value >= 0 and value == value // 1)
 
 
-def span(value: object) -> tuple[float, float] | None:
+def span(value: Any) -> tuple[float, float] | None:
     """Check a time from when to when, None for never."""
     if value is None:
         return None
     try:
-        start, end = (float(x) for x in value)  # type: ignore[attr-defined]
+        start, end = (float(x) for x in value)
     except (TypeError, ValueError):
         raise ConfigError(f"silent must be a pair of times (from, to) [s], got {value!r}") from None
     if not start <= end:

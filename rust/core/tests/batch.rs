@@ -4,100 +4,20 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Damping, Follow, Law, Projector};
+use pliant_core::settings::Law;
 use pliant_core::{
-    BatchCommand, BatchInput, BatchState, Controller, Error, Instructions, Invalid, Model, ModelOptions, Pose,
-    Settings, StepInput, Targets,
+    BatchInput, BatchState, Controller, Error, Invalid, ModelOptions, Pose, Settings, StepInput, Targets,
 };
 
 #[path = "oracle/cases.rs"]
 mod cases;
+#[path = "common/many.rs"]
+mod many;
 #[path = "common/seeded.rs"]
 mod seeded;
 
+use many::{ARMS, Arms, Out, bits, single};
 use seeded::Random;
-
-/// More than two pieces, the last of them not full.
-const ARMS: usize = 150;
-
-/// Commands of `count` arms, goals first.
-struct Out([Vec<f64>; 3]);
-
-impl Out {
-    fn new(count: usize, n: usize) -> Self {
-        Self([vec![-7.0; count * n], vec![-7.0; count * n], vec![-7.0; count * n]])
-    }
-
-    fn command(&mut self) -> BatchCommand<'_> {
-        let [goal, torque_limit, velocity] = &mut self.0;
-        BatchCommand { goal, torque_limit, velocity }
-    }
-
-    /// Whether a row has these numbers but for 1e-11 of the largest.
-    fn is_near(&self, row: usize, n: usize, want: &[Vec<u64>; 3]) -> bool {
-        self.0.iter().zip(want).all(|(all, want)| {
-            let want: Vec<f64> = want.iter().map(|&bits| f64::from_bits(bits)).collect();
-            let size = want.iter().filter(|value| value.is_finite()).fold(0.0_f64, |size, value| size.max(value.abs()));
-            let near =
-                |(got, want): (&f64, &f64)| got.to_bits() == want.to_bits() || (got - want).abs() <= 1e-11 * size;
-            all[row * n..][..n].iter().zip(&want).all(near)
-        })
-    }
-
-    fn row(&self, row: usize, n: usize) -> [Vec<u64>; 3] {
-        self.0.each_ref().map(|all| bits(&all[row * n..][..n]))
-    }
-}
-
-fn bits(values: &[f64]) -> Vec<u64> {
-    values.iter().map(|value| value.to_bits()).collect()
-}
-
-fn single(controller: &mut Controller, q: &[f64], target: &Pose, input: &StepInput<'_>) -> [Vec<u64>; 3] {
-    let command = controller.step(q, target, input).unwrap();
-    [bits(command.goal()), bits(command.torque_limit()), bits(command.velocity())]
-}
-
-/// Positions and targets of many arms: anywhere, at the limits and a little beyond, stretched out, and at rest.
-struct Arms {
-    q: Vec<f64>,
-    poses: Vec<Pose>,
-    flat: Vec<f64>,
-    dq: Vec<f64>,
-}
-
-impl Arms {
-    fn new(random: &mut Random, model: &Model, count: usize) -> Self {
-        let (mut q, mut poses, mut flat) = (Vec::new(), Vec::new(), Vec::new());
-        for row in 0..count {
-            let at = match row % 5 {
-                0 => vec![0.0; model.n()],
-                1 => {
-                    let far = random.joints(model, 3.0);
-                    let (low, high) = (model.lower(), model.upper());
-                    far.iter().zip(low.iter().zip(high)).map(|(q, (l, h))| q.clamp(l - 0.01, h + 0.01)).collect()
-                }
-                _ => random.joints(model, 0.9),
-            };
-            let (metres, radians) = random.pick(&[(0.0, 0.0), (0.05, 0.2), (0.5, 2.0)]);
-            let pose = random.target(model, &at, metres, radians);
-            flat.extend(pose.to_rows().into_iter().flatten());
-            q.extend(at);
-            poses.push(pose);
-        }
-        Self { dq: random.vector(q.len(), 1.0), q, poses, flat }
-    }
-
-    fn input(&self, dt: Option<f64>, with_dq: bool) -> BatchInput<'_> {
-        BatchInput {
-            q: &self.q,
-            targets: Targets::Poses(&self.flat),
-            dt,
-            dq: with_dq.then_some(&self.dq),
-            invalid: Invalid::Refuse,
-        }
-    }
-}
 
 /// Controllers with random settings of all laws, for arms of seven and of five joints.
 fn controllers(random: &mut Random, each: usize) -> Vec<Controller> {
@@ -179,60 +99,6 @@ fn without_a_state_every_row_is_a_first_step_without_slew() {
             }
         }
     }
-}
-
-/// Settings of the law as printed, which many arms are stepped side by side with.
-fn printed(random: &mut Random, model: &Arc<Model>) -> Settings {
-    let settings = cases::settings(random, model, Law::Paper);
-    Settings {
-        follow: Some(Follow::Hold),
-        projector: Projector::Paper,
-        damping: Damping::Fixed(random.pick(&[0.02, 0.05, 0.3])),
-        budget_on_goal: false,
-        // A direction that switches at zero deviation switches by rounding.
-        direction_band: random.pick(&[None, Some(0.5)]),
-        goal_slew: f64::INFINITY,
-        max_tool_speed: [f64::INFINITY; 2],
-        ..settings
-    }
-}
-
-#[test]
-fn arms_side_by_side_are_single_arms_up_to_rounding() {
-    let mut random = Random::new(13);
-    let (mut locked, mut rows) = (0, 0);
-    for round in 0..70 {
-        let model = seeded::arm(round % 3, &ModelOptions::default());
-        let n = model.n();
-        let servos = cases::servos(&mut random, &seeded::servos(round % 3), n);
-        let settings = cases::tamed(&model, printed(&mut random, &model), Some(&servos));
-        let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
-        let mut arms = Arms::new(&mut random, &model, ARMS);
-        // What single steps refuse is left to them.
-        let bad = random.below(ARMS);
-        arms.q[n * bad] = f64::NAN;
-        arms.flat[16 * (bad / 2) + random.below(12)] = f64::NAN;
-        let input = BatchInput { invalid: Invalid::Nan, ..arms.input(None, round % 2 == 1) };
-        for instructions in Instructions::available() {
-            controller.set_instructions(instructions);
-            let mut out = Out::new(ARMS, n);
-            controller.step_batch(&input, None, out.command()).unwrap();
-            for row in 0..ARMS {
-                if row == bad || row == bad / 2 {
-                    assert!(out.0.iter().all(|all| all[row * n..][..n].iter().all(|value| value.is_nan())));
-                    continue;
-                }
-                let (q, dq) = (&arms.q[row * n..][..n], &arms.dq[row * n..][..n]);
-                let input = StepInput { dq: input.dq.map(|_| dq), ..StepInput::default() };
-                let mut alone = controller.clone();
-                let want = single(&mut alone, q, &arms.poses[row], &input);
-                let near = out.is_near(row, n, &want);
-                assert!(near, "arm {row}, {instructions}, {:?}\n{:?}", controller.settings(), (q, &arms.poses[row]));
-                (locked, rows) = (locked + usize::from(alone.record().locked.contains(&true)), rows + 1);
-            }
-        }
-    }
-    assert!(rows > 10_000 && locked > 500, "{rows} rows, {locked} of them with a locked joint");
 }
 
 /// A controller with defaults and some arms for it.

@@ -63,10 +63,12 @@ impl Governor {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
             let (d, m) = (part(lag), part(&moved));
             let gained = d[0] * m[0] + d[1] * m[1] + d[2] * m[2];
-            if !behind[b] || gained <= 0.0 {
+            let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+            // A lag whose square is lost to rounding is none, and nothing to divide by.
+            if !behind[b] || gained <= 0.0 || squared < f64::MIN_POSITIVE {
                 continue;
             }
-            let most = share * gained / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+            let most = share * gained / squared;
             for i in 0..3 {
                 moved[3 * b + i] -= most * d[i];
                 self.velocity[3 * b + i] -= most * d[i] / dt;

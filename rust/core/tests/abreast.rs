@@ -1,0 +1,71 @@
+//! Arms that are stepped side by side do what single arms do, up to rounding.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
+
+use std::sync::Arc;
+
+use pliant_core::settings::{Damping, Follow, Law, Projector};
+use pliant_core::{BatchInput, Controller, Instructions, Invalid, Model, ModelOptions, Settings, StepInput};
+
+#[path = "oracle/cases.rs"]
+mod cases;
+#[path = "common/many.rs"]
+mod many;
+#[path = "common/seeded.rs"]
+mod seeded;
+
+use many::{ARMS, Arms, Out, single};
+use seeded::Random;
+
+/// Settings of the law as printed, which many arms are stepped side by side with.
+fn printed(random: &mut Random, model: &Arc<Model>) -> Settings {
+    let settings = cases::settings(random, model, Law::Paper);
+    Settings {
+        follow: Some(Follow::Hold),
+        projector: Projector::Paper,
+        damping: Damping::Fixed(random.pick(&[0.02, 0.05, 0.3])),
+        budget_on_goal: false,
+        // A direction that switches at zero deviation switches by rounding.
+        direction_band: random.pick(&[None, Some(0.5)]),
+        goal_slew: f64::INFINITY,
+        max_tool_speed: [f64::INFINITY; 2],
+        ..settings
+    }
+}
+
+#[test]
+fn arms_side_by_side_are_single_arms_up_to_rounding() {
+    let mut random = Random::new(13);
+    let (mut locked, mut rows) = (0, 0);
+    for round in 0..70 {
+        let model = seeded::arm(round % 3, &ModelOptions::default());
+        let n = model.n();
+        let servos = cases::servos(&mut random, &seeded::servos(round % 3), n);
+        let settings = cases::tamed(&model, printed(&mut random, &model), Some(&servos));
+        let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
+        let mut arms = Arms::new(&mut random, &model, ARMS);
+        // What single steps refuse is left to them.
+        let bad = random.below(ARMS);
+        arms.q[n * bad] = f64::NAN;
+        arms.flat[16 * (bad / 2) + random.below(12)] = f64::NAN;
+        let input = BatchInput { invalid: Invalid::Nan, ..arms.input(None, round % 2 == 1) };
+        for instructions in Instructions::available() {
+            controller.set_instructions(instructions);
+            let mut out = Out::new(ARMS, n);
+            controller.step_batch(&input, None, out.command()).unwrap();
+            for row in 0..ARMS {
+                if row == bad || row == bad / 2 {
+                    assert!(out.0.iter().all(|all| all[row * n..][..n].iter().all(|value| value.is_nan())));
+                    continue;
+                }
+                let (q, dq) = (&arms.q[row * n..][..n], &arms.dq[row * n..][..n]);
+                let input = StepInput { dq: input.dq.map(|_| dq), ..StepInput::default() };
+                let mut alone = controller.clone();
+                let want = single(&mut alone, q, &arms.poses[row], &input);
+                let near = out.is_near(row, n, &want);
+                assert!(near, "arm {row}, {instructions}, {:?}\n{:?}", controller.settings(), (q, &arms.poses[row]));
+                (locked, rows) = (locked + usize::from(alone.record().locked.contains(&true)), rows + 1);
+            }
+        }
+    }
+    assert!(rows > 10_000 && locked > 500, "{rows} rows, {locked} of them with a locked joint");
+}

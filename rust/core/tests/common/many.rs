@@ -1,0 +1,88 @@
+//! Many arms at once, and what a controller of its own does with each.
+#![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
+
+use pliant_core::{BatchCommand, BatchInput, Controller, Invalid, Model, Pose, StepInput, Targets};
+
+use crate::seeded::Random;
+
+/// More than two pieces, the last of them not full.
+pub(crate) const ARMS: usize = 150;
+
+/// Commands of `count` arms, goals first.
+pub(crate) struct Out(pub(crate) [Vec<f64>; 3]);
+
+impl Out {
+    pub(crate) fn new(count: usize, n: usize) -> Self {
+        Self([vec![-7.0; count * n], vec![-7.0; count * n], vec![-7.0; count * n]])
+    }
+
+    pub(crate) fn command(&mut self) -> BatchCommand<'_> {
+        let [goal, torque_limit, velocity] = &mut self.0;
+        BatchCommand { goal, torque_limit, velocity }
+    }
+
+    /// Whether a row has these numbers but for 1e-11 of the largest.
+    pub(crate) fn is_near(&self, row: usize, n: usize, want: &[Vec<u64>; 3]) -> bool {
+        self.0.iter().zip(want).all(|(all, want)| {
+            let want: Vec<f64> = want.iter().map(|&bits| f64::from_bits(bits)).collect();
+            let size = want.iter().filter(|value| value.is_finite()).fold(0.0_f64, |size, value| size.max(value.abs()));
+            let near =
+                |(got, want): (&f64, &f64)| got.to_bits() == want.to_bits() || (got - want).abs() <= 1e-11 * size;
+            all[row * n..][..n].iter().zip(&want).all(near)
+        })
+    }
+
+    pub(crate) fn row(&self, row: usize, n: usize) -> [Vec<u64>; 3] {
+        self.0.each_ref().map(|all| bits(&all[row * n..][..n]))
+    }
+}
+
+pub(crate) fn bits(values: &[f64]) -> Vec<u64> {
+    values.iter().map(|value| value.to_bits()).collect()
+}
+
+pub(crate) fn single(controller: &mut Controller, q: &[f64], target: &Pose, input: &StepInput<'_>) -> [Vec<u64>; 3] {
+    let command = controller.step(q, target, input).unwrap();
+    [bits(command.goal()), bits(command.torque_limit()), bits(command.velocity())]
+}
+
+/// Positions and targets of many arms: anywhere, at the limits and a little beyond, stretched out, and at rest.
+pub(crate) struct Arms {
+    pub(crate) q: Vec<f64>,
+    pub(crate) poses: Vec<Pose>,
+    pub(crate) flat: Vec<f64>,
+    pub(crate) dq: Vec<f64>,
+}
+
+impl Arms {
+    pub(crate) fn new(random: &mut Random, model: &Model, count: usize) -> Self {
+        let (mut q, mut poses, mut flat) = (Vec::new(), Vec::new(), Vec::new());
+        for row in 0..count {
+            let at = match row % 5 {
+                0 => vec![0.0; model.n()],
+                1 => {
+                    let far = random.joints(model, 3.0);
+                    let (low, high) = (model.lower(), model.upper());
+                    far.iter().zip(low.iter().zip(high)).map(|(q, (l, h))| q.clamp(l - 0.01, h + 0.01)).collect()
+                }
+                _ => random.joints(model, 0.9),
+            };
+            let (metres, radians) = random.pick(&[(0.0, 0.0), (0.05, 0.2), (0.5, 2.0)]);
+            let pose = random.target(model, &at, metres, radians);
+            flat.extend(pose.to_rows().into_iter().flatten());
+            q.extend(at);
+            poses.push(pose);
+        }
+        Self { dq: random.vector(q.len(), 1.0), q, poses, flat }
+    }
+
+    pub(crate) fn input(&self, dt: Option<f64>, with_dq: bool) -> BatchInput<'_> {
+        BatchInput {
+            q: &self.q,
+            targets: Targets::Poses(&self.flat),
+            dt,
+            dq: with_dq.then_some(&self.dq),
+            invalid: Invalid::Refuse,
+        }
+    }
+}
