@@ -88,7 +88,7 @@ impl Abreast<'_> {
 
         let view =
             model.chain().look_abreast(q, masses, gravity, settings.gravity != GravityUse::Off, &mut scratch.rows);
-        let seen = Seen::new(plan, settings, q, view);
+        let seen = Seen::new(plan, settings, q, &view);
         let error = into_frame::<W>(&seen.base_from_task, &pose_error_by::<W>(&seen.view.tool, &target));
         let wish = Wish::new(plan, settings, &error, &[nothing; MAX_AXES]);
         let rest = plan.rest.as_ref().map_or(q, Columns::load);

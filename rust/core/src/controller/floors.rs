@@ -19,11 +19,11 @@ const LEAD_UNKNOWN: f64 = 0.3;
 
 /// Line 2: the arm at the predicted positions.
 #[derive(Clone, Copy)]
-pub(crate) struct Seen<J: Lanes> {
+pub(crate) struct Seen<'a, J: Lanes> {
     /// q̂ [rad].
     pub(crate) q: J,
     /// Pose of the tool, Jacobian, torques that hold the arm.
-    pub(crate) view: View<J>,
+    pub(crate) view: &'a View<J>,
     pub(crate) base_from_task: [[Scalar<J>; 3]; 3],
     /// Jacobian rows of the task's axes, in the task frame (k × n).
     pub(crate) rows: [J; MAX_AXES],
@@ -31,9 +31,9 @@ pub(crate) struct Seen<J: Lanes> {
     pub(crate) gravity_in_limit: J,
 }
 
-impl<J: Lanes> Seen<J> {
+impl<'a, J: Lanes> Seen<'a, J> {
     #[inline(always)]
-    pub(crate) fn new(plan: &Plan, settings: &Settings, q: J, view: View<J>) -> Self {
+    pub(crate) fn new(plan: &Plan, settings: &Settings, q: J, view: &'a View<J>) -> Self {
         let base_from_task = task::base_from_task::<J::One>(&plan.frame, &view.tool);
         let rows = task::rows_in(&plan.frame, &view.world, &base_from_task, &plan.axes);
         let gravity = settings.gravity;
@@ -88,7 +88,7 @@ impl<'a, J: Lanes> Given<'a, J> {
         &self,
         plan: &'a Plan,
         settings: &Settings,
-        seen: &'a Seen<J>,
+        seen: &'a Seen<'_, J>,
         wish: &'a Wish<J::Axes>,
     ) -> Tick<'a, J> {
         Tick {
@@ -114,7 +114,7 @@ impl<J: Lanes> Solution<J> {
     pub(crate) fn new(
         plan: &Plan,
         given: &Given<'_, J>,
-        seen: &Seen<J>,
+        seen: &Seen<'_, J>,
         (motion, budget): (Motion<J>, Option<J>),
     ) -> Self {
         let (kp, compliance) = (J::load(&plan.servos.kp), J::load(&plan.servos.compliance));
@@ -143,7 +143,7 @@ impl<J: Lanes> Solution<J> {
         plan: &Plan,
         settings: &Settings,
         (q, integral): (J, J),
-        seen: &Seen<J>,
+        seen: &Seen<'_, J>,
         wish: &Wish<J::Axes>,
     ) -> Load<J> {
         let motion = &self.motion;

@@ -3,7 +3,7 @@
 use crate::controller::{Controller, StepInput};
 use crate::error::{Error, Result};
 use crate::law::feedforward::SPEED_BOUND;
-use crate::number::NEGLIGIBLE;
+use crate::number::{Arithmetic, LANES, NEGLIGIBLE, Packed, PlainEight, Wide};
 use crate::pose::COORDINATE_BOUND;
 use crate::{AxisVec, JointVec, MAX_JOINTS};
 
@@ -53,21 +53,34 @@ impl Controller {
     }
 
     /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
-    #[inline]
     pub(crate) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
+        let mut out = [0.0; MAX_JOINTS];
+        self.read_positions(what, values, &mut out)?;
+        Ok(out)
+    }
+
+    /// [`Controller::positions`] into `out`, which is zero.
+    #[inline]
+    pub(super) fn read_positions(&self, what: &str, values: &[f64], out: &mut JointVec) -> Result<()> {
         let ([least, most], n) = (&self.plan.readable, self.plan.n.min(MAX_JOINTS));
-        let (mut out, mut fine) = ([0.0; MAX_JOINTS], values.len() == n);
-        for i in 0..n.min(values.len()) {
-            fine &= values[i] >= least[i];
-            fine &= values[i] <= most[i];
-            out[i] = if values[i].abs() < NEGLIGIBLE { 0.0 } else { values[i] };
+        let mut fine = values.len() == n;
+        match (values.first_chunk::<4>(), values.last_chunk::<4>()) {
+            // Two that overlap: a copy of any length is a call.
+            (Some(first), Some(last)) if n <= LANES && fine => {
+                out[..4].copy_from_slice(first);
+                out[n - 4..n].copy_from_slice(last);
+            }
+            _ => out.iter_mut().zip(values).for_each(|(slot, &value)| *slot = value),
         }
-        if fine { Ok(out) } else { self.explain(what, values) }
+        for from in (0..n).step_by(LANES) {
+            fine &= read_eight(out, from, least, most);
+        }
+        if fine { Ok(()) } else { self.explain(what, values) }
     }
 
     /// What is wrong with joint positions that cannot be.
     #[cold]
-    fn explain(&self, what: &str, values: &[f64]) -> Result<JointVec> {
+    fn explain(&self, what: &str, values: &[f64]) -> Result<()> {
         let q = self.joints(what, values, COORDINATE_BOUND)?;
         for i in 0..self.plan.n {
             let (lower, upper) = (self.plan.lower[i], self.plan.upper[i]);
@@ -83,7 +96,7 @@ impl Controller {
                 ));
             }
         }
-        Ok(q)
+        Ok(())
     }
 
     /// Reads `values` as one finite number per joint within ±`bound`.
@@ -101,6 +114,20 @@ impl Controller {
         }
         Ok(out)
     }
+}
+
+/// Whether all of eight numbers are within their bounds; vanishing ones become 0.
+#[inline(always)]
+fn read_eight(values: &mut JointVec, from: usize, least: &JointVec, most: &JointVec) -> bool {
+    let bounds = (least[from..].first_chunk(), most[from..].first_chunk());
+    let (Some(values), (Some(least), Some(most))) = (values[from..].first_chunk_mut(), bounds) else { return false };
+    let (q, nothing) = (PlainEight::of(values), PlainEight::splat(0.0));
+    // What is not a number is within any bounds, but times 0 it is not 0.
+    let beyond =
+        PlainEight::less_anywhere(q, PlainEight::of(least)) | PlainEight::less_anywhere(PlainEight::of(most), q);
+    let [odd, ..] = PlainEight::four_sums([q * nothing; 4]);
+    PlainEight::if_less(PlainEight::abs(q), PlainEight::splat(NEGLIGIBLE), nothing, q).put(values);
+    !beyond & (odd.abs() <= 0.0)
 }
 
 fn checked_twist(twist: &AxisVec) -> Result<AxisVec> {

@@ -365,9 +365,10 @@ impl Controller {
     /// [`Error::Shape`], [`Error::Limit`] or [`Error::Config`] for an input that cannot be used; the controller and its
     /// last command are then as before.
     pub fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
-        let q = self.positions("q", q)?;
+        let mut at = [0.0; MAX_JOINTS];
+        self.read_positions("q", q, &mut at)?;
         target.check("target")?;
-        self.advance(&q, target, input)
+        self.advance(&at, target, input)
     }
 
     /// One control step toward joint positions: the target is their pose, the rest posture they themselves.

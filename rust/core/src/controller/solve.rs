@@ -42,22 +42,34 @@ pub(super) fn solve<J: Joints>(
     settings: &Settings,
     instructions: Instructions,
     input: &Input,
-    seen: &Seen<J>,
+    seen: &Seen<'_, J>,
     wish: &Wish<J::Axes>,
     memory: &Memory,
     filtered: &Filtered<J>,
     singular: &mut SingularValues,
 ) -> Solved<J> {
-    let scaled_rows = plan.scale_rows(&seen.rows);
-    let condition = condition(plan, &scaled_rows, singular, memory.cold);
-    let gradient = cost_gradient(plan, input, &memory.rest, seen, &scaled_rows, condition.mu_squared);
+    let scaled;
+    let scaled_rows = if plan.follows_sigma() {
+        scaled = plan.scale_rows(&seen.rows);
+        &scaled
+    } else {
+        &seen.rows // nobody asks for the others
+    };
+    let condition = condition(plan, scaled_rows, singular, memory.cold);
+    let gradient = cost_gradient(plan, input, &memory.rest, seen, scaled_rows, condition.mu_squared);
     let integral = J::load(&memory.integral);
     let damping = row_damping::<J>(plan, &condition);
-    let (scaled_rows, condition) = (&scaled_rows, &condition);
-    let given = Given { velocity: filtered.velocity, gradient, integral, scaled_rows, condition, damping };
+    let given = Given { velocity: filtered.velocity, gradient, integral, scaled_rows, condition: &condition, damping };
     let law = motion(&given.tick(plan, settings, seen, wish));
-    let mut solution = Solution::new(plan, &given, seen, law);
-    let mut locked = [false; MAX_JOINTS];
+    let mut solved = Solved {
+        solution: Solution::new(plan, &given, seen, law),
+        gradient,
+        damping: condition.damping,
+        gamma: condition.gamma,
+        row_damping: damping,
+        locked: [false; MAX_JOINTS],
+    };
+    let solution = &mut solved.solution;
     let (lower, upper) = (J::load(&plan.lower), J::load(&plan.upper));
     if upper.any_less(solution.moving) | solution.moving.any_less(lower) {
         let (kp, motion) = (J::load(&plan.servos.kp), &mut solution.motion);
@@ -77,13 +89,12 @@ pub(super) fn solve<J: Joints>(
             },
         };
         let held = hands.over(instructions);
-        locked = held.locked;
+        solved.locked = held.locked;
         solution.moving = J::load(&held.goal);
         (motion.lead, motion.null) = (J::load(&held.share.lead), J::load(&held.share.null));
         motion.wrench.stiff = J::Axes::of(&held.share.stiff);
     }
-    let (damping, gamma, row_damping) = (condition.damping, condition.gamma, damping);
-    Solved { solution, gradient, damping, gamma, row_damping, locked }
+    solved
 }
 
 /// A [`Share`] in memory.
@@ -237,7 +248,7 @@ fn cost_gradient<J: Joints>(
     plan: &Plan,
     input: &Input,
     rest: &JointVec,
-    seen: &Seen<J>,
+    seen: &Seen<'_, J>,
     scaled: &[J; MAX_AXES],
     mu_squared: f64,
 ) -> J {

@@ -136,9 +136,9 @@ impl Cycle<'_> {
         let q = self.predict(&filtered);
         let speed = settings.max_tool_speed;
         let mut governor = self.memory.governor;
-        let reference = governor.follow(self.target, speed, settings.max_tool_acceleration, dt);
+        let reference = governor.follow::<J::One>(self.target, speed, settings.max_tool_acceleration, dt);
         let view = self.chain.look(q, self.masses, self.gravity, self.scratch);
-        let seen = Seen::new(plan, settings, q, view);
+        let seen = Seen::new(plan, settings, q, &view);
         let error = into_frame::<J::One>(&seen.base_from_task, &pose_error_by::<J::One>(&seen.view.tool, &reference));
         let mut aim = Aim { reference, error, limited: [false; MAX_AXES] };
         if !plan.deviation_limits.is_empty() {
@@ -206,7 +206,7 @@ impl Cycle<'_> {
 
     /// What the stiff axes and the null space add to the stored lead.
     #[inline(always)]
-    fn integrate<J: Joints>(&mut self, dt: f64, seen: &Seen<J>, wish: &Wish<J::Axes>, solved: &Solved<J>) {
+    fn integrate<J: Joints>(&mut self, dt: f64, seen: &Seen<'_, J>, wish: &Wish<J::Axes>, solved: &Solved<J>) {
         let (solution, locked) = (&solved.solution, &solved.locked);
         let mut lead = (solution.motion.lead + solution.motion.null).array();
         for (value, &locked) in lead.iter_mut().zip(locked) {
@@ -249,7 +249,7 @@ impl Cycle<'_> {
     #[inline(always)]
     fn wanted_limits<J: Joints>(
         &self,
-        seen: &Seen<J>,
+        seen: &Seen<'_, J>,
         wish: &Wish<J::Axes>,
         solved: &Solved<J>,
         singular: &SingularValues,
@@ -279,7 +279,7 @@ impl Cycle<'_> {
     #[inline(always)]
     fn note<J: Joints>(
         &mut self,
-        seen: &Seen<J>,
+        seen: &Seen<'_, J>,
         aim: &Aim,
         wish: &Wish<J::Axes>,
         solved: &Solved<J>,

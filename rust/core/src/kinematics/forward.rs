@@ -1,8 +1,8 @@
 //! Joint positions → frames of all joints and of the tool.
 
-use super::spatial::{Mat3, Vec3, multiply, place, splat, splat_matrix};
+use super::spatial::{Mat3, Vec3, multiply, splat, splat_matrix};
 use crate::model::Chain;
-use crate::number::{Arithmetic, Plain, sin_cos};
+use crate::number::{Arithmetic, Joints, Plain, Real, Three, Triple, sin_cos};
 use crate::pose::Pose;
 use crate::{JointVec, MAX_JOINTS};
 
@@ -42,24 +42,37 @@ impl Default for Frames {
 }
 
 /// What is done with the frame of each joint on the way to the tool.
-pub(super) trait Visitor<R> {
-    /// The frame after joint `k`.
-    fn joint(&mut self, k: usize, rotation: &Mat3<R>, origin: &Vec3<R>);
+pub(super) trait Visitor<T> {
+    /// The frame after joint `k`: axes, which are the columns of its rotation, and origin.
+    fn joint(&mut self, k: usize, axes: &[T; 3], origin: T);
 }
 
-impl<R: Copy> Visitor<R> for Frames<R> {
+impl<A: Arithmetic> Visitor<Three<A>> for Frames<A::Real> {
     #[inline(always)]
-    fn joint(&mut self, k: usize, rotation: &Mat3<R>, origin: &Vec3<R>) {
-        self.rotation[k] = *rotation;
-        self.axis[k] = [rotation[0][2], rotation[1][2], rotation[2][2]];
-        self.origin[k] = *origin;
+    fn joint(&mut self, k: usize, axes: &[Three<A>; 3], origin: Three<A>) {
+        self.rotation[k] = matrix(axes);
+        self.axis[k] = axes[2].numbers();
+        self.origin[k] = origin.numbers();
     }
 }
 
 /// Of nothing but the tool.
-impl<R> Visitor<R> for () {
+impl<T> Visitor<T> for () {
     #[inline(always)]
-    fn joint(&mut self, _: usize, _: &Mat3<R>, _: &Vec3<R>) {}
+    fn joint(&mut self, _: usize, _: &[T; 3], _: T) {}
+}
+
+/// The rotation whose columns are these axes.
+#[inline(always)]
+fn matrix<T: Triple>([x, y, z]: &[T; 3]) -> Mat3<Real<T>> {
+    let (x, y, z) = (x.numbers(), y.numbers(), z.numbers());
+    [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]
+}
+
+/// The columns of a rotation.
+#[inline(always)]
+fn columns<T: Triple>(m: &Mat3<Real<T>>) -> [T; 3] {
+    [T::of([m[0][0], m[1][0], m[2][0]]), T::of([m[0][1], m[1][1], m[2][1]]), T::of([m[0][2], m[1][2], m[2][2]])]
 }
 
 /// Sine and cosine of a joint's angle, and its travel.
@@ -70,11 +83,11 @@ struct Motion<R> {
     slide: R,
 }
 
-impl<R> Motion<R> {
-    #[inline(always)]
-    fn store(self, k: usize, all: &mut [[R; MAX_JOINTS]; 3]) {
-        (all[0][k], all[1][k], all[2][k]) = (self.sine, self.cosine, self.slide);
-    }
+/// What a coordinate `q` makes of joints whose angle and travel are `[per q, offset]`.
+#[inline(always)]
+fn motion<A: Arithmetic>(q: A::Real, angle: [A::Real; 2], slide: [A::Real; 2]) -> Motion<A::Real> {
+    let (sine, cosine) = sin_cos::<A>(A::fma(angle[0], q, angle[1]));
+    Motion { sine, cosine, slide: A::fma(slide[0], q, slide[1]) }
 }
 
 /// Motions of all joints: of one configuration already known.
@@ -91,11 +104,11 @@ impl Chain {
         self.forward_by::<Plain>(q, frames);
     }
 
-    /// [`Chain::forward`] of one configuration or of eight.
+    /// [`Chain::forward`] of one configuration or of several.
     #[inline(always)]
     pub(crate) fn forward_by<A: Arithmetic>(&self, q: &[A::Real; MAX_JOINTS], frames: &mut Frames<A::Real>) {
         let motions = self.motions::<A>(q, self.total);
-        frames.tool = self.walk::<A>(&motions, frames);
+        frames.tool = self.walk::<Three<A>>(&motions, frames);
         for k in self.path..self.total.min(MAX_JOINTS) {
             let parent = self.parent[k];
             let (rotation, origin) = if parent < MAX_JOINTS {
@@ -104,8 +117,8 @@ impl Chain {
                 (splat_matrix::<A>(&self.base.rotation), splat::<A>(&self.base.position))
             };
             let turned = multiply::<A>(&rotation, &splat_matrix::<A>(&self.turn[k]));
-            let (rotation, origin) = self.advance::<A>(k, &turned, &origin, &motions);
-            frames.joint(k, &rotation, &origin);
+            let (axes, origin) = self.advance::<Three<A>>(k, &columns(&turned), Three::of(origin), &motions);
+            frames.joint(k, &axes, origin);
         }
     }
 
@@ -116,83 +129,93 @@ impl Chain {
         q: &'a [A::Real; MAX_JOINTS],
         count: usize,
     ) -> Motions<'a, A::Real> {
-        let zero = A::splat(0.0);
-        let mut all = [[zero; MAX_JOINTS]; 3];
-        // Whole eights, so that the sines become vector code; what is that by itself is not stored.
+        let mut all = [[A::splat(0.0); MAX_JOINTS]; 3];
+        // What is vector code by itself is not stored.
         if !A::WIDE {
-            for k in 0..8 {
-                self.motion::<A>(k, q).store(k, &mut all);
-            }
-            if count > 8 {
-                for k in 8..MAX_JOINTS {
-                    self.motion::<A>(k, q).store(k, &mut all);
-                }
+            for k in 0..count.min(MAX_JOINTS) {
+                let Motion { sine, cosine, slide } = self.motion::<A>(k, q);
+                (all[0][k], all[1][k], all[2][k]) = (sine, cosine, slide);
             }
         }
         Motions { q, all }
     }
 
+    /// Motions at `q` of joints that each have a coordinate of their own, side by side.
+    #[inline(always)]
+    pub(super) fn motions_abreast<'a, J: Joints>(&self, q: &'a JointVec) -> Motions<'a, f64> {
+        let (angle, slide) = ([&self.angle_per_q, &self.angle_offset], [&self.slide_per_q, &self.slide_offset]);
+        let (angle, slide) = ([J::load(angle[0]), J::load(angle[1])], [J::load(slide[0]), J::load(slide[1])]);
+        let Motion { sine, cosine, slide } = motion::<J>(J::load(q), angle, slide);
+        let mut all = [[0.0; MAX_JOINTS]; 3];
+        sine.store(&mut all[0]);
+        cosine.store(&mut all[1]);
+        slide.store(&mut all[2]);
+        Motions { q, all }
+    }
+
     #[inline(always)]
     fn motion<A: Arithmetic>(&self, k: usize, q: &[A::Real; MAX_JOINTS]) -> Motion<A::Real> {
-        let driver = q[self.driver[k] & (MAX_JOINTS - 1)];
-        let angle = A::fma(A::splat(self.angle_per_q[k]), driver, A::splat(self.angle_offset[k]));
-        let slide = A::fma(A::splat(self.slide_per_q[k]), driver, A::splat(self.slide_offset[k]));
-        let (sine, cosine) = sin_cos::<A>(angle);
-        Motion { sine, cosine, slide }
+        motion::<A>(
+            q[self.driver[k] & (MAX_JOINTS - 1)],
+            [A::splat(self.angle_per_q[k]), A::splat(self.angle_offset[k])],
+            [A::splat(self.slide_per_q[k]), A::splat(self.slide_offset[k])],
+        )
     }
 
     /// From the base to the tool, whose pose is returned.
     #[inline(always)]
-    pub(super) fn walk<A: Arithmetic>(
+    pub(super) fn walk<T: Triple>(
         &self,
-        motions: &Motions<'_, A::Real>,
-        visitor: &mut impl Visitor<A::Real>,
-    ) -> Pose<A::Real> {
-        let mut rotation = splat_matrix::<A>(&self.base.rotation);
-        let mut origin = splat::<A>(&self.base.position);
+        motions: &Motions<'_, Real<T>>,
+        visitor: &mut impl Visitor<T>,
+    ) -> Pose<Real<T>> {
+        let mut axes = columns::<T>(&splat_matrix::<T::One>(&self.base.rotation));
+        let mut origin = T::constant(&self.base.position);
         for k in 0..self.path.min(MAX_JOINTS) {
-            (rotation, origin) = self.advance::<A>(k, &rotation, &origin, motions);
-            visitor.joint(k, &rotation, &origin);
+            (axes, origin) = self.advance::<T>(k, &axes, origin, motions);
+            visitor.joint(k, &axes, origin);
         }
-        Pose {
-            rotation: multiply::<A>(&rotation, &splat_matrix::<A>(&self.tool.rotation)),
-            position: place::<A>(&rotation, &splat::<A>(&self.tool.position), &origin),
-        }
+        let (r, nothing) = (&self.tool.rotation, T::constant(&[0.0; 3]));
+        let rotation = [
+            place(&axes, &[r[0][0], r[1][0], r[2][0]], nothing),
+            place(&axes, &[r[0][1], r[1][1], r[2][1]], nothing),
+            place(&axes, &[r[0][2], r[1][2], r[2][2]], nothing),
+        ];
+        Pose { rotation: matrix(&rotation), position: place(&axes, &self.tool.position, origin).numbers() }
     }
 
     /// From the frame before joint `k` to the frame after it: `T(offset) · Rx(tilt) · Rz(angle) · T(slide z)`.
     ///
     /// Any rotation is `Rz · Rx · Rz`. The last turn is added to the joint's angle and the first one is part of the frame
-    /// before, whose own angle takes it in; so one matrix product is left, with a column of two terms.
+    /// before, whose own angle takes it in; so two turns in a plane are left.
     #[inline(always)]
-    fn advance<A: Arithmetic>(
+    fn advance<T: Triple>(
         &self,
         k: usize,
-        r: &Mat3<A::Real>,
-        p: &Vec3<A::Real>,
-        motions: &Motions<'_, A::Real>,
-    ) -> (Mat3<A::Real>, Vec3<A::Real>) {
-        let Motion { sine: s, cosine: c, slide } = if A::WIDE {
-            self.motion::<A>(k, motions.q)
+        &[x, y, z]: &[T; 3],
+        origin: T,
+        motions: &Motions<'_, Real<T>>,
+    ) -> ([T; 3], T) {
+        let Motion { sine: s, cosine: c, slide } = if T::One::WIDE {
+            self.motion::<T::One>(k, motions.q)
         } else {
             let [sine, cosine, slide] = &motions.all;
             Motion { sine: sine[k], cosine: cosine[k], slide: slide[k] }
         };
-        let (st, ct) = (A::splat(self.tilt[k].0), A::splat(self.tilt[k].1));
-        let (x1, x2, y1, y2) = (ct * s, st * s, ct * c, st * c);
-        let mut rotation = *r;
-        for row in &mut rotation {
-            let v = *row;
-            row[0] = A::fma(v[2], x2, A::fma(v[1], x1, v[0] * c));
-            row[1] = A::fma(v[2], y2, A::fnma(v[0], s, v[1] * y1));
-            row[2] = A::fnma(v[1], st, v[2] * ct);
-        }
-        let mut origin = place::<A>(r, &splat::<A>(&self.offset[k]), p);
+        let (st, ct) = (T::One::splat(self.tilt[k].0), T::One::splat(self.tilt[k].1));
+        let (tilted, axis) = (y.times(ct).plus(st, z), z.times(ct).minus(st, y));
+        let axes = [x.times(c).plus(s, tilted), tilted.times(c).minus(s, x), axis];
+        let mut origin = place(&[x, y, z], &self.offset[k], origin);
         if self.slides[k] {
-            for i in 0..3 {
-                origin[i] = A::fma(rotation[i][2], slide, origin[i]);
-            }
+            origin = origin.plus(slide, axis);
         }
-        (rotation, origin)
+        (axes, origin)
     }
+}
+
+/// A point given in a frame.
+#[inline(always)]
+pub(super) fn place<T: Triple>(axes: &[T; 3], point: &Vec3, origin: T) -> T {
+    let [x, y, z] = splat::<T::One>(point);
+    origin.plus(x, axes[0]).plus(y, axes[1]).plus(z, axes[2])
 }

@@ -3,19 +3,20 @@
 use super::forward::{Frames, Visitor};
 use super::spatial::{Mat3, Vec3, cross, rotate_back, sub};
 use crate::model::Chain;
-use crate::number::{Arithmetic, Plain};
+use crate::number::{Arithmetic, Plain, Three, Triple};
 use crate::pose::Pose;
 use crate::{MAX_AXES, MAX_JOINTS, Rows};
 
 /// Rows over the joints while the tool is not reached yet: axes in the angular ones, origins in the linear ones.
 struct Levers<'a, R>(&'a mut [[R; MAX_JOINTS]; MAX_AXES]);
 
-impl<R: Copy> Visitor<R> for Levers<'_, R> {
+impl<A: Arithmetic> Visitor<Three<A>> for Levers<'_, A::Real> {
     #[inline(always)]
-    fn joint(&mut self, k: usize, rotation: &Mat3<R>, origin: &Vec3<R>) {
+    fn joint(&mut self, k: usize, axes: &[Three<A>; 3], origin: Three<A>) {
+        let (origin, axis) = (origin.numbers(), axes[2].numbers());
         for i in 0..3 {
             self.0[i][k] = origin[i];
-            self.0[i + 3][k] = rotation[i][2];
+            self.0[i + 3][k] = axis[i];
         }
     }
 }
@@ -67,16 +68,9 @@ impl Chain {
             self.jacobian_by::<A>(&frames, rows);
             return frames.tool;
         }
-        let tool = self.walk::<A>(&self.motions::<A>(q, self.path), &mut Levers(rows));
-        if A::WIDE || self.n > 8 {
-            for k in 0..self.n.min(MAX_JOINTS) {
-                pull::<A>(k, &tool.position, rows);
-            }
-        } else {
-            // A whole eight, so that it becomes vector code.
-            for k in 0..8 {
-                pull::<A>(k, &tool.position, rows);
-            }
+        let tool = self.walk::<Three<A>>(&self.motions::<A>(q, self.path), &mut Levers(rows));
+        for k in 0..self.n.min(MAX_JOINTS) {
+            pull::<A>(k, &tool.position, rows);
         }
         tool
     }

@@ -1,11 +1,11 @@
 //! Tool, Jacobian and holding torques at once, for the control step: what follows from the frames is done joints side by side.
 
-use super::forward::{Frames, Visitor};
+use super::forward::{Frames, Visitor, place};
 use super::gravity::Masses;
-use super::spatial::{Mat3, Vec3, cross, dot, place, splat, sub};
+use super::spatial::{Vec3, cross, dot, splat, sub};
 use crate::law::inverse::load_rows;
 use crate::model::Chain;
-use crate::number::{Arithmetic, Joints, Lanes, Scalar};
+use crate::number::{Arithmetic, Cell, Joints, Kept, Lanes, Scalar, Triple};
 use crate::pose::Pose;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -23,36 +23,69 @@ pub(crate) struct View<J: Lanes> {
 /// Memory that a look at the arm works in; nothing of it outlives the look.
 #[derive(Debug, Clone)]
 pub(crate) struct LookScratch {
+    cells: Cells,
+    /// First moment of each group's own mass about the base; then what its joint has to hold.
+    moments: [Cell; MAX_JOINTS],
     frames: Frames,
     world: Rows,
-    moment: [JointVec; 3],
     holding: JointVec,
 }
 
 impl LookScratch {
     pub(crate) fn new() -> Self {
         let zero = [0.0; MAX_JOINTS];
-        Self { frames: Frames::default(), world: [zero; MAX_AXES], moment: [zero; 3], holding: zero }
+        Self {
+            cells: Cells::new(),
+            moments: [[0.0; 4]; MAX_JOINTS],
+            frames: Frames::default(),
+            world: [zero; MAX_AXES],
+            holding: zero,
+        }
     }
 }
 
-/// Origins, axes and the first moments of the groups' own masses in base axes, one row per component.
-struct Columns<'a, A: Arithmetic<Real = f64>> {
-    rows: &'a mut Rows,
-    moment: &'a mut [JointVec; 3],
-    masses: &'a Masses,
-    number: std::marker::PhantomData<A>,
+/// A vector of each joint, base axes; zeros where there is no joint.
+#[derive(Debug, Clone)]
+struct Cells {
+    origin: [Cell; MAX_JOINTS],
+    axis: [Cell; MAX_JOINTS],
 }
 
-impl<A: Arithmetic<Real = f64>> Visitor<f64> for Columns<'_, A> {
+impl Cells {
+    fn new() -> Self {
+        let zero = [[0.0; 4]; MAX_JOINTS];
+        Self { origin: zero, axis: zero }
+    }
+
+    /// Axes, and what turning about them does to the tool.
     #[inline(always)]
-    fn joint(&mut self, k: usize, rotation: &Mat3, origin: &Vec3) {
-        let carried = place::<A>(rotation, &self.masses.moment[k], &[0.0; 3]);
-        for i in 0..3 {
-            self.rows[i][k] = origin[i];
-            self.rows[i + 3][k] = rotation[i][2];
-            self.moment[i][k] = carried[i];
-        }
+    fn jacobian<J: Joints>(&self, tool: &Pose) -> ([J; 3], [J; MAX_AXES]) {
+        let (origin, axis) = (J::components(&self.origin), J::components(&self.axis));
+        let lever = cross::<J>(&axis, &sub::<J>(&splat::<J>(&tool.position), &origin));
+        (axis, [lever[0], lever[1], lever[2], axis[0], axis[1], axis[2]])
+    }
+}
+
+impl<T: Kept> Visitor<T> for Cells {
+    #[inline(always)]
+    fn joint(&mut self, k: usize, axes: &[T; 3], origin: T) {
+        origin.keep(&mut self.origin[k]);
+        axes[2].keep(&mut self.axis[k]);
+    }
+}
+
+/// The same with masses.
+struct Heavy<'a> {
+    cells: &'a mut Cells,
+    moments: &'a mut [Cell; MAX_JOINTS],
+    masses: &'a Masses,
+}
+
+impl<T: Kept> Visitor<T> for Heavy<'_> {
+    #[inline(always)]
+    fn joint(&mut self, k: usize, axes: &[T; 3], origin: T) {
+        self.cells.joint(k, axes, origin);
+        place(axes, &self.masses.moment[k], T::constant(&[0.0; 3])).keep(&mut self.moments[k]);
     }
 }
 
@@ -89,45 +122,39 @@ impl Chain {
     #[inline(always)]
     pub(crate) fn look<J: Joints>(&self, q: J, masses: &Masses, g: &Vec3, scratch: &mut LookScratch) -> View<J> {
         let q = q.array();
-        let LookScratch { frames, world, moment, holding } = scratch;
         if !(self.simple && self.path == self.total) {
+            let LookScratch { frames, world, holding, .. } = scratch;
             self.forward_by::<J::One>(&q, frames);
             self.jacobian_by::<J::One>(frames, world);
             self.gravity_by::<J::One>(frames, masses, g, holding);
             return View { tool: frames.tool, world: load_rows(world), holding: J::load(holding) };
         }
-        let number = std::marker::PhantomData::<J::One>;
-        let motions = self.motions::<J::One>(&q, self.path);
-        let tool = self.walk::<J::One>(&motions, &mut Columns { rows: world, moment, masses, number });
-        let [x, y, z, a, b, c] = load_rows::<J>(world);
-        let (origin, axis) = ([x, y, z], [a, b, c]);
-        let lever = cross::<J>(&axis, &sub::<J>(&splat::<J>(&tool.position), &origin));
-        let world = [lever[0], lever[1], lever[2], a, b, c];
-
-        // What hangs on each joint beyond its own group: mass, and first moment.
-        let own = [J::load(&moment[0]), J::load(&moment[1]), J::load(&moment[2])];
-        let mass = J::load(&masses.mass);
-        let mut beyond = [[0.0; MAX_JOINTS]; 3];
-        for i in 0..3 {
-            J::fma(mass, origin[i], own[i]).store(&mut beyond[i]);
-        }
-        let (mut sum, mut mass_beyond) = ([0.0; 3], [0.0; MAX_JOINTS]);
-        let mut total = 0.0;
+        let LookScratch { cells, moments, .. } = scratch;
+        let motions = self.motions_abreast::<J>(&q);
+        let tool = self.walk::<J::Triple>(&motions, &mut Heavy { cells, moments, masses });
+        // S − M o of [`Chain::gravity`], where M o of the joint's own group cancels; S and M are what hangs beyond it.
+        let (mut beyond, mut mass) = (J::Triple::constant(&[0.0; 3]), 0.0);
         for k in (0..self.path.min(MAX_JOINTS)).rev() {
-            mass_beyond[k] = total;
-            total += masses.mass[k];
-            for i in 0..3 {
-                let all = sum[i] + beyond[i][k];
-                beyond[i][k] = sum[i];
-                sum[i] = all;
-            }
+            let (own, origin) = (J::Triple::kept(&moments[k]), J::Triple::kept(&cells.origin[k]));
+            let all = beyond.plus(1.0, own);
+            all.minus(mass, origin).keep(&mut moments[k]);
+            beyond = all.plus(masses.mass[k], origin);
+            mass += masses.mass[k];
         }
-        // S − M o of [`Chain::gravity`], where M o of the joint's own group cancels.
-        let (mut arm, mass_beyond) = (own, J::load(&mass_beyond));
-        for i in 0..3 {
-            arm[i] = J::fnma(mass_beyond, origin[i], own[i] + J::load(&beyond[i]));
-        }
-        let holding = -dot::<J>(&arm, &cross::<J>(&splat::<J>(g), &axis));
+        let (axis, world) = cells.jacobian::<J>(&tool);
+        let holding = -dot::<J>(&J::components(moments), &cross::<J>(&splat::<J>(g), &axis));
         View { tool, world, holding }
+    }
+
+    /// Tool and Jacobian at `q`, where each coordinate turns a joint of its own.
+    #[inline(always)]
+    pub(super) fn see<J: Joints>(&self, q: &JointVec, rows: &mut Rows) -> Pose {
+        let mut cells = Cells::new();
+        let tool = self.walk::<J::Triple>(&self.motions_abreast::<J>(q), &mut cells);
+        let (_, world) = cells.jacobian::<J>(&tool);
+        for r in 0..MAX_AXES {
+            world[r].store(&mut rows[r]);
+        }
+        tool
     }
 }

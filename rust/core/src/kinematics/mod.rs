@@ -4,7 +4,7 @@ use nalgebra::{DVector, Matrix6xX};
 
 use crate::error::{Error, Result};
 use crate::model::{Chain, Model};
-use crate::number::{Instructions, Kernel, Machine};
+use crate::number::{Instructions, Kernel, LANES, Machine, Three, Wide};
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -111,6 +111,13 @@ impl Model {
     }
 }
 
+impl Chain {
+    /// Whether each coordinate turns a joint of its own, and no more than one register holds.
+    const fn is_narrow(&self) -> bool {
+        self.simple && self.n <= LANES
+    }
+}
+
 /// Pose of the tool at one configuration.
 struct Forward<'a> {
     chain: &'a Chain,
@@ -122,7 +129,11 @@ impl Kernel for Forward<'_> {
 
     #[inline(always)]
     fn run<M: Machine>(self) -> Pose {
-        self.chain.walk::<M::One>(&self.chain.motions::<M::One>(self.q, self.chain.path), &mut ())
+        if self.chain.is_narrow() {
+            self.chain.walk::<<M::Eight as Wide>::Triple>(&self.chain.motions_abreast::<M::Eight>(self.q), &mut ())
+        } else {
+            self.chain.walk::<Three<M::One>>(&self.chain.motions::<M::One>(self.q, self.chain.path), &mut ())
+        }
     }
 }
 
@@ -159,7 +170,11 @@ impl Kernel for Kinematics<'_> {
 
     #[inline(always)]
     fn run<M: Machine>(self) -> Pose {
-        let pose = self.chain.kinematics_by::<M::One>(self.q, self.rows);
+        let pose = if self.chain.is_narrow() {
+            self.chain.see::<M::Eight>(self.q, self.rows)
+        } else {
+            self.chain.kinematics_by::<M::One>(self.q, self.rows)
+        };
         if self.reference == Reference::Local {
             jacobian::turn_to_tool::<M::One>(&pose.rotation, self.rows, self.chain.n);
         }

@@ -51,11 +51,10 @@ pub(crate) fn weighted_gram<J: Lanes>(rows: &[J; MAX_AXES], d: J) -> Square<Scal
     let mut sums = [nothing; 24];
     unrolled!(b in 0 1 2 3 4 5 => {
         let i = 4 * b;
-        let four = J::dots(
+        [sums[i], sums[i + 1], sums[i + 2], sums[i + 3]] = J::dots(
             [left[i], left[i + 1], left[i + 2], left[i + 3]],
             [right[i], right[i + 1], right[i + 2], right[i + 3]],
         );
-        sums[i..i + 4].copy_from_slice(&four);
     });
     unrolled!(r in 0 1 2 3 4 5 => {
         for c in 0..=r {

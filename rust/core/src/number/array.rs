@@ -4,7 +4,8 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::scalar::{Plain, turn};
-use super::{Arithmetic, LANES, Many, Packed, Spread, Wide};
+use super::{Arithmetic, Cell, LANES, Many, Packed, Spread, Three, Wide};
+use crate::MAX_JOINTS;
 
 /// Eight numbers in an array, vector code left to the compiler: architectures whose registers nobody has written down.
 #[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "x86-64 has registers of its own"))]
@@ -130,12 +131,29 @@ impl Spread<Self> for Array {
 
 impl Wide for Array {
     type One = Plain;
+    type Triple = Three<Plain>;
 
     #[inline(always)]
     fn four_sums(numbers: [Self; 4]) -> [f64; 4] {
         let mut out = [0.0; 4];
         for (sum, Self(n)) in out.iter_mut().zip(numbers) {
             *sum = ((n[0] + n[4]) + (n[1] + n[5])) + ((n[2] + n[6]) + (n[3] + n[7]));
+        }
+        out
+    }
+
+    #[inline(always)]
+    fn four_dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
+        Self::four_sums([a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]])
+    }
+
+    #[inline(always)]
+    fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3] {
+        let mut out = [Self([0.0; LANES]); 3];
+        for i in 0..3 {
+            for k in 0..LANES {
+                out[i].0[k] = cells[k][i];
+            }
         }
         out
     }

@@ -5,7 +5,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::instructions::PlainEight;
 use super::scalar::{Plain, turn};
-use super::{Arithmetic, Joints, Lanes, Spread};
+use super::{Arithmetic, Cell, Joints, Lanes, Spread, Three};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Sixteen numbers, of arms with more joints than one has lanes and of what few steps do.
@@ -156,9 +156,26 @@ impl Lanes for EveryJoint {
         let [a, b, c, d] = &numbers;
         [sum(a), sum(b), sum(c), sum(d)]
     }
+
+    #[inline(always)]
+    fn dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
+        Self::sums([a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]])
+    }
 }
 
 impl Joints for EveryJoint {
+    type Triple = Three<Plain>;
+
+    fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3] {
+        let mut out = [[0.0; MAX_JOINTS]; 3];
+        for (k, cell) in cells.iter().enumerate() {
+            for (row, &value) in out.iter_mut().zip(cell) {
+                row[k] = value;
+            }
+        }
+        out.map(|row| Self::load(&row))
+    }
+
     #[inline(always)]
     fn store(self, values: &mut JointVec) {
         *values = self.0;

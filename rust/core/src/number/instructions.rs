@@ -8,11 +8,11 @@ use std::fmt;
 use std::sync::OnceLock;
 
 #[cfg(not(target_arch = "x86_64"))]
-pub(super) use super::Array as PlainEight;
+pub(crate) use super::Array as PlainEight;
 #[cfg(not(target_arch = "x86_64"))]
 use super::Array as PlainMany;
 #[cfg(target_arch = "x86_64")]
-pub(super) use super::Sse2 as PlainEight;
+pub(crate) use super::Sse2 as PlainEight;
 #[cfg(target_arch = "x86_64")]
 use super::Two as PlainMany;
 use super::{Arithmetic, Many, Plain, Spread, Wide};

@@ -1,7 +1,7 @@
 //! One number per joint of an arm, and one per task axis.
 #![forbid(unsafe_code)]
 
-use super::{Arithmetic, EveryJoint, LANES, Number, Spread, Wide};
+use super::{Arithmetic, Cell, EveryJoint, Kept, LANES, Number, Spread, Wide};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// What stands once for all joints or axes where an `L` has one each.
@@ -36,10 +36,7 @@ pub(crate) trait Lanes: Arithmetic<Real = Self> + Number + Spread<Scalar<Self>> 
     fn sums(numbers: [Self; 4]) -> [Scalar<Self>; 4];
 
     /// The sum over the joints of each product.
-    #[inline(always)]
-    fn dots(a: [Self; 4], b: [Self; 4]) -> [Scalar<Self>; 4] {
-        Self::sums([a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]])
-    }
+    fn dots(a: [Self; 4], b: [Self; 4]) -> [Scalar<Self>; 4];
 
     /// Whether any number is less than the other of its joint.
     #[inline(always)]
@@ -71,6 +68,12 @@ pub(crate) trait Axes: Arithmetic<Real = Self> + Number + Spread<AxisScalar<Self
 
 /// One number per joint of one configuration.
 pub(crate) trait Joints: Lanes<One: Arithmetic<Real = f64>, Axes: Wide> {
+    /// A vector of space on the same machine.
+    type Triple: Kept<One = Self::One>;
+
+    /// The three components of one vector per joint.
+    fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3];
+
     /// To memory; what is beyond is left as it is.
     fn store(self, values: &mut JointVec);
 
@@ -135,9 +138,21 @@ impl<W: Wide> Lanes for W {
     fn sums(numbers: [Self; 4]) -> [f64; 4] {
         W::four_sums(numbers)
     }
+
+    #[inline(always)]
+    fn dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
+        W::four_dots(a, b)
+    }
 }
 
 impl<W: Wide> Joints for W {
+    type Triple = W::Triple;
+
+    #[inline(always)]
+    fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3] {
+        W::components(cells)
+    }
+
     #[inline(always)]
     fn store(self, values: &mut JointVec) {
         if let Some(first) = values.first_chunk_mut() {

@@ -15,6 +15,8 @@
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+use crate::MAX_JOINTS;
+
 mod array;
 mod columns;
 mod every;
@@ -22,6 +24,7 @@ mod functions;
 mod instructions;
 mod lanes;
 mod scalar;
+mod triple;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
@@ -31,11 +34,12 @@ pub(crate) use columns::Columns;
 pub(crate) use every::EveryJoint;
 pub(crate) use functions::{quadrant_angle, tanh};
 pub use instructions::Instructions;
-pub(crate) use instructions::{Kernel, Machine};
+pub(crate) use instructions::{Kernel, Machine, PlainEight};
 pub(crate) use lanes::{Axes, AxisScalar, Joints, Lanes, Scalar};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use scalar::Fused;
 pub(crate) use scalar::Plain;
+pub(crate) use triple::{Cell, Kept, Real, Three, Triple};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::{
     avx2::{Avx2, Four},
@@ -161,8 +165,17 @@ pub(crate) trait Wide: Packed + Spread<f64> {
     /// One number of the same machine.
     type One: Arithmetic<Real = f64> + Spread<f64>;
 
+    /// A vector of space on the same machine.
+    type Triple: Kept<One = Self::One>;
+
     /// The sum of each eight.
     fn four_sums(numbers: [Self; 4]) -> [f64; 4];
+
+    /// The sum of each eight products.
+    fn four_dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4];
+
+    /// The three components of the vectors in the first [`LANES`] cells.
+    fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3];
 }
 
 /// π/2 in three parts. The first two have 33 bits, so that their products with a whole number below 2²⁰ are exact.

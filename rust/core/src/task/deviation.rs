@@ -66,12 +66,18 @@ fn rotation_vector_by<A: Arithmetic>(m: &Mat3<A::Real>) -> Vec3<A::Real> {
 /// Rotation matrix (row-major) of a rotation vector [rad]: Rodrigues' formula.
 #[inline(always)]
 pub fn rotation_matrix(v: [f64; 3]) -> [[f64; 3]; 3] {
+    rotation_matrix_by::<Plain>(v)
+}
+
+/// [`rotation_matrix`] on any machine.
+#[inline(always)]
+pub(crate) fn rotation_matrix_by<A: Arithmetic<Real = f64>>(v: [f64; 3]) -> Mat3 {
     let angle2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
     let angle = angle2.sqrt();
     let (a, b) = if angle < 1e-6 {
         (1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0)
     } else {
-        let (s, c) = sin_cos::<Plain>(0.5 * angle);
+        let (s, c) = sin_cos::<A>(0.5 * angle);
         let half = s / (0.5 * angle);
         (half * c, 0.5 * half * half)
     };

@@ -1,7 +1,8 @@
 //! The true tool speed limit: a target that moves at most so fast.
 
+use crate::number::Arithmetic;
 use crate::pose::Pose;
-use crate::task::deviation::{pose_error, rotation_matrix};
+use crate::task::deviation::{pose_error, pose_error_by, rotation_matrix, rotation_matrix_by};
 
 /// A target that is farther away than this [m, rad] has left its reference behind: it jumped.
 const LEFT_BEHIND: [f64; 2] = [0.05, 0.2];
@@ -104,12 +105,18 @@ impl Governor {
     /// A target that moves within the bounds is passed on as it is. Otherwise each of translation and rotation follows it
     /// and brakes so that it can stop there, v ≤ √(2 a d). An infinite speed hands the target through.
     #[inline(always)]
-    pub(crate) fn follow(&mut self, target: &Pose, speed: [f64; 2], acceleration: [f64; 2], dt: f64) -> Pose {
+    pub(crate) fn follow<A: Arithmetic<Real = f64>>(
+        &mut self,
+        target: &Pose,
+        speed: [f64; 2],
+        acceleration: [f64; 2],
+        dt: f64,
+    ) -> Pose {
         if speed.iter().all(|most| most.is_infinite()) {
             *self = Self::new(*target);
             return *target;
         }
-        let (e, moved) = (pose_error(&self.pose, target), pose_error(&self.target, target));
+        let (e, moved) = (pose_error_by::<A>(&self.pose, target), pose_error_by::<A>(&self.target, target));
         let mut blocks = [([0.0; 3], true); 2];
         for (b, block) in blocks.iter_mut().enumerate() {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
@@ -132,7 +139,7 @@ impl Governor {
         if at_rotation {
             self.pose.rotation = target.rotation;
         } else {
-            let turn = rotation_matrix([angular[0] * dt, angular[1] * dt, angular[2] * dt]);
+            let turn = rotation_matrix_by::<A>([angular[0] * dt, angular[1] * dt, angular[2] * dt]);
             self.pose.rotation = orthonormal(&multiply(&turn, &self.pose.rotation));
         }
         self.velocity = [linear[0], linear[1], linear[2], angular[0], angular[1], angular[2]];
@@ -215,6 +222,7 @@ fn orthonormal(r: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::number::Plain;
 
     #[test]
     fn speed_and_acceleration_stay_bounded_and_the_target_is_reached_exactly() {
@@ -222,7 +230,7 @@ mod tests {
         let mut governor = Governor::new(Pose::IDENTITY);
         let mut before = [0.0; 6];
         for tick in 0..400 {
-            let pose = governor.follow(&target, [0.25, 1.0], [1.0, 4.0], 0.01);
+            let pose = governor.follow::<Plain>(&target, [0.25, 1.0], [1.0, 4.0], 0.01);
             let v = governor.velocity;
             let linear = norm([v[0], v[1], v[2]]);
             let angular = norm([v[3], v[4], v[5]]);
@@ -242,10 +250,10 @@ mod tests {
         let far = Pose { position: [5.0, 0.0, 0.0], ..Pose::IDENTITY };
         let mut governor = Governor::new(Pose::IDENTITY);
         for _ in 0..100 {
-            governor.follow(&far, [1.0, 1.0], [2.0, 4.0], 0.01);
+            governor.follow::<Plain>(&far, [1.0, 1.0], [2.0, 4.0], 0.01);
         }
         let before = governor.pose.position[0];
-        let after = governor.follow(&far, [0.1, 1.0], [2.0, 4.0], 0.01).position[0];
+        let after = governor.follow::<Plain>(&far, [0.1, 1.0], [2.0, 4.0], 0.01).position[0];
         assert!(after - before <= 0.1 * 0.01 + 1e-15);
         let twist = [0.3, 0.4, 0.0, 0.1, 0.0, 0.0];
         let velocity = governor.velocity(&twist, [0.1, 1.0]);
@@ -259,7 +267,7 @@ mod tests {
         let mut governor = Governor::new(Pose::IDENTITY);
         for tick in 1..200 {
             let target = at(f64::from(tick) * 0.01);
-            let x = governor.follow(&target, [0.25, 1.0], [1.0, 4.0], 0.01).position[0];
+            let x = governor.follow::<Plain>(&target, [0.25, 1.0], [1.0, 4.0], 0.01).position[0];
             assert!(x <= target.position[0] + 1e-12, "tick {tick}: {x}");
             // From rest the reference needs 0.1 s to the target's speed, and a while to catch up.
             assert!(tick < 40 || (x - target.position[0]).abs() < 1e-9, "tick {tick}: {x}");
@@ -274,7 +282,7 @@ mod tests {
             let mut governor = Governor::new(Pose::IDENTITY);
             for _ in 0..50 {
                 let before = governor.pose;
-                governor.follow(target, speed, [1.0, 4.0], 0.01);
+                governor.follow::<Plain>(target, speed, [1.0, 4.0], 0.01);
                 governor.wait(&before, &lag, share, speed, 0.01);
             }
             governor
@@ -294,6 +302,6 @@ mod tests {
     fn an_infinite_speed_hands_the_target_through() {
         let target = Pose { position: [3.0, 0.0, 0.0], ..Pose::IDENTITY };
         let mut governor = Governor::new(Pose::IDENTITY);
-        assert_eq!(governor.follow(&target, [f64::INFINITY; 2], [1.0, 4.0], 0.01), target);
+        assert_eq!(governor.follow::<Plain>(&target, [f64::INFINITY; 2], [1.0, 4.0], 0.01), target);
     }
 }

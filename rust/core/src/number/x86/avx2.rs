@@ -13,15 +13,17 @@ use std::arch::x86_64::{
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use super::{sums_of_four, transpose_four};
-use crate::number::{Arithmetic, LANES, Many, Packed, Spread, Wide};
+use super::{sums_of_four as sums, transpose_four};
+use crate::MAX_JOINTS;
+use crate::number::triple::Short;
+use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide};
 
 numbers! {
     /// Eight numbers in two registers, with fused multiply-add.
     Avx2, 8 in registers of 4: 0 1
 }
 
-wide! { Avx2 beside Fused }
+wide! { Avx2 beside Fused and Four }
 
 numbers! {
     /// Four numbers in one register, with fused multiply-add.
@@ -29,6 +31,8 @@ numbers! {
 }
 
 many! { Four }
+
+short! { Four beside Fused, registers of 4: 0 }
 
 #[inline(always)]
 unsafe fn less(a: Register, b: Register) -> Register {
@@ -69,9 +73,16 @@ unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register
 }
 
 #[inline(always)]
-fn sums(a: [Register; 2], b: [Register; 2], c: [Register; 2], d: [Register; 2]) -> [f64; 4] {
+fn folded(n: [Register; 2]) -> Register {
     // SAFETY: as above.
-    unsafe { sums_of_four(add(a[0], a[1]), add(b[0], b[1]), add(c[0], c[1]), add(d[0], d[1])) }
+    unsafe { add(n[0], n[1]) }
+}
+
+/// Products, folded.
+#[inline(always)]
+fn dotted(a: [Register; 2], b: [Register; 2]) -> Register {
+    // SAFETY: as above.
+    unsafe { fmadd(a[0], b[0], mul(a[1], b[1])) }
 }
 
 #[inline(always)]
@@ -103,4 +114,26 @@ fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
     }
     let ([a, b, c, d], [e, f, g, h]) = (transpose_four(halves[0]), transpose_four(halves[1]));
     [a, b, c, d, e, f, g, h]
+}
+
+/// The components of the four vectors from `first` on.
+#[inline(always)]
+pub(super) fn components_of_four(cells: &[Cell; MAX_JOINTS], first: usize) -> [Register; 3] {
+    // SAFETY: as above; a cell has four.
+    let rows = unsafe {
+        [
+            loadu(cells[first].as_ptr()),
+            loadu(cells[first + 1].as_ptr()),
+            loadu(cells[first + 2].as_ptr()),
+            loadu(cells[first + 3].as_ptr()),
+        ]
+    };
+    let [x, y, z, _] = transpose_four(rows);
+    [x, y, z]
+}
+
+#[inline(always)]
+fn components(cells: &[Cell; MAX_JOINTS]) -> [[Register; 2]; 3] {
+    let ([a, b, c], [d, e, f]) = (components_of_four(cells, 0), components_of_four(cells, 4));
+    [[a, d], [b, e], [c, f]]
 }

@@ -15,15 +15,17 @@ use std::arch::x86_64::{
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use super::{sums_of_four, transpose_four};
-use crate::number::{Arithmetic, LANES, Many, Packed, Spread, Wide};
+use super::avx2::{Four, components_of_four};
+use super::{sums_of_four as sums, transpose_four};
+use crate::MAX_JOINTS;
+use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide};
 
 numbers! {
     /// Eight numbers in one register.
     Avx512, 8 in registers of 8: 0
 }
 
-wide! { Avx512 beside Fused }
+wide! { Avx512 beside Fused and Four }
 
 many! { Avx512 }
 
@@ -72,16 +74,17 @@ fn halves(n: Register) -> [__m256d; 2] {
 }
 
 #[inline(always)]
-fn folded(n: Register) -> __m256d {
+fn folded([n]: [Register; 1]) -> __m256d {
     let [low, high] = halves(n);
     // SAFETY: as above.
     unsafe { _mm256_add_pd(low, high) }
 }
 
+/// Products, folded.
 #[inline(always)]
-fn sums(a: [Register; 1], b: [Register; 1], c: [Register; 1], d: [Register; 1]) -> [f64; 4] {
+fn dotted([a]: [Register; 1], [b]: [Register; 1]) -> __m256d {
     // SAFETY: as above.
-    unsafe { sums_of_four(folded(a[0]), folded(b[0]), folded(c[0]), folded(d[0])) }
+    folded(unsafe { [mul(a, b)] })
 }
 
 #[inline(always)]
@@ -128,6 +131,18 @@ fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
             // SAFETY: as above.
             out[4 * half + i] = unsafe { _mm512_insertf64x4::<1>(_mm512_castpd256_pd512(first[i]), second[i]) };
         }
+    }
+    out
+}
+
+#[inline(always)]
+fn components(cells: &[Cell; MAX_JOINTS]) -> [[Register; 1]; 3] {
+    let (low, high) = (components_of_four(cells, 0), components_of_four(cells, 4));
+    // SAFETY: as above.
+    let mut out = unsafe { [[set1(0.0)]; 3] };
+    for i in 0..3 {
+        // SAFETY: as above.
+        out[i] = unsafe { [_mm512_insertf64x4::<1>(_mm512_castpd256_pd512(low[i]), high[i])] };
     }
     out
 }

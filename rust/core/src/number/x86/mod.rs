@@ -138,13 +138,25 @@ macro_rules! numbers {
 
 /// Eight numbers of one configuration.
 macro_rules! wide {
-    ($name:ident beside $one:ident) => {
+    ($name:ident beside $one:ident and $short:ident) => {
         impl Wide for $name {
             type One = crate::number::$one;
+            type Triple = $short;
 
             #[inline(always)]
             fn four_sums(n: [Self; 4]) -> [f64; 4] {
-                sums(n[0].0, n[1].0, n[2].0, n[3].0)
+                sums([folded(n[0].0), folded(n[1].0), folded(n[2].0), folded(n[3].0)])
+            }
+
+            #[inline(always)]
+            fn four_dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
+                sums([dotted(a[0].0, b[0].0), dotted(a[1].0, b[1].0), dotted(a[2].0, b[2].0), dotted(a[3].0, b[3].0)])
+            }
+
+            #[inline(always)]
+            fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3] {
+                let [x, y, z] = components(cells);
+                [Self(x), Self(y), Self(z)]
             }
         }
 
@@ -152,6 +164,27 @@ macro_rules! wide {
             #[inline(always)]
             fn spread(value: f64) -> Self {
                 Self::splat(value)
+            }
+        }
+    };
+}
+
+/// Registers for a vector of space.
+macro_rules! short {
+    ($name:ident beside $one:ident, registers of $width:literal: $($i:literal)*) => {
+        impl Short for $name {
+            type One = crate::number::$one;
+
+            #[inline(always)]
+            fn get(cell: &Cell) -> Self {
+                // SAFETY: as above; there are four values.
+                Self(unsafe { [$(loadu(cell.as_ptr().add($i * $width))),*] })
+            }
+
+            #[inline(always)]
+            fn set(self, cell: &mut Cell) {
+                // SAFETY: as above; there is room for four values.
+                unsafe { $(storeu(cell.as_mut_ptr().add($i * $width), self.0[$i]);)* }
             }
         }
     };
@@ -197,7 +230,7 @@ pub(super) mod sse2;
 
 /// The sum of each of four registers.
 #[inline(always)]
-unsafe fn sums_of_four(a: __m256d, b: __m256d, c: __m256d, d: __m256d) -> [f64; 4] {
+fn sums_of_four([a, b, c, d]: [__m256d; 4]) -> [f64; 4] {
     use std::arch::x86_64::{_mm256_add_pd, _mm256_hadd_pd, _mm256_permute2f128_pd, _mm256_storeu_pd};
     let mut out = [0.0; 4];
     // SAFETY: as above.

@@ -12,14 +12,16 @@ use std::arch::x86_64::{
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::number::{Arithmetic, LANES, Many, Packed, Spread, Wide};
+use crate::MAX_JOINTS;
+use crate::number::triple::Short;
+use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide};
 
 numbers! {
     /// Eight numbers in four registers; there is no fused multiply-add.
     Sse2, 8 in registers of 2: 0 1 2 3
 }
 
-wide! { Sse2 beside Plain }
+wide! { Sse2 beside Plain and Pair }
 
 numbers! {
     /// Two numbers in one register; there is no fused multiply-add.
@@ -27,6 +29,13 @@ numbers! {
 }
 
 many! { Two }
+
+numbers! {
+    /// Four numbers in two registers; there is no fused multiply-add.
+    Pair, 4 in registers of 2: 0 1
+}
+
+short! { Pair beside Plain, registers of 2: 0 1 }
 
 #[inline(always)]
 unsafe fn fmadd(a: Register, b: Register, c: Register) -> Register {
@@ -77,14 +86,23 @@ unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register
 }
 
 #[inline(always)]
-fn sums(a: [Register; 4], b: [Register; 4], c: [Register; 4], d: [Register; 4]) -> [f64; 4] {
+fn folded(n: [Register; 4]) -> Register {
+    // SAFETY: as above.
+    unsafe { add(add(n[0], n[2]), add(n[1], n[3])) }
+}
+
+/// Products, folded.
+#[inline(always)]
+fn dotted(a: [Register; 4], b: [Register; 4]) -> Register {
+    // SAFETY: as above.
+    folded(unsafe { [mul(a[0], b[0]), mul(a[1], b[1]), mul(a[2], b[2]), mul(a[3], b[3])] })
+}
+
+#[inline(always)]
+fn sums([a, b, c, d]: [Register; 4]) -> [f64; 4] {
     let mut out = [0.0; 4];
     // SAFETY: as above.
     unsafe {
-        let a = add(add(a[0], a[2]), add(a[1], a[3]));
-        let b = add(add(b[0], b[2]), add(b[1], b[3]));
-        let c = add(add(c[0], c[2]), add(c[1], c[3]));
-        let d = add(add(d[0], d[2]), add(d[1], d[3]));
         storeu(out.as_mut_ptr(), add(low(a, b), high(a, b)));
         storeu(out.as_mut_ptr().add(2), add(low(c, d), high(c, d)));
     }
@@ -114,6 +132,22 @@ fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
         unsafe {
             let (a, b) = (loadu(rows[0].as_ptr().add(2 * pair)), loadu(rows[1].as_ptr().add(2 * pair)));
             (out[2 * pair], out[2 * pair + 1]) = (low(a, b), high(a, b));
+        }
+    }
+    out
+}
+
+#[inline(always)]
+fn components(cells: &[Cell; MAX_JOINTS]) -> [[Register; 4]; 3] {
+    // SAFETY: as above.
+    let mut out = unsafe { [[set1(0.0); 4]; 3] };
+    for pair in 0..4 {
+        let (a, b) = (&cells[2 * pair], &cells[2 * pair + 1]);
+        // SAFETY: as above; a cell has four.
+        unsafe {
+            let (xy, more) = (loadu(a.as_ptr()), loadu(b.as_ptr()));
+            (out[0][pair], out[1][pair]) = (low(xy, more), high(xy, more));
+            out[2][pair] = low(loadu(a.as_ptr().add(2)), loadu(b.as_ptr().add(2)));
         }
     }
     out
