@@ -90,10 +90,10 @@ fn motion<A: Arithmetic>(q: A::Real, angle: [A::Real; 2], slide: [A::Real; 2]) -
     Motion { sine, cosine, slide: A::fma(slide[0], q, slide[1]) }
 }
 
-/// Motions of all joints: of one configuration already known.
-pub(super) struct Motions<'a, R> {
+/// Motions of up to `N` joints: of one configuration already known.
+pub(super) struct Motions<'a, R, const N: usize = MAX_JOINTS> {
     q: &'a [R; MAX_JOINTS],
-    all: [[R; MAX_JOINTS]; 3],
+    all: [[R; N]; 3],
 }
 
 impl Chain {
@@ -108,7 +108,7 @@ impl Chain {
     #[inline(always)]
     pub(crate) fn forward_by<A: Arithmetic>(&self, q: &[A::Real; MAX_JOINTS], frames: &mut Frames<A::Real>) {
         let motions = self.motions::<A>(q, self.total);
-        frames.tool = self.walk::<Three<A>>(&motions, frames);
+        frames.tool = self.walk::<Three<A>, _>(&motions, frames);
         for k in self.path..self.total.min(MAX_JOINTS) {
             let parent = self.parent[k];
             let (rotation, origin) = if parent < MAX_JOINTS {
@@ -117,7 +117,7 @@ impl Chain {
                 (splat_matrix::<A>(&self.base.rotation), splat::<A>(&self.base.position))
             };
             let turned = multiply::<A>(&rotation, &splat_matrix::<A>(&self.turn[k]));
-            let (axes, origin) = self.advance::<Three<A>>(k, &columns(&turned), Three::of(origin), &motions);
+            let (axes, origin) = self.advance(k, &columns::<Three<A>>(&turned), Three::of(origin), &motions);
             frames.joint(k, &axes, origin);
         }
     }
@@ -142,15 +142,11 @@ impl Chain {
 
     /// Motions at `q` of joints that each have a coordinate of their own, side by side.
     #[inline(always)]
-    pub(super) fn motions_abreast<'a, J: Joints>(&self, q: &'a JointVec) -> Motions<'a, f64> {
+    pub(super) fn motions_abreast<'a, J: Joints, const N: usize>(&self, q: &'a JointVec) -> Motions<'a, f64, N> {
         let (angle, slide) = ([&self.angle_per_q, &self.angle_offset], [&self.slide_per_q, &self.slide_offset]);
         let (angle, slide) = ([J::load(angle[0]), J::load(angle[1])], [J::load(slide[0]), J::load(slide[1])]);
         let Motion { sine, cosine, slide } = motion::<J>(J::load(q), angle, slide);
-        let mut all = [[0.0; MAX_JOINTS]; 3];
-        sine.store(&mut all[0]);
-        cosine.store(&mut all[1]);
-        slide.store(&mut all[2]);
-        Motions { q, all }
+        Motions { q, all: [sine.few(), cosine.few(), slide.few()] }
     }
 
     #[inline(always)]
@@ -164,15 +160,15 @@ impl Chain {
 
     /// From the base to the tool, whose pose is returned.
     #[inline(always)]
-    pub(super) fn walk<T: Triple>(
+    pub(super) fn walk<T: Triple, const N: usize>(
         &self,
-        motions: &Motions<'_, Real<T>>,
+        motions: &Motions<'_, Real<T>, N>,
         visitor: &mut impl Visitor<T>,
     ) -> Pose<Real<T>> {
         let mut axes = columns::<T>(&splat_matrix::<T::One>(&self.base.rotation));
         let mut origin = T::constant(&self.base.position);
-        for k in 0..self.path.min(MAX_JOINTS) {
-            (axes, origin) = self.advance::<T>(k, &axes, origin, motions);
+        for k in 0..self.path.min(N).min(MAX_JOINTS) {
+            (axes, origin) = self.advance(k, &axes, origin, motions);
             visitor.joint(k, &axes, origin);
         }
         let (r, nothing) = (&self.tool.rotation, T::constant(&[0.0; 3]));
@@ -189,12 +185,12 @@ impl Chain {
     /// Any rotation is `Rz · Rx · Rz`. The last turn is added to the joint's angle and the first one is part of the frame
     /// before, whose own angle takes it in; so two turns in a plane are left.
     #[inline(always)]
-    fn advance<T: Triple>(
+    fn advance<T: Triple, const N: usize>(
         &self,
         k: usize,
         &[x, y, z]: &[T; 3],
         origin: T,
-        motions: &Motions<'_, Real<T>>,
+        motions: &Motions<'_, Real<T>, N>,
     ) -> ([T; 3], T) {
         let Motion { sine: s, cosine: c, slide } = if T::One::WIDE {
             self.motion::<T::One>(k, motions.q)
@@ -204,7 +200,8 @@ impl Chain {
         };
         let (st, ct) = (T::One::splat(self.tilt[k].0), T::One::splat(self.tilt[k].1));
         let (tilted, axis) = (y.times(ct).plus(st, z), z.times(ct).minus(st, y));
-        let axes = [x.times(c).plus(s, tilted), tilted.times(c).minus(s, x), axis];
+        // What waits for the tilt comes last: a chain is as slow as what each joint waits for.
+        let axes = [x.times(c).plus(s, tilted), x.times(-s).plus(c, tilted), axis];
         let mut origin = place(&[x, y, z], &self.offset[k], origin);
         if self.slides[k] {
             origin = origin.plus(slide, axis);

@@ -68,7 +68,7 @@ impl Chain {
             self.jacobian_by::<A>(&frames, rows);
             return frames.tool;
         }
-        let tool = self.walk::<Three<A>>(&self.motions::<A>(q, self.path), &mut Levers(rows));
+        let tool = self.walk::<Three<A>, _>(&self.motions::<A>(q, self.path), &mut Levers(rows));
         for k in 0..self.n.min(MAX_JOINTS) {
             pull::<A>(k, &tool.position, rows);
         }

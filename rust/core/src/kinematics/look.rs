@@ -5,7 +5,7 @@ use super::gravity::Masses;
 use super::spatial::{Vec3, cross, dot, splat, sub};
 use crate::law::inverse::load_rows;
 use crate::model::Chain;
-use crate::number::{Arithmetic, Cell, Joints, Kept, Lanes, Scalar, Triple};
+use crate::number::{Arithmetic, Cell, Joints, Kept, LANES, Lanes, Scalar, Triple};
 use crate::pose::Pose;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -46,14 +46,15 @@ impl LookScratch {
 
 /// A vector of each joint, base axes; zeros where there is no joint.
 #[derive(Debug, Clone)]
-struct Cells {
-    origin: [Cell; MAX_JOINTS],
-    axis: [Cell; MAX_JOINTS],
+struct Cells<const N: usize = MAX_JOINTS> {
+    origin: [Cell; N],
+    axis: [Cell; N],
 }
 
-impl Cells {
+impl<const N: usize> Cells<N> {
+    #[inline(always)]
     fn new() -> Self {
-        let zero = [[0.0; 4]; MAX_JOINTS];
+        let zero = [[0.0; 4]; N];
         Self { origin: zero, axis: zero }
     }
 
@@ -66,7 +67,7 @@ impl Cells {
     }
 }
 
-impl<T: Kept> Visitor<T> for Cells {
+impl<T: Kept, const N: usize> Visitor<T> for Cells<N> {
     #[inline(always)]
     fn joint(&mut self, k: usize, axes: &[T; 3], origin: T) {
         origin.keep(&mut self.origin[k]);
@@ -130,8 +131,8 @@ impl Chain {
             return View { tool: frames.tool, world: load_rows(world), holding: J::load(holding) };
         }
         let LookScratch { cells, moments, .. } = scratch;
-        let motions = self.motions_abreast::<J>(&q);
-        let tool = self.walk::<J::Triple>(&motions, &mut Heavy { cells, moments, masses });
+        let motions = self.motions_abreast::<J, MAX_JOINTS>(&q);
+        let tool = self.walk::<J::Triple, _>(&motions, &mut Heavy { cells, moments, masses });
         // S − M o of [`Chain::gravity`], where M o of the joint's own group cancels; S and M are what hangs beyond it.
         let (mut beyond, mut mass) = (J::Triple::constant(&[0.0; 3]), 0.0);
         for k in (0..self.path.min(MAX_JOINTS)).rev() {
@@ -149,8 +150,8 @@ impl Chain {
     /// Tool and Jacobian at `q`, where each coordinate turns a joint of its own.
     #[inline(always)]
     pub(super) fn see<J: Joints>(&self, q: &JointVec, rows: &mut Rows) -> Pose {
-        let mut cells = Cells::new();
-        let tool = self.walk::<J::Triple>(&self.motions_abreast::<J>(q), &mut cells);
+        let mut cells = Cells::<LANES>::new();
+        let tool = self.walk::<J::Triple, LANES>(&self.motions_abreast::<J, LANES>(q), &mut cells);
         let (_, world) = cells.jacobian::<J>(&tool);
         for r in 0..MAX_AXES {
             world[r].store(&mut rows[r]);

@@ -130,9 +130,10 @@ impl Kernel for Forward<'_> {
     #[inline(always)]
     fn run<M: Machine>(self) -> Pose {
         if self.chain.is_narrow() {
-            self.chain.walk::<<M::Eight as Wide>::Triple>(&self.chain.motions_abreast::<M::Eight>(self.q), &mut ())
+            let motions = self.chain.motions_abreast::<M::Eight, LANES>(self.q);
+            self.chain.walk::<<M::Eight as Wide>::Triple, _>(&motions, &mut ())
         } else {
-            self.chain.walk::<Three<M::One>>(&self.chain.motions::<M::One>(self.q, self.chain.path), &mut ())
+            self.chain.walk::<Three<M::One>, _>(&self.chain.motions::<M::One>(self.q, self.chain.path), &mut ())
         }
     }
 }

@@ -5,7 +5,6 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::scalar::{Plain, turn};
 use super::{Arithmetic, Cell, LANES, Many, Packed, Spread, Three, Wide};
-use crate::MAX_JOINTS;
 
 /// Eight numbers in an array, vector code left to the compiler: architectures whose registers nobody has written down.
 #[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "x86-64 has registers of its own"))]
@@ -148,7 +147,7 @@ impl Wide for Array {
     }
 
     #[inline(always)]
-    fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3] {
+    fn components(cells: &[Cell; LANES]) -> [Self; 3] {
         let mut out = [Self([0.0; LANES]); 3];
         for i in 0..3 {
             for k in 0..LANES {

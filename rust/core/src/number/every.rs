@@ -166,9 +166,15 @@ impl Lanes for EveryJoint {
 impl Joints for EveryJoint {
     type Triple = Three<Plain>;
 
-    fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3] {
+    fn few<const N: usize>(self) -> [f64; N] {
+        let mut out = [0.0; N];
+        out.iter_mut().zip(self.0).for_each(|(slot, value)| *slot = value);
+        out
+    }
+
+    fn components(cells: &[Cell]) -> [Self; 3] {
         let mut out = [[0.0; MAX_JOINTS]; 3];
-        for (k, cell) in cells.iter().enumerate() {
+        for (k, cell) in cells.iter().enumerate().take(MAX_JOINTS) {
             for (row, &value) in out.iter_mut().zip(cell) {
                 row[k] = value;
             }

@@ -72,7 +72,10 @@ pub(crate) trait Joints: Lanes<One: Arithmetic<Real = f64>, Axes: Wide> {
     type Triple: Kept<One = Self::One>;
 
     /// The three components of one vector per joint.
-    fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3];
+    fn components(cells: &[Cell]) -> [Self; 3];
+
+    /// The first numbers, 0 behind the last joint.
+    fn few<const N: usize>(self) -> [f64; N];
 
     /// To memory; what is beyond is left as it is.
     fn store(self, values: &mut JointVec);
@@ -110,7 +113,10 @@ impl<W: Wide> Lanes for W {
 
     #[inline(always)]
     fn load(values: &JointVec) -> Self {
-        values.first_chunk().map_or(W::splat(0.0), W::of)
+        match values.first_chunk() {
+            Some(first) => W::of(first),
+            None => W::splat(0.0),
+        }
     }
 
     #[inline(always)]
@@ -149,8 +155,21 @@ impl<W: Wide> Joints for W {
     type Triple = W::Triple;
 
     #[inline(always)]
-    fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3] {
-        W::components(cells)
+    fn components(cells: &[Cell]) -> [Self; 3] {
+        // No `map_or`: the function it is given would be compiled for the plainest machine.
+        match cells.first_chunk() {
+            Some(first) => W::components(first),
+            None => [W::splat(0.0); 3],
+        }
+    }
+
+    #[inline(always)]
+    fn few<const N: usize>(self) -> [f64; N] {
+        let mut out = [0.0; N];
+        if let Some(first) = out.first_chunk_mut() {
+            W::put(self, first);
+        }
+        out
     }
 
     #[inline(always)]

@@ -15,8 +15,6 @@
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::MAX_JOINTS;
-
 mod array;
 mod columns;
 mod every;
@@ -175,7 +173,7 @@ pub(crate) trait Wide: Packed + Spread<f64> {
     fn four_dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4];
 
     /// The three components of the vectors in the first [`LANES`] cells.
-    fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3];
+    fn components(cells: &[Cell; LANES]) -> [Self; 3];
 }
 
 /// π/2 in three parts. The first two have 33 bits, so that their products with a whole number below 2²⁰ are exact.

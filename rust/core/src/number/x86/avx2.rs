@@ -14,7 +14,6 @@ use std::arch::x86_64::{
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{sums_of_four as sums, transpose_four};
-use crate::MAX_JOINTS;
 use crate::number::triple::Short;
 use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide};
 
@@ -118,7 +117,7 @@ fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
 
 /// The components of the four vectors from `first` on.
 #[inline(always)]
-pub(super) fn components_of_four(cells: &[Cell; MAX_JOINTS], first: usize) -> [Register; 3] {
+pub(super) fn components_of_four(cells: &[Cell; LANES], first: usize) -> [Register; 3] {
     // SAFETY: as above; a cell has four.
     let rows = unsafe {
         [
@@ -133,7 +132,7 @@ pub(super) fn components_of_four(cells: &[Cell; MAX_JOINTS], first: usize) -> [R
 }
 
 #[inline(always)]
-fn components(cells: &[Cell; MAX_JOINTS]) -> [[Register; 2]; 3] {
+fn components(cells: &[Cell; LANES]) -> [[Register; 2]; 3] {
     let ([a, b, c], [d, e, f]) = (components_of_four(cells, 0), components_of_four(cells, 4));
     [[a, d], [b, e], [c, f]]
 }

@@ -17,7 +17,6 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::avx2::{Four, components_of_four};
 use super::{sums_of_four as sums, transpose_four};
-use crate::MAX_JOINTS;
 use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide};
 
 numbers! {
@@ -136,7 +135,7 @@ fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
 }
 
 #[inline(always)]
-fn components(cells: &[Cell; MAX_JOINTS]) -> [[Register; 1]; 3] {
+fn components(cells: &[Cell; LANES]) -> [[Register; 1]; 3] {
     let (low, high) = (components_of_four(cells, 0), components_of_four(cells, 4));
     // SAFETY: as above.
     let mut out = unsafe { [[set1(0.0)]; 3] };

@@ -154,7 +154,7 @@ macro_rules! wide {
             }
 
             #[inline(always)]
-            fn components(cells: &[Cell; MAX_JOINTS]) -> [Self; 3] {
+            fn components(cells: &[Cell; LANES]) -> [Self; 3] {
                 let [x, y, z] = components(cells);
                 [Self(x), Self(y), Self(z)]
             }

@@ -12,7 +12,6 @@ use std::arch::x86_64::{
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::MAX_JOINTS;
 use crate::number::triple::Short;
 use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide};
 
@@ -138,7 +137,7 @@ fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
 }
 
 #[inline(always)]
-fn components(cells: &[Cell; MAX_JOINTS]) -> [[Register; 4]; 3] {
+fn components(cells: &[Cell; LANES]) -> [[Register; 4]; 3] {
     // SAFETY: as above.
     let mut out = unsafe { [[set1(0.0); 4]; 3] };
     for pair in 0..4 {
