@@ -88,7 +88,7 @@ impl Pose {
             }
         }
         let far = p[0].abs() + p[1].abs() + p[2].abs();
-        if (error <= ROTATION_TOLERANCE) & (far <= COORDINATE_BOUND) & (determinant::<Plain>(r) >= 0.0) {
+        if (error <= ROTATION_TOLERANCE) && (far <= COORDINATE_BOUND) && (determinant::<Plain>(r) >= 0.0) {
             return Ok(());
         }
         self.explain(name)
