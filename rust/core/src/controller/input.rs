@@ -64,13 +64,14 @@ impl Controller {
     pub(super) fn read_positions(&self, what: &str, values: &[f64], out: &mut JointVec) -> Result<()> {
         let ([least, most], n) = (&self.plan.readable, self.plan.n.min(MAX_JOINTS));
         let mut fine = values.len() == n;
-        match (values.first_chunk::<4>(), values.last_chunk::<4>()) {
-            // Two that overlap: a copy of any length is a call.
-            (Some(first), Some(last)) if n <= LANES && fine => {
-                out[..4].copy_from_slice(first);
-                out[n - 4..n].copy_from_slice(last);
-            }
-            _ => out.iter_mut().zip(values).for_each(|(slot, &value)| *slot = value),
+        // In pairs: a copy of any length is a call, and processors hand on what was just stored to loads within one store.
+        let (pairs, last) = values.as_chunks::<2>();
+        let (slots, _) = out.as_chunks_mut::<2>();
+        for (slot, pair) in slots.iter_mut().zip(pairs) {
+            *slot = *pair;
+        }
+        if let (Some(slot), &[last]) = (slots.get_mut(pairs.len()), last) {
+            *slot = [last, 0.0];
         }
         for from in (0..n).step_by(LANES) {
             fine &= read_eight(out, from, least, most);
