@@ -37,3 +37,8 @@ pub(crate) fn servos_or_none(value: &Bound<'_, PyAny>) -> PyResult<Option<Py<Ser
 pub(crate) fn controller(value: &Bound<'_, PyAny>) -> PyResult<Py<Controller>> {
     object("controller", "a Controller, e.g. Controller(model, settings)", value)
 }
+
+/// A text.
+pub(crate) fn text(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
+    value.extract().map_err(|_| wrong_type(name, expected, value))
+}

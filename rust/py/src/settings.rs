@@ -152,7 +152,12 @@ fields! {
 
         #[classmethod]
         #[pyo3(signature = (axes, /, **overrides))]
-        fn soft(_class: &Bound<'_, PyType>, axes: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        fn soft(
+            _class: &Bound<'_, PyType>,
+            axes: &Bound<'_, PyAny>,
+            overrides: Option<&Bound<'_, PyDict>>,
+        ) -> PyResult<Self> {
+            let axes = &arguments::text("axes", "names of the yielding axes, such as 'y' or 'x yaw'", axes)?;
             Self::preset(CoreSettings::soft(axes).or_raise()?, axes, overrides)
         }
 
