@@ -190,6 +190,7 @@ impl Controller {
         let way = self.way(&frames, &rubs);
         let goal = spread(self.last_command().goal());
         let dead = self.dead(&frames, &goal, &limit, &rubs);
+        let rest = dead.settled();
         for row in 0..k {
             let hold = |limit: &JointVec| {
                 [-1.0, 1.0].map(|sign| static_force(&record.rows[row], sign, limit, &record.gravity, n))
@@ -201,7 +202,7 @@ impl Controller {
             report.coupling.push(coupling.map(|(force, _)| force));
             report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[plan.axes[other]])));
             report.dead_host.push([-1.0, 1.0].map(|sign| {
-                let met = dead.largest(row, sign);
+                let met = dead.largest(&rest, row, sign);
                 if met.walled { f64::INFINITY } else { met.force }
             }));
             let stops = [-1.0, 1.0].map(|sign| way.first_stop(row, sign));
