@@ -86,13 +86,13 @@ impl Dead<'_> {
     /// Each joint is a spring to its goal, slips at its limit, and rubs. Pushed with F, joint i gets `F a_i`; the arm
     /// follows in small steps, each with the least F that makes the tool go on: springs are stretched until one joint's
     /// limit, friction and weight are overcome, `F = (L_i + τ_f,i + s_i g_i)/|a_i| + d_i v/a_i²`, from where that joint turns
-    /// alone until another one is weaker. A joint at its position limit gives way no farther.
+    /// alone until another one is weaker. A joint at its position limit gives way no farther; it turns back from there where
+    /// the way takes the push to its other side.
     pub(crate) fn largest(&self, rest: &JointVec, row: usize, sign: f64) -> Met {
         let n = self.plan.n;
         let kind = usize::from(self.plan.rows[row].axis >= 3);
         let (step, end) = (TRAVEL[kind] / STEPS, TRAVEL[kind]);
-        let (mut q, mut stopped) = (*rest, [false; MAX_JOINTS]);
-        let (mut force, mut gone) = (f64::NEG_INFINITY, 0.0);
+        let (mut q, mut force, mut gone) = (*rest, f64::NEG_INFINITY, 0.0);
         for _ in 0..MOST_STEPS {
             let place = self.at(&q, row, sign);
             let mut room = [0.0; MAX_JOINTS];
@@ -101,7 +101,7 @@ impl Dead<'_> {
             for i in 0..n {
                 let lever = place.lever[i];
                 yields[i] += self.plan.servos.drag[i] * SPEED[kind] / (lever * lever);
-                if stopped[i] {
+                if self.stops(&q, i, lever) {
                     yields[i] = f64::INFINITY;
                 }
             }
@@ -112,9 +112,11 @@ impl Dead<'_> {
                 }
             }
             if most.is_infinite() || place.lever[weakest].abs() * self.plan.row_scale[row] < DEAD_CENTRE {
-                return Met { force: force.max(0.0), walled: true };
+                // An arm that tips over its dead centre by its own weight is no wall.
+                let met = force.max(0.0);
+                return Met { force: met, walled: most > met };
             }
-            let (felt, mut turn) = self.spring(&place, most, step, &stopped);
+            let (felt, mut turn) = self.spring(&q, &place, most, step);
             force = force.max(felt);
             if gone >= end {
                 break;
@@ -124,17 +126,14 @@ impl Dead<'_> {
                 turn[weakest] += (step - moved) / place.lever[weakest];
             }
             let next = self.turned(&q, &turn);
-            for i in 0..n {
-                stopped[i] |= next[i] <= self.plan.lower[i] || next[i] >= self.plan.upper[i];
-                gone += place.lever[i] * (next[i] - q[i]);
-            }
+            gone += (0..n).map(|i| place.lever[i] * (next[i] - q[i])).sum::<f64>();
             q = next;
         }
         Met { force, walled: false }
     }
 
     /// The least force, at most `most`, that moves the tool by `step` by stretching the joints' springs, and how they turn.
-    fn spring(&self, place: &Place, most: f64, step: f64, stopped: &[bool; MAX_JOINTS]) -> (f64, JointVec) {
+    fn spring(&self, q: &JointVec, place: &Place, most: f64, step: f64) -> (f64, JointVec) {
         let n = self.plan.n;
         if !self.plan.servos.has_kp {
             return (most, [0.0; MAX_JOINTS]);
@@ -142,13 +141,16 @@ impl Dead<'_> {
         // How the joints turn under a force, how far that moves the tool, and by how much more per newton.
         let stretch = |force: f64| {
             let (mut turn, mut moved, mut slope) = ([0.0; MAX_JOINTS], 0.0, 0.0);
-            for i in (0..n).filter(|&i| !stopped[i]) {
+            for i in 0..n {
                 let (lever, compliance) = (place.lever[i], self.plan.servos.compliance[i]);
                 let torque = force * lever + place.pull[i];
                 let free = torque - Plain::clip(torque, self.friction[i]);
+                if free == 0.0 || self.stops(q, i, free) {
+                    continue;
+                }
                 turn[i] = free * compliance;
                 moved += lever * turn[i];
-                slope += if free == 0.0 { 0.0 } else { lever * lever * compliance };
+                slope += lever * lever * compliance;
             }
             (turn, moved, slope)
         };
@@ -172,6 +174,11 @@ impl Dead<'_> {
             }
         }
         (force, turn)
+    }
+
+    /// Whether joint i stands at its position limit and is pushed farther, toward the sign of `push`.
+    fn stops(&self, q: &JointVec, i: usize, push: f64) -> bool {
+        if push < 0.0 { q[i] <= self.plan.lower[i] } else { q[i] >= self.plan.upper[i] }
     }
 
     fn at(&self, q: &JointVec, row: usize, sign: f64) -> Place {

@@ -125,6 +125,8 @@ impl Controller {
     fn at_rest(&self, q: &[f64]) -> Result<Self> {
         let at = self.joints("q", q, COORDINATE_BOUND)?;
         let mut copy = self.clone();
+        // At rest the goals have long arrived where they hold the arm.
+        copy.settings.goal_slew = f64::INFINITY;
         copy.reset(q)?;
         let mut frames = Frames::default();
         copy.model().chain().forward(&at, &mut frames);
