@@ -92,6 +92,13 @@ pub struct Report {
     /// What the joints that are left rub along the axis there, in place of `friction`; ∞ where they cannot move it alone,
     /// so that the stop takes everything above the cap. 0 where no joint stops.
     pub stop_friction: Vec<[f64; 2]>,
+    /// What the joints rub along the axis where they rub most on the way of a push, 0.15 m or 0.4 rad or as far as a stop
+    /// [N, N·m]; many times `friction` where the way passes a singular pose.
+    pub way_friction: Vec<[f64; 2]>,
+    /// σ_min there.
+    pub way_sigma: Vec<[f64; 2]>,
+    /// How far the axis is pushed there [m, rad].
+    pub way_distance: Vec<[f64; 2]>,
     /// Deviation [m, rad] beyond which the target of an axis waits or comes along; ∞ without such a limit and toward
     /// sides that yield.
     pub deviation_limit: Vec<[f64; 2]>,
@@ -175,6 +182,9 @@ impl Controller {
             stop_joint: Vec::with_capacity(k),
             stop_room: Vec::with_capacity(k),
             stop_friction: Vec::with_capacity(k),
+            way_friction: Vec::with_capacity(k),
+            way_sigma: Vec::with_capacity(k),
+            way_distance: Vec::with_capacity(k),
             deviation_limit: vec![[f64::INFINITY; 2]; k],
             beyond: plan.axes.iter().map(|&axis| self.settings().axes[axis].beyond).collect(),
             prismatic: self.model().prismatic().to_vec(),
@@ -207,7 +217,11 @@ impl Controller {
                 let met = dead.largest(&rest, row, sign);
                 if met.walled { f64::INFINITY } else { met.force }
             }));
-            let stops = [-1.0, 1.0].map(|sign| way.first_stop(row, sign));
+            let pushes = [-1.0, 1.0].map(|sign| way.follow(row, sign));
+            let stops = pushes.map(|push| push.stop);
+            report.way_friction.push(pushes.map(|push| push.friction));
+            report.way_sigma.push(pushes.map(|push| push.sigma));
+            report.way_distance.push(pushes.map(|push| push.at));
             report.stop_distance.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.distance)));
             report.stop_joint.push(stops.map(|stop| stop.map(|stop| stop.joint)));
             report.stop_room.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.room)));
