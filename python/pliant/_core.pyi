@@ -1434,8 +1434,9 @@ class Report:
     def dead_host(self) -> _Array:
         """Most that a hand meets on 0.15 m or 0.4 rad if the host dies now (k, 2) [N, N m].
 
-        At 25 mm/s or 0.067 rad/s, the gears' friction and damping included; inf where the arm
-        cannot be moved so far, because it is stretched out or its joints stand at their limits.
+        From where the arm then comes to rest, at 25 mm/s or 0.067 rad/s, the gears' friction and
+        damping included; inf where the arm cannot be moved so far, because it is stretched out or
+        its joints stand at their limits.
         """
 
     @property

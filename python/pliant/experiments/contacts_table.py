@@ -221,7 +221,7 @@ def draw(folder: Path, rows: Sequence[Seen]) -> None:
                 ax.plot(rate, seen, "o-", color=colour, markersize=3, linewidth=1.2, label=label)
             ax.set_xscale("log")
             ax.set_ylim(0.0, 102.0)
-            ax.set_title(case)
+            ax.set_title(case, fontsize=8)
             ax.set_xlabel("false alarms per h (leftmost: none)")
         panels[0].set_ylabel("contacts seen [%]")
         panels[0].legend(fontsize=7, loc="lower right")

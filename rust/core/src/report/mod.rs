@@ -72,7 +72,7 @@ pub struct Report {
     /// Joints at a position limit that left the inverse kinematics.
     pub locked: Vec<bool>,
     /// The largest force that a hand at 25 mm/s or 0.067 rad/s meets on 0.15 m or 0.4 rad along the axis if the host dies
-    /// now, the gears' friction and damping included; ∞ where the arm cannot be moved so far: it is stretched out, or at stops.
+    /// now, from where the arm comes to rest, the gears' friction and damping included; ∞ where the arm cannot be moved so far: it is stretched out, or at stops.
     pub dead_host: Vec<[f64; 2]>,
     /// What the settings allow of that [N].
     pub dead_host_max: Option<f64>,
