@@ -1434,8 +1434,9 @@ class Report:
     def dead_host(self) -> _Array:
         """Most that a hand meets on 0.15 m or 0.4 rad if the host dies now (k, 2) [N, N m].
 
-        At 25 mm/s or 0.067 rad/s, the gears' friction and damping included; inf where the arm
-        cannot be moved so far, because it is stretched out or its joints stand at their limits.
+        From where the arm then comes to rest, at 25 mm/s or 0.067 rad/s, the gears' friction and
+        damping included; inf where the arm cannot be moved so far, because it is stretched out or
+        its joints stand at their limits.
         """
 
     @property
@@ -1473,6 +1474,22 @@ class Report:
         inf where they cannot move the axis alone: then the stop takes everything above the cap.
         0 where no joint stops.
         """
+
+    @property
+    def way_friction(self) -> _Array:
+        """What the joints rub along the axis where they rub most on the way of a push (k, 2).
+
+        Over 0.15 m or 0.4 rad, or as far as a joint's position limit. [N, N m]; many times
+        `friction` where the way passes a singular pose.
+        """
+
+    @property
+    def way_sigma(self) -> _Array:
+        """Smallest singular value there, as `sigma_min` (k, 2)."""
+
+    @property
+    def way_distance(self) -> _Array:
+        """How far the axis is pushed there (k, 2) [m, rad]."""
 
     @property
     def deviation_limit(self) -> _Array:
@@ -1553,6 +1570,18 @@ class Check:
     @property
     def stop_distance(self) -> _Array:
         """Least distance to a position limit of a joint, pushed along a yielding axis (k, 2)."""
+
+    @property
+    def sigma_min(self) -> float:
+        """Smallest singular value of all poses: how near the path comes to a singular pose."""
+
+    @property
+    def sigma_pose(self) -> int:
+        """The pose of that."""
+
+    @property
+    def way_sigma(self) -> _Array:
+        """Least `Report.way_sigma` of the poses (k, 2); inf for sides that do not yield."""
 
     def __bool__(self) -> bool: ...
     def __eq__(self, other: object, /) -> bool: ...

@@ -10,7 +10,14 @@ from pliant.experiments.dead import Bench
 LOW = 0.3  # (0.16)
 
 
-@pytest.mark.parametrize(("name", "pose"), [("arm7", 2), ("arm7", 11), ("so101", 6), ("koch", 2)])
+#: In the second line a joint stands at its stop and turns back on the way, or the arm springs back.
+POSES = [
+    *(("arm7", 2), ("arm7", 11), ("so101", 6), ("koch", 2)),
+    *(("so101", 12), ("koch", 28), ("koch", 30), ("koch", 25)),
+]
+
+
+@pytest.mark.parametrize(("name", "pose"), POSES)
 def test_a_hand_meets_what_the_report_said(name, pose):
     for met in Bench(load(name)).pushes(pose):
         if not met.walled:

@@ -5,6 +5,7 @@ import pytest
 
 import pliant
 from pliant import robots
+from pliant.experiments import quiet
 from pliant.experiments.laws import UNBLURRED
 from pliant.experiments.setups import VERTICAL
 from pliant.sim import Plant
@@ -80,3 +81,12 @@ def test_gravity_is_carried_at_a_limit():
             plant.advance()
         assert np.abs(plant.q - q).max() < 1e-3
     assert abs(weight[joint]) > 1.0
+
+
+@pytest.mark.parametrize("ticks", [0, 1])
+@pytest.mark.parametrize(("name", "pose"), [("arm7", 0), ("arm7", 2), ("so101", 3), ("koch", 2)])
+def test_an_arm_beside_its_stops_comes_to_rest_after_a_push(name, pose, ticks):
+    """No ringing with the joint that lets the posture go, and no walking away."""
+    rest = quiet.Job(name, pose, ticks).run()
+    assert rest.moves[1] < 4e-3  # within a second, 8 s after the hand has let go
+    assert rest.turns[1] == 0

@@ -159,3 +159,26 @@ def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):
     )
     with pytest.raises(pliant.ConfigError, match="has id 1, the configuration says 2"):
         build.zeros(other)
+
+
+def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
+    """A loop over the arm of a file, with and without `dead_host_max`."""
+    work = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
+    text = 'backend = "sim"\nrobot.builtin = "arm7"\n[settings]\naxes.y = { soft = 4.0 }\n'
+    left, sent = [], []
+    for bound in ("", "dead_host_max = 44.0\n"):
+        read = config.parse(text + bound)
+        still = read.arm()
+        still.drive.plant.reset(work)
+        with still as arm:
+            controller = pliant.Controller(arm.model, read.settings(), arm.servos)
+            for tick in pliant.Loop(arm, controller, duration=0.5):
+                command = controller.step_joints(tick.q, work, dt=tick.dt)
+                tick.write(command)
+            assert np.abs(arm.read().q - work).max() < 1e-3, "it stands"
+            left.append(controller.report().dead_host[:3].max())
+            sent.append(command.torque_limit)
+    assert left[0] > 46.0 > 44.0 >= left[1]
+    assert np.all(sent[1] <= sent[0] + 1e-9)
+    with pytest.raises(pliant.ConfigError, match="did you mean 'dead_host_max'"):
+        config.parse(text + "dead_host_mx = 44.0\n").settings()

@@ -27,6 +27,9 @@ SHAPES = {
     "stop_distance": (6, 2),
     "stop_room": (6, 2),
     "stop_friction": (6, 2),
+    "way_friction": (6, 2),
+    "way_sigma": (6, 2),
+    "way_distance": (6, 2),
     "deviation_limit": (6, 2),
 }
 
@@ -241,3 +244,31 @@ def test_tracking_raises_soft_to_three_times_the_friction(model, q):
     np.testing.assert_array_equal(raised.axes["y"].firm, 15.0)
     assert raised.tracking(model, q) == raised
     assert np.min(asked.tracking(model).axes["y"].soft) > 0.1
+
+
+def test_a_singular_pose_that_a_push_leads_to_is_said(model):
+    """An elbow that is nearly stretched: pushed outward, the arm's reach ends where it is."""
+    q = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
+    bent = q.copy()
+    bent[3] = -0.6
+    settings = pliant.Settings(axes={"x": pliant.Axis(soft=5.0)})
+    report = pliant.Controller(model, settings).report(bent)
+    near = 0.1 * report.sigma_0
+    assert report.way_sigma[0, 1] < near < 0.99 * report.way_sigma[0, 0]
+    assert report.way_friction[0, 1] > 5.0 * report.friction[0]
+    assert report.way_friction[0, 0] < 1.1 * report.friction[0]
+    far = report.way_distance[0, 1]
+    for share, reached in ((0.7, True), (1.05, False)):
+        target = model.forward_kinematics(bent)
+        target[0, 3] += share * far
+        assert model.inverse_kinematics(target, bent).converged is reached
+    (said,) = [s for s in report.sentences() if "singular" in s]
+    assert said.startswith(f"+x: pushed by {1e3 * far:.0f} mm the arm is near a singular pose")
+
+    check = pliant.check(model, settings, np.stack([q, bent]))
+    assert check.sigma_pose == 1
+    assert check.sigma_min == pytest.approx(report.sigma_min, rel=0.01)
+    assert check.way_sigma[0, 1] == report.way_sigma[0, 1]
+    assert np.all(np.isinf(check.way_sigma[1:])), "sides that do not yield"
+    (found,) = [one for one in check.findings if "singular" in one.reason]
+    assert (found.about, found.pose, found.required) == ("+x", 1, False)

@@ -43,7 +43,7 @@ class Options:
     poses: int = POSES
     arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     jobs: int = 2
-    out: Path = Path("campaign")
+    out: Path = Path("pliant-campaign")
     friction: bool = False
     disturbed: bool = True
 

@@ -40,6 +40,7 @@ class Disturbance:
         name: For tables.
         eta: Target adaptation of the soft axis.
         moving: Whether the hand is looked at in motion.
+        short: Share of the report's `stop_distance` that the hand goes at most.
         delay: Ticks each way, known.
         count: Encoder count [rad], flickering by one, known.
         kp: True over believed stiffness.
@@ -54,6 +55,7 @@ class Disturbance:
     name: str
     eta: float = 0.0
     moving: bool = False
+    short: float = np.inf
     delay: tuple[int, int] = (0, 0)
     count: float = 0.0
     kp: float = 1.0
@@ -69,10 +71,15 @@ class Disturbance:
         return self.kp != 1.0 and not self.identified
 
 
+#: Of the way to a stop that was announced: so far the cap has to hold.
+SHORT = 0.9
+
 NOMINAL = Disturbance(name="nominal")
 DISTURBANCES = (
     Disturbance(name="moving at 0.05 m/s", moving=True),
+    Disturbance(name="short of stops", short=SHORT),
     Disturbance(name="η 0.9", eta=0.9),
+    Disturbance(name="η 0.9, short of stops", eta=0.9, short=SHORT),
     *(
         Disturbance(name=f"k_p × {kp:g}, {word}", kp=kp, identified=known, captured=captured)
         for kp in (0.75, 1.25)
@@ -225,8 +232,10 @@ class Bench:
         plant.reset(q)
         controller.reset(q)
         grip.hold(self.arm.rows if guided else [row])
-        way, speed = self._way(q, row, cap)
         report, side = controller.report(q), (self.arm.rows.index(row), int(sign > 0.0))
+        way, speed = self._way(q, row, cap)
+        if seen.short < np.inf:
+            way = min(way, seen.short * float(report.stop_distance[side]))
         # To keep the promise the tool has to come this far: the hand's own spring takes the rest.
         allowed, rubs = (0.40 if seen.wrong else 0.15) * cap, float(report.friction[side[0]])
         far = way - (cap + allowed + rubs) / grip.stiffness[row]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from pliant.experiments.files import write_results
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -160,26 +161,13 @@ def text(rows: Sequence[Row]) -> str:
 
 def save(folder: Path, rows: Sequence[Row], found: Found, about: Mapping[str, Any]) -> None:
     """Write `results.json`: what was asked, the figures, and every promise that was not kept."""
-    folder.mkdir(parents=True, exist_ok=True)
     missed = [
         {"arm": arm, "disturbance": disturbance, **asdict(one)}
         for (arm, disturbance), promises in found.items()
         for one in promises
         if not (one.refused or one.kept)
     ]
-    data = {**about, "rows": [asdict(row) for row in rows], "missed": missed}
-    (folder / "results.json").write_text(json.dumps(_plain(data), indent=1) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    """The same without NumPy's types and without NaN, which JSON has not."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return round(float(value), 6) if np.isfinite(value) else None
-    return value
+    write_results(folder, {**about, "rows": [asdict(row) for row in rows], "missed": missed})
 
 
 def draw(folder: Path, rows: Sequence[Row], found: Found) -> None:

@@ -54,7 +54,7 @@ class Options:
     minutes: int = 60
     others: float = 0.25
     jobs: int = 2
-    out: Path = Path("contacts")
+    out: Path = Path("pliant-contacts")
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pliant.experiments.contacts_bench import COMES, RATE
+from pliant.experiments.files import write_results
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -190,20 +190,7 @@ def text(rows: Sequence[Seen]) -> str:
 
 def save(folder: Path, rows: Sequence[Seen], about: Mapping[str, Any]) -> None:
     """Write `results.json`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    data = {**about, "rows": [asdict(row) for row in rows]}
-    (folder / "results.json").write_text(json.dumps(_plain(data), indent=1) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    """The same without NaN, which JSON has not."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return round(float(value), 6) if np.isfinite(value) else None
-    return value
+    write_results(folder, {**about, "rows": [asdict(row) for row in rows]})
 
 
 def draw(folder: Path, rows: Sequence[Seen]) -> None:
@@ -234,7 +221,7 @@ def draw(folder: Path, rows: Sequence[Seen]) -> None:
                 ax.plot(rate, seen, "o-", color=colour, markersize=3, linewidth=1.2, label=label)
             ax.set_xscale("log")
             ax.set_ylim(0.0, 102.0)
-            ax.set_title(case)
+            ax.set_title(case, fontsize=8)
             ax.set_xlabel("false alarms per h (leftmost: none)")
         panels[0].set_ylabel("contacts seen [%]")
         panels[0].legend(fontsize=7, loc="lower right")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -13,6 +11,7 @@ from pliant import ConfigError
 from pliant.experiments import provenance, report
 from pliant.experiments.chapters import activation, caps, comparison, doors, static, tracking
 from pliant.experiments.chapters.common import Options
+from pliant.experiments.files import write_results
 from pliant.experiments.result import Verdict
 from pliant.experiments.runner import Job, Workers, draw_off_screen, prefixed
 
@@ -239,20 +238,4 @@ def _write_results(
             for chapter in chapters
         },
     }
-    path = out / "results.json"
-    path.write_text(
-        json.dumps(_plain(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n",
-        encoding="utf-8",
-    )
-    return path
-
-
-def _plain(value: Any) -> Any:
-    """JSON knows neither NaN nor infinity: they become null."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return write_results(out, content)

@@ -14,6 +14,7 @@ import numpy as np
 import tyro
 
 import pliant
+from pliant.arm.simulated import SimDrive
 from pliant.experiments.campaign_arms import load
 from pliant.experiments.runner import Job, Workers
 from pliant.sim import Course, Drag
@@ -95,7 +96,8 @@ def played(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
     scene = [hand] if block else []
     rows = []
     with _connect(name, motion.q[0], kp_scale, scene) as arm:
-        plant = arm.drive.plant  # type: ignore[attr-defined]
+        assert isinstance(arm.drive, SimDrive)
+        plant = arm.drive.plant
         controller = pliant.Controller(arm.model, pliant.Settings(task=task, axes=axes), arm.servos)
         options = {"speed": speed} if wait else {"speed": speed, "wait": NEVER}
         replay = Replay(controller, motion, **options)

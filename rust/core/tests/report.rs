@@ -76,9 +76,8 @@ fn static_force_and_capacity_are_what_a_search_finds() {
     }
 }
 
-/// One joint about z with the tool 0.5 m out: pushed along y it slips at limit and friction, and its lever shrinks by the way.
-#[test]
-fn a_dead_joint_slips_at_its_limit() {
+/// One joint about z with the tool 0.5 m out, of 100 N·m/rad, 0.2 N·m of friction and 0.5 N·m·s/rad; y is its task.
+fn lever() -> Controller {
     let urdf = r#"<robot name="lever"><link name="base"/><link name="tool"><inertial><mass value="0.1"/>
         <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
         <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
@@ -87,15 +86,41 @@ fn a_dead_joint_slips_at_its_limit() {
         <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
         <joint name="out" type="fixed"><parent link="arm"/><child link="tool"/><origin xyz="0.5 0 0"/></joint></robot>"#;
     let model = Arc::new(Model::from_urdf_str(urdf, &ModelOptions::default()).unwrap());
-    let (friction, damping) = (0.2, 0.5);
-    let servos = Servos { friction: vec![friction], damping: vec![damping], ..Servos::new(vec![100.0], vec![8.0]) };
+    let servos = Servos { friction: vec![0.2], damping: vec![0.5], ..Servos::new(vec![100.0], vec![8.0]) };
     let settings = Settings { task: Task::of("y").unwrap(), ..Settings::default() };
-    let report = Controller::new(model, settings, Some(servos)).unwrap().report_at(&[0.0]).unwrap();
-    let lever = (0.25_f64 - 0.15 * 0.15).sqrt();
-    let by_hand = (report.torque_limit[0] + friction) / lever + damping * 0.025 / (lever * lever);
+    Controller::new(model, settings, Some(servos)).unwrap()
+}
+
+/// What the lever gives under a torque limit, with the tool at `y` [m].
+fn slips(limit: f64, y: f64) -> f64 {
+    let lever = (0.25 - y * y).sqrt();
+    (limit + 0.2) / lever + 0.5 * 0.025 / (lever * lever)
+}
+
+/// Pushed along y it slips at limit and friction, and its lever shrinks by the way.
+#[test]
+fn a_dead_joint_slips_at_its_limit() {
+    let report = lever().report_at(&[0.0]).unwrap();
+    let by_hand = slips(report.torque_limit[0], 0.15);
     for side in 0..2 {
         common::close("felt", report.dead_host[0][side], by_hand, 0.02 * by_hand);
     }
+}
+
+/// Held back at 0 rad while its goal is ahead, let go when the host dies: the way begins where friction stops the spring.
+#[test]
+fn a_hand_meets_a_dead_arm_where_that_has_come_to_rest() {
+    let mut controller = lever();
+    let target = controller.model().forward_kinematics(&[0.25]).unwrap();
+    for _ in 0..200 {
+        controller.step(&[0.0], &target, &StepInput::default()).unwrap();
+    }
+    let (goal, report) = (controller.last_command().goal()[0], controller.report().unwrap());
+    let rest = 0.5 * (goal - 0.2 / 100.0).sin();
+    assert!(goal > 0.04 && rest > 0.02);
+    let by_hand = slips(report.torque_limit[0], rest + 0.15);
+    common::close("felt", report.dead_host[0][1], by_hand, 0.01 * by_hand);
+    assert!(slips(report.torque_limit[0], 0.15) < 0.98 * by_hand, "it tells the two apart");
 }
 
 #[test]

@@ -116,7 +116,7 @@ macro_rules! attributes {
 
 attributes! {
     vectors: q, torque_limit, friction, friction_left;
-    pairs: static_force, capacity, coupling, thresholds, gravity_margin, dead_host, stop_distance, stop_room, stop_friction, deviation_limit;
+    pairs: static_force, capacity, coupling, thresholds, gravity_margin, dead_host, stop_distance, stop_room, stop_friction, way_friction, way_sigma, way_distance, deviation_limit;
     flags: saturated, locked;
     numbers: sigma_min, condition, sigma_0, gain_factor, damping_factor;
 }
@@ -219,6 +219,21 @@ impl Check {
     #[getter]
     fn stop_distance<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         pairs(py, &self.0.stop_distance)
+    }
+
+    #[getter]
+    fn sigma_min(&self) -> f64 {
+        self.0.sigma_min
+    }
+
+    #[getter]
+    fn sigma_pose(&self) -> usize {
+        self.0.sigma_pose
+    }
+
+    #[getter]
+    fn way_sigma<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        pairs(py, &self.0.way_sigma)
     }
 
     fn __bool__(&self) -> bool {

@@ -5,7 +5,7 @@ use crate::kinematics::{Frames, Masses};
 use crate::model::Chain;
 use crate::number::{Arithmetic, Plain};
 use crate::plan::Plan;
-use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// How far a hand is followed [m, rad], and how fast it goes [m/s, rad/s].
 pub(crate) const TRAVEL: [f64; 2] = [0.15, 0.4];
@@ -19,6 +19,10 @@ const LONGEST: f64 = 0.04;
 /// Lever of the joint that gives way, on an arm of 0.71 m [m] or about a rotation, below which it follows no hand: at its
 /// dead centre.
 const DEAD_CENTRE: f64 = 0.015;
+
+/// Most steps in which an arm comes to rest by itself, and the turn below which it has [rad or m].
+const MOST_SETTLING: usize = 40;
+const SETTLED: f64 = 1e-4;
 
 /// Most steps to the force between rest and giving way; two or three are enough.
 const MOST_NEWTON: usize = 20;
@@ -56,18 +60,39 @@ struct Place {
 }
 
 impl Dead<'_> {
-    /// The largest force along one task axis, toward `sign`, of a hand that leaves all other axes free.
+    /// Where the arm comes to rest by itself: whoever leaned on it has let go, what was on its way has arrived.
+    pub(crate) fn settled(&self) -> JointVec {
+        let (n, mut q) = (self.plan.n, *self.q);
+        if !self.plan.servos.has_kp {
+            return q;
+        }
+        for _ in 0..MOST_SETTLING {
+            let (_, [_, pull]) = self.torques(&q);
+            let mut turn = [0.0; MAX_JOINTS];
+            for i in 0..n {
+                turn[i] = (pull[i] - Plain::clip(pull[i], self.friction[i])) * self.plan.servos.compliance[i];
+            }
+            q = self.turned(&q, &turn);
+            if turn.iter().all(|x| x.abs() < SETTLED) {
+                break;
+            }
+        }
+        q
+    }
+
+    /// The largest force along one task axis, toward `sign`, of a hand that comes to the arm at `rest` and leaves all other
+    /// axes free.
     ///
     /// Each joint is a spring to its goal, slips at its limit, and rubs. Pushed with F, joint i gets `F a_i`; the arm
     /// follows in small steps, each with the least F that makes the tool go on: springs are stretched until one joint's
     /// limit, friction and weight are overcome, `F = (L_i + τ_f,i + s_i g_i)/|a_i| + d_i v/a_i²`, from where that joint turns
-    /// alone until another one is weaker. A joint at its position limit gives way no farther.
-    pub(crate) fn largest(&self, row: usize, sign: f64) -> Met {
+    /// alone until another one is weaker. A joint at its position limit gives way no farther; it turns back from there where
+    /// the way takes the push to its other side.
+    pub(crate) fn largest(&self, rest: &JointVec, row: usize, sign: f64) -> Met {
         let n = self.plan.n;
         let kind = usize::from(self.plan.rows[row].axis >= 3);
         let (step, end) = (TRAVEL[kind] / STEPS, TRAVEL[kind]);
-        let (mut q, mut stopped) = (*self.q, [false; MAX_JOINTS]);
-        let (mut force, mut gone) = (f64::NEG_INFINITY, 0.0);
+        let (mut q, mut force, mut gone) = (*rest, f64::NEG_INFINITY, 0.0);
         for _ in 0..MOST_STEPS {
             let place = self.at(&q, row, sign);
             let mut room = [0.0; MAX_JOINTS];
@@ -76,7 +101,7 @@ impl Dead<'_> {
             for i in 0..n {
                 let lever = place.lever[i];
                 yields[i] += self.plan.servos.drag[i] * SPEED[kind] / (lever * lever);
-                if stopped[i] {
+                if self.stops(&q, i, lever) {
                     yields[i] = f64::INFINITY;
                 }
             }
@@ -87,9 +112,11 @@ impl Dead<'_> {
                 }
             }
             if most.is_infinite() || place.lever[weakest].abs() * self.plan.row_scale[row] < DEAD_CENTRE {
-                return Met { force: force.max(0.0), walled: true };
+                // An arm that tips over its dead centre by its own weight is no wall.
+                let met = force.max(0.0);
+                return Met { force: met, walled: most > met };
             }
-            let (felt, mut turn) = self.spring(&place, most, step, &stopped);
+            let (felt, mut turn) = self.spring(&q, &place, most, step);
             force = force.max(felt);
             if gone >= end {
                 break;
@@ -98,20 +125,15 @@ impl Dead<'_> {
             if moved < step {
                 turn[weakest] += (step - moved) / place.lever[weakest];
             }
-            let longest = turn.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
-            let share = (LONGEST / longest).min(1.0);
-            for i in 0..n {
-                let next = (q[i] + share * turn[i]).max(self.lower(i, q[i])).min(self.upper(i, q[i]));
-                stopped[i] |= next <= self.plan.lower[i] || next >= self.plan.upper[i];
-                gone += place.lever[i] * (next - q[i]);
-                q[i] = next;
-            }
+            let next = self.turned(&q, &turn);
+            gone += (0..n).map(|i| place.lever[i] * (next[i] - q[i])).sum::<f64>();
+            q = next;
         }
         Met { force, walled: false }
     }
 
     /// The least force, at most `most`, that moves the tool by `step` by stretching the joints' springs, and how they turn.
-    fn spring(&self, place: &Place, most: f64, step: f64, stopped: &[bool; MAX_JOINTS]) -> (f64, JointVec) {
+    fn spring(&self, q: &JointVec, place: &Place, most: f64, step: f64) -> (f64, JointVec) {
         let n = self.plan.n;
         if !self.plan.servos.has_kp {
             return (most, [0.0; MAX_JOINTS]);
@@ -119,13 +141,16 @@ impl Dead<'_> {
         // How the joints turn under a force, how far that moves the tool, and by how much more per newton.
         let stretch = |force: f64| {
             let (mut turn, mut moved, mut slope) = ([0.0; MAX_JOINTS], 0.0, 0.0);
-            for i in (0..n).filter(|&i| !stopped[i]) {
+            for i in 0..n {
                 let (lever, compliance) = (place.lever[i], self.plan.servos.compliance[i]);
                 let torque = force * lever + place.pull[i];
                 let free = torque - Plain::clip(torque, self.friction[i]);
+                if free == 0.0 || self.stops(q, i, free) {
+                    continue;
+                }
                 turn[i] = free * compliance;
                 moved += lever * turn[i];
-                slope += if free == 0.0 { 0.0 } else { lever * lever * compliance };
+                slope += lever * lever * compliance;
             }
             (turn, moved, slope)
         };
@@ -151,29 +176,39 @@ impl Dead<'_> {
         (force, turn)
     }
 
+    /// Whether joint i stands at its position limit and is pushed farther, toward the sign of `push`.
+    fn stops(&self, q: &JointVec, i: usize, push: f64) -> bool {
+        if push < 0.0 { q[i] <= self.plan.lower[i] } else { q[i] >= self.plan.upper[i] }
+    }
+
     fn at(&self, q: &JointVec, row: usize, sign: f64) -> Place {
-        let (plan, mut frames) = (self.plan, Frames::default());
-        let (mut world, mut holding): (Rows, JointVec) = ([[0.0; MAX_JOINTS]; MAX_AXES], [0.0; MAX_JOINTS]);
-        self.chain.forward(q, &mut frames);
+        let (frames, [holding, pull]) = self.torques(q);
+        let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
         self.chain.jacobian(&frames, &mut world);
+        let lever = crate::task::rows(&world, &self.base_from_task, &[self.plan.rows[row].axis])[0];
+        Place { lever: lever.map(|a| sign * a), holding, pull }
+    }
+
+    /// What holds the arm at `q`, and what its servos exert beside that [N·m].
+    fn torques(&self, q: &JointVec) -> (Frames, [JointVec; 2]) {
+        let (mut frames, mut holding, mut pull) = (Frames::default(), [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        self.chain.forward(q, &mut frames);
         self.chain.gravity(&frames, self.masses, self.gravity, &mut holding);
-        let axis = plan.rows[row].axis;
-        let mut lever = crate::task::rows(&world, &self.base_from_task, &[axis])[0];
-        let mut pull = [0.0; MAX_JOINTS];
-        for i in 0..plan.n {
-            lever[i] *= sign;
-            let spring = plan.servos.kp[i] * (self.goal[i] - q[i]);
+        for i in 0..self.plan.n {
+            let spring = self.plan.servos.kp[i] * (self.goal[i] - q[i]);
             pull[i] = Plain::clip(spring, self.limit[i]) - holding[i];
         }
-        Place { lever, holding, pull }
+        (frames, [holding, pull])
     }
 
-    // An arm beyond its limits may stay there.
-    fn lower(&self, i: usize, q: f64) -> f64 {
-        self.plan.lower[i].min(q)
-    }
-
-    fn upper(&self, i: usize, q: f64) -> f64 {
-        self.plan.upper[i].max(q)
+    /// `q` after a turn, no joint by more than the longest step; one beyond its limits may stay there.
+    fn turned(&self, q: &JointVec, turn: &JointVec) -> JointVec {
+        let longest = turn.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+        let (share, mut next) = ((LONGEST / longest).min(1.0), *q);
+        for i in 0..self.plan.n {
+            let (lower, upper) = (self.plan.lower[i].min(q[i]), self.plan.upper[i].max(q[i]));
+            next[i] = (q[i] + share * turn[i]).max(lower).min(upper);
+        }
+        next
     }
 }

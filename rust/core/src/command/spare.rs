@@ -11,10 +11,10 @@ impl Dead<'_> {
     /// The most that a hand meets along any translation of the task, what stops and a stretched arm give apart [N]; and
     /// along which row, toward which side. Ends early beyond `enough`.
     pub(crate) fn worst(&self, enough: f64) -> (f64, usize, f64) {
-        let mut worst = (f64::NEG_INFINITY, 0, 1.0);
+        let (rest, mut worst) = (self.settled(), (f64::NEG_INFINITY, 0, 1.0));
         for row in (0..self.plan.k).filter(|&row| self.plan.rows[row].axis < 3) {
             for sign in [-1.0, 1.0] {
-                let force = self.largest(row, sign).force;
+                let force = self.largest(&rest, row, sign).force;
                 if force > worst.0 {
                     worst = (force, row, sign);
                 }

@@ -6,6 +6,7 @@ use crate::error::Result;
 use crate::kinematics::{Frames, IkOptions};
 use crate::pose::Pose as ToolPose;
 use crate::report::promise::Pose;
+use crate::report::stops::Push;
 use crate::report::words::{length, number, round_down, round_up, unit};
 use crate::settings::Law;
 use crate::task::axes::{AXIS_NAMES, Frame};
@@ -50,6 +51,12 @@ pub struct Check {
     /// Least distance that a yielding axis can be pushed until a joint meets its limit [m, rad]; ∞ where none does on
     /// 0.15 m or 0.4 rad, and for sides that do not yield.
     pub stop_distance: Vec<[f64; 2]>,
+    /// Smallest singular value of the poses.
+    pub sigma_min: f64,
+    /// The pose of that.
+    pub sigma_pose: usize,
+    /// Least `way_sigma` of the poses' reports; ∞ for sides that do not yield.
+    pub way_sigma: Vec<[f64; 2]>,
 }
 
 /// The worst value of a path and its pose.
@@ -69,6 +76,9 @@ impl Worst {
     }
 }
 
+/// The least σ_min on the way of a push, and that way with what the joints rub before it.
+type Past = (Worst, Option<(Push, f64)>);
+
 /// The least distance to a stop, its joint, and how far the axis is pushed for its whole cap.
 type Near = (Worst, Option<(usize, f64)>);
 
@@ -82,6 +92,7 @@ impl Controller {
         let mut lack = vec![[Worst::NONE; 2]; k];
         let mut rub = vec![Worst::NONE; k];
         let mut near = vec![[(Worst::NONE, None); 2] as [Near; 2]; k];
+        let mut past = vec![[(Worst::NONE, None); 2] as [Past; 2]; k];
         let (mut weight, mut limit, mut outside) = (vec![Worst::NONE; n], vec![Worst::NONE; n], vec![Worst::NONE; n]);
         let mut singular = Worst::NONE;
         let mut dead = (Worst::NONE, 0, 1.0);
@@ -105,8 +116,15 @@ impl Controller {
                 for (side, sign) in [-1.0, 1.0].into_iter().enumerate() {
                     let force = static_force(&record.rows[r], sign, &torque, &record.gravity, n);
                     lack[r][side].see(-force, index);
-                    if rest.plan.rows[r].yields[side] > 0.0
-                        && let Some(stop) = way.first_stop(r, sign)
+                    if rest.plan.rows[r].yields[side] <= 0.0 {
+                        continue;
+                    }
+                    let push = way.follow(r, sign);
+                    if -push.sigma > past[r][side].0.value {
+                        let worst = Worst { value: -push.sigma, pose: index };
+                        past[r][side] = (worst, Some((push, friction[r])));
+                    }
+                    if let Some(stop) = push.stop
                         && -stop.distance > near[r][side].0.value
                     {
                         let worst = Worst { value: -stop.distance, pose: index };
@@ -126,6 +144,7 @@ impl Controller {
         for r in 0..k {
             self.axis_findings(r, lack[r], rub[r], &mut findings);
             self.stop_findings(r, near[r], &mut findings);
+            self.way_findings(r, past[r], &mut findings);
         }
         findings.extend(self.dead_host_finding(dead.0, dead.1, dead.2));
         let least = NEAR_SINGULAR * self.plan.damping.sigma_0;
@@ -154,6 +173,9 @@ impl Controller {
             worst_pose: lack.iter().map(|sides| sides.map(|worst| worst.pose)).collect(),
             friction_left: rub.iter().map(|worst| worst.value).collect(),
             stop_distance: near.iter().map(|sides| sides.map(|(worst, _)| -worst.value)).collect(),
+            sigma_min: -singular.value,
+            sigma_pose: singular.pose,
+            way_sigma: past.iter().map(|sides| sides.map(|(worst, _)| -worst.value)).collect(),
         })
     }
 
@@ -251,6 +273,32 @@ impl Controller {
                         self.model().joint_names()[joint],
                         length(axis, distance),
                         length(axis, full)
+                    ),
+                    setting: None,
+                    value: None,
+                });
+            }
+        }
+    }
+
+    /// Singular poses that a push leads to from poses that are not near one.
+    fn way_findings(&self, r: usize, past: [Past; 2], out: &mut Vec<Finding>) {
+        let (axis, least) = (self.plan.rows[r].axis, NEAR_SINGULAR * self.plan.damping.sigma_0);
+        for (side, (worst, what)) in past.into_iter().enumerate() {
+            if let Some((push, friction)) = what.filter(|(push, _)| push.sigma < least && push.at > 0.0) {
+                out.push(Finding {
+                    pose: worst.pose,
+                    about: format!("{}{}", ["−", "+"][side], AXIS_NAMES[axis]),
+                    required: false,
+                    reason: format!(
+                        "pushed by {} the arm is near a singular pose (σ_min {}, below {}), where the joints rub {} {unit} \
+                         along the axis instead of {} {unit}",
+                        length(axis, push.at),
+                        number(push.sigma),
+                        number(least),
+                        number(push.friction),
+                        number(friction),
+                        unit = unit(axis),
                     ),
                     setting: None,
                     value: None,

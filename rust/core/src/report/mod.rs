@@ -72,7 +72,7 @@ pub struct Report {
     /// Joints at a position limit that left the inverse kinematics.
     pub locked: Vec<bool>,
     /// The largest force that a hand at 25 mm/s or 0.067 rad/s meets on 0.15 m or 0.4 rad along the axis if the host dies
-    /// now, the gears' friction and damping included; ∞ where the arm cannot be moved so far: it is stretched out, or at stops.
+    /// now, from where the arm comes to rest, the gears' friction and damping included; ∞ where the arm cannot be moved so far: it is stretched out, or at stops.
     pub dead_host: Vec<[f64; 2]>,
     /// What the settings allow of that [N].
     pub dead_host_max: Option<f64>,
@@ -92,6 +92,13 @@ pub struct Report {
     /// What the joints that are left rub along the axis there, in place of `friction`; ∞ where they cannot move it alone,
     /// so that the stop takes everything above the cap. 0 where no joint stops.
     pub stop_friction: Vec<[f64; 2]>,
+    /// What the joints rub along the axis where they rub most on the way of a push, 0.15 m or 0.4 rad or as far as a stop
+    /// [N, N·m]; many times `friction` where the way passes a singular pose.
+    pub way_friction: Vec<[f64; 2]>,
+    /// σ_min there.
+    pub way_sigma: Vec<[f64; 2]>,
+    /// How far the axis is pushed there [m, rad].
+    pub way_distance: Vec<[f64; 2]>,
     /// Deviation [m, rad] beyond which the target of an axis waits or comes along; ∞ without such a limit and toward
     /// sides that yield.
     pub deviation_limit: Vec<[f64; 2]>,
@@ -125,6 +132,8 @@ impl Controller {
     fn at_rest(&self, q: &[f64]) -> Result<Self> {
         let at = self.joints("q", q, COORDINATE_BOUND)?;
         let mut copy = self.clone();
+        // At rest the goals have long arrived where they hold the arm.
+        copy.settings.goal_slew = f64::INFINITY;
         copy.reset(q)?;
         let mut frames = Frames::default();
         copy.model().chain().forward(&at, &mut frames);
@@ -173,6 +182,9 @@ impl Controller {
             stop_joint: Vec::with_capacity(k),
             stop_room: Vec::with_capacity(k),
             stop_friction: Vec::with_capacity(k),
+            way_friction: Vec::with_capacity(k),
+            way_sigma: Vec::with_capacity(k),
+            way_distance: Vec::with_capacity(k),
             deviation_limit: vec![[f64::INFINITY; 2]; k],
             beyond: plan.axes.iter().map(|&axis| self.settings().axes[axis].beyond).collect(),
             prismatic: self.model().prismatic().to_vec(),
@@ -190,6 +202,7 @@ impl Controller {
         let way = self.way(&frames, &rubs);
         let goal = spread(self.last_command().goal());
         let dead = self.dead(&frames, &goal, &limit, &rubs);
+        let rest = dead.settled();
         for row in 0..k {
             let hold = |limit: &JointVec| {
                 [-1.0, 1.0].map(|sign| static_force(&record.rows[row], sign, limit, &record.gravity, n))
@@ -201,10 +214,14 @@ impl Controller {
             report.coupling.push(coupling.map(|(force, _)| force));
             report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[plan.axes[other]])));
             report.dead_host.push([-1.0, 1.0].map(|sign| {
-                let met = dead.largest(row, sign);
+                let met = dead.largest(&rest, row, sign);
                 if met.walled { f64::INFINITY } else { met.force }
             }));
-            let stops = [-1.0, 1.0].map(|sign| way.first_stop(row, sign));
+            let pushes = [-1.0, 1.0].map(|sign| way.follow(row, sign));
+            let stops = pushes.map(|push| push.stop);
+            report.way_friction.push(pushes.map(|push| push.friction));
+            report.way_sigma.push(pushes.map(|push| push.sigma));
+            report.way_distance.push(pushes.map(|push| push.at));
             report.stop_distance.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.distance)));
             report.stop_joint.push(stops.map(|stop| stop.map(|stop| stop.joint)));
             report.stop_room.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.room)));

@@ -68,6 +68,7 @@ impl Report {
                 out.extend([1, 0].map(|side| format!("{}{} {}", SIDES[side], self.axes[row], said[side])));
             }
             out.extend([1, 0].into_iter().filter_map(|side| self.stop_sentence(row, side)));
+            out.extend([1, 0].into_iter().filter_map(|side| self.way_sentence(row, side)));
             out.extend(self.deviation_sentence(row));
             if let (hold, Some(default)) = self.hold[row] {
                 out.push(format!(
@@ -184,6 +185,24 @@ impl Report {
             rub => format!("the stop takes its part and the other joints rub {} {unit}", number(rub)),
         };
         Some(format!("{}{}: {} {from} {far}, {then}.", SIDES[side], self.axes[row], self.joints[joint]))
+    }
+
+    /// A singular pose that a push along a yielding axis leads to.
+    fn way_sentence(&self, row: usize, side: usize) -> Option<String> {
+        let (sigma, far) = (self.way_sigma[row][side], self.way_distance[row][side]);
+        let near = self.yields[row][side] && far > 0.0 && sigma < NEAR_SINGULAR * self.sigma_0;
+        near.then(|| {
+            let unit = self.unit(row);
+            format!(
+                "{}{}: pushed by {} the arm is near a singular pose: σ_min is {} instead of {}, and the joints rub {} {unit}.",
+                SIDES[side],
+                self.axes[row],
+                length(if unit == "N" { 0 } else { 3 }, far),
+                number(sigma),
+                number(self.sigma_min),
+                number(self.way_friction[row][side])
+            )
+        })
     }
 
     /// What the target does where the axis is held off too far.

@@ -1,0 +1,102 @@
+//! The posture lets go of an arm that stands at a position limit: what a push meets there is not the posture.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
+
+use std::sync::Arc;
+
+use pliant_core::settings::Law;
+use pliant_core::{Controller, Model, ModelOptions, Settings, StepInput};
+
+#[path = "common/seeded.rs"]
+mod seeded;
+
+/// The grasp pose, and a posture that the arm might rather have; both clear of every limit.
+const Q: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+const RATHER: [f64; 7] = [0.2, -0.3, 0.4, -1.4, 0.6, 0.4, 0.1];
+
+fn arm() -> Arc<Model> {
+    seeded::arm(0, &ModelOptions::default())
+}
+
+/// A controller that wants a posture, or the one it is reset to, with goals that are there at once.
+fn wants(law: Law, posture: Option<&[f64]>) -> Controller {
+    let posture = posture.map(<[f64]>::to_vec);
+    let settings = Settings { law, posture, goal_slew: f64::INFINITY, ..Settings::default() };
+    Controller::new(arm(), settings, Some(seeded::servos(0))).unwrap()
+}
+
+/// Goals [rad] of the first step at `q`, the arm on its target.
+fn goals(controller: &mut Controller, q: &[f64]) -> Vec<f64> {
+    controller.reset(q).unwrap();
+    let target = controller.model().forward_kinematics(q).unwrap();
+    controller.step(q, &target, &StepInput::default()).unwrap().goal().to_vec()
+}
+
+/// One that wants another posture, and one that is content with every one.
+fn pair(law: Law) -> [Controller; 2] {
+    [wants(law, Some(&RATHER)), wants(law, None)]
+}
+
+/// How much the posture has to say in the goals at `q` [rad].
+fn say([one, other]: &mut [Controller; 2], q: &[f64]) -> f64 {
+    goals(one, q).iter().zip(goals(other, q)).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
+}
+
+/// The grasp pose with joint i as far as `room` from a limit.
+fn beside(i: usize, upper: bool, room: f64) -> Vec<f64> {
+    let (model, mut q) = (arm(), Q.to_vec());
+    q[i] = if upper { model.upper()[i] - room } else { model.lower()[i] + room };
+    q
+}
+
+#[test]
+fn a_posture_has_no_say_with_a_joint_at_its_limit() {
+    for law in [Law::Cap, Law::Impedance] {
+        let mut pair = pair(law);
+        assert!(say(&mut pair, &Q) > 5e-4, "clear of all limits it has");
+        for (i, upper) in (0..7).flat_map(|i| [(i, false), (i, true)]) {
+            let [at, clear] = [0.0, 0.1].map(|room| say(&mut pair, &beside(i, upper, room)));
+            assert!(at < 1e-12 && clear > 1e-4, "{law:?}, joint {i}, upper {upper}: {at} {clear}");
+        }
+    }
+    // The paper knows no such thing.
+    assert!(say(&mut pair(Law::Paper), &beside(0, true, 0.0)) > 5e-4);
+}
+
+#[test]
+fn it_lets_go_evenly_from_a_twentieth_of_a_radian_on() {
+    let mut posture = Q.map(|q| q + 0.01);
+    posture[0] = 0.0;
+    // What joint 0 would rather do is left out: it is the one that comes nearer.
+    let [mut held, mut free] = [Some(posture.to_vec()), None].map(|posture| {
+        let posture_weights = Some(vec![0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
+        let settings = Settings {
+            posture,
+            posture_weights,
+            null_torque: Some(50.0),
+            goal_slew: f64::INFINITY,
+            ..Settings::default()
+        };
+        Controller::new(arm(), settings, Some(seeded::servos(0))).unwrap()
+    });
+    let mut at = |room: f64| {
+        let q = beside(0, true, room);
+        goals(&mut held, &q).iter().zip(goals(&mut free, &q)).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()))
+    };
+    let whole = at(0.06);
+    assert!(whole > 1e-3);
+    for i in 0..=60 {
+        let room = 1e-3 * f64::from(i);
+        let share = (2.0 * room / 0.05 - 1.0).clamp(0.0, 1.0);
+        assert!((at(room) - share * whole).abs() < 0.02 * whole, "{room} rad: {} of {whole}", at(room));
+    }
+}
+
+#[test]
+fn a_posture_that_stands_at_a_limit_itself_is_held() {
+    let rest = beside(0, true, 0.0);
+    let mut displaced = rest.clone();
+    displaced[4] += 0.2;
+    let pulled = say(&mut [wants(Law::Cap, Some(&rest)), wants(Law::Cap, None)], &displaced);
+    assert!(pulled > 1e-3, "{pulled}");
+    assert!(say(&mut pair(Law::Cap), &displaced) < 1e-12, "another one has no say there");
+}
