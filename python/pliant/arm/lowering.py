@@ -45,7 +45,7 @@ SLIP = 0.6
 #: Least share of the weight that goals carry after that.
 LEAST_SUPPORT = 0.3
 #: Share of its margin with which a joint presses downward.
-PRESS = 0.5
+PRESS = 0.3
 #: Time in which the limits fall [s].
 RAMP = 3.0
 #: Holding torque over gravity.
