@@ -1310,9 +1310,11 @@ class Command:
 
     @property
     def velocity(self) -> _Array:
-        """Speed for a servo's speed register (n,) [rad/s]: the most within the tool's speed.
+        """Speed for a servo's speed register (n,) [rad/s].
 
-        inf where neither tool nor joint has a speed limit.
+        What keeps the tool within `max_tool_speed` by one joint alone, but no less than
+        `goal_slew`: a profile slower than the goals falls behind them and exerts what nobody asked
+        for. inf where neither tool nor joint has a speed limit.
         """
 
 @final

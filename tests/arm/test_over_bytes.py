@@ -129,9 +129,9 @@ def test_lowered_in_the_place_of_a_program_that_computes_for_ever():
         arm.close()
 
 
-def test_a_load_that_nobody_told_of_sinks_and_is_not_thrown_back(monkeypatch):
+def test_a_load_that_nobody_told_of_sinks_and_is_brought_back_slowly(monkeypatch):
     q, tools = [0.0, 0.5, 0.2, 0.2, 0.0], []
-    with arm_over_bytes("sts", q, plant={"payload": (0.05, (0.0, 0.0, 0.0))}) as (bus, arm):
+    with arm_over_bytes("sts", q, plant={"payload": (0.1, (0.0, 0.0, 0.0))}) as (bus, arm):
         step = bus.world.physics.step
 
         def watched(count):
@@ -143,5 +143,5 @@ def test_a_load_that_nobody_told_of_sinks_and_is_not_thrown_back(monkeypatch):
         arm.limp()
     height, speed = np.array(tools).T
     assert height[0] - height.min() > 0.01, "it was put to the test"
-    assert speed.max() < 0.06
-    assert height[-1] < height.min() + 0.012
+    assert speed.max() < 0.08
+    assert height[-1] == pytest.approx(height[0], abs=0.003)

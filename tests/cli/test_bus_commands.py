@@ -86,7 +86,7 @@ def test_setup_leaves_servos_with_torque_alone(arm, capsys):
 def test_doctor_finds_what_setup_mends(arm, capsys):
     bus, file = arm
     assert main(["doctor", str(file)]) == 2
-    out = capsys.readouterr().out
+    out = " ".join(capsys.readouterr().out.split())
     assert "operating mode 3, needed is 5" in out
     assert main(["setup", str(file), "--yes", "--backup", str(file.with_suffix(".json"))]) == 0
     capsys.readouterr()

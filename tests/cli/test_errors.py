@@ -84,11 +84,22 @@ def test_two_servos_on_one_id(said):
         all_say(said(toml(bus.port)), "elbow_flex", "Two servos on one id", "one by one")
 
 
+def test_new_servos_that_all_have_one_id_are_seen_by_scan(capsys):
+    with Emulator(servos(1, 1, 1, 2)) as bus:
+        assert main(["scan", "--port", bus.port, "--baud", "1000000"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "two servos on this id?" in said
+    assert "`pliant setup`" in said
+
+
 def test_a_low_voltage_servo_on_12_volts(said):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
         bus.supply(12.0)
         texts = said(toml(bus.port))
     all_say(texts, "its supply is 12.0 V", "STS3215-7.4V takes", "wrong supply", "another variant")
+    # Once for all five.
+    assert texts[0].count("wrong supply") == 1
+    assert "shoulder_pan (id 1), shoulder_lift (id 2)" in texts[0]
 
 
 def test_another_model(said):

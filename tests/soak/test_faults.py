@@ -47,6 +47,13 @@ def test_an_arm_whose_servos_restarted_does_not_get_up_by_itself():
     assert found.drop > 0.1
 
 
+def test_a_target_that_jumps_throws_neither_the_arm_nor_a_hand():
+    found = suffer(BY_TITLE["the target jumps by 1 m for 1 s, back"], held=True)
+    assert found.ending == "goes on"
+    assert found.speed < 0.4
+    assert 5.0 < found.force <= found.allowed < 13.0
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("mishap", [m for m in MISHAPS if m.state != "no torque"], ids=str)
 def test_no_hand_meets_more_than_is_allowed(mishap):

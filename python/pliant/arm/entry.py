@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 ATTEMPTS = 10
 #: Time in which goals take up the weight, and in which the limit of a joint that sinks rises from
 #: nothing to all that its servo has [s].
-CARRIED, RAISED = 0.1, 0.1
+CARRIED, RAISED = 0.04, 0.1
 #: A joint has sunk that is farther away than this, or two counts, and still moves away [rad].
 SUNK = 0.004
 #: How fast a joint is drawn back to where it stood, per rad that it is away [1/s], and at most
 #: [rad/s].
-BACK, RETURN = 2.0, 0.1
+BACK, RETURN = 4.0, 0.2
 #: An arm this near to where it stood has arrived [rad], and is waited for no longer than this [s].
 ARRIVED, LONGEST = 0.01, 2.0
 
@@ -70,12 +70,11 @@ def take_up(cycle: Cycle, start: Array, stood: Array, rate: float) -> None:
     still = np.maximum(SUNK, 2.0 * np.asarray(servos.count))
     place, lead, before = stood.copy(), start - stood, stood
     pull, more = np.zeros(stood.size), np.zeros(stood.size)
-    begin = clock.now()
-    while (passed := clock.now() - begin) < EASE or (
-        passed < LONGEST and np.abs(stood - cycle.q).max() > ARRIVED
-    ):
+    begin, passed = clock.now(), 0.0
+    while passed < EASE or (passed < LONGEST and np.abs(stood - cycle.q).max() > ARRIVED):
         clock.wait_until(clock.now() + 1.0 / rate)
         cycle.sample()
+        passed = clock.now() - begin
         gravity, q = cycle.gravity(), cycle.q
         away = q - stood
         sinking = (np.abs(away) > still) & (away * (q - before) > 0.0)

@@ -44,8 +44,9 @@ STILL, WINDOW = 0.1, 0.5
 SLIP = 0.6
 #: Least share of the weight that goals carry after that.
 LEAST_SUPPORT = 0.3
-#: Share of its margin with which a joint presses downward.
-PRESS = 0.5
+#: Share of its margin with which a joint presses downward: gently on what is in the way, and harder
+#: where one is lost that the others have to drag along, lest they stop short and slide later.
+PRESS, DRAG = 0.3, 0.5
 #: Time in which the limits fall [s].
 RAMP = 3.0
 #: Holding torque over gravity.
@@ -220,7 +221,8 @@ class Lowering:
     def _leash(self, ref: Array, gravity: Array) -> Array:
         """Keep the reference where the servos can answer for it."""
         lift = np.maximum(self._usable - np.abs(gravity), 0.0) / self._kp
-        press = np.maximum(PRESS * margin(self._servos, gravity), 2.0 * self._friction) / self._kp
+        share = DRAG if (self._silence > PATIENCE).any() else PRESS
+        press = np.maximum(share * margin(self._servos, gravity), 2.0 * self._friction) / self._kp
         above = np.where(gravity > 0.0, lift, press)
         below = np.where(gravity > 0.0, press, lift)
         return self._q + np.clip(ref - self._q, -below, above)

@@ -126,6 +126,7 @@ def _not_there(error: FileNotFoundError) -> str:
 
 
 def _explain(message: str) -> int:
-    """Print an error as one line."""
-    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    """Print an error, a line for everything that is wrong."""
+    lines = [" ".join(line.split()) for line in message.splitlines() if line.strip()]
+    print("error:", "\n       ".join(lines), file=sys.stderr)
     return EXPLAINED

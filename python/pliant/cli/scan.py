@@ -61,4 +61,6 @@ def _model(seen: Seen) -> str:
     """Name of the model; variants that answer alike share the part of their names."""
     if len(seen.models) > 1:
         return f"{seen.models[0].partition('-')[0]} (one of {len(seen.models)} variants)"
-    return seen.models[0] if seen.models else f"number {seen.number}"
+    if seen.models:
+        return seen.models[0]
+    return "?" if seen.number is None else f"number {seen.number}"

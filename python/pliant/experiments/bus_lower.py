@@ -1,22 +1,26 @@
-"""`lower` over real bytes from many poses, with a load it does not know, over a table.
+"""Torque on and `lower` over real bytes from many poses, with an unknown load, over a table.
 
-``python -m pliant.experiments.bus_lower [poses] [family]`` prints highest speeds and forces.
+``python -m pliant.experiments.bus_lower [poses] [family]`` prints highest speeds and forces, how
+far the arm sinks as torque comes on, and the force on the table pose by pose.
 """
 
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pliant.experiments.bus_arm import FAMILIES, configuration, stepped
 from pliant.experiments.faults import RATE, Watcher
-from pliant.experiments.lifecycle import LOAD, TABLE, postures
+from pliant.experiments.lifecycle import AFTER, LOAD, TABLE, postures
 from pliant.experiments.setups import VERTICAL
 from pliant.sim import table
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
@@ -29,18 +33,63 @@ CASES = (
 )
 
 
-def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False) -> Watcher:
-    """Enable the arm in q (n,) [rad] and lower it; return what was seen until torque was off."""
+@dataclass(frozen=True, kw_only=True)
+class Brought:
+    """What came of bringing an arm to life and down again.
+
+    Attributes:
+        sank: How far the tool sank as torque came on [m].
+        left: How far below it stood once `enable` was over [m].
+        lifted: Highest speed of the tool meanwhile [m/s].
+        speed: Highest speed of the tool on the way down [m/s].
+        force: Largest mean over a tick of the force on one point of the table [N].
+        resting: What rests on the table once torque is off [N].
+    """
+
+    sank: float
+    left: float
+    lifted: float
+    speed: float
+    force: float
+    resting: float
+
+
+def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False) -> Brought:
+    """Enable the arm in q (n,) [rad] and lower it.
+
+    Args:
+        family: `sts`, `x` or `p1`.
+        q: Posture (n,) [rad].
+        load: Mass at the tool that nobody told the arm of [kg].
+        over_table: Put a table 0.10 m below the lower of tool and wrist.
+
+    Returns:
+        What happened.
+    """
     plant = {"payload": (load, (0.0, 0.0, 0.0))} if load else {}
     with stepped(family, q=q, arm={"rate": RATE}, plant=plant) as (bus, arm):
         if over_table:
             low = min(bus.plant.tool[2, 3], bus.plant.wrist[2]) - TABLE
             bus.plant.set_hands(table(low))
-        watcher = Watcher(bus)
+        on = Watcher(bus)
+        on.begin()
         arm.enable()
-        watcher.begin()
+        left = on.start - float(bus.plant.tool[2, 3])
+        on.end()
+        down = Watcher(bus)
+        down.begin()
         arm.lower()
-    return watcher
+        force = down.force
+        bus.advance(AFTER)
+        resting = sum(float(np.linalg.norm(felt.force)) for felt in bus.plant.hands)
+    return Brought(
+        sank=on.start - on.lowest,
+        left=left,
+        lifted=on.speeds[False],
+        speed=down.speeds[False],
+        force=force,
+        resting=resting,
+    )
 
 
 def fits(family: str, q: Array) -> bool:
@@ -49,23 +98,40 @@ def fits(family: str, q: Array) -> bool:
     return bool(np.all((model.lower < q) & (q < model.upper)))
 
 
+def _worst(values: Sequence[float], digits: int, scale: float = 1.0) -> str:
+    """Largest and middle value."""
+    scaled = scale * np.asarray(values)
+    return f"{scaled.max():.{digits}f} ({np.median(scaled):.{digits}f})"
+
+
 def main() -> None:
-    """Print the table: worst (median) over the poses."""
+    """Print the tables: worst (median) over the poses, and the table pose by pose."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 10
     family = sys.argv[2] if len(sys.argv) > 2 else "p1"
     poses = [q for q in [VERTICAL, *postures(4 * count)] if fits(family, q)][:count]
     print(
-        f"| {FAMILIES[family].title}, {len(poses)} poses | tool [m/s] | force [N] |\n|---|---|---|"
+        f"| {FAMILIES[family].title}, {len(poses)} poses | sinks [mm] | stands lower by [mm] | "
+        "meanwhile [m/s] | lowered at [m/s] | force on the table [N] | of which rests [N] |\n"
+        "|---|---|---|---|---|---|---|"
     )
+    seen: list[Brought] = []
     for name, load, over_table in CASES:
         seen = [lower(family, q, load=load, over_table=over_table) for q in poses]
-        speeds = [one.speeds[False] for one in seen]
-        forces = [one.force for one in seen]
         print(
-            f"| {name} | {max(speeds):.2f} ({np.median(speeds):.2f}) | {max(forces):.1f} "
-            f"({np.median(forces):.1f}) |",
+            f"| {name} | {_worst([one.sank for one in seen], 0, 1e3)} | "
+            f"{_worst([one.left for one in seen], 0, 1e3)} | "
+            f"{_worst([one.lifted for one in seen], 2)} | {_worst([one.speed for one in seen], 2)} "
+            f"| {_worst([one.force for one in seen], 1) if over_table else ''} | "
+            f"{_worst([one.resting for one in seen], 1) if over_table else ''} |",
             flush=True,
         )
+    print(f"\n| pose | {' | '.join(str(k) for k in range(len(poses)))} |")
+    print(f"|---|{'---|' * len(poses)}")
+    for title, values in (
+        ("force", [one.force for one in seen]),
+        ("rests", [one.resting for one in seen]),
+    ):
+        print(f"| {title} | {' | '.join(f'{value:.1f}' for value in values)} |")
 
 
 if __name__ == "__main__":

@@ -133,8 +133,13 @@ def _nan_command(scene: Scene) -> None:
     scene.tick.write(SimpleNamespace(goal=nothing, torque_limit=nothing))
 
 
-def _jump(scene: Scene) -> Array:
-    return displaced(scene.target, "x", 1.0) if scene.since < 1.0 else scene.target
+def _jump(axis: str, way: float) -> Callable[[Scene], Array | None]:
+    """The target is `way` [m] farther along an axis for a second."""
+
+    def act(scene: Scene) -> Array | None:
+        return displaced(scene.target, axis, way) if scene.since < 1.0 else scene.target
+
+    return act
 
 
 def _off(scene: Scene) -> None:
@@ -198,7 +203,17 @@ MISHAPS: tuple[Mishap, ...] = (
     Mishap(title="an exception, Ctrl-C, SIGTERM", act=_interrupt),
     Mishap(title="a policy gives NaN for a target", act=_nan_target),
     Mishap(title="a policy gives NaN for goals", act=_nan_command),
-    Mishap(title="the target jumps by 1 m for 1 s", act=_jump),
+    *(
+        Mishap(title=f"the target jumps by 1 m for 1 s, {where}", act=_jump(axis, way))
+        for where, axis, way in (
+            ("forward (x)", "x", 1.0),
+            ("back", "x", -1.0),
+            ("up (z)", "z", 1.0),
+            ("down", "z", -1.0),
+            ("with the hand (y)", "y", 1.0),
+            ("against it", "y", -1.0),
+        )
+    ),
     Mishap(
         title="the firmware does not take the elbow's limit",
         act=_once(lambda s: s.bus.stick(ELBOW, "torque_limit", 1000)),

@@ -121,14 +121,17 @@ def identify(port: Port) -> tuple[Found, ...]:
     if missing:
         wrong.insert(0, _missing(port, missing))
     found = []
+    faulty: dict[str, list[str]] = {}
     for device, image in images:
         faults = _check(device, image)
-        wrong += [f"{device.name} (id {device.id} on {port.path}): {text}" for text in faults]
+        for text in faults:
+            faulty.setdefault(text, []).append(f"{device.spec.name} (id {device.id})")
         if not faults:
             try:
                 found.append(_take(device, image))
             except ServoError as error:
                 wrong.append(str(error))
+    wrong += [f"{', '.join(names)} on {port.path}: {text}" for text, names in faulty.items()]
     if wrong:
         raise ServoError("\n".join(wrong))
     port.guard.turn = TURN + max(one.return_delay for one in found)
@@ -146,7 +149,7 @@ def _missing(port: Port, missing: list[Device]) -> str:
     expected = {device.id for device in port.devices}
     gone = {device.id for device in missing}
     nearby = [i for i in range(NEARBY + 1) if i not in expected and port.guard.ping(i)]
-    names = ", ".join(f"{device.name} (id {device.id})" for device in missing)
+    names = ", ".join(f"{device.spec.name} (id {device.id})" for device in missing)
     answering = sorted(expected - gone | set(nearby))
     if not answering:
         return (
@@ -177,7 +180,8 @@ def _check(device: Device, image: Image) -> list[str]:
     if not low <= volts <= high:
         wrong.append(
             f"its supply is {volts:.1f} V and {row.name} takes {low:g} to {high:g} V: wrong "
-            "supply, or another variant than the configuration says"
+            "supply (take the power off), or another variant than the configuration says (name it "
+            "there)"
         )
     return wrong
 

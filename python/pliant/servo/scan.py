@@ -88,16 +88,21 @@ def scan(
 
 
 def _ask(io: Transport, port: str, baudrate: int, protocol: Wire, id: int) -> Seen | None:
-    """Whether somebody answers to an id, and who it is."""
+    """Whether somebody answers to an id, and who it is.
+
+    Read rather than pinged: to a ping, two servos that answer at once are as good as none.
+    """
     try:
-        if not io.ping(id):
-            return None
+        io.read(id, MODEL_AT[protocol][0], 2)
     except BusError as error:
         if error.reason == "gone":
             raise
-        if error.reason != "corrupt":
+        if error.reason not in {"corrupt", "stale"}:
             return None
-        note = "the answer is broken: two servos on this id, or a bad cable"
+        note = (
+            "broken answer: two servos on this id? Connect them one by one and give each its own "
+            "with `pliant setup`; else a bad cable"
+        )
         return Seen(port, baudrate, protocol, id, note=note)
     number, models = _model(io, protocol, id)
     note = "" if models else "not in the servo table"

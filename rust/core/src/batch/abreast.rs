@@ -108,7 +108,8 @@ impl Abreast<'_> {
         let load = |values| Columns::<W, ABREAST>::load(values);
         let limit = finish(wanted, None, load(&plan.floor), load(&plan.servos.torque), Columns::splat(0.0));
         let goal = solution.goal(plan, settings, limit);
-        let speed = register_speed(&seen.view.world, settings.max_tool_speed, load(&plan.joint_speed));
+        let speed =
+            register_speed(&seen.view.world, settings.max_tool_speed, settings.goal_slew, load(&plan.joint_speed));
 
         let (moving, goals, limits) = (solution.moving.array(), goal.array(), limit.array());
         for i in 0..n {

@@ -106,12 +106,15 @@ pub(crate) fn slew<J: Lanes>(before: Goals<J>, to: Goals<J>, step: f64) -> (Goal
     (Goals { goal: before.goal + lift + J::spread(share) * motion, weight: before.weight + lift }, share)
 }
 
-/// Joint speeds [rad/s] that keep the tool within its `[linear, angular]` speed by one joint alone, and the joint's own.
+/// Joint speeds [rad/s] for the servos' own profiles: what keeps the tool within its `[linear, angular]` speed by one joint
+/// alone, but no less than the goals' own `slew` [rad/s], nor more than the `joint` may turn.
 ///
+/// Joints that work against each other turn faster than the tool's speed says. A profile slower than the goals falls behind
+/// them, and the servo pulls with a lead that nobody asked for, on soft axes too.
 /// `world` is the Jacobian in base axes.
 #[inline(always)]
-pub(crate) fn register_speed<J: Lanes>(world: &[J; MAX_AXES], tool: [f64; 2], joint: J) -> J {
-    let mut out = joint;
+pub(crate) fn register_speed<J: Lanes>(world: &[J; MAX_AXES], tool: [f64; 2], slew: f64, joint: J) -> J {
+    let mut out = J::splat(f64::INFINITY);
     for block in 0..2 {
         if tool[block].is_infinite() {
             continue;
@@ -120,7 +123,7 @@ pub(crate) fn register_speed<J: Lanes>(world: &[J; MAX_AXES], tool: [f64; 2], jo
         let lever = J::sqrt(J::fma(z, z, J::fma(y, y, x * x)));
         out = J::at_most(out, J::splat(tool[block]) / J::at_least(lever, J::splat(1e-9)));
     }
-    out
+    J::at_most(J::at_least(out, J::splat(slew)), joint)
 }
 
 #[cfg(test)]
@@ -212,6 +215,21 @@ mod tests {
         assert!((at(0.01, 1.01, 2.0) - 0.005).abs() < 1e-15, "a small one is gone after 0.02 rad");
         assert!(at(0.1, 1.5, 2.0).abs() < 1e-15 && (at(0.1, 1.5, 0.0) - 0.1).abs() < 1e-15);
         assert!(at(f64::NAN, 1.5, 2.0).is_nan());
+    }
+
+    #[test]
+    fn a_profile_is_no_slower_than_the_goals_nor_faster_than_the_joint() {
+        let world = [0.5, 0.0, 0.0, 0.0, 0.0, 0.1].map(EveryJoint::splat);
+        let at = |tool, slew, joint| first(register_speed(&world, tool, slew, EveryJoint::splat(joint)));
+        for (tool, slew, joint, expected) in [
+            ([0.25, 1.0], 0.1, 3.0, 0.5),
+            ([5.0, 0.2], 0.1, 3.0, 2.0),
+            ([0.25, 1.0], 1.0, 3.0, 1.0),
+            ([0.25, 1.0], 1.0, 0.8, 0.8),
+            ([f64::INFINITY; 2], 1.0, 3.0, 3.0),
+        ] {
+            assert!((at(tool, slew, joint) - expected).abs() < 1e-12, "{tool:?} {slew} {joint}");
+        }
     }
 
     #[test]

@@ -196,7 +196,8 @@ impl Cycle<'_> {
         self.memory.limit = Some(kept);
         goal.store(&mut self.command.goal);
         limit.store(&mut self.command.torque_limit);
-        register_speed(&seen.view.world, speed, J::load(&plan.joint_speed)).store(&mut self.command.velocity);
+        let profile = register_speed(&seen.view.world, speed, settings.goal_slew, J::load(&plan.joint_speed));
+        profile.store(&mut self.command.velocity);
         self.note(&seen, &aim, &wish, &solved, &filtered);
         for i in 0..plan.n.min(MAX_JOINTS) {
             self.record.saturated[i] = kept[i] >= plan.servos.torque[i];
