@@ -2,87 +2,103 @@
 
     python benches/boundary.py
 
-Prints medians over rounds of 64 different states, and the ratio within a round. Pinocchio (`pip
-install pin`) is skipped loudly where it is absent.
+Positions and targets change with every call; goal and limit are in hand at the end. Prints medians
+over turns, the time of the loop subtracted. Pinocchio (`pip install pin`) is skipped
+loudly where it is absent.
 """
 
 from __future__ import annotations
 
 import statistics
-import time
-from pathlib import Path
-from typing import TYPE_CHECKING
+import timeit
+from typing import Any
 
 import numpy as np
+from contest import pliant_peer, problem
 
 import pliant
-import pliant.robots
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+#: Turns, calls in each.
+ROUNDS, CALLS_A_TURN = 100, 1280
+#: Of the path that is followed.
+STATES = 1000
+#: What is timed, and how it is called.
+CALLS = {
+    "(the loop)": "for q, t in states: pass",
+    "step, law cap": "for q, t in followed: c = cap(q, t); c.goal; c.torque_limit",
+    "step, law paper as printed": "for q, t in states: c = paper(q, t); c.goal; c.torque_limit",
+    "pose and Jacobian, own arrays": "for q, t in states: kinematics(q, out=arrays)",
+    "pose and Jacobian, new arrays": "for q, t in states: kinematics(q)",
+}
+REFERENCE = "for q, t in states: jacobian(model, data, q, frame, axes); data.oMf[frame]"
+#: Servos of the arm.
+SERVOS = {
+    "kp": [150.0] * 4 + [60.0] * 3,
+    "torque": [10.7] * 4 + [6.4] * 3,
+    "friction": [0.2] * 4 + [0.1] * 3,
+    "damping": [1.2] * 4 + [0.8] * 3,
+}
 
-ROUNDS, CALLS = 60, 2048
-START = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])  # [rad]
 
-
-def candidates() -> dict[str, Callable[[int], object]]:
-    """What is timed; each takes the number of the call."""
-    model = pliant.robots.arm7()
-    states = [START + 0.05 * np.sin(np.arange(7) + i) for i in range(64)]
-    target = model.forward_kinematics(START)
-    pose, jacobian = np.empty((4, 4)), np.empty((6, 7))
-    cap = pliant.Controller(model, pliant.Settings(axes={"y": pliant.Axis(soft=4.0, eta=0.9)}))
-    paper = pliant.Controller(model, pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5)}))
-
-    def step(controller: pliant.Controller) -> Callable[[int], object]:
-        def call(i: int) -> object:
-            command = controller.step(states[i & 63], target)
-            return command.goal, command.torque_limit
-
-        return call
-
-    calls: dict[str, Callable[[int], object]] = {
-        "(an empty call)": lambda i: states[i & 63],
-        "step, law cap": step(cap),
-        "step, law paper": step(paper),
-        "pose and Jacobian, own arrays": lambda i: model.kinematics(
-            states[i & 63], out=(pose, jacobian)
-        ),
-        "pose and Jacobian, new arrays": lambda i: model.kinematics(states[i & 63]),
+def names() -> dict[str, Any]:
+    """What the calls speak of."""
+    model = pliant.Model.from_urdf(problem.URDF, tip=problem.TOOL)
+    states = problem.states(problem.bench_arm())
+    cap = pliant.Controller(model, pliant.Settings.soft("y"), pliant.Servos(**SERVOS))
+    return {
+        "states": [(q, model.forward_kinematics(ahead)) for q, ahead in states],
+        "followed": followed(model),
+        "cap": cap.step,
+        "paper": pliant_peer.controller(model).step,
+        "kinematics": model.kinematics,
+        "arrays": (np.empty((4, 4)), np.empty((6, model.n))),
     }
-    try:
-        import pinocchio
-    except ImportError:
-        print("!! Pinocchio is not installed: its row is missing")
-        return calls
-    urdf = Path(pliant.robots.__file__).with_name("arm7.urdf").read_text(encoding="utf-8")
-    other = pinocchio.buildModelFromXML(urdf)
-    data, frame = other.createData(), other.getFrameId("tool")
 
-    def reference(i: int) -> object:
-        return pinocchio.computeFrameJacobian(
-            other, data, states[i & 63], frame, pinocchio.LOCAL_WORLD_ALIGNED
-        ), data.oMf[frame]
 
-    expected = model.jacobian(states[3])
-    assert np.abs(np.asarray(reference(3)[0]) - expected).max() < 1e-9  # same work, then time
-    calls["pose and Jacobian, Pinocchio"] = reference
-    return calls
+def followed(model: pliant.Model) -> list[tuple[Any, Any]]:
+    """A path slow enough for the default law: each q (n,), and the tool (4, 4) two ticks ahead."""
+    middle, reach = 0.5 * (model.lower + model.upper), 0.05 * (model.upper - model.lower)
+    turns = 2.0 * np.pi * np.arange(STATES) / STATES
+    path = [middle + reach * np.sin(turn + 0.9 * np.arange(model.n)) for turn in turns]
+    return [(path[i - 2], model.forward_kinematics(path[i])) for i in range(STATES)]
+
+
+def reference(ours: dict[str, Any]) -> dict[str, Any]:
+    """The same for Pinocchio, once its Jacobian is ours."""
+    import pinocchio
+
+    model = pinocchio.buildModelFromXML(problem.URDF.read_text(encoding="utf-8"))
+    call = {
+        "jacobian": pinocchio.computeFrameJacobian,
+        "model": model,
+        "data": model.createData(),
+        "frame": model.getFrameId(problem.TOOL),
+        "axes": pinocchio.LOCAL_WORLD_ALIGNED,
+    }
+    q = ours["states"][3][0]
+    theirs = call["jacobian"](model, call["data"], q, call["frame"], call["axes"])
+    assert np.abs(theirs - ours["kinematics"](q)[1]).max() < 1e-9  # the same work, then the time
+    return call
 
 
 def main() -> None:
     """Take turns, print medians."""
-    calls = candidates()
+    known, calls = names(), dict(CALLS)
+    try:
+        known |= reference(known)
+        calls["pose and Jacobian, Pinocchio"] = REFERENCE
+    except ImportError:
+        print("!! Pinocchio is not installed: its row is missing")
+    timers = {name: timeit.Timer(call, globals=known) for name, call in calls.items()}
     times: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(ROUNDS):
-        for name, call in calls.items():
-            start = time.perf_counter()
-            for i in range(CALLS):
-                call(i)
-            times[name].append((time.perf_counter() - start) / CALLS)
-    empty = statistics.median(times.pop("(an empty call)"))
+        for name, timer in timers.items():
+            count = len(known["followed" if "followed" in calls[name] else "states"])
+            repeats = max(CALLS_A_TURN // count, 1)
+            times[name].append(timer.timeit(repeats) / (repeats * count))
+    loop = statistics.median(times.pop("(the loop)"))
     for name, values in times.items():
-        print(f"{name:32} {1e6 * (statistics.median(values) - empty):7.2f} µs")
+        print(f"{name:32} {1e6 * (statistics.median(values) - loop):7.2f} µs")
 
 
 if __name__ == "__main__":
