@@ -178,7 +178,8 @@ def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
             assert np.abs(arm.read().q - work).max() < 1e-3, "it stands"
             left.append(controller.report().dead_host[:3].max())
             sent.append(command.torque_limit)
-    assert left[0] > 46.0 > 44.0 >= left[1]
+    assert left[0] > 46.0
+    assert left[1] <= 44.0
     assert np.all(sent[1] <= sent[0] + 1e-9)
     with pytest.raises(pliant.ConfigError, match="did you mean 'dead_host_max'"):
         config.parse(text + "dead_host_mx = 44.0\n").settings()

@@ -32,12 +32,12 @@ fn goals(controller: &mut Controller, q: &[f64]) -> Vec<f64> {
 }
 
 /// One that wants another posture, and one that is content with every one.
-fn pair(law: Law) -> [Controller; 2] {
-    [wants(law, Some(&RATHER)), wants(law, None)]
+fn pair(law: Law) -> (Controller, Controller) {
+    (wants(law, Some(&RATHER)), wants(law, None))
 }
 
 /// How much the posture has to say in the goals at `q` [rad].
-fn say([one, other]: &mut [Controller; 2], q: &[f64]) -> f64 {
+fn say((one, other): &mut (Controller, Controller), q: &[f64]) -> f64 {
     goals(one, q).iter().zip(goals(other, q)).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
 }
 
@@ -67,7 +67,7 @@ fn it_lets_go_evenly_from_a_twentieth_of_a_radian_on() {
     let mut posture = Q.map(|q| q + 0.01);
     posture[0] = 0.0;
     // What joint 0 would rather do is left out: it is the one that comes nearer.
-    let [mut held, mut free] = [Some(posture.to_vec()), None].map(|posture| {
+    let of = |posture: Option<Vec<f64>>| {
         let posture_weights = Some(vec![0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
         let settings = Settings {
             posture,
@@ -77,7 +77,8 @@ fn it_lets_go_evenly_from_a_twentieth_of_a_radian_on() {
             ..Settings::default()
         };
         Controller::new(arm(), settings, Some(seeded::servos(0))).unwrap()
-    });
+    };
+    let (mut held, mut free) = (of(Some(posture.to_vec())), of(None));
     let mut at = |room: f64| {
         let q = beside(0, true, room);
         goals(&mut held, &q).iter().zip(goals(&mut free, &q)).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()))
@@ -96,7 +97,7 @@ fn a_posture_that_stands_at_a_limit_itself_is_held() {
     let rest = beside(0, true, 0.0);
     let mut displaced = rest.clone();
     displaced[4] += 0.2;
-    let pulled = say(&mut [wants(Law::Cap, Some(&rest)), wants(Law::Cap, None)], &displaced);
+    let pulled = say(&mut (wants(Law::Cap, Some(&rest)), wants(Law::Cap, None)), &displaced);
     assert!(pulled > 1e-3, "{pulled}");
     assert!(say(&mut pair(Law::Cap), &displaced) < 1e-12, "another one has no say there");
 }

@@ -4,6 +4,7 @@
 //! for a push toward −, the second for one toward +.
 
 mod check;
+mod findings;
 mod promise;
 mod stops;
 mod tracking;
