@@ -14,7 +14,7 @@ import numpy as np
 
 from pliant.experiments.bus_arm import FAMILIES, configuration, stepped
 from pliant.experiments.faults import RATE, Watcher
-from pliant.experiments.lifecycle import AFTER, LOAD, TABLE, postures
+from pliant.experiments.lifecycle import AFTER, LOAD, TABLE, pose_table, postures
 from pliant.experiments.setups import VERTICAL
 from pliant.sim import table
 
@@ -125,13 +125,7 @@ def main() -> None:
             f"{_worst([one.resting for one in seen], 1) if over_table else ''} |",
             flush=True,
         )
-    print(f"\n| pose | {' | '.join(str(k) for k in range(len(poses)))} |")
-    print(f"|---|{'---|' * len(poses)}")
-    for title, values in (
-        ("force", [one.force for one in seen]),
-        ("rests", [one.resting for one in seen]),
-    ):
-        print(f"| {title} | {' | '.join(f'{value:.1f}' for value in values)} |")
+    print("\n".join(["", *pose_table(seen)]))
 
 
 if __name__ == "__main__":

@@ -65,8 +65,8 @@ class Outcome:
         force: Mean over a tick, 10 ms, of the force on the hand where it is farthest above what it
             may be, or least below it [N]; 0 without a hand.
         allowed: What it may be then: while the host runs the axis' cap and 15 % of it, and what
-            its joints resist with by themselves, dry friction and damping at the speed they turn
-            with; where it does not, `dead_host` at its end + 3 N [N].
+            its joints resist with at the speed they turn with, by dry friction, damping, and goals
+            half a period old; where it does not, `dead_host` at its end + 3 N [N].
         torque: Whether all torque was off in the end.
     """
 
@@ -270,9 +270,11 @@ class Grasp:
 def _allowed(controller: pliant.Controller, mishap: Mishap, plant: Plant) -> Allowed:
     """Return what a hand along y may meet from now on.
 
-    The cap is that of the present deviation. Joints that turn also rub, `Σ_i |J⁺_iy| τ_f,i`, and
-    drag, `Σ_i |J⁺_iy| d_i |dq_i|`, as the report has it but with the true gears: those of the
-    emulator rub twice as much as the servos' tables say. Feed-forward takes much of that away.
+    The cap is that of the present deviation. Joints that turn also rub, `Σ_i |J⁺_iy| τ_f,i`, as
+    the report has it but with the true gears: those of the emulator rub twice as much as the
+    servos' tables say. And they drag, `Σ_i |J⁺_iy| (d_i + k_p,i T/2) |dq_i|`: by their damping, and
+    because goals that stand for a period T are half a period old in the mean. Feed-forward takes
+    much of the first two away.
     """
     report = controller.report()
     y = report.axes.index("y")
@@ -280,9 +282,11 @@ def _allowed(controller: pliant.Controller, mishap: Mishap, plant: Plant) -> All
         return Allowed(still=float(report.dead_host[y].max()) + MOVING)
     lever = np.abs(np.linalg.pinv(controller.model.jacobian(controller.q_predicted))[:, y])
     friction, damping = _gears(plant)
+    assert controller.servos is not None
+    old = 0.5 / controller.settings.rate * np.asarray(controller.servos.kp)
     return Allowed(
         still=float((1.0 + BAND) * controller.holding_torque[y] + lever @ friction),
-        drag=lever * damping,
+        drag=lever * (damping + old),
     )
 
 

@@ -1,13 +1,13 @@
 """What an arm does when it is lowered, and when things go wrong: the tables of docs/lifecycle.md.
 
-``python -m pliant.experiments.lifecycle [poses]`` prints both.
+``python -m pliant.experiments.lifecycle [poses]`` prints them.
 """
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -143,9 +143,21 @@ CASES: tuple[tuple[str, dict[str, object]], ...] = (
 )
 
 
+class Pressed(Protocol):
+    """What came of a descent over a table."""
+
+    @property
+    def force(self) -> float:
+        """Largest mean over a tick of the force on one point of the table [N]."""
+
+    @property
+    def resting(self) -> float:
+        """What rests there once torque is off [N]."""
+
+
 def lower_table(poses: Iterable[Array]) -> list[str]:
-    """The first table, as lines of Markdown: worst (median) over the poses."""
-    poses = list(poses)
+    """The first table, as lines of Markdown: worst (median); and over a table pose by pose."""
+    poses, pose_by_pose = list(poses), list[str]()
     lines = [
         "| `lower` | tool [m/s] | after torque off [m/s] | force on the table [N] | of which rests "
         "[N] | takes [s] |",
@@ -161,7 +173,19 @@ def lower_table(poses: Iterable[Array]) -> list[str]:
             _worst([run.seconds for run in runs], 0),
         ]
         lines.append(f"| {name} | {' | '.join(cells)} |")
-    return lines
+        if options == {"over_table": True}:
+            pose_by_pose = ["", *pose_table(runs)]
+    return lines + pose_by_pose
+
+
+def pose_table(runs: Sequence[Pressed]) -> list[str]:
+    """Force on the table and what rests there in the end, a column for each pose."""
+    return [
+        f"| pose | {' | '.join(str(k) for k in range(len(runs)))} |",
+        f"|---|{'---|' * len(runs)}",
+        f"| force | {' | '.join(f'{run.force:.1f}' for run in runs)} |",
+        f"| rests | {' | '.join(f'{run.resting:.1f}' for run in runs)} |",
+    ]
 
 
 def mishap_table() -> list[str]:
