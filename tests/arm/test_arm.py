@@ -108,8 +108,13 @@ def test_an_exception_lowers_and_stays_the_error(make):
     with pytest.raises(ZeroDivisionError), arm:
         _ = 1 / 0
     assert not arm.enabled
-    assert arm.drive.plant.tool[2, 3] < -0.6
-    assert np.abs(arm.drive.plant.dq).max() < 0.1
+    plant = arm.drive.plant
+    assert plant.tool[2, 3] < -0.6
+    # A joint that friction had stopped short of where it hangs may still swing there.
+    assert np.linalg.norm(plant.truth.frame("tool").twist()[:3]) < 0.03
+    for _ in range(100):
+        plant.advance()
+    assert np.abs(plant.dq).max() < 0.1
 
 
 def test_hold_leaves_torque_on(make, grasp):
