@@ -28,8 +28,8 @@ const READABLE: i32 = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED;
 /// What it must be to be written here.
 const WRITABLE: i32 = READABLE | NPY_ARRAY_WRITEABLE;
 
-/// Byte order that NumPy writes for the machine's own.
-const NATIVE: u8 = b'=';
+/// Byte order that NumPy writes for the machine's own: `=`, in a type that has a sign on some machines only.
+const NATIVE: std::ffi::c_char = 0x3d;
 
 /// Whether this Python may run without its interpreter lock: then no count of references says who holds what.
 static FREE_THREADED: AtomicBool = AtomicBool::new(false);
@@ -55,7 +55,7 @@ fn structure_of<'a>(array: &'a Bound<'_, PyAny>) -> Option<&'a PyArrayObject_fie
     let fields = unsafe { &(*array.as_ptr().cast::<PyArrayObject>()).fields };
     // SAFETY: every array has a descriptor; the fields read here are at the same place in all versions of NumPy.
     let (type_number, order) = unsafe { ((*fields.descr).fields.type_num, (*fields.descr).fields.byteorder) };
-    (type_number == NPY_TYPES::NPY_DOUBLE as i32 && order.cast_unsigned() == NATIVE).then_some(fields)
+    (type_number == NPY_TYPES::NPY_DOUBLE as i32 && order == NATIVE).then_some(fields)
 }
 
 /// The structure of such an array with this shape and at least these flags.
