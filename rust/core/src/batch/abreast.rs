@@ -14,7 +14,8 @@ use crate::law::singular::Condition;
 use crate::number::{ABREAST, Arithmetic, Columns, Kernel, Lanes, Machine, Many, NEGLIGIBLE, Packed};
 use crate::pose::Pose;
 use crate::settings::GravityUse;
-use crate::task::deviation::{into_frame, pose_error_by};
+use crate::task::deviation::pose_error_by;
+use crate::task::in_task;
 use crate::task::wish::Wish;
 use crate::{MAX_AXES, MAX_JOINTS};
 
@@ -89,7 +90,7 @@ impl Abreast<'_> {
         let view =
             model.chain().look_abreast(q, masses, gravity, settings.gravity != GravityUse::Off, &mut scratch.rows);
         let seen = Seen::new(plan, settings, q, &view);
-        let error = into_frame::<W>(&seen.base_from_task, &pose_error_by::<W>(&seen.view.tool, &target));
+        let error = in_task::<W>(&plan.frame, &seen.base_from_task, &pose_error_by::<W>(&seen.view.tool, &target));
         let wish = Wish::new(plan, settings, &error, &[nothing; MAX_AXES]);
         let rest = plan.rest.as_ref().map_or(q, Columns::load);
         let (lambda, integral) = (W::splat(plan.damping.lambda_0), Columns::splat(0.0));

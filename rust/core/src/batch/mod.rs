@@ -228,7 +228,8 @@ impl Controller {
         if changed {
             self.adapt_memory();
         }
-        self.advance(&one.q, &one.target, &one.input(input.dt)).map_err(|error| error.in_row("Q", row))?;
+        self.advance(&one.q[..self.plan.n.min(crate::MAX_JOINTS)], &one.target, &one.input(input.dt))
+            .map_err(|error| error.in_row("Q", row))?;
         if let Some(kept) = kept {
             self.memory.keep(n, kept);
         }

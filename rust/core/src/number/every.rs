@@ -166,6 +166,12 @@ impl Lanes for EveryJoint {
 impl Joints for EveryJoint {
     type Triple = Three<Plain>;
 
+    fn read(values: &[f64]) -> Self {
+        let mut out = [0.0; MAX_JOINTS];
+        out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
+        Self::load(&out)
+    }
+
     fn few<const N: usize>(self) -> [f64; N] {
         let mut out = [0.0; N];
         out.iter_mut().zip(self.0).for_each(|(slot, value)| *slot = value);

@@ -71,6 +71,9 @@ pub(crate) trait Joints: Lanes<One: Arithmetic<Real = f64>, Axes: Wide> {
     /// A vector of space on the same machine.
     type Triple: Kept<One = Self::One>;
 
+    /// From the numbers of an arm's joints, 0 beyond.
+    fn read(values: &[f64]) -> Self;
+
     /// The three components of one vector per joint.
     fn components(cells: &[Cell]) -> [Self; 3];
 
@@ -133,11 +136,14 @@ impl<W: Wide> Lanes for W {
 
     #[inline(always)]
     fn largest(self) -> f64 {
-        let mut largest = 0.0;
-        for value in self.numbers() {
-            largest = Self::One::at_least(largest, value);
+        let mut n = self.numbers();
+        // By halves: one after another, each would wait for the one before.
+        for half in [4, 2, 1] {
+            for i in 0..half {
+                n[i] = Self::One::at_least(n[i], n[i + half]);
+            }
         }
-        largest
+        Self::One::at_least(0.0, n[0])
     }
 
     #[inline(always)]
@@ -153,6 +159,11 @@ impl<W: Wide> Lanes for W {
 
 impl<W: Wide> Joints for W {
     type Triple = W::Triple;
+
+    #[inline(always)]
+    fn read(values: &[f64]) -> Self {
+        W::part(values)
+    }
 
     #[inline(always)]
     fn components(cells: &[Cell]) -> [Self; 3] {

@@ -82,6 +82,8 @@ pub(crate) struct Plan {
     pub(crate) cost: Cost,
     /// Rest posture; `None`: q at reset.
     pub(crate) rest: Option<JointVec>,
+    /// Whether anything of a step depends on the singular values of its rows.
+    pub(crate) follows_sigma: bool,
     pub(crate) null_torque: f64,
     pub(crate) null_speed: f64,
     pub(crate) joint_weight: JointVec,
@@ -179,6 +181,10 @@ impl Plan {
             null_stiffness: settings.null_stiffness,
             alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
             takeover_damping: damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2),
+            follows_sigma: settings.law != Law::Paper
+                || damping.sigma_0 > 0.0
+                || settings.manipulability > 0.0
+                || settings.projector == Projector::Exact,
             damping,
             cost: resolve_cost(model, settings)?,
             rest: settings.posture.as_ref().map(|posture| list("posture", Some(posture), n, 0.0)).transpose()?,

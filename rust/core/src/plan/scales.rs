@@ -4,16 +4,16 @@ use crate::model::Model;
 use crate::number::{Arithmetic, Axes, Lanes};
 use crate::plan::Plan;
 use crate::pose::COORDINATE_BOUND;
-use crate::settings::{Law, Projector};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// How far a reading may lie beyond a joint's position limits [rad]: half a turn. Farther off it is in degrees, or of
 /// another robot.
 const BEYOND_LIMITS: f64 = std::f64::consts::PI;
 
-/// Smallest and largest position of each joint that is taken for a real one; a prismatic joint may be off by its travel.
+/// Positions between which each joint's is taken for a real one, ±1 behind the last joint; a prismatic joint may be off by
+/// its travel.
 pub(super) fn readable(model: &Model) -> [JointVec; 2] {
-    let mut out = [[0.0; MAX_JOINTS]; 2];
+    let mut out = [[-1.0; MAX_JOINTS], [1.0; MAX_JOINTS]];
     for (i, (&lower, &upper)) in model.lower().iter().zip(model.upper()).enumerate().take(MAX_JOINTS) {
         let prismatic = model.prismatic().get(i).copied().unwrap_or(false);
         let beyond = if prismatic { upper - lower } else { BEYOND_LIMITS };
@@ -44,14 +44,6 @@ impl Plan {
     #[inline(always)]
     pub(crate) fn reach<J: Lanes>(&self, horizon: f64) -> J {
         J::load(&self.joint_speed) * J::splat(horizon)
-    }
-
-    /// Whether anything of a step depends on the singular values of its rows.
-    pub(crate) fn follows_sigma(&self) -> bool {
-        self.law != Law::Paper
-            || self.damping.sigma_0 > 0.0
-            || self.cost.manipulability > 0.0
-            || self.projector == Projector::Exact
     }
 
     /// Scales a null-space motion [rad] to its speed limit.

@@ -14,6 +14,7 @@ use crate::law::inverse::{load_rows, rows_array};
 use crate::number::{Arithmetic, EveryJoint, Lanes, Scalar};
 use crate::pose::Pose;
 use crate::task::axes::Frame;
+use crate::task::deviation::into_frame;
 use crate::{MAX_AXES, Rows};
 
 /// `base_from_task` of a task frame, given the pose of the tool.
@@ -24,6 +25,16 @@ pub(crate) fn base_from_task<A: Arithmetic>(frame: &Frame, tool: &Pose<A::Real>)
         Frame::Tool => tool.rotation,
         Frame::Rotation(rotation) => splat_matrix::<A>(rotation),
     }
+}
+
+/// A 6-vector of base axes in those of a task in `frame`.
+#[inline(always)]
+pub(crate) fn in_task<A: Arithmetic>(
+    frame: &Frame,
+    base_from_task: &Mat3<A::Real>,
+    v: &[A::Real; MAX_AXES],
+) -> [A::Real; MAX_AXES] {
+    if matches!(frame, Frame::Base) { *v } else { into_frame::<A>(base_from_task, v) }
 }
 
 /// Jacobian rows of the task's axes in the task frame, from the 6 × n Jacobian in base axes; 0 behind them.
