@@ -34,7 +34,7 @@ pub(crate) struct Seen<'a, J: Lanes> {
 impl<'a, J: Lanes> Seen<'a, J> {
     #[inline(always)]
     pub(crate) fn new(plan: &Plan, settings: &Settings, q: J, view: &'a View<J>) -> Self {
-        let base_from_task = task::base_from_task::<J::One>(&plan.frame, &view.tool);
+        let base_from_task = plan.base_from_task::<J::One>(&view.tool);
         let rows = task::rows_in(&plan.frame, &view.world, &base_from_task, &plan.axes);
         let gravity = settings.gravity;
         let in_goal = J::splat(f64::from(u8::from(gravity.in_goal())));

@@ -155,7 +155,9 @@ impl Cycle<'_> {
         if !plan.deviation_limits.is_empty() {
             let (tool, base_from_task) = (seen.view.tool, seen.base_from_task);
             let pushed = Pushed { tool: &tool, base_from_task: &base_from_task, before: &self.memory.governor.pose() };
-            aim = limit_deviation(plan, &pushed, aim, &mut governor);
+            // Field by field: what is handed over by its address is kept in memory, and read back late.
+            let Aim { reference, error, limited } = limit_deviation(plan, &pushed, aim, &mut governor);
+            aim = Aim { reference, error, limited };
         }
         let twist = match &self.input.twist {
             Some(twist) => in_task::<J::One>(&plan.frame, &seen.base_from_task, &governor.velocity(twist, speed)),

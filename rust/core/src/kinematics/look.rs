@@ -137,9 +137,9 @@ impl Chain {
         let (mut beyond, mut mass) = (J::Triple::constant(&[0.0; 3]), 0.0);
         for k in (0..self.path.min(MAX_JOINTS)).rev() {
             let (own, origin) = (J::Triple::kept(&moments[k]), J::Triple::kept(&cells.origin[k]));
-            let all = beyond.plus(1.0, own);
-            all.minus(mass, origin).keep(&mut moments[k]);
-            beyond = all.plus(masses.mass[k], origin);
+            own.minus(mass, origin).plus(1.0, beyond).keep(&mut moments[k]);
+            // What does not wait for the joint before comes first.
+            beyond = own.plus(masses.mass[k], origin).plus(1.0, beyond);
             mass += masses.mass[k];
         }
         let (axis, world) = cells.jacobian::<J>(&tool);

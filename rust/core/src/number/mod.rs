@@ -30,7 +30,7 @@ mod x86;
 pub(crate) use array::Array;
 pub(crate) use columns::Columns;
 pub(crate) use every::EveryJoint;
-pub(crate) use functions::{quadrant_angle, tanh};
+pub(crate) use functions::{is_narrow, narrow_angle_per, quadrant_angle, tanh};
 pub use instructions::Instructions;
 pub(crate) use instructions::{Kernel, Machine};
 pub(crate) use lanes::{Axes, AxisScalar, Joints, Lanes, Scalar};

@@ -77,12 +77,18 @@ impl Plan {
         if self.k == MAX_AXES {
             return W::of_axes(v);
         }
-        let nothing = W::One::splat(0.0);
-        let all = [v[0], v[1], v[2], v[3], v[4], v[5], nothing, nothing];
-        let mut out = [nothing; MAX_AXES];
-        for r in 0..MAX_AXES {
-            out[r] = all[self.lanes.axis[r] % LANES];
-        }
-        W::of_axes(&out)
+        W::of_axes(&picked(&self.lanes.axis, &{ *v }, W::One::splat(0.0)))
     }
+}
+
+/// Entries in the order of `axis`, and `nothing` for what is no axis.
+///
+/// By a call, and of a copy: what is indexed has to be in memory, where six numbers are not to be written for all other tasks.
+#[inline(never)]
+fn picked<R: Copy>(axis: &[usize; MAX_AXES], v: &[R; MAX_AXES], nothing: R) -> [R; MAX_AXES] {
+    let mut out = [nothing; MAX_AXES];
+    for (slot, &axis) in out.iter_mut().zip(axis) {
+        *slot = v.get(axis).copied().unwrap_or(nothing);
+    }
+    out
 }

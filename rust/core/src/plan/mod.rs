@@ -9,9 +9,11 @@ mod stiffness;
 use nalgebra::DMatrix;
 
 use crate::error::{Error, Result};
+use crate::kinematics::spatial::Mat3;
 use crate::law::clearance::clearance;
 use crate::law::nullspace::Cost;
 use crate::model::Model;
+use crate::pose::Pose;
 use crate::servos::{ServoArrays, Servos};
 use crate::settings::{Damping, Follow, Gain, Law, LimitRule, Projector, Settings};
 use crate::survey::{self, Surveyed};
@@ -52,6 +54,9 @@ pub(crate) struct Plan {
     pub(crate) projector: Projector,
     pub(crate) budget_on_goal: bool,
     pub(crate) frame: Frame,
+    /// The columns are the task's axes, unless they turn with the tool. Kept although there are constants for them, which a
+    /// step would write number by number and then wait for.
+    fixed_axes: Mat3,
     /// Axis index of each row.
     pub(crate) axes: Vec<usize>,
     pub(crate) rows: [Row; MAX_AXES],
@@ -165,6 +170,7 @@ impl Plan {
             projector: settings.projector,
             budget_on_goal: settings.budget_on_goal,
             frame: settings.task.frame,
+            fixed_axes: settings.task.frame.base_from_task(&Pose::IDENTITY.rotation),
             lanes: RowLanes::new(&rows[..k], &damping_scale, &kx),
             rows,
             deviation_limits: deviation_limits(settings, &axes),

@@ -1,9 +1,11 @@
 //! What the cycle scales and bounds by constants of the plan.
 
+use crate::kinematics::spatial::{Mat3, splat_matrix};
 use crate::model::Model;
 use crate::number::{Arithmetic, Axes, Lanes};
 use crate::plan::Plan;
-use crate::pose::COORDINATE_BOUND;
+use crate::pose::{COORDINATE_BOUND, Pose};
+use crate::task::axes::Frame;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// How far a reading may lie beyond a joint's position limits [rad]: half a turn. Farther off it is in degrees, or of
@@ -24,6 +26,15 @@ pub(super) fn readable(model: &Model) -> [JointVec; 2] {
 }
 
 impl Plan {
+    /// The axes of the task as columns, given the pose of the tool.
+    #[inline(always)]
+    pub(crate) fn base_from_task<A: Arithmetic>(&self, tool: &Pose<A::Real>) -> Mat3<A::Real> {
+        match self.frame {
+            Frame::Tool => tool.rotation,
+            Frame::Base | Frame::Rotation(_) => splat_matrix::<A>(&self.fixed_axes),
+        }
+    }
+
     /// Task rows with translations divided by the arm's length.
     #[inline(always)]
     pub(crate) fn scale_rows<J: Lanes>(&self, rows: &[J; MAX_AXES]) -> [J; MAX_AXES] {

@@ -9,23 +9,12 @@ pub(crate) mod deviation_limit;
 pub(crate) mod governor;
 pub(crate) mod wish;
 
-use crate::kinematics::spatial::{Mat3, splat_matrix};
+use crate::kinematics::spatial::Mat3;
 use crate::law::inverse::{load_rows, rows_array};
 use crate::number::{Arithmetic, EveryJoint, Lanes, Scalar};
-use crate::pose::Pose;
 use crate::task::axes::Frame;
 use crate::task::deviation::into_frame;
 use crate::{MAX_AXES, Rows};
-
-/// `base_from_task` of a task frame, given the pose of the tool.
-#[inline(always)]
-pub(crate) fn base_from_task<A: Arithmetic>(frame: &Frame, tool: &Pose<A::Real>) -> Mat3<A::Real> {
-    match frame {
-        Frame::Base => splat_matrix::<A>(&Pose::IDENTITY.rotation),
-        Frame::Tool => tool.rotation,
-        Frame::Rotation(rotation) => splat_matrix::<A>(rotation),
-    }
-}
 
 /// A 6-vector of base axes in those of a task in `frame`.
 #[inline(always)]
@@ -53,6 +42,13 @@ pub(crate) fn rows_in<J: Lanes>(
     match frame {
         // The six axes of the base are the world's rows themselves.
         Frame::Base if axes.len() == MAX_AXES => *world,
+        Frame::Base => {
+            let mut out = [J::splat(0.0); MAX_AXES];
+            for r in 0..axes.len().min(MAX_AXES) {
+                out[r] = world[axes[r] % MAX_AXES];
+            }
+            out
+        }
         _ => turned_rows(world, base_from_task, axes),
     }
 }
