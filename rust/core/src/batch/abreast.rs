@@ -15,7 +15,6 @@ use crate::number::{ABREAST, Arithmetic, Columns, Kernel, Lanes, Machine, Many, 
 use crate::pose::Pose;
 use crate::settings::GravityUse;
 use crate::task::deviation::pose_error_by;
-use crate::task::in_task;
 use crate::task::wish::Wish;
 use crate::{MAX_AXES, MAX_JOINTS};
 
@@ -90,8 +89,8 @@ impl Abreast<'_> {
         let view =
             model.chain().look_abreast(q, masses, gravity, settings.gravity != GravityUse::Off, &mut scratch.rows);
         let seen = Seen::new(plan, settings, q, &view);
-        let error = in_task::<W>(&plan.frame, &seen.base_from_task, &pose_error_by::<W>(&seen.view.tool, &target));
-        let wish = Wish::new(plan, settings, &error, &[nothing; MAX_AXES]);
+        let error = pose_error_by::<W>(&seen.view.tool, &target);
+        let wish = Wish::new(plan, settings, plan.in_rows(&seen.base_from_task, &error), Columns::splat(0.0));
         let rest = plan.rest.as_ref().map_or(q, Columns::load);
         let (lambda, integral) = (W::splat(plan.damping.lambda_0), Columns::splat(0.0));
         let condition = Condition { damping: lambda * lambda, mu_squared: nothing, factor: None, gamma: W::splat(1.0) };

@@ -3,27 +3,27 @@
 use crate::command::dead_host::Dead;
 use crate::command::limits::Load;
 use crate::controller::record::Record;
-use crate::controller::step::{Aim, Cycle};
+use crate::controller::step::Cycle;
 use crate::number::{Arithmetic, EveryJoint, Plain};
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::LimitRule;
 use crate::task::deviation::{into_frame, out_of_frame};
-use crate::task::deviation_limit::Pushed;
+use crate::task::deviation_limit::{Kept, Pushed};
 use crate::task::governor::Governor;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Bounds the deviation of stiff axes by moving the reference; its speed along these axes is then spent.
 #[cold]
 #[inline(never)]
-pub(super) fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, aim: Aim, governor: &mut Governor) -> Aim {
-    let Some(kept) = pushed.keep(&plan.deviation_limits, &aim.reference) else { return aim };
+pub(super) fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, governor: &mut Governor) -> Option<Kept> {
+    let kept = pushed.keep(&plan.deviation_limits, &governor.pose())?;
     let mut velocity = into_frame::<Plain>(pushed.base_from_task, &governor.own_velocity());
     for (value, met) in velocity.iter_mut().zip(kept.met) {
         *value *= if met { 0.0 } else { kept.advance };
     }
     governor.put(kept.reference, out_of_frame(pushed.base_from_task, &velocity));
-    Aim { reference: kept.reference, error: kept.error, limited: kept.met }
+    Some(kept)
 }
 
 /// Share of what the stiff axes want that they must lack before a reference waits altogether.

@@ -22,21 +22,19 @@ use crate::pose::Pose;
 use crate::settings::{LimitRule, Settings};
 use crate::task::deviation::pose_error_by;
 use crate::task::deviation_limit::Pushed;
-use crate::task::in_task;
 use crate::task::wish::Wish;
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
+use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Longest time [s] for which a slew or the integrating goal is advanced at once: a stalled host must not lunge.
 const LONGEST_SLEW: f64 = 0.1;
 
-/// Where the tool is to go. Deviation limits make another one of it: what nobody holds the address of stays in registers.
-#[derive(Clone, Copy)]
-pub(super) struct Aim {
-    pub(super) reference: Pose,
-    /// Deviation (6,) in the task frame.
-    pub(super) error: AxisVec,
+/// Where the tool is to go. Nobody is handed its address: it stays in registers, which are not waited for.
+struct Aim<W> {
+    reference: Pose,
+    /// Deviation, one number per task row.
+    deviation: W,
     /// Which of x, y, z, roll, pitch, yaw met its deviation limit.
-    pub(super) limited: [bool; MAX_AXES],
+    limited: [bool; MAX_AXES],
 }
 
 impl Controller {
@@ -150,20 +148,20 @@ impl Cycle<'_> {
         let view = self.chain.look(q, self.masses, self.gravity, self.scratch);
         let seen = Seen::new(plan, settings, q, &view);
         let error = pose_error_by::<J::One>(&seen.view.tool, &reference);
-        let error = in_task::<J::One>(&plan.frame, &seen.base_from_task, &error);
-        let mut aim = Aim { reference, error, limited: [false; MAX_AXES] };
+        let deviation = plan.in_rows(&seen.base_from_task, &error);
+        let mut aim = Aim { reference, deviation, limited: [false; MAX_AXES] };
         if !plan.deviation_limits.is_empty() {
             let (tool, base_from_task) = (seen.view.tool, seen.base_from_task);
             let pushed = Pushed { tool: &tool, base_from_task: &base_from_task, before: &self.memory.governor.pose() };
-            // Field by field: what is handed over by its address is kept in memory, and read back late.
-            let Aim { reference, error, limited } = limit_deviation(plan, &pushed, aim, &mut governor);
-            aim = Aim { reference, error, limited };
+            if let Some(kept) = limit_deviation(plan, &pushed, &mut governor) {
+                aim = Aim { reference: kept.reference, deviation: plan.of_rows(&kept.error), limited: kept.met };
+            }
         }
         let twist = match &self.input.twist {
-            Some(twist) => in_task::<J::One>(&plan.frame, &seen.base_from_task, &governor.velocity(twist, speed)),
-            None => [0.0; MAX_AXES],
+            Some(twist) => plan.in_rows(&seen.base_from_task, &governor.velocity(twist, speed)),
+            None => J::Axes::splat(0.0),
         };
-        let wish = Wish::new(plan, settings, &aim.error, &twist);
+        let wish = Wish::new(plan, settings, aim.deviation, twist);
         let mut singular = self.memory.singular;
         let solved =
             solve(plan, settings, self.instructions, self.input, &seen, &wish, self.memory, &filtered, &mut singular);
@@ -294,7 +292,7 @@ impl Cycle<'_> {
     fn note<J: Joints>(
         &mut self,
         seen: &Seen<'_, J>,
-        aim: &Aim,
+        aim: &Aim<J::Axes>,
         wish: &Wish<J::Axes>,
         solved: &Solved<J>,
         filtered: &Filtered<J>,

@@ -1,7 +1,10 @@
 //! The task axes side by side, as vector code reads them.
 
+use crate::kinematics::spatial::Mat3;
 use crate::number::{Arithmetic, Axes, AxisScalar, LANES};
 use crate::plan::{Plan, Row};
+use crate::task::axes::Frame;
+use crate::task::deviation::into_frame;
 use crate::{AxisVec, MAX_AXES};
 
 /// One number per task row, then whatever keeps the spare lanes at zero.
@@ -71,24 +74,30 @@ impl RowLanes {
 }
 
 impl Plan {
+    /// A vector of base axes as one number per task row.
+    #[inline(always)]
+    pub(crate) fn in_rows<W: Axes>(&self, base_from_task: &Mat3<AxisScalar<W>>, v: &[AxisScalar<W>; MAX_AXES]) -> W {
+        if matches!(self.frame, Frame::Base) {
+            return self.of_rows(v);
+        }
+        self.of_rows(&into_frame::<W::One>(base_from_task, v))
+    }
+
     /// The entries of a vector over x, y, z, roll, pitch, yaw that the task has, in the order of its rows.
     #[inline(always)]
     pub(crate) fn of_rows<W: Axes>(&self, v: &[AxisScalar<W>; MAX_AXES]) -> W {
+        let all = W::of_axes(v);
         if self.k == MAX_AXES {
-            return W::of_axes(v);
+            return all;
         }
-        W::of_axes(&picked(&self.lanes.axis, &{ *v }, W::One::splat(0.0)))
+        // What is indexed has to be in memory: taken from a register, or the six would be written there for all other tasks.
+        let (all, nothing) = (all.axes(), W::One::splat(0.0));
+        let mut out = [nothing; MAX_AXES];
+        for r in 0..MAX_AXES {
+            if let Some(&value) = all.get(self.lanes.axis[r]) {
+                out[r] = value;
+            }
+        }
+        W::of_axes(&out)
     }
-}
-
-/// Entries in the order of `axis`, and `nothing` for what is no axis.
-///
-/// By a call, and of a copy: what is indexed has to be in memory, where six numbers are not to be written for all other tasks.
-#[inline(never)]
-fn picked<R: Copy>(axis: &[usize; MAX_AXES], v: &[R; MAX_AXES], nothing: R) -> [R; MAX_AXES] {
-    let mut out = [nothing; MAX_AXES];
-    for (slot, &axis) in out.iter_mut().zip(axis) {
-        *slot = v.get(axis).copied().unwrap_or(nothing);
-    }
-    out
 }

@@ -11,20 +11,9 @@ pub(crate) mod wish;
 
 use crate::kinematics::spatial::Mat3;
 use crate::law::inverse::{load_rows, rows_array};
-use crate::number::{Arithmetic, EveryJoint, Lanes, Scalar};
+use crate::number::{EveryJoint, Lanes, Scalar};
 use crate::task::axes::Frame;
-use crate::task::deviation::into_frame;
 use crate::{MAX_AXES, Rows};
-
-/// A 6-vector of base axes in those of a task in `frame`.
-#[inline(always)]
-pub(crate) fn in_task<A: Arithmetic>(
-    frame: &Frame,
-    base_from_task: &Mat3<A::Real>,
-    v: &[A::Real; MAX_AXES],
-) -> [A::Real; MAX_AXES] {
-    if matches!(frame, Frame::Base) { *v } else { into_frame::<A>(base_from_task, v) }
-}
 
 /// Jacobian rows of the task's axes in the task frame, from the 6 × n Jacobian in base axes; 0 behind them.
 pub(crate) fn rows(world: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[usize]) -> Rows {

@@ -1,7 +1,7 @@
 //! What each axis wants at one tick: lines 3 to 6 of the control step.
 
 use crate::MAX_AXES;
-use crate::number::{Axes, AxisScalar};
+use crate::number::Axes;
 use crate::plan::{AxisLanes, Plan};
 use crate::settings::Settings;
 use crate::task::adapt::{adapt_deviation, plus_share};
@@ -35,16 +35,10 @@ pub(crate) struct Wish<W> {
 }
 
 impl<W: Axes> Wish<W> {
-    /// From the deviation and the target's velocity (6,), both in the task frame.
+    /// From the deviation `e` and the target's velocity, per task row.
     #[inline(always)]
-    pub(crate) fn new(
-        plan: &Plan,
-        settings: &Settings,
-        error: &[AxisScalar<W>; 6],
-        twist: &[AxisScalar<W>; 6],
-    ) -> Self {
+    pub(crate) fn new(plan: &Plan, settings: &Settings, e: W, twist: W) -> Self {
         let rows = &plan.lanes;
-        let (e, twist) = (plan.of_rows(error), plan.of_rows(twist));
         let plus = plus_share::<W>(e, W::constant(&rows.band), W::constant(&rows.band_slope));
         let w = side(plus, &rows.yields);
         let adapted = adapt_deviation::<W>(e, W::constant(&rows.eta), w);
