@@ -14,7 +14,7 @@ use crate::command::{Command, Pool};
 use crate::convert::new_array;
 use crate::error::{OrRaise, wrong_type};
 use crate::model::Model;
-use crate::read::{array_into, joints, number, pose, vector3};
+use crate::read::{array_into, joints, joints_in_place, number, pose, vector3};
 use crate::record::readings;
 use crate::report::{Check, Report, check_with};
 use crate::servos::Servos;
@@ -128,12 +128,12 @@ readings! {
             gradient: Option<&Bound<'_, PyAny>>,
             out: Option<&Bound<'_, Command>>,
         ) -> PyResult<Py<Command>> {
-            let n = self.n;
-            let q = joints("q", q, n)?;
+            let (n, mut slot) = (self.n, None);
+            let q = joints_in_place("q", q, n, &mut slot)?;
             let target = pose("target", target, self.position_only)?;
             let extras = Extras::read(n, dt, dq, twist, gradient)?;
             let out = out.map(|out| Command::writable(out, n)).transpose()?;
-            let command = self.core.step(&q[..n], &target, &extras.input(n)).or_raise()?;
+            let command = self.core.step(q, &target, &extras.input(n)).or_raise()?;
             hand_out(py, &mut self.pool, command, out)
         }
 

@@ -1,8 +1,8 @@
 //! NumPy arrays by their C structure: with [`crate::docs`] the only unsafe code of the binding.
 //!
 //! What is read and written here is checked first: exact type `numpy.ndarray`, native float64, aligned, C order, the
-//! shape asked for. Everything else is refused here and converted or explained by [`crate::read`]. Numbers are copied
-//! before use, so that another thread that writes into an array during a call changes numbers and nothing else.
+//! shape asked for. Everything else is refused here and converted or explained by [`crate::read`]. A step reads
+//! each number once, so that another thread that writes into an array during a call changes numbers and nothing else.
 #![expect(unsafe_code, reason = "NumPy's C structure is read directly: a checked borrow costs four times as much")]
 #![expect(clippy::cast_ptr_alignment, reason = "the flag ALIGNED of the array is checked before its data are cast")]
 
@@ -98,16 +98,26 @@ unsafe fn copy_numbers(from: *const f64, to: *mut f64, count: usize) {
     }
 }
 
+/// The numbers of a plain array of this shape where they lie; `None` for any other object.
+///
+/// For calls that hold the interpreter lock and read each number once: who writes without that lock meanwhile changes
+/// numbers and nothing else.
+#[inline]
+pub(crate) fn read<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a [f64]> {
+    let fields = structure(array, shape, READABLE)?;
+    // SAFETY: the array is C-contiguous, aligned and holds as many float64 values, as long as `array` is held.
+    Some(unsafe { std::slice::from_raw_parts(fields.data.cast::<f64>().cast_const(), shape.iter().product()) })
+}
+
 /// Copies the numbers of a plain array of this shape; `false` and nothing done for any other object.
 #[inline]
 pub(crate) fn copy(array: &Bound<'_, PyAny>, shape: &[usize], out: &mut [f64]) -> bool {
-    let Some(fields) = structure(array, shape, READABLE) else { return false };
-    let count: usize = shape.iter().product();
-    if out.len() < count {
+    let Some(values) = read(array, shape) else { return false };
+    if out.len() < values.len() {
         return false;
     }
-    // SAFETY: the array is C-contiguous, aligned and holds `count` float64 values; `out` has room and is ours alone.
-    unsafe { copy_numbers(fields.data.cast::<f64>().cast_const(), out.as_mut_ptr(), count) };
+    // SAFETY: `out` has room and is ours alone.
+    unsafe { copy_numbers(values.as_ptr(), out.as_mut_ptr(), values.len()) };
     true
 }
 
