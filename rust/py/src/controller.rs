@@ -44,30 +44,31 @@ struct Extras {
 }
 
 impl Extras {
+    /// Those that are given; read where they are kept, for mostly there are none to be moved about.
     #[inline]
     fn read(
+        &mut self,
         n: usize,
         dt: Option<&Bound<'_, PyAny>>,
         dq: Option<&Bound<'_, PyAny>>,
         twist: Option<&Bound<'_, PyAny>>,
         gradient: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<Self> {
-        let mut out = Self::default();
+    ) -> PyResult<()> {
         if let Some(dt) = dt {
-            out.dt = Some(number(dt).ok_or_else(|| wrong_type("dt", "a number [s]", dt))?);
+            self.dt = Some(number(dt).ok_or_else(|| wrong_type("dt", "a number [s]", dt))?);
         }
         if let Some(dq) = dq {
-            out.dq = Some(joints("dq", dq, n)?);
+            self.dq = Some(joints("dq", dq, n)?);
         }
         if let Some(twist) = twist {
             let mut six = [0.0; 6];
             array_into("twist", twist, &[6], &mut six)?;
-            out.twist = Some(six);
+            self.twist = Some(six);
         }
         if let Some(gradient) = gradient {
-            out.gradient = Some(joints("gradient", gradient, n)?);
+            self.gradient = Some(joints("gradient", gradient, n)?);
         }
-        Ok(out)
+        Ok(())
     }
 
     #[inline]
@@ -131,7 +132,8 @@ readings! {
             let (n, mut slot) = (self.n, None);
             let q = joints_in_place("q", q, n, &mut slot)?;
             let target = pose("target", target, self.position_only)?;
-            let extras = Extras::read(n, dt, dq, twist, gradient)?;
+            let mut extras = Extras::default();
+            extras.read(n, dt, dq, twist, gradient)?;
             let out = out.map(|out| Command::writable(out, n)).transpose()?;
             let command = self.core.step(q, &target, &extras.input(n)).or_raise()?;
             hand_out(py, &mut self.pool, command, out)
@@ -152,7 +154,8 @@ readings! {
         ) -> PyResult<Py<Command>> {
             let n = self.n;
             let (q, wanted) = (joints("q", q, n)?, joints("q_target", q_target, n)?);
-            let extras = Extras::read(n, dt, dq, twist, gradient)?;
+            let mut extras = Extras::default();
+            extras.read(n, dt, dq, twist, gradient)?;
             let out = out.map(|out| Command::writable(out, n)).transpose()?;
             let command = self.core.step_joints(&q[..n], &wanted[..n], &extras.input(n)).or_raise()?;
             hand_out(py, &mut self.pool, command, out)
@@ -175,8 +178,9 @@ readings! {
             invalid: Option<&Bound<'_, PyAny>>,
             out: Option<&Bound<'_, PyAny>>,
         ) -> PyResult<Py<Command>> {
-            let dt = Extras::read(self.n, dt, None, None, None)?.dt;
-            let call = BatchCall { targets, position_only: self.position_only, dt, dq, invalid, out };
+            let mut extras = Extras::default();
+            extras.read(self.n, dt, None, None, None)?;
+            let call = BatchCall { targets, position_only: self.position_only, dt: extras.dt, dq, invalid, out };
             call.run(py, &self.core, Q, state)
         }
 
