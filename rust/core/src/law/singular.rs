@@ -45,14 +45,13 @@ impl SingularValues {
         iterations: usize,
     ) {
         for _ in 0..iterations {
-            let [first, second] = self.weak;
-            let u = Image::new(factor.solve::<A>(&first), first);
-            let v = Image::new(factor.solve::<A>(&second), second);
-            let (weak, smallest) = match v.across(&u) {
-                Some(v) => weaker_first(&u, &v),
-                None => restart(gram, &u.v, k),
+            let before = self.weak;
+            let [first, second] = before;
+            let solved = [factor.solve::<A>(&first), factor.solve::<A>(&second)];
+            (self.weak, self.smallest) = match in_plane(&solved, &before) {
+                Some(found) => found,
+                None => from_lengths(gram, &solved, &before, k),
             };
-            (self.weak, self.smallest) = (weak, smallest);
             let strong = apply(gram, &self.strong);
             let size = norm(&strong);
             if size > 0.0 {
@@ -79,6 +78,63 @@ pub(crate) struct Condition<R = f64> {
     pub(crate) gamma: R,
 }
 
+/// The unit vectors that Rayleigh and Ritz find in the plane of `a = M⁻¹ w` and `b = M⁻¹ z`, the one of the smaller value
+/// first, and the root of that value; `None` where a and b are too large, or too nearly along each other for one
+/// subtraction.
+///
+/// Products alone give the value: a step waits for it, and for the vectors only the next one.
+#[inline(always)]
+fn in_plane([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2], f64)> {
+    let (aa, ab, bb) = (dot(a, a), dot(a, b), dot(b, b));
+    // Nothing is less than what is not a number.
+    if !(ab * ab < 0.5 * aa * bb && aa < LARGE && bb < LARGE) {
+        return None;
+    }
+    let (wa, za, zb) = (dot(w, a), dot(z, a), dot(z, b));
+    // M in the axes û along a and v̂ along c = b − t a, where a Mᵀ b is w b as well as a z.
+    let per_aa = 1.0 / aa;
+    let t = ab * per_aa;
+    let per_cc = 1.0 / (bb - t * ab);
+    let mixed = za - t * wa;
+    let (u, v) = (wa * per_aa, (zb - t * (za + mixed)) * per_cc);
+    let squared = mixed * mixed * (per_aa * per_cc);
+    let half = 0.5 * (u - v);
+    let root = (half * half + squared).sqrt();
+    let value = (u * v - squared) / (0.5 * (u + v) + root);
+    let (per_a, per_c) = (per_aa.sqrt(), per_cc.sqrt());
+    let (x, y) = weaker(half, root, mixed * (per_a * per_c));
+    let ([xa, ya], [xc, yc]) = ([x * per_a, y * per_a], [x * per_c, y * per_c]);
+    let mut weak = [[0.0; MAX_AXES]; 2];
+    for i in 0..MAX_AXES {
+        let c = b[i] - t * a[i];
+        (weak[0][i], weak[1][i]) = (xa * a[i] + yc * c, xc * c - ya * a[i]);
+    }
+    Some((weak, value.max(0.0).sqrt()))
+}
+
+/// Squares of lengths up to which products of four lengths are numbers.
+const LARGE: f64 = 1e150;
+
+/// Eigenvector of `[[a, b], [b, d]]` for its smaller value, given half of a − d and `root = √(half² + b²)`.
+#[inline(always)]
+fn weaker(half: f64, root: f64, b: f64) -> (f64, f64) {
+    // In the form that does not cancel.
+    let (x, y) = if half > 0.0 { (b, -(half + root)) } else { (root - half, -b) };
+    let length = (x * x + y * y).sqrt();
+    if length > 0.0 { (x / length, y / length) } else { (1.0, 0.0) }
+}
+
+/// [`in_plane`] of any two vectors, by way of their lengths.
+#[cold]
+#[inline(never)]
+fn from_lengths(gram: &Square, [a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2], k: usize) -> ([AxisVec; 2], f64) {
+    let (u, v) = (Image::new(*a, *w), Image::new(*b, *z));
+    match v.across(&u) {
+        Some(v) => weaker_first(&u, &v),
+        None => restart(gram, &u.v, k),
+    }
+}
+
 /// A unit vector `v` and `M v`, which an inverse iteration knows without a product.
 #[derive(Clone, Copy)]
 struct Image {
@@ -88,7 +144,6 @@ struct Image {
 
 impl Image {
     /// `v = M⁻¹ b`, both divided by the length of `v`.
-    #[inline(always)]
     fn new(v: AxisVec, b: AxisVec) -> Self {
         let size = norm(&v);
         // A singular matrix gives lengths whose squares are too large for a number.
@@ -106,7 +161,6 @@ impl Image {
         smaller.scaled(1.0 / norm(&smaller.v))
     }
 
-    #[inline(always)]
     fn scaled(mut self, factor: f64) -> Self {
         for i in 0..MAX_AXES {
             self.v[i] *= factor;
@@ -116,7 +170,6 @@ impl Image {
     }
 
     /// The part across the unit vector `u`, of length 1; `None` where that is nothing but rounding.
-    #[inline(always)]
     fn across(mut self, u: &Self) -> Option<Self> {
         // Twice: what rounding leaves the first time along `u`.
         for _ in 0..2 {
@@ -133,15 +186,10 @@ impl Image {
 
 /// The pair of unit vectors turned in its plane (Rayleigh and Ritz), the one of the smaller value first, and the root of
 /// that value.
-#[inline(always)]
 fn weaker_first(u: &Image, v: &Image) -> ([AxisVec; 2], f64) {
     let (a, b, d) = (dot(&u.v, &u.mv), dot(&u.v, &v.mv), dot(&v.v, &v.mv));
     let half = 0.5 * (a - d);
-    let root = (half * half + b * b).sqrt();
-    // Eigenvector of [[a, b], [b, d]] for its smaller value, in the form that does not cancel.
-    let (x, y) = if half > 0.0 { (b, -(half + root)) } else { (root - half, -b) };
-    let length = (x * x + y * y).sqrt();
-    let (x, y) = if length > 0.0 { (x / length, y / length) } else { (1.0, 0.0) };
+    let (x, y) = weaker(half, (half * half + b * b).sqrt(), b);
     let (mut weak, mut image) = ([[0.0; MAX_AXES]; 2], [0.0; MAX_AXES]);
     for i in 0..MAX_AXES {
         weak[0][i] = x * u.v[i] + y * v.v[i];
@@ -174,11 +222,8 @@ fn apply(m: &Square, v: &AxisVec) -> AxisVec {
 
 #[inline(always)]
 fn dot(a: &AxisVec, b: &AxisVec) -> f64 {
-    let mut sum = 0.0;
-    for i in 0..MAX_AXES {
-        sum += a[i] * b[i];
-    }
-    sum
+    // In pairs: one after another, each sum would wait for the one before.
+    (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
 }
 
 #[inline(always)]

@@ -134,9 +134,8 @@ impl Governor {
         let mut blocks = [([0.0; 3], true); 2];
         for (b, block) in blocks.iter_mut().enumerate() {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
-            let own = target_velocity(part(&moved), speed[b], dt);
+            let (own, fast) = target_velocity(part(&moved), speed[b], dt);
             // Whoever follows may brake as hard as its target does: it must not run past.
-            let fast = norm(own);
             let braked = (self.target_speed[b] - fast).max(0.0);
             self.target_speed[b] = fast;
             *block = approach(part(&e), part(&self.velocity), own, speed[b], [acceleration[b], braked], dt);
@@ -161,11 +160,12 @@ impl Governor {
     }
 }
 
-/// Velocity of a target that moved by `moved` in `dt`; zero for a jump, which is faster than `speed`.
+/// Velocity of a target that moved by `moved` in `dt`, and its size; zero for a jump, which is faster than `speed`.
 #[inline(always)]
-fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> [f64; 3] {
+fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
     let velocity = along(&[0.0; 3], 1.0 / dt, &moved);
-    if norm(velocity) <= speed { velocity } else { [0.0; 3] }
+    let size = norm(velocity);
+    if size <= speed { (velocity, size) } else { ([0.0; 3], 0.0) }
 }
 
 /// Velocity of the next period toward a point at distance `d` that moves with `own`, and whether it is reached in it.
@@ -195,8 +195,9 @@ fn approach(d: [f64; 3], v: [f64; 3], own: [f64; 3], speed: f64, most: [f64; 2],
 /// `v`, scaled to a length of at most `most`.
 #[inline(always)]
 fn within(v: [f64; 3], most: f64) -> [f64; 3] {
-    let size = norm(v);
-    if size > most { along(&[0.0; 3], most / size, &v) } else { v }
+    // The root of what is longer alone.
+    let squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+    if squared > most * most { along(&[0.0; 3], most / squared.sqrt(), &v) } else { v }
 }
 
 /// `a + s b`.
