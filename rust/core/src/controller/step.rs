@@ -158,6 +158,8 @@ impl Cycle<'_> {
             }
         }
         let twist = match &self.input.twist {
+            // A reference that was held back is not where its target is.
+            Some(_) if aim.limited.contains(&true) => plan.in_rows(&seen.base_from_task, &governor.own_velocity()),
             Some(twist) => plan.in_rows(&seen.base_from_task, &governor.velocity(twist, speed)),
             None => J::Axes::splat(0.0),
         };
