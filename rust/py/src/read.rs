@@ -121,8 +121,8 @@ pub(crate) fn vector(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>>
 
 /// A pose: 4×4 array, `Pose`, any object with a 4×4 accessor, or, where `position_only`, a position (3,).
 ///
-/// Whether its rotation is one, the core checks.
-#[inline]
+/// Whether its rotation is one, the core checks. Inlined, or a step would wait for a copy of what was just written.
+#[inline(always)]
 pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
     match convert::read(value, &[4, 4]).and_then(|m| m.first_chunk()) {
         Some(m) => from_numbers(name, m),
@@ -131,6 +131,7 @@ pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) ->
 }
 
 #[cold]
+#[inline(never)]
 fn pose_slowly(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
     if let Ok(pose) = value.cast::<Pose>() {
         return Ok(pose.get().0);
@@ -164,7 +165,7 @@ fn from_array(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyRe
     }
 }
 
-#[inline]
+#[inline(always)]
 fn from_numbers(name: &str, m: &[f64; 16]) -> PyResult<CorePose> {
     let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
     if m[12..].iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(value, wanted): (&f64, f64)| value.to_bits() != wanted.to_bits())

@@ -8,6 +8,21 @@ use crate::model::Model;
 use crate::servos::ServoArrays;
 use crate::settings::{Follow, Law, Settings};
 
+/// More axes than joints need a length that weighs them.
+pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> {
+    if k <= n || settings.task.length.is_some() {
+        return Ok(());
+    }
+    Err(Error::config(
+        "task.axes",
+        format!(
+            "{k} axes on an arm of {n} joints cannot all be met: take away at least {} (e.g. axes=\"xyz\"), \
+             or give task.length [m], the distance that counts as much as one radian",
+            k - n
+        ),
+    ))
+}
+
 pub(super) fn check_gain(settings: &Settings, plan: &Plan) -> Result<()> {
     let symmetric = DMatrix::from_fn(plan.k, plan.k, |r, c| 0.5 * (plan.kx[r][c] + plan.kx[c][r]));
     let shift = 1e-9 * (1.0 + symmetric.amax());

@@ -21,7 +21,7 @@ use crate::task::axes::{AXIS_NAMES, Frame};
 use crate::task::deviation_limit::DeviationLimit;
 
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
-use checks::{check_gain, check_gravity, check_kp};
+use checks::{check_axes, check_gain, check_gravity, check_kp};
 pub(crate) use lanes::{AxisLanes, RowLanes};
 pub(crate) use rows::Row;
 use rows::{deviation_limits, resolve_rows};
@@ -125,16 +125,7 @@ impl Plan {
         let n = model.n();
         let axes: Vec<usize> = (0..MAX_AXES).filter(|&axis| settings.task.axes[axis]).collect();
         let k = axes.len();
-        if k > n && settings.task.length.is_none() {
-            return Err(Error::config(
-                "task.axes",
-                format!(
-                    "{k} axes on an arm of {n} joints cannot all be met: take away at least {} (e.g. axes=\"xyz\"), \
-                     or give task.length [m], the distance that counts as much as one radian",
-                    k - n
-                ),
-            ));
-        }
+        check_axes(settings, k, n)?;
         let spread = servos.map(|s| s.for_joints(n)).transpose()?;
         let arrays = ServoArrays::new(n, spread.as_ref(), model.effort_limit());
         check_gravity(model, settings)?;
@@ -187,10 +178,7 @@ impl Plan {
             null_stiffness: settings.null_stiffness,
             alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
             takeover_damping: damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2),
-            follows_sigma: settings.law != Law::Paper
-                || damping.sigma_0 > 0.0
-                || settings.manipulability > 0.0
-                || settings.projector == Projector::Exact,
+            follows_sigma: scales::follows_sigma(settings, &damping),
             damping,
             cost: resolve_cost(model, settings)?,
             rest: settings.posture.as_ref().map(|posture| list("posture", Some(posture), n, 0.0)).transpose()?,

@@ -3,8 +3,9 @@
 use crate::kinematics::spatial::{Mat3, splat_matrix};
 use crate::model::Model;
 use crate::number::{Arithmetic, Axes, Lanes};
-use crate::plan::Plan;
+use crate::plan::{DampingPlan, Plan};
 use crate::pose::{COORDINATE_BOUND, Pose};
+use crate::settings::{Law, Projector, Settings};
 use crate::task::axes::Frame;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
@@ -23,6 +24,14 @@ pub(super) fn readable(model: &Model) -> [JointVec; 2] {
         out[1][i] = (upper + beyond).min(COORDINATE_BOUND);
     }
     out
+}
+
+/// Whether anything of a step depends on the singular values of its rows.
+pub(super) fn follows_sigma(settings: &Settings, damping: &DampingPlan) -> bool {
+    settings.law != Law::Paper
+        || damping.sigma_0 > 0.0
+        || settings.manipulability > 0.0
+        || settings.projector == Projector::Exact
 }
 
 impl Plan {
