@@ -138,7 +138,8 @@ impl Cycle<'_> {
         let mut governor = self.memory.governor;
         let reference = governor.follow::<J::One>(self.target, speed, settings.max_tool_acceleration, dt);
         let view = self.chain.look(q, self.masses, self.gravity, self.scratch);
-        let seen = Seen::new(plan, settings, q, &view);
+        let mut turned = [J::splat(0.0); MAX_AXES];
+        let seen = Seen::new(plan, settings, q, &view, &mut turned);
         let error = into_frame::<J::One>(&seen.base_from_task, &pose_error_by::<J::One>(&seen.view.tool, &reference));
         let mut aim = Aim { reference, error, limited: [false; MAX_AXES] };
         if !plan.deviation_limits.is_empty() {
@@ -218,7 +219,7 @@ impl Cycle<'_> {
             share: self.settings.integrate * dt,
             gravity: &(seen.view.holding * J::splat(self.settings.gravity_scale)).array(),
             softness: &axes(wish.softness),
-            rows: &without_locked(&rows_array(&seen.rows), locked),
+            rows: &without_locked(&rows_array(seen.rows), locked),
             damping: &axes(solved.row_damping),
         };
         addition.store(&mut self.memory.integral, self.plan);
@@ -263,7 +264,7 @@ impl Cycle<'_> {
             (None, LimitRule::Demand) => load.demand(),
             (None, LimitRule::Sum) => {
                 let asked = Asked {
-                    rows: rows_array(&seen.rows),
+                    rows: rows_array(seen.rows),
                     gradient: solved.gradient.array(),
                     damping: solved.damping.sqrt(),
                     sigma: [singular.smallest, singular.largest],

@@ -20,6 +20,18 @@ pub(crate) trait Lanes: Arithmetic<Real = Self> + Number + Spread<Scalar<Self>> 
     /// One number per task axis.
     type Axes: Axes<One = Self::One>;
 
+    /// What counts together: all joints of one configuration, or one joint of several.
+    type Part: Spread<Scalar<Self>, Real: Number>;
+
+    /// How many parts there are.
+    const PARTS: usize;
+
+    /// Part `i`.
+    fn part(&self, i: usize) -> <Self::Part as Arithmetic>::Real;
+
+    /// Changes part `i`.
+    fn set_part(&mut self, i: usize, value: <Self::Part as Arithmetic>::Real);
+
     /// From memory, the same for every configuration; what does not fit in is taken for 0.
     fn load(values: &JointVec) -> Self;
 
@@ -36,7 +48,7 @@ pub(crate) trait Lanes: Arithmetic<Real = Self> + Number + Spread<Scalar<Self>> 
     fn sums(numbers: [Self; 4]) -> [Scalar<Self>; 4];
 
     /// The sum over the joints of each product.
-    fn dots(a: [Self; 4], b: [Self; 4]) -> [Scalar<Self>; 4];
+    fn dots(a: [&Self; 4], b: [&Self; 4]) -> [Scalar<Self>; 4];
 
     /// Whether any number is less than the other of its joint.
     #[inline(always)]
@@ -110,6 +122,19 @@ impl<W: Wide> Axes for W {
 impl<W: Wide> Lanes for W {
     type One = W::One;
     type Axes = W;
+    type Part = W;
+
+    const PARTS: usize = 1;
+
+    #[inline(always)]
+    fn part(&self, _: usize) -> W {
+        *self
+    }
+
+    #[inline(always)]
+    fn set_part(&mut self, _: usize, value: W) {
+        *self = value;
+    }
 
     #[inline(always)]
     fn load(values: &JointVec) -> Self {
@@ -146,8 +171,8 @@ impl<W: Wide> Lanes for W {
     }
 
     #[inline(always)]
-    fn dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
-        W::four_dots(a, b)
+    fn dots(a: [&Self; 4], b: [&Self; 4]) -> [f64; 4] {
+        W::four_dots([*a[0], *a[1], *a[2], *a[3]], [*b[0], *b[1], *b[2], *b[3]])
     }
 }
 
