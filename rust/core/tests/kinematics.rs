@@ -164,7 +164,7 @@ fn joint_positions_are_checked() {
 #[test]
 fn results_too_many_for_the_caches_are_the_same_bits() {
     let model = arm7();
-    let (n, count) = (model.n(), 75_003);
+    let (n, count) = (model.n(), 150_003);
     let q: Vec<f64> = (0..count * n).map(|i| (0.37 * i as f64).sin()).collect();
     // Neither begins where a line of the cache does.
     let (mut poses, mut jacobians) = (vec![0.0; 1 + 16 * count], vec![0.0; 1 + 6 * n * count]);

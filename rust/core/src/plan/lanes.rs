@@ -20,12 +20,9 @@ pub(crate) struct RowLanes {
     pub(crate) stiffness: [AxisLanes; 2],
     pub(crate) viscosity: [AxisLanes; 2],
     pub(crate) eta: AxisLanes,
+    pub(crate) d_minus: AxisLanes,
     pub(crate) d_plus: AxisLanes,
-    /// `1 / (d_plus − d_minus)`.
-    pub(crate) per_range: AxisLanes,
     pub(crate) band: AxisLanes,
-    /// `1 / (2 band)`.
-    pub(crate) per_band: AxisLanes,
     pub(crate) step_limit: AxisLanes,
     pub(crate) soft_step_limit: AxisLanes,
     pub(crate) damping_scale: AxisLanes,
@@ -43,9 +40,8 @@ impl RowLanes {
             out
         };
         let ends = |row: &Row, side: usize| -> [f64; 2] { row.profile.ends(row.soft[side], row.firm[side]) };
-        let (mut d_plus, mut per_range) = (of(&|row| row.d_plus), of(&|row| 1.0 / (row.d_plus - row.d_minus)));
+        let mut d_plus = of(&|row| row.d_plus);
         d_plus[rows.len()..].fill(1.0);
-        per_range[rows.len()..].fill(1.0);
         let mut spread_damping = [0.0; LANES];
         spread_damping[..MAX_AXES].copy_from_slice(damping_scale);
         let (mut columns, mut axis) = ([[0.0; LANES]; MAX_AXES], [MAX_AXES; MAX_AXES]);
@@ -62,10 +58,9 @@ impl RowLanes {
             stiffness: [0, 1].map(|side| of(&|row| row.stiffness[side])),
             viscosity: [0, 1].map(|side| of(&|row| row.viscosity[side])),
             eta: of(&|row| row.eta),
+            d_minus: of(&|row| row.d_minus),
             d_plus,
-            per_range,
             band: of(&|row| row.band),
-            per_band: of(&|row| 0.5 / row.band),
             step_limit: of(&|row| row.step_limit),
             soft_step_limit: of(&|row| row.soft_step_limit),
             damping_scale: spread_damping,
