@@ -3,8 +3,8 @@
 use nalgebra::{Isometry3, Matrix3, Matrix4, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::error::{Error, Result};
-use crate::kinematics::spatial::{Mat3, cross, dot};
-use crate::number::{Arithmetic, Plain};
+use crate::kinematics::spatial::{Mat3, cross, dot, sub};
+use crate::number::{Arithmetic, Number, Plain};
 
 /// Largest position [m] or joint coordinate that is taken for a real one.
 ///
@@ -13,6 +13,9 @@ pub const COORDINATE_BOUND: f64 = 1e6;
 
 /// Largest error of `RᵀR − I` (largest entry) that a rotation may have.
 pub const ROTATION_TOLERANCE: f64 = 1e-4;
+
+/// Sum of errors up to which all of them are below [`ROTATION_TOLERANCE`]: six times it at most is any of `RᵀR − I`.
+const DOUBT: f64 = 0.1 * ROTATION_TOLERANCE;
 
 /// Pose of the tool in the base, `base_from_tool`: rotation matrix (row-major) and position [m].
 ///
@@ -79,19 +82,13 @@ impl Pose {
     /// [`Pose::validate`] with the argument's name in the message.
     #[inline]
     pub(crate) fn check(&self, name: &str) -> Result<()> {
-        let (r, p) = (&self.rotation, &self.position);
-        // Nearly always even the sums are small: one comparison in place of many.
-        let mut error = 0.0;
-        for i in 0..3 {
-            for j in 0..=i {
-                error += orthogonality_error::<Plain>(r, i, j);
-            }
-        }
-        let far = p[0].abs() + p[1].abs() + p[2].abs();
-        if (error <= ROTATION_TOLERANCE) && (far <= COORDINATE_BOUND) && (determinant::<Plain>(r) >= 0.0) {
-            return Ok(());
-        }
-        self.explain(name)
+        if self.doubt::<Plain>() <= DOUBT { Ok(()) } else { self.explain(name) }
+    }
+
+    /// Whether [`Pose::check`] refuses this pose, asked of whatever numbers the machine has.
+    #[inline(always)]
+    pub(crate) fn is_refused<A: Arithmetic<Real = f64>>(&self) -> bool {
+        !(self.doubt::<A>() <= DOUBT) && self.explain("").is_err()
     }
 
     /// What is wrong with a pose, if anything is.
@@ -148,6 +145,22 @@ impl Pose {
 }
 
 impl<R: Copy> Pose<R> {
+    /// Nearly always at most [`DOUBT`], and then a pose beyond doubt: one comparison in place of many.
+    ///
+    /// The third row of a rotation is the product of the other two, which have length 1 and stand at right angles.
+    #[inline(always)]
+    fn doubt<A: Arithmetic<Real = R>>(&self) -> R
+    where
+        R: Number,
+    {
+        let ([x, y, z], [a, b, c]) = (&self.rotation, self.position);
+        let (one, off) = (A::splat(1.0), sub::<A>(&cross::<A>(x, y), z));
+        let lengths = A::abs(dot::<A>(x, x) - one) + A::abs(dot::<A>(y, y) - one);
+        let angles = A::abs(dot::<A>(x, y)) + (A::abs(off[0]) + A::abs(off[1]) + A::abs(off[2]));
+        let far = A::abs(a) + A::abs(b) + A::abs(c);
+        A::fma(A::splat(DOUBT / COORDINATE_BOUND), far, lengths + angles)
+    }
+
     /// `fine` where this is a pose beyond doubt, 0 where [`Pose::check`] is to be asked.
     #[inline(always)]
     pub(crate) fn if_sure<A: Arithmetic<Real = R>>(&self, mut fine: R) -> R {

@@ -77,11 +77,7 @@ pub(crate) fn median_over_rows(model: &Model, axes: &[usize], frame: &Frame, of:
         .map(|q| {
             model.chain().forward(&q, &mut frames);
             model.chain().jacobian(&frames, &mut world);
-            of(&crate::task::rows(
-                &world,
-                &crate::task::base_from_task::<crate::number::Plain>(frame, &frames.tool),
-                axes,
-            ))
+            of(&crate::task::rows(&world, &frame.base_from_task(&frames.tool.rotation), axes))
         })
         .collect();
     median(&mut values)

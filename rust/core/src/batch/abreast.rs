@@ -2,19 +2,20 @@
 //!
 //! What few arms meet (an input that cannot be used, a joint at its limit) is left to single steps.
 
-use crate::batch::{BatchInput, PIECE, Targets};
+use crate::batch::{BatchInput, Targets};
 use crate::command::goal::register_speed;
 use crate::command::limits::finish;
 use crate::controller::Controller;
 use crate::controller::floors::{Given, Seen, Solution, row_damping};
-use crate::kinematics::batch::{Stage, gather};
+use crate::kinematics::batch::{gather, scatter};
 use crate::law::feedforward::SPEED_BOUND;
 use crate::law::paper::{is_printed, printed};
 use crate::law::singular::Condition;
-use crate::number::{ABREAST, Arithmetic, Columns, Kernel, LANES, Lanes, Machine, Many, NEGLIGIBLE, Packed};
+use crate::number::{ABREAST, Arithmetic, Columns, Kernel, Lanes, Machine, Many, NEGLIGIBLE, Packed};
 use crate::pose::Pose;
 use crate::settings::GravityUse;
-use crate::task::deviation::{into_frame, pose_error_by};
+use crate::task::deviation::pose_error_by;
+use crate::task::in_task;
 use crate::task::wish::Wish;
 use crate::{MAX_AXES, MAX_JOINTS};
 
@@ -28,12 +29,8 @@ pub(super) struct Abreast<'a> {
     pub(super) outs: [&'a mut [f64]; 3],
 }
 
-/// Memory that the arms of a piece share one after another.
-struct Scratch<W> {
-    stages: [Stage<{ PIECE * ABREAST + LANES }>; 3],
-    /// Jacobian; the columns behind the last joint stay 0.
-    rows: [[W; MAX_JOINTS]; MAX_AXES],
-}
+/// Jacobians, whose memory the arms of a piece share one after another; the columns behind the last joint stay 0.
+type Jacobians<W> = [[W; MAX_JOINTS]; MAX_AXES];
 
 impl Controller {
     /// Whether arms can be stepped side by side.
@@ -48,21 +45,17 @@ impl Kernel for Abreast<'_> {
     type Output = u64;
 
     #[inline(always)]
-    fn run<M: Machine>(self) -> u64 {
+    fn run<M: Machine>(mut self) -> u64 {
         let (n, mut left) = (self.controller.plan.n.clamp(1, ABREAST), 0);
         let (rows, count) = (self.outs[0].len() / n, M::Many::COUNT);
-        let mut scratch =
-            Scratch { stages: [const { Stage::new() }; 3], rows: [[M::Many::splat(0.0); MAX_JOINTS]; MAX_AXES] };
+        let mut jacobians = [[M::Many::splat(0.0); MAX_JOINTS]; MAX_AXES];
         let mut from = 0;
         while from < rows {
-            let sure = self.rows::<M::Many>(n, from, &mut scratch).numbers();
+            let sure = self.rows::<M::Many>(n, from, &mut jacobians).numbers();
             for lane in 0..count.min(rows - from) {
                 left |= u64::from(sure[lane] == 0.0) << (from + lane);
             }
             from += count;
-        }
-        for i in 0..3 {
-            scratch.stages[i].write(self.outs[i], false);
         }
         left
     }
@@ -71,7 +64,7 @@ impl Kernel for Abreast<'_> {
 impl Abreast<'_> {
     /// Steps as many rows as a register holds, from `from` on; 0 for those that are left to single steps, else 1.
     #[inline(always)]
-    fn rows<W: Many>(&self, n: usize, from: usize, scratch: &mut Scratch<W>) -> W {
+    fn rows<W: Many>(&mut self, n: usize, from: usize, jacobians: &mut Jacobians<W>) -> W {
         let Controller { plan, settings, model, masses, gravity, .. } = self.controller;
         let (row, nothing, mut sure) = (self.first + from, W::splat(0.0), W::splat(1.0));
         let mut q = gather::<W>(&self.input.q[n * row..], n);
@@ -93,11 +86,10 @@ impl Abreast<'_> {
         }
         let target = self.targets(row, &mut sure);
 
-        let view =
-            model.chain().look_abreast(&q, masses, gravity, settings.gravity != GravityUse::Off, &mut scratch.rows);
-        let (q, mut turned) = (Columns::<W, ABREAST>::of_joints(&q), [Columns::splat(0.0); MAX_AXES]);
+        let view = model.chain().look_abreast(&q, masses, gravity, settings.gravity != GravityUse::Off, jacobians);
+        let (q, mut turned) = (Columns::<W, ABREAST>::of_joints(&q), None);
         let seen = Seen::new(plan, settings, q, &view, &mut turned);
-        let error = into_frame::<W>(&seen.base_from_task, &pose_error_by::<W>(&seen.view.tool, &target));
+        let error = in_task::<W>(&plan.frame, &seen.base_from_task, &pose_error_by::<W>(&seen.view.tool, &target));
         let wish = Wish::new(plan, settings, &error, &[nothing; MAX_AXES]);
         let rest = plan.rest.as_ref().map_or(q, Columns::load);
         let (lambda, integral) = (W::splat(plan.damping.lambda_0), Columns::splat(0.0));
@@ -125,10 +117,10 @@ impl Abreast<'_> {
             sure = W::if_less(moving[i], W::splat(plan.lower[i]), nothing, sure);
             sure = W::if_less(W::abs(goals[i]) + W::abs(limits[i]), W::splat(f64::INFINITY), sure, nothing);
         }
-        let [a, b, c] = &mut scratch.stages;
-        a.put(&goals, n, from);
-        b.put(&limits, n, from);
-        c.put(&speed.numbers(), n, from);
+        let [a, b, c] = &mut self.outs;
+        scatter::<W>(&goals, n, &mut a[n * from..]);
+        scatter::<W>(&limits, n, &mut b[n * from..]);
+        scatter::<W>(&speed.numbers(), n, &mut c[n * from..]);
         sure
     }
 

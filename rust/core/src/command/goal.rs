@@ -101,8 +101,11 @@ pub(crate) fn slew<J: Lanes>(before: Goals<J>, to: Goals<J>, step: f64) -> (Goal
     let lift = J::clip(to.weight - before.weight, step);
     let motion = (to.goal - to.weight) - (before.goal - before.weight);
     let (way, room) = (J::abs(motion), step - J::abs(lift));
-    let missing = J::if_less(room, way, J::splat(1.0) - room / way, J::splat(0.0));
-    let share = J::One::splat(1.0) - missing.largest();
+    let mut share = J::One::splat(1.0);
+    if room.any_less(way) {
+        let missing = J::if_less(room, way, J::splat(1.0) - room / way, J::splat(0.0));
+        share = share - missing.largest();
+    }
     (Goals { goal: before.goal + lift + J::spread(share) * motion, weight: before.weight + lift }, share)
 }
 

@@ -288,7 +288,7 @@ impl Contact {
         chain.forward(q, &mut frames);
         chain.jacobian(&frames, &mut world);
         chain.gravity(&frames, &controller.masses, controller.gravity, &mut gravity);
-        let base_from_task = crate::task::base_from_task::<crate::number::Plain>(&controller.plan.frame, &frames.tool);
+        let base_from_task = controller.plan.base_from_task::<crate::number::Plain>(&frames.tool);
         for (row, g) in world.iter().zip(controller.gravity) {
             for i in 0..self.joints.n {
                 payload[i] -= row[i] * g;

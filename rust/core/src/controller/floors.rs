@@ -33,8 +33,14 @@ pub(crate) struct Seen<'a, J: Lanes> {
 
 impl<'a, J: Lanes> Seen<'a, J> {
     #[inline(always)]
-    pub(crate) fn new(plan: &Plan, settings: &Settings, q: J, view: &'a View<J>, room: &'a mut [J; MAX_AXES]) -> Self {
-        let base_from_task = task::base_from_task::<J::One>(&plan.frame, &view.tool);
+    pub(crate) fn new(
+        plan: &Plan,
+        settings: &Settings,
+        q: J,
+        view: &'a View<J>,
+        room: &'a mut Option<[J; MAX_AXES]>,
+    ) -> Self {
+        let base_from_task = plan.base_from_task::<J::One>(&view.tool);
         let rows = task::rows_in(&plan.frame, &view.world, &base_from_task, &plan.axes, room);
         let gravity = settings.gravity;
         let in_goal = J::splat(f64::from(u8::from(gravity.in_goal())));

@@ -3,8 +3,9 @@
 use crate::controller::{Controller, StepInput};
 use crate::error::{Error, Result};
 use crate::law::feedforward::SPEED_BOUND;
-use crate::number::{Arithmetic, LANES, NEGLIGIBLE, Packed, PlainEight, Wide};
-use crate::pose::COORDINATE_BOUND;
+use crate::number::{Lanes, NEGLIGIBLE};
+use crate::plan::Plan;
+use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{AxisVec, JointVec, MAX_JOINTS};
 
 /// Shortest time [s] that is divided by: two readings of one instant must not make infinite speeds.
@@ -54,50 +55,33 @@ impl Controller {
 
     /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
     pub(crate) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
-        let mut out = [0.0; MAX_JOINTS];
-        self.read_positions(what, values, &mut out)?;
-        Ok(out)
-    }
-
-    /// [`Controller::positions`] into `out`, which is zero.
-    #[inline]
-    pub(super) fn read_positions(&self, what: &str, values: &[f64], out: &mut JointVec) -> Result<()> {
-        let ([least, most], n) = (&self.plan.readable, self.plan.n.min(MAX_JOINTS));
-        let mut fine = values.len() == n;
-        // In pairs: a copy of any length is a call, and processors hand on what was just stored to loads within one store.
-        let (pairs, last) = values.as_chunks::<2>();
-        let (slots, _) = out.as_chunks_mut::<2>();
-        for (slot, pair) in slots.iter_mut().zip(pairs) {
-            *slot = *pair;
-        }
-        if let (Some(slot), &[last]) = (slots.get_mut(pairs.len()), last) {
-            *slot = [last, 0.0];
-        }
-        for from in (0..n).step_by(LANES) {
-            fine &= read_eight(out, from, least, most);
-        }
-        if fine { Ok(()) } else { self.explain(what, values) }
-    }
-
-    /// What is wrong with joint positions that cannot be.
-    #[cold]
-    fn explain(&self, what: &str, values: &[f64]) -> Result<()> {
         let q = self.joints(what, values, COORDINATE_BOUND)?;
         for i in 0..self.plan.n {
             let (lower, upper) = (self.plan.lower[i], self.plan.upper[i]);
             let prismatic = self.model.prismatic().get(i).copied().unwrap_or(false);
             let (least, most) = (self.plan.readable[0][i], self.plan.readable[1][i]);
-            if q[i] < least || q[i] > most {
+            if q[i] <= least || q[i] >= most {
                 let name = self.model.joint_names().get(i).map_or("", String::as_str);
                 let (unit, hint) = if prismatic { ("m", "; is it in mm?") } else { ("rad", "; is it in degrees?") };
                 return Err(Error::limit(
                     format!("{what}[{i}] ({name}) [{unit}]"),
                     q[i],
-                    format!("[{least:.3}, {most:.3}], far beyond the limits [{lower}, {upper}] of this joint{hint}"),
+                    format!("({least:.3}, {most:.3}), far beyond the limits [{lower}, {upper}] of this joint{hint}"),
                 ));
             }
         }
-        Ok(())
+        Ok(q)
+    }
+
+    /// Why a step refused these positions and this target.
+    #[cold]
+    pub(super) fn refusal(&self, q: &[f64], target: &Pose) -> Error {
+        match self.positions("q", q).map(|_| ()).and_then(|()| target.check("target")) {
+            Err(error) => error,
+            Ok(()) => {
+                Error::config("step", "the command is not finite for this q, target and settings: nothing was sent")
+            }
+        }
     }
 
     /// Reads `values` as one finite number per joint within ±`bound`.
@@ -117,18 +101,18 @@ impl Controller {
     }
 }
 
-/// Whether all of eight numbers are within their bounds; vanishing ones become 0.
+/// Whether positions may be those of a real arm, as [`Controller::positions`] has it.
 #[inline(always)]
-fn read_eight(values: &mut JointVec, from: usize, least: &JointVec, most: &JointVec) -> bool {
-    let bounds = (least[from..].first_chunk(), most[from..].first_chunk());
-    let (Some(values), (Some(least), Some(most))) = (values[from..].first_chunk_mut(), bounds) else { return false };
-    let (q, nothing) = (PlainEight::of(values), PlainEight::splat(0.0));
-    // What is not a number is within any bounds, but times 0 it is not 0.
-    let beyond =
-        PlainEight::less_anywhere(q, PlainEight::of(least)) | PlainEight::less_anywhere(PlainEight::of(most), q);
-    let [odd, ..] = PlainEight::four_sums([q * nothing; 4]);
-    PlainEight::if_less(PlainEight::abs(q), PlainEight::splat(NEGLIGIBLE), nothing, q).put(values);
-    !beyond & (odd.abs() <= 0.0)
+pub(super) fn readable<J: Lanes>(plan: &Plan, q: J) -> bool {
+    let (nothing, one) = (J::splat(0.0), J::splat(1.0));
+    let below = J::if_less(q, J::load(&plan.readable[1]), nothing, one);
+    !nothing.any_less(J::if_less(J::load(&plan.readable[0]), q, below, one))
+}
+
+/// Positions that are next to nothing as 0.
+#[inline(always)]
+pub(super) fn without_negligible<J: Lanes>(q: J) -> J {
+    J::if_less(J::abs(q), J::splat(NEGLIGIBLE), J::splat(0.0), q)
 }
 
 fn checked_twist(twist: &AxisVec) -> Result<AxisVec> {

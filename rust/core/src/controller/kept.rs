@@ -18,10 +18,8 @@ enum Flag {
     Started = 1,
     Cold = 2,
     Limited = 4,
-    AtPosition = 8,
-    AtRotation = 16,
     /// To be reset to the goals that are kept, before the next step.
-    Waiting = 32,
+    Waiting = 8,
 }
 
 /// How an arm stands whose memory is kept.
@@ -61,14 +59,7 @@ impl Memory {
     /// Into `row`, [`width`] long.
     pub(crate) fn keep(&mut self, n: usize, row: &mut [f64]) {
         let (mut limit, n) = (self.limit.unwrap_or([0.0; MAX_JOINTS]), n.min(MAX_JOINTS));
-        let [position, rotation] = self.governor.arrived;
-        let all = [
-            (self.started, Flag::Started),
-            (self.cold, Flag::Cold),
-            (self.limit.is_some(), Flag::Limited),
-            (position, Flag::AtPosition),
-            (rotation, Flag::AtRotation),
-        ];
+        let all = [(self.started, Flag::Started), (self.cold, Flag::Cold), (self.limit.is_some(), Flag::Limited)];
         let flags = all.iter().fold(0_u32, |sum, &(on, flag)| if on { sum + flag as u32 } else { sum });
         let Some((first, mut rest)) = row.split_first_mut() else { return };
         *first = f64::from(flags);
@@ -92,7 +83,6 @@ impl Memory {
         self.started = true;
         self.cold = Flag::Cold.is_in(flags);
         self.limit = Flag::Limited.is_in(flags).then_some(limit);
-        self.governor.arrived = [Flag::AtPosition.is_in(flags), Flag::AtRotation.is_in(flags)];
     }
 }
 

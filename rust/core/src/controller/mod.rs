@@ -365,10 +365,7 @@ impl Controller {
     /// [`Error::Shape`], [`Error::Limit`] or [`Error::Config`] for an input that cannot be used; the controller and its
     /// last command are then as before.
     pub fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
-        let mut at = [0.0; MAX_JOINTS];
-        self.read_positions("q", q, &mut at)?;
-        target.check("target")?;
-        self.advance(&at, target, input)
+        self.advance(q, target, input)
     }
 
     /// One control step toward joint positions: the target is their pose, the rest posture they themselves.
@@ -376,11 +373,10 @@ impl Controller {
     /// # Errors
     /// As [`Controller::step`].
     pub fn step_joints(&mut self, q: &[f64], q_target: &[f64], input: &StepInput<'_>) -> Result<&Command> {
-        let q = self.positions("q", q)?;
         let wanted = self.positions("q_target", q_target)?;
         let mut frames = Frames::default();
         self.model.chain().forward(&wanted, &mut frames);
-        self.advance(&q, &frames.tool, &StepInput { posture: Some(q_target), ..*input })
+        self.advance(q, &frames.tool, &StepInput { posture: Some(q_target), ..*input })
     }
 
     /// Torques that hold the arm at `q` with the present payload and gravity vector [N·m].

@@ -16,15 +16,14 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// Bounds the deviation of stiff axes by moving the reference; its speed along these axes is then spent.
 #[cold]
 #[inline(never)]
-pub(super) fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, aim: &mut Aim, governor: &mut Governor) {
-    if let Some(kept) = pushed.keep(&plan.deviation_limits, &aim.reference) {
-        let mut velocity = into_frame::<Plain>(pushed.base_from_task, &governor.own_velocity());
-        for (value, met) in velocity.iter_mut().zip(kept.met) {
-            *value *= if met { 0.0 } else { kept.advance };
-        }
-        governor.put(kept.reference, out_of_frame(pushed.base_from_task, &velocity));
-        (aim.reference, aim.error, aim.limited) = (kept.reference, kept.error, kept.met);
+pub(super) fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, aim: Aim, governor: &mut Governor) -> Aim {
+    let Some(kept) = pushed.keep(&plan.deviation_limits, &aim.reference) else { return aim };
+    let mut velocity = into_frame::<Plain>(pushed.base_from_task, &governor.own_velocity());
+    for (value, met) in velocity.iter_mut().zip(kept.met) {
+        *value *= if met { 0.0 } else { kept.advance };
     }
+    governor.put(kept.reference, out_of_frame(pushed.base_from_task, &velocity));
+    Aim { reference: kept.reference, error: kept.error, limited: kept.met }
 }
 
 /// Share of what the stiff axes want that they must lack before a reference waits altogether.
@@ -63,14 +62,14 @@ impl Waiting<'_> {
 }
 
 impl Cycle<'_> {
-    /// The limits with which a hand meets at most `most` [N] should the host die now, given goals and limits, what holds the
+    /// The limits with which a hand meets at most `most` [N] should the host die now, given positions, goals and limits, what holds the
     /// arm and what of that is in the limits.
     #[cold]
     #[inline(never)]
     pub(super) fn spare(
         &self,
         most: f64,
-        [goal, limit]: [&JointVec; 2],
+        [q, goal, limit]: [&JointVec; 3],
         [holding, in_limit]: [&JointVec; 2],
         base_from_task: [[f64; 3]; 3],
     ) -> JointVec {
@@ -86,7 +85,7 @@ impl Cycle<'_> {
             masses: self.masses,
             gravity: *self.gravity,
             base_from_task,
-            q: self.q,
+            q,
             goal,
             limit,
             friction: &friction,
@@ -115,7 +114,7 @@ impl Asked {
             rows: self.rows,
             gradient: self.gradient,
             damping: self.damping,
-            followed_sigma: plan.follows_sigma().then_some(self.sigma),
+            followed_sigma: plan.follows_sigma.then_some(self.sigma),
             ..Record::empty()
         };
         let null = record.shares(plan).null().map(|share| share * plan.null_torque);

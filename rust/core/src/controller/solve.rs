@@ -49,7 +49,7 @@ pub(super) fn solve<J: Joints>(
     singular: &mut SingularValues,
 ) -> Solved<J> {
     let scaled;
-    let scaled_rows = if plan.follows_sigma() {
+    let scaled_rows = if plan.follows_sigma {
         scaled = plan.scale_rows(seen.rows);
         &scaled
     } else {
@@ -210,7 +210,7 @@ pub(super) fn without_locked(rows: &Rows, locked: &[bool; MAX_JOINTS]) -> Rows {
 #[inline(always)]
 fn condition<J: Joints>(plan: &Plan, scaled: &[J; MAX_AXES], values: &mut SingularValues, cold: bool) -> Condition {
     let limits = plan.damping;
-    if !plan.follows_sigma() {
+    if !plan.follows_sigma {
         return Condition { damping: limits.lambda_0 * limits.lambda_0, mu_squared: 0.0, factor: None, gamma: 1.0 };
     }
     let (redundant, axes) = (plan.k <= plan.n, plan.k.min(plan.n));

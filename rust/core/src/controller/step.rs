@@ -4,7 +4,7 @@ use crate::command::goal::{Goals, register_speed, slew};
 use crate::command::integral::Addition;
 use crate::command::limits::finish;
 use crate::controller::floors::Seen;
-use crate::controller::input::Input;
+use crate::controller::input::{Input, readable, without_negligible};
 use crate::controller::memory::Memory;
 use crate::controller::rare::{Asked, Waiting, limit_deviation, strain};
 use crate::controller::record::Record;
@@ -20,16 +20,17 @@ use crate::number::{Arithmetic, EveryJoint, Instructions, Joints, Kernel, LANES,
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::{LimitRule, Settings};
-use crate::task::deviation::{into_frame, pose_error_by};
+use crate::task::deviation::pose_error_by;
 use crate::task::deviation_limit::Pushed;
+use crate::task::in_task;
 use crate::task::wish::Wish;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Longest time [s] for which a slew or the integrating goal is advanced at once: a stalled host must not lunge.
 const LONGEST_SLEW: f64 = 0.1;
 
-/// Where the tool is to go. Apart from [`Seen`], for deviation limits may change it: only what nobody else holds the
-/// address of stays in registers.
+/// Where the tool is to go. Deviation limits make another one of it: what nobody holds the address of stays in registers.
+#[derive(Clone, Copy)]
 pub(super) struct Aim {
     pub(super) reference: Pose,
     /// Deviation (6,) in the task frame.
@@ -45,7 +46,11 @@ impl Controller {
         self.memory = Memory::at(q, frames.tool, true);
     }
 
-    pub(crate) fn advance(&mut self, q: &JointVec, target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
+    /// A step from positions as they come: it looks itself whether they can be, and the target with them.
+    pub(crate) fn advance(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
+        if q.len() != self.plan.n {
+            return Err(Error::length("q", q.len(), self.plan.n));
+        }
         if !self.memory.started {
             return self.start(q, target, input);
         }
@@ -56,14 +61,14 @@ impl Controller {
         if instructions.run_single(self.cycle(q, target, &input)) {
             return Ok(&self.command);
         }
-        Err(Error::config("step", "the command is not finite for this q, target and settings: nothing was sent"))
+        Err(self.refusal(q, target))
     }
 
     /// The first step, which resets.
     #[cold]
-    fn start(&mut self, q: &JointVec, target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
+    fn start(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
         let before = self.memory;
-        self.restart(q);
+        self.restart(&self.positions("q", q)?);
         if let Err(error) = self.advance(q, target, input).map(|_| ()) {
             self.memory = before;
             return Err(error);
@@ -71,7 +76,7 @@ impl Controller {
         Ok(&self.command)
     }
 
-    fn cycle<'a>(&'a mut self, q: &'a JointVec, target: &'a Pose, input: &'a Input) -> Cycle<'a> {
+    fn cycle<'a>(&'a mut self, q: &'a [f64], target: &'a Pose, input: &'a Input) -> Cycle<'a> {
         Cycle {
             plan: &self.plan,
             settings: &self.settings,
@@ -100,7 +105,7 @@ pub(super) struct Cycle<'a> {
     pub(super) gravity: &'a [f64; 3],
     delay: f64,
     instructions: Instructions,
-    pub(super) q: &'a JointVec,
+    q: &'a [f64],
     target: &'a Pose,
     input: &'a Input,
     memory: &'a mut Memory,
@@ -110,7 +115,8 @@ pub(super) struct Cycle<'a> {
 }
 
 impl Kernel for Cycle<'_> {
-    /// Whether the command can be sent: memory, record and command are the last tick's where it cannot.
+    /// Whether positions and target can be used and the command be sent: memory, record and command are the last tick's where
+    /// not.
     type Output = bool;
 
     #[inline(always)]
@@ -132,23 +138,30 @@ impl Cycle<'_> {
         let (plan, settings) = (self.plan, self.settings);
         let dt = self.input.dt.min(LONGEST_SLEW);
 
-        let filtered = self.filter::<J>();
-        let q = self.predict(&filtered);
+        let measured = without_negligible(J::read(self.q));
+        if !readable(plan, measured) || self.target.is_refused::<J::One>() {
+            return false;
+        }
+        let filtered = self.filter(measured);
+        let q = self.predict(measured, &filtered);
         let speed = settings.max_tool_speed;
         let mut governor = self.memory.governor;
         let reference = governor.follow::<J::One>(self.target, speed, settings.max_tool_acceleration, dt);
         let view = self.chain.look(q, self.masses, self.gravity, self.scratch);
-        let mut turned = [J::splat(0.0); MAX_AXES];
+        let mut turned = None;
         let seen = Seen::new(plan, settings, q, &view, &mut turned);
-        let error = into_frame::<J::One>(&seen.base_from_task, &pose_error_by::<J::One>(&seen.view.tool, &reference));
+        let error = pose_error_by::<J::One>(&seen.view.tool, &reference);
+        let error = in_task::<J::One>(&plan.frame, &seen.base_from_task, &error);
         let mut aim = Aim { reference, error, limited: [false; MAX_AXES] };
         if !plan.deviation_limits.is_empty() {
             let (tool, base_from_task) = (seen.view.tool, seen.base_from_task);
             let pushed = Pushed { tool: &tool, base_from_task: &base_from_task, before: &self.memory.governor.pose() };
-            limit_deviation(plan, &pushed, &mut aim, &mut governor);
+            // Field by field: what is handed over by its address is kept in memory, and read back late.
+            let Aim { reference, error, limited } = limit_deviation(plan, &pushed, aim, &mut governor);
+            aim = Aim { reference, error, limited };
         }
         let twist = match &self.input.twist {
-            Some(twist) => into_frame::<J::One>(&seen.base_from_task, &governor.velocity(twist, speed)),
+            Some(twist) => in_task::<J::One>(&plan.frame, &seen.base_from_task, &governor.velocity(twist, speed)),
             None => [0.0; MAX_AXES],
         };
         let wish = Wish::new(plan, settings, &aim.error, &twist);
@@ -157,7 +170,7 @@ impl Cycle<'_> {
             solve(plan, settings, self.instructions, self.input, &seen, &wish, self.memory, &filtered, &mut singular);
         let solution = &solved.solution;
 
-        let wanted = self.wanted_limits(&seen, &wish, &solved, &singular);
+        let wanted = self.wanted_limits(measured, &seen, &wish, &solved, &singular);
         let (floor, ceiling) = (J::load(&plan.floor), J::load(&plan.servos.torque));
         let rise = J::load(&plan.rise) * J::splat(dt);
         let before = self.memory.limit.as_ref().map(J::load);
@@ -173,7 +186,8 @@ impl Cycle<'_> {
         }
         if let Some(most) = plan.dead_host_max {
             let (holding, in_limit) = (seen.view.holding.array(), seen.gravity_in_limit.array());
-            let spared = self.spare(most, [&goal.array(), &limit.array()], [&holding, &in_limit], seen.base_from_task);
+            let at = [&measured.array(), &goal.array(), &limit.array()];
+            let spared = self.spare(most, at, [&holding, &in_limit], seen.base_from_task);
             limit = J::load(&spared);
         }
         // Neither an infinity nor what is not a number is less than infinity.
@@ -184,7 +198,7 @@ impl Cycle<'_> {
         }
         self.memory.filter.keep(filtered);
         self.memory.gamma = solved.gamma;
-        (self.memory.singular, self.memory.cold) = (singular, self.memory.cold && !plan.follows_sigma());
+        (self.memory.singular, self.memory.cold) = (singular, self.memory.cold && !plan.follows_sigma);
         self.memory.governor = governor;
         // A deviation that a limit keeps up is not to be worked off.
         if settings.integrate > 0.0 && !aim.limited.contains(&true) {
@@ -227,8 +241,7 @@ impl Cycle<'_> {
 
     /// Line 1: filtered velocity.
     #[inline(always)]
-    fn filter<J: Joints>(&self) -> Filtered<J> {
-        let q = J::load(self.q);
+    fn filter<J: Joints>(&self, q: J) -> Filtered<J> {
         if let Some(dq) = &self.input.dq {
             return Filtered { held: q, velocity: J::load(dq) };
         }
@@ -238,8 +251,7 @@ impl Cycle<'_> {
 
     /// Line 1: the positions at which the goal will arrive.
     #[inline(always)]
-    fn predict<J: Joints>(&self, filtered: &Filtered<J>) -> J {
-        let q = J::load(self.q);
+    fn predict<J: Joints>(&self, q: J, filtered: &Filtered<J>) -> J {
         if !self.plan.law.by_force() {
             return q;
         }
@@ -251,13 +263,14 @@ impl Cycle<'_> {
     #[inline(always)]
     fn wanted_limits<J: Joints>(
         &self,
+        q: J,
         seen: &Seen<'_, J>,
         wish: &Wish<J::Axes>,
         solved: &Solved<J>,
         singular: &SingularValues,
     ) -> J {
         let (plan, solution) = (self.plan, &solved.solution);
-        let held = (J::load(self.q), J::load(&self.memory.integral));
+        let held = (q, J::load(&self.memory.integral));
         let load = solution.load(plan, self.settings, held, seen, wish);
         match (solution.budget, plan.limits) {
             (Some(budget), _) => load.budget(budget),
@@ -305,7 +318,7 @@ impl Cycle<'_> {
             seen.rows[r].store(&mut record.rows[r]);
         }
         let SingularValues { smallest, largest, .. } = self.memory.singular;
-        record.followed_sigma = plan.follows_sigma().then_some([smallest, largest]);
+        record.followed_sigma = plan.follows_sigma.then_some([smallest, largest]);
         record.damping = solved.damping.sqrt();
         record.gamma = solved.gamma;
         record.factors = motion.factors;

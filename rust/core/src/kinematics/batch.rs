@@ -139,37 +139,43 @@ fn last_rows(values: &[f64], size: usize) -> [f64; LANES * MAX_JOINTS + LANES] {
     out
 }
 
-/// Rows on their way to memory, eight numbers less than `N` in all: as many may hang over the end of the last one.
-pub(crate) struct Stage<const N: usize>([f64; N]);
-
-impl<const N: usize> Stage<N> {
-    pub(crate) const fn new() -> Self {
-        Self([0.0; N])
+/// The first `size` numbers of as many configurations as a register holds into the first rows of `out`, each `size` long;
+/// `numbers` come in whole eights.
+///
+/// Behind these rows `out` may be overwritten: whoever goes on writes the next rows there.
+#[inline(always)]
+pub(crate) fn scatter<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
+    if out.len() >= A::COUNT * size + LANES {
+        return put::<A>(numbers, size, out);
     }
-
-    /// The first `size` numbers of as many configurations as a register holds, the first of them into row `at`, then whole
-    /// rows; `numbers` come in whole eights.
-    #[inline(always)]
-    pub(crate) fn put<A: Many>(&mut self, numbers: &[A], size: usize, at: usize) {
-        let (eights, mut from) = (numbers.as_chunks::<LANES>().0, size.div_ceil(LANES));
-        // From behind: what hangs over the end of a row is the place of the next one's beginning.
-        while from > 0 {
-            from -= 1;
-            if let (Some(eight), Some(rows)) = (eights.get(from), self.0.get_mut(size * at + LANES * from..)) {
-                A::into_rows(eight, rows, size);
-            }
-        }
-    }
-
-    /// The first rows to memory, past the caches where there are too many.
-    #[inline(always)]
-    pub(crate) fn write(&self, out: &mut [f64], past_the_caches: bool) {
-        let rows = &self.0[..out.len()];
-        if past_the_caches { stream(rows, out) } else { out.copy_from_slice(rows) }
+    let mut last = [0.0; LANES * MAX_JOINTS + LANES];
+    put::<A>(numbers, size, &mut last);
+    for (to, from) in out.iter_mut().zip(&last) {
+        *to = *from;
     }
 }
 
-/// Configurations whose results are staged together, a multiple of what any register holds.
+/// [`scatter`] where there is room for eight numbers more.
+#[inline(always)]
+fn put<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
+    let (eights, mut from) = (numbers.as_chunks::<LANES>().0, size.div_ceil(LANES));
+    // From behind: what hangs over the end of a row is the place of the next one's beginning.
+    while from > 0 {
+        from -= 1;
+        if let (Some(eight), Some(rows)) = (eights.get(from), out.get_mut(LANES * from..)) {
+            A::into_rows(eight, rows, size);
+        }
+    }
+}
+
+/// Copies, past the caches where there is too much for them.
+#[inline(always)]
+fn write(rows: &[f64], out: &mut [f64], past_the_caches: bool) {
+    if past_the_caches { stream(rows, out) } else { out.copy_from_slice(rows) }
+}
+
+/// Configurations whose results are put together in a cache before they go to memory in one piece, a multiple of what any
+/// register holds: six rows of many Jacobians at once are too many places to write to.
 const STAGED: usize = 16;
 
 /// Poses and Jacobians of a piece.
@@ -192,8 +198,7 @@ impl Kernel for PosePiece<'_> {
         let mut rows = [[zero; MAX_JOINTS]; MAX_AXES];
         let mut flat = [zero; MAX_AXES * MAX_JOINTS];
         let (with_poses, with_jacobians) = (!self.poses.is_empty(), !self.jacobians.is_empty());
-        let mut poses = Stage::<{ 16 * STAGED + LANES }>::new();
-        let mut jacobians = Stage::<{ MAX_AXES * MAX_JOINTS * STAGED + LANES }>::new();
+        let (mut poses, mut jacobians) = ([0.0; 16 * STAGED + LANES], [0.0; MAX_AXES * MAX_JOINTS * STAGED + LANES]);
         let total = self.q.len() / n;
         for from in (0..total).step_by(STAGED) {
             let here = STAGED.min(total - from);
@@ -210,7 +215,7 @@ impl Kernel for PosePiece<'_> {
                         numbers[4 * i + 3] = p[i];
                     }
                     numbers[15] = one;
-                    poses.put(&numbers, 16, at);
+                    put::<M::Many>(&numbers, 16, &mut poses[16 * at..]);
                 }
                 if self.reference == Reference::Local {
                     turn_to_tool::<M::Many>(&tool.rotation, &mut rows, n);
@@ -221,14 +226,15 @@ impl Kernel for PosePiece<'_> {
                             flat[r * n + k] = rows[r][k];
                         }
                     }
-                    jacobians.put(&flat, 6 * n, at);
+                    put::<M::Many>(&flat, 6 * n, &mut jacobians[6 * n * at..]);
                 }
             }
             if with_poses {
-                poses.write(&mut self.poses[16 * from..][..16 * here], self.past_the_caches);
+                write(&poses[..16 * here], &mut self.poses[16 * from..][..16 * here], self.past_the_caches);
             }
             if with_jacobians {
-                jacobians.write(&mut self.jacobians[6 * n * from..][..6 * n * here], self.past_the_caches);
+                let (from, length) = (6 * n * from, 6 * n * here);
+                write(&jacobians[..length], &mut self.jacobians[from..][..length], self.past_the_caches);
             }
         }
         if self.past_the_caches {
@@ -255,16 +261,11 @@ impl Kernel for GravityPiece<'_> {
         let zero = M::Many::splat(0.0);
         let mut frames = Frames::filled(zero);
         let mut torques = [zero; MAX_JOINTS];
-        let mut stage = Stage::<{ MAX_JOINTS * STAGED + LANES }>::new();
         let total = self.q.len() / n;
-        for from in (0..total).step_by(STAGED) {
-            let here = STAGED.min(total - from);
-            for at in (0..here).step_by(M::Many::COUNT) {
-                self.chain.forward_by::<M::Many>(&gather::<M::Many>(&self.q[n * (from + at)..], n), &mut frames);
-                self.chain.gravity_by::<M::Many>(&frames, self.masses, self.gravity, &mut torques);
-                stage.put(&torques, n, at);
-            }
-            stage.write(&mut self.torques[n * from..][..n * here], false);
+        for from in (0..total).step_by(M::Many::COUNT) {
+            self.chain.forward_by::<M::Many>(&gather::<M::Many>(&self.q[n * from..], n), &mut frames);
+            self.chain.gravity_by::<M::Many>(&frames, self.masses, self.gravity, &mut torques);
+            scatter::<M::Many>(&torques, n, &mut self.torques[n * from..]);
         }
     }
 }

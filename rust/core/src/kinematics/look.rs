@@ -112,10 +112,9 @@ impl Chain {
         } else {
             self.kinematics_by::<J::One>(q, rows)
         };
-        let mut world = [J::splat(0.0); MAX_AXES];
-        for r in 0..MAX_AXES {
-            world[r] = J::of_joints(&rows[r]);
-        }
+        let [a, b, c, d, e, f] = rows;
+        let world =
+            [J::of_joints(a), J::of_joints(b), J::of_joints(c), J::of_joints(d), J::of_joints(e), J::of_joints(f)];
         View { tool, world, holding: J::of_joints(&holding) }
     }
 
@@ -137,9 +136,9 @@ impl Chain {
         let (mut beyond, mut mass) = (J::Triple::constant(&[0.0; 3]), 0.0);
         for k in (0..self.path.min(MAX_JOINTS)).rev() {
             let (own, origin) = (J::Triple::kept(&moments[k]), J::Triple::kept(&cells.origin[k]));
-            let all = beyond.plus(1.0, own);
-            all.minus(mass, origin).keep(&mut moments[k]);
-            beyond = all.plus(masses.mass[k], origin);
+            own.minus(mass, origin).plus(1.0, beyond).keep(&mut moments[k]);
+            // What does not wait for the joint before comes first.
+            beyond = own.plus(masses.mass[k], origin).plus(1.0, beyond);
             mass += masses.mass[k];
         }
         let (axis, world) = cells.jacobian::<J>(&tool);

@@ -92,8 +92,7 @@ pub(crate) fn null_column<J: Lanes>(motion: J, projector: &impl RowLengths<J>) -
     let sizes = J::abs(motion);
     let sum = sizes.sum();
     let (zero, one) = (J::One::splat(0.0), J::One::splat(1.0));
-    let threshold = J::One::splat(GRADIENT_THRESHOLD);
-    let blend = (sum - threshold) / threshold;
+    let blend = sum * J::One::splat(1.0 / GRADIENT_THRESHOLD) - one;
     if !J::One::less_anywhere(blend, one) {
         return sizes * J::spread(one / sum);
     }

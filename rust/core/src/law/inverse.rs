@@ -183,19 +183,25 @@ impl<R: Number> Factor<R> {
 
     /// `M⁻¹ J D`: the transposed pseudo-inverse that belongs to this factor of `J D Jᵀ`.
     #[inline(always)]
-    pub(crate) fn weighted_rows<J: Lanes<Part: Spread<R>>>(
+    pub(crate) fn weighted_rows<J: Lanes<Group: Spread<R>>>(
         &self,
         rows: &[J; MAX_AXES],
         joint_weight: J,
     ) -> [J; MAX_AXES] {
         let mut out = *rows;
         // Joint by joint where each has a register: six numbers then stay in registers, and not six rows of them.
-        for i in 0..J::PARTS {
-            let b =
-                [rows[0].part(i), rows[1].part(i), rows[2].part(i), rows[3].part(i), rows[4].part(i), rows[5].part(i)];
-            let (x, weight) = (self.solve::<J::Part>(&b), joint_weight.part(i));
+        for i in 0..J::GROUPS {
+            let b = [
+                rows[0].group(i),
+                rows[1].group(i),
+                rows[2].group(i),
+                rows[3].group(i),
+                rows[4].group(i),
+                rows[5].group(i),
+            ];
+            let (x, weight) = (self.solve::<J::Group>(&b), joint_weight.group(i));
             for r in 0..MAX_AXES {
-                out[r].set_part(i, x[r] * weight);
+                out[r].set_group(i, x[r] * weight);
             }
         }
         out

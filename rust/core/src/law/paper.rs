@@ -78,7 +78,7 @@ pub(crate) fn is_printed(plan: &Plan) -> bool {
         && plan.follow == Follow::Hold
         && plan.projector == Projector::Paper
         && !plan.budget_on_goal
-        && !plan.follows_sigma()
+        && !plan.follows_sigma
 }
 
 /// [`motion`] as printed.

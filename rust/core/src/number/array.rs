@@ -109,6 +109,13 @@ impl Packed for Array {
     }
 
     #[inline(always)]
+    fn part(values: &[f64]) -> Self {
+        let mut out = [0.0; LANES];
+        out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
+        Self(out)
+    }
+
+    #[inline(always)]
     fn put(self, values: &mut [f64; LANES]) {
         *values = self.0;
     }

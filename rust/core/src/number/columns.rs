@@ -25,17 +25,17 @@ impl<W: Many> Columns<W, ABREAST> {
 impl<W: Many> Lanes for Columns<W, ABREAST> {
     type One = W;
     type Axes = Columns<W, MAX_AXES>;
-    type Part = W;
+    type Group = W;
 
-    const PARTS: usize = ABREAST;
+    const GROUPS: usize = ABREAST;
 
     #[inline(always)]
-    fn part(&self, i: usize) -> W {
+    fn group(&self, i: usize) -> W {
         self.0[i]
     }
 
     #[inline(always)]
-    fn set_part(&mut self, i: usize, value: W) {
+    fn set_group(&mut self, i: usize, value: W) {
         self.0[i] = value;
     }
 

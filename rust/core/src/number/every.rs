@@ -119,17 +119,17 @@ impl Spread<f64> for EveryJoint {
 impl Lanes for EveryJoint {
     type One = Plain;
     type Axes = PlainEight;
-    type Part = Self;
+    type Group = Self;
 
-    const PARTS: usize = 1;
+    const GROUPS: usize = 1;
 
     #[inline(always)]
-    fn part(&self, _: usize) -> Self {
+    fn group(&self, _: usize) -> Self {
         *self
     }
 
     #[inline(always)]
-    fn set_part(&mut self, _: usize, value: Self) {
+    fn set_group(&mut self, _: usize, value: Self) {
         *self = value;
     }
 
@@ -178,6 +178,12 @@ impl Lanes for EveryJoint {
 
 impl Joints for EveryJoint {
     type Triple = Three<Plain>;
+
+    fn read(values: &[f64]) -> Self {
+        let mut out = [0.0; MAX_JOINTS];
+        out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
+        Self::load(&out)
+    }
 
     fn few<const N: usize>(self) -> [f64; N] {
         let mut out = [0.0; N];

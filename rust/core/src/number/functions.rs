@@ -34,15 +34,37 @@ pub(crate) fn quadrant_angle<A: Arithmetic>(y: A::Real, x: A::Real) -> A::Real {
     let from = A::if_less(edge, small, c(std::f64::consts::FRAC_PI_4), c(0.0));
     let t = up / A::at_least(down, c(f64::MIN_POSITIVE));
     let u = t * t;
+    let angle = from + A::fma(t * u, arc_series::<A>(u), t);
+    A::if_less(x, y, c(std::f64::consts::FRAC_PI_2) - angle, angle)
+}
+
+/// Angle of the point (y, x) in parts of y, `atan(y/x) / y`, given `squared = y²` with y up to x tan(π/8), for x > 0.
+///
+/// Of the angle neither the root is taken nor is it divided by y.
+#[inline(always)]
+pub(crate) fn narrow_angle_per<A: Arithmetic>(squared: A::Real, x: A::Real) -> A::Real {
+    let per_x = A::splat(1.0) / x;
+    let u = squared * (per_x * per_x);
+    A::fma(per_x * u, arc_series::<A>(u), per_x)
+}
+
+/// Whether y is up to x tan(π/8) in every configuration, as [`narrow_angle_per`] wants it.
+#[inline(always)]
+pub(crate) fn is_narrow<A: Arithmetic>(squared: A::Real, x: A::Real) -> bool {
+    !A::less_anywhere(A::splat(TAN_EIGHTH * TAN_EIGHTH) * (x * x), squared)
+}
+
+/// `(atan √u / √u − 1) / u`, by fours of terms that overlap.
+#[inline(always)]
+fn arc_series<A: Arithmetic>(u: A::Real) -> A::Real {
+    let c = A::splat;
     let (u2, u4) = (u * u, u * u * u * u);
     let mut fours = [c(0.0); 3];
     for i in 0..3 {
         let low = A::fma(u, c(ARC[4 * i + 1]), c(ARC[4 * i]));
         fours[i] = A::fma(u2, A::fma(u, c(ARC[4 * i + 3]), c(ARC[4 * i + 2])), low);
     }
-    let series = A::fma(u4, A::fma(u4, fours[2], fours[1]), fours[0]);
-    let angle = from + A::fma(t * u, series, t);
-    A::if_less(x, y, c(std::f64::consts::FRAC_PI_2) - angle, angle)
+    A::fma(u4, A::fma(u4, fours[2], fours[1]), fours[0])
 }
 
 /// Hyperbolic tangent, to 5e-16 absolute; NaN where `x` is.
@@ -87,6 +109,18 @@ mod tests {
             assert!((quadrant_angle::<Plain>(small, 1.0) / small.atan() - 1.0).abs() <= 3e-16);
         }
         assert_eq!(quadrant_angle::<Plain>(0.0, 0.0).to_bits(), 0.0_f64.to_bits());
+    }
+
+    #[test]
+    fn narrow_angles_without_a_root() {
+        for i in 0..=100_000 {
+            let (y, x) = (f64::from(i) / 100_000.0 * std::f64::consts::FRAC_PI_8, 1.7_f64);
+            let (y, x) = (x * y.sin(), x * y.cos());
+            let off = (y * narrow_angle_per::<Plain>(y * y, x) - y.atan2(x)).abs();
+            assert!(off <= 2e-16 && is_narrow::<Plain>(0.999 * y * y, x), "{i}: {off:e}");
+        }
+        assert!(!is_narrow::<Plain>(0.172, 1.0) && is_narrow::<Plain>(0.171, 1.0));
+        assert!((narrow_angle_per::<Plain>(0.0, 4.0) - 0.25).abs() < f64::EPSILON);
     }
 
     #[test]

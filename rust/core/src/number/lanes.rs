@@ -21,16 +21,16 @@ pub(crate) trait Lanes: Arithmetic<Real = Self> + Number + Spread<Scalar<Self>> 
     type Axes: Axes<One = Self::One>;
 
     /// What counts together: all joints of one configuration, or one joint of several.
-    type Part: Spread<Scalar<Self>, Real: Number>;
+    type Group: Spread<Scalar<Self>, Real: Number>;
 
-    /// How many parts there are.
-    const PARTS: usize;
+    /// How many groups there are.
+    const GROUPS: usize;
 
-    /// Part `i`.
-    fn part(&self, i: usize) -> <Self::Part as Arithmetic>::Real;
+    /// Group `i`.
+    fn group(&self, i: usize) -> <Self::Group as Arithmetic>::Real;
 
-    /// Changes part `i`.
-    fn set_part(&mut self, i: usize, value: <Self::Part as Arithmetic>::Real);
+    /// Changes group `i`.
+    fn set_group(&mut self, i: usize, value: <Self::Group as Arithmetic>::Real);
 
     /// From memory, the same for every configuration; what does not fit in is taken for 0.
     fn load(values: &JointVec) -> Self;
@@ -83,6 +83,9 @@ pub(crate) trait Joints: Lanes<One: Arithmetic<Real = f64>, Axes: Wide> {
     /// A vector of space on the same machine.
     type Triple: Kept<One = Self::One>;
 
+    /// From the numbers of an arm's joints, 0 beyond.
+    fn read(values: &[f64]) -> Self;
+
     /// The three components of one vector per joint.
     fn components(cells: &[Cell]) -> [Self; 3];
 
@@ -122,17 +125,17 @@ impl<W: Wide> Axes for W {
 impl<W: Wide> Lanes for W {
     type One = W::One;
     type Axes = W;
-    type Part = W;
+    type Group = W;
 
-    const PARTS: usize = 1;
+    const GROUPS: usize = 1;
 
     #[inline(always)]
-    fn part(&self, _: usize) -> W {
+    fn group(&self, _: usize) -> W {
         *self
     }
 
     #[inline(always)]
-    fn set_part(&mut self, _: usize, value: W) {
+    fn set_group(&mut self, _: usize, value: W) {
         *self = value;
     }
 
@@ -158,11 +161,14 @@ impl<W: Wide> Lanes for W {
 
     #[inline(always)]
     fn largest(self) -> f64 {
-        let mut largest = 0.0;
-        for value in self.numbers() {
-            largest = Self::One::at_least(largest, value);
+        let mut n = self.numbers();
+        // By halves: one after another, each would wait for the one before.
+        for half in [4, 2, 1] {
+            for i in 0..half {
+                n[i] = Self::One::at_least(n[i], n[i + half]);
+            }
         }
-        largest
+        Self::One::at_least(0.0, n[0])
     }
 
     #[inline(always)]
@@ -178,6 +184,11 @@ impl<W: Wide> Lanes for W {
 
 impl<W: Wide> Joints for W {
     type Triple = W::Triple;
+
+    #[inline(always)]
+    fn read(values: &[f64]) -> Self {
+        W::part(values)
+    }
 
     #[inline(always)]
     fn components(cells: &[Cell]) -> [Self; 3] {

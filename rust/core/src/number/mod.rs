@@ -31,9 +31,9 @@ mod x86;
 pub(crate) use array::Array;
 pub(crate) use columns::Columns;
 pub(crate) use every::EveryJoint;
-pub(crate) use functions::{quadrant_angle, tanh};
+pub(crate) use functions::{is_narrow, narrow_angle_per, quadrant_angle, tanh};
 pub use instructions::Instructions;
-pub(crate) use instructions::{Kernel, Machine, PlainEight};
+pub(crate) use instructions::{Kernel, Machine};
 pub(crate) use lanes::{Axes, AxisScalar, Joints, Lanes, Scalar};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use scalar::Fused;
@@ -138,6 +138,9 @@ pub(crate) trait Packed: Arithmetic<Real = Self> + Number {
 
     /// From the first [`Packed::COUNT`] numbers.
     fn of(values: &[f64; LANES]) -> Self;
+
+    /// From the first numbers of as many as there are, 0 behind them.
+    fn part(values: &[f64]) -> Self;
 
     /// Into the first [`Packed::COUNT`] numbers.
     fn put(self, values: &mut [f64; LANES]);

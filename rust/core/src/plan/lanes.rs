@@ -20,9 +20,11 @@ pub(crate) struct RowLanes {
     pub(crate) stiffness: [AxisLanes; 2],
     pub(crate) viscosity: [AxisLanes; 2],
     pub(crate) eta: AxisLanes,
-    pub(crate) d_minus: AxisLanes,
     pub(crate) d_plus: AxisLanes,
+    /// 1 / (d_plus − d_minus), 1 / (2 band): the step has no division for them.
+    pub(crate) d_slope: AxisLanes,
     pub(crate) band: AxisLanes,
+    pub(crate) band_slope: AxisLanes,
     pub(crate) step_limit: AxisLanes,
     pub(crate) soft_step_limit: AxisLanes,
     pub(crate) damping_scale: AxisLanes,
@@ -40,8 +42,6 @@ impl RowLanes {
             out
         };
         let ends = |row: &Row, side: usize| -> [f64; 2] { row.profile.ends(row.soft[side], row.firm[side]) };
-        let mut d_plus = of(&|row| row.d_plus);
-        d_plus[rows.len()..].fill(1.0);
         let mut spread_damping = [0.0; LANES];
         spread_damping[..MAX_AXES].copy_from_slice(damping_scale);
         let (mut columns, mut axis) = ([[0.0; LANES]; MAX_AXES], [MAX_AXES; MAX_AXES]);
@@ -58,9 +58,10 @@ impl RowLanes {
             stiffness: [0, 1].map(|side| of(&|row| row.stiffness[side])),
             viscosity: [0, 1].map(|side| of(&|row| row.viscosity[side])),
             eta: of(&|row| row.eta),
-            d_minus: of(&|row| row.d_minus),
-            d_plus,
+            d_plus: of(&|row| row.d_plus),
+            d_slope: of(&|row| 1.0 / (row.d_plus - row.d_minus)),
             band: of(&|row| row.band),
+            band_slope: of(&|row| 0.5 / row.band),
             step_limit: of(&|row| row.step_limit),
             soft_step_limit: of(&|row| row.soft_step_limit),
             damping_scale: spread_damping,
@@ -76,12 +77,18 @@ impl Plan {
         if self.k == MAX_AXES {
             return W::of_axes(v);
         }
-        let nothing = W::One::splat(0.0);
-        let all = [v[0], v[1], v[2], v[3], v[4], v[5], nothing, nothing];
-        let mut out = [nothing; MAX_AXES];
-        for r in 0..MAX_AXES {
-            out[r] = all[self.lanes.axis[r] % LANES];
-        }
-        W::of_axes(&out)
+        W::of_axes(&picked(&self.lanes.axis, &{ *v }, W::One::splat(0.0)))
     }
+}
+
+/// Entries in the order of `axis`, and `nothing` for what is no axis.
+///
+/// By a call, and of a copy: what is indexed has to be in memory, where six numbers are not to be written for all other tasks.
+#[inline(never)]
+fn picked<R: Copy>(axis: &[usize; MAX_AXES], v: &[R; MAX_AXES], nothing: R) -> [R; MAX_AXES] {
+    let mut out = [nothing; MAX_AXES];
+    for (slot, &axis) in out.iter_mut().zip(axis) {
+        *slot = v.get(axis).copied().unwrap_or(nothing);
+    }
+    out
 }

@@ -9,9 +9,11 @@ mod stiffness;
 use nalgebra::DMatrix;
 
 use crate::error::{Error, Result};
+use crate::kinematics::spatial::Mat3;
 use crate::law::clearance::clearance;
 use crate::law::nullspace::Cost;
 use crate::model::Model;
+use crate::pose::Pose;
 use crate::servos::{ServoArrays, Servos};
 use crate::settings::{Damping, Follow, Gain, Law, LimitRule, Projector, Settings};
 use crate::survey::{self, Surveyed};
@@ -52,6 +54,9 @@ pub(crate) struct Plan {
     pub(crate) projector: Projector,
     pub(crate) budget_on_goal: bool,
     pub(crate) frame: Frame,
+    /// The columns are the task's axes, unless they turn with the tool. Kept although there are constants for them, which a
+    /// step would write number by number and then wait for.
+    fixed_axes: Mat3,
     /// Axis index of each row.
     pub(crate) axes: Vec<usize>,
     pub(crate) rows: [Row; MAX_AXES],
@@ -82,6 +87,8 @@ pub(crate) struct Plan {
     pub(crate) cost: Cost,
     /// Rest posture; `None`: q at reset.
     pub(crate) rest: Option<JointVec>,
+    /// Whether anything of a step depends on the singular values of its rows.
+    pub(crate) follows_sigma: bool,
     pub(crate) null_torque: f64,
     pub(crate) null_speed: f64,
     pub(crate) joint_weight: JointVec,
@@ -163,6 +170,7 @@ impl Plan {
             projector: settings.projector,
             budget_on_goal: settings.budget_on_goal,
             frame: settings.task.frame,
+            fixed_axes: settings.task.frame.base_from_task(&Pose::IDENTITY.rotation),
             lanes: RowLanes::new(&rows[..k], &damping_scale, &kx),
             rows,
             deviation_limits: deviation_limits(settings, &axes),
@@ -179,6 +187,10 @@ impl Plan {
             null_stiffness: settings.null_stiffness,
             alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
             takeover_damping: damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2),
+            follows_sigma: settings.law != Law::Paper
+                || damping.sigma_0 > 0.0
+                || settings.manipulability > 0.0
+                || settings.projector == Projector::Exact,
             damping,
             cost: resolve_cost(model, settings)?,
             rest: settings.posture.as_ref().map(|posture| list("posture", Some(posture), n, 0.0)).transpose()?,

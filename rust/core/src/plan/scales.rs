@@ -1,19 +1,21 @@
 //! What the cycle scales and bounds by constants of the plan.
 
+use crate::kinematics::spatial::{Mat3, splat_matrix};
 use crate::model::Model;
 use crate::number::{Arithmetic, Axes, Lanes};
 use crate::plan::Plan;
-use crate::pose::COORDINATE_BOUND;
-use crate::settings::{Law, Projector};
+use crate::pose::{COORDINATE_BOUND, Pose};
+use crate::task::axes::Frame;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// How far a reading may lie beyond a joint's position limits [rad]: half a turn. Farther off it is in degrees, or of
 /// another robot.
 const BEYOND_LIMITS: f64 = std::f64::consts::PI;
 
-/// Smallest and largest position of each joint that is taken for a real one; a prismatic joint may be off by its travel.
+/// Positions between which each joint's is taken for a real one, ±1 behind the last joint; a prismatic joint may be off by
+/// its travel.
 pub(super) fn readable(model: &Model) -> [JointVec; 2] {
-    let mut out = [[0.0; MAX_JOINTS]; 2];
+    let mut out = [[-1.0; MAX_JOINTS], [1.0; MAX_JOINTS]];
     for (i, (&lower, &upper)) in model.lower().iter().zip(model.upper()).enumerate().take(MAX_JOINTS) {
         let prismatic = model.prismatic().get(i).copied().unwrap_or(false);
         let beyond = if prismatic { upper - lower } else { BEYOND_LIMITS };
@@ -24,6 +26,15 @@ pub(super) fn readable(model: &Model) -> [JointVec; 2] {
 }
 
 impl Plan {
+    /// The axes of the task as columns, given the pose of the tool.
+    #[inline(always)]
+    pub(crate) fn base_from_task<A: Arithmetic>(&self, tool: &Pose<A::Real>) -> Mat3<A::Real> {
+        match self.frame {
+            Frame::Tool => tool.rotation,
+            Frame::Base | Frame::Rotation(_) => splat_matrix::<A>(&self.fixed_axes),
+        }
+    }
+
     /// Task rows with translations divided by the arm's length.
     #[inline(always)]
     pub(crate) fn scale_rows<J: Lanes>(&self, rows: &[J; MAX_AXES]) -> [J; MAX_AXES] {
@@ -44,14 +55,6 @@ impl Plan {
     #[inline(always)]
     pub(crate) fn reach<J: Lanes>(&self, horizon: f64) -> J {
         J::load(&self.joint_speed) * J::splat(horizon)
-    }
-
-    /// Whether anything of a step depends on the singular values of its rows.
-    pub(crate) fn follows_sigma(&self) -> bool {
-        self.law != Law::Paper
-            || self.damping.sigma_0 > 0.0
-            || self.cost.manipulability > 0.0
-            || self.projector == Projector::Exact
     }
 
     /// Scales a null-space motion [rad] to its speed limit.

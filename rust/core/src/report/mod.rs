@@ -233,7 +233,7 @@ impl Controller {
 
     /// The ways that pushes lead from the last step's pose; `friction` at rest [N·m].
     fn way<'a>(&'a self, frames: &Frames, friction: &'a JointVec) -> Way<'a> {
-        let base_from_task = crate::task::base_from_task::<crate::number::Plain>(&self.plan.frame, &frames.tool);
+        let base_from_task = self.plan.base_from_task::<crate::number::Plain>(&frames.tool);
         Way { model: self.model(), plan: &self.plan, base_from_task, q: &self.record().q, friction }
     }
 
@@ -250,7 +250,7 @@ impl Controller {
             plan: &self.plan,
             masses: &self.masses,
             gravity: self.gravity,
-            base_from_task: crate::task::base_from_task::<crate::number::Plain>(&self.plan.frame, &frames.tool),
+            base_from_task: self.plan.base_from_task::<crate::number::Plain>(&frames.tool),
             q: &self.record().q,
             goal,
             limit,

@@ -5,14 +5,14 @@ use crate::pose::Pose;
 use crate::task::compliance::unit;
 use crate::task::deviation::{pose_error, rotation_matrix};
 
-/// Share of the strengths "pushed toward +", 0…1, for the deviation `e`.
+/// Share of the strengths "pushed toward +", 0…1, for the deviation `e`; `slope` is 1 / (2 `band`).
 ///
 /// Pushed toward + means that the tool is beyond its target, e < 0. Within ± `band` of zero the share is linear in `e`,
 /// so that encoder noise toggles nothing; with `band` = 0 it switches at zero.
 #[inline(always)]
-pub(crate) fn plus_share<A: Arithmetic>(e: A::Real, band: A::Real) -> A::Real {
+pub(crate) fn plus_share<A: Arithmetic>(e: A::Real, band: A::Real, slope: A::Real) -> A::Real {
     let (zero, one) = (A::splat(0.0), A::splat(1.0));
-    let linear = unit::<A>((band - e) / (band + band));
+    let linear = unit::<A>(A::fnma(e, slope, A::splat(0.5)));
     A::if_less(zero, band, linear, A::if_less(e, zero, one, zero))
 }
 
@@ -49,10 +49,16 @@ mod tests {
 
     #[test]
     fn direction_is_named_by_the_push() {
-        assert!((plus_share::<Plain>(-1.0, 0.001) - 1.0).abs() < f64::EPSILON);
-        assert!(plus_share::<Plain>(1.0, 0.001).abs() < f64::EPSILON);
-        assert!((plus_share::<Plain>(0.0, 0.001) - 0.5).abs() < f64::EPSILON);
-        assert!((plus_share::<Plain>(-1e-9, 0.0) - 1.0).abs() < f64::EPSILON);
+        for (e, band, slope, share) in [
+            (-1.0, 0.001, 500.0, 1.0),
+            (1.0, 0.001, 500.0, 0.0),
+            (0.0, 0.001, 500.0, 0.5),
+            (0.0005, 0.001, 500.0, 0.25),
+            (-1e-9, 0.0, f64::INFINITY, 1.0),
+            (0.0, 0.0, f64::INFINITY, 0.0),
+        ] {
+            assert!((plus_share::<Plain>(e, band, slope) - share).abs() < f64::EPSILON, "{e} within {band}");
+        }
     }
 
     #[test]

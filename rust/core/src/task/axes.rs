@@ -2,6 +2,8 @@
 
 use crate::MAX_AXES;
 use crate::error::{Error, Result};
+use crate::kinematics::spatial::Mat3;
+use crate::pose::Pose;
 
 /// Names of the task axes, in the order of every 6-vector: linear first, then angular.
 pub const AXIS_NAMES: [&str; MAX_AXES] = ["x", "y", "z", "roll", "pitch", "yaw"];
@@ -19,6 +21,17 @@ pub enum Frame {
     Tool,
     /// Fixed axes: the columns of `base_from_task` (row-major rotation matrix).
     Rotation([[f64; 3]; 3]),
+}
+
+impl Frame {
+    /// The axes as columns, at a rotation of the tool.
+    pub(crate) fn base_from_task(&self, tool: &Mat3) -> Mat3 {
+        match self {
+            Self::Base => Pose::IDENTITY.rotation,
+            Self::Tool => *tool,
+            Self::Rotation(rotation) => *rotation,
+        }
+    }
 }
 
 /// Which axes are controlled, and in which frame.
@@ -66,7 +79,7 @@ impl Task {
             return Err(Error::config("task.axes", "no axis given; e.g. \"xyz rpy\", \"xyz\", \"x z pitch\""));
         }
         if let Frame::Rotation(rotation) = self.frame {
-            crate::pose::Pose { rotation, position: [0.0; 3] }.check("task.frame")?;
+            Pose { rotation, position: [0.0; 3] }.check("task.frame")?;
         }
         match self.length {
             Some(length) if !(length > 0.0 && length <= 100.0) => {

@@ -7,13 +7,13 @@ use crate::task::axes::Profile;
 ///
 /// The paper prints d without absolute value, which would call every negative deviation fully compliant.
 pub fn compliance(deviation: f64, d_minus: f64, d_plus: f64) -> f64 {
-    compliance_by::<Plain>(deviation, d_minus, d_plus)
+    compliance_by::<Plain>(deviation, d_plus, 1.0 / (d_plus - d_minus))
 }
 
-/// [`compliance`] of one axis or of eight.
+/// [`compliance`] of one axis or of eight; `slope` is 1 / (d_plus − d_minus).
 #[inline(always)]
-pub(crate) fn compliance_by<A: Arithmetic>(deviation: A::Real, d_minus: A::Real, d_plus: A::Real) -> A::Real {
-    unit::<A>((d_plus - A::abs(deviation)) / (d_plus - d_minus))
+pub(crate) fn compliance_by<A: Arithmetic>(deviation: A::Real, d_plus: A::Real, slope: A::Real) -> A::Real {
+    unit::<A>((d_plus - A::abs(deviation)) * slope)
 }
 
 /// A number within [0, 1].

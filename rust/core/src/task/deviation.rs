@@ -1,7 +1,7 @@
 //! Deviation between two poses, e = x_d − x.
 
 use crate::kinematics::spatial::{Mat3, Vec3, dot, multiply_back, rotate_back, sub};
-use crate::number::{Arithmetic, Plain, quadrant_angle, sin_cos};
+use crate::number::{Arithmetic, Plain, is_narrow, narrow_angle_per, quadrant_angle, sin_cos};
 use crate::pose::Pose;
 use crate::{AxisVec, MAX_AXES};
 
@@ -41,6 +41,13 @@ fn rotation_vector_by<A: Arithmetic>(m: &Mat3<A::Real>) -> Vec3<A::Real> {
     // Four times the products of the quaternion's largest component with itself and with the others: scalar, x, y, z.
     let turned = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
     let mut products = [one + trace, turned[0], turned[1], turned[2]];
+    let squared = dot::<A>(&turned, &turned);
+    // Up to an eighth of a turn, nearly always.
+    if is_narrow::<A>(squared, products[0]) & !A::less_anywhere(trace, zero) {
+        let half = narrow_angle_per::<A>(squared, products[0]);
+        let scale = half + half;
+        return [scale * turned[0], scale * turned[1], scale * turned[2]];
+    }
     if A::less_anywhere(trace, zero) {
         let shared = [m[1][0] + m[0][1], m[0][2] + m[2][0], m[2][1] + m[1][2]];
         let twice = [m[0][0] + m[0][0], m[1][1] + m[1][1], m[2][2] + m[2][2]];

@@ -11,13 +11,13 @@ const LEFT_BEHIND: [f64; 2] = [0.05, 0.2];
 const TRACE_LEFT_BEHIND: f64 = 2.960_133_155_682_483;
 
 /// Reference pose between the start and the target, with its velocity; bounded in speed and acceleration.
+///
+/// No larger than what is copied without a call.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Governor {
     pub(crate) pose: Pose,
     /// Linear [m/s] and angular [rad/s], base axes; zero where no speed is set.
     pub(crate) velocity: [f64; 6],
-    /// Whether the last step ended at the target: position, rotation.
-    pub(crate) arrived: [bool; 2],
     /// Target of the last step, and how fast it moved then [m/s, rad/s].
     pub(crate) target: Pose,
     pub(crate) target_speed: [f64; 2],
@@ -26,7 +26,7 @@ pub(crate) struct Governor {
 impl Governor {
     /// At rest in `pose`.
     pub(crate) fn new(pose: Pose) -> Self {
-        Self { pose, velocity: [0.0; 6], arrived: [true; 2], target: pose, target_speed: [0.0; 2] }
+        Self { pose, velocity: [0.0; 6], target: pose, target_speed: [0.0; 2] }
     }
 
     /// The reference.
@@ -34,9 +34,22 @@ impl Governor {
         self.pose
     }
 
-    /// Takes another reference than it has come to, and another velocity (6,), base axes: the target is then ahead.
+    /// Takes another reference than it has come to, and another velocity (6,), base axes.
     pub(crate) fn put(&mut self, pose: Pose, velocity: [f64; 6]) {
-        (self.pose, self.velocity, self.arrived) = (pose, velocity, [false; 2]);
+        (self.pose, self.velocity) = (pose, velocity);
+    }
+
+    /// Whether the reference is at the target of the last step: position, rotation.
+    #[inline(always)]
+    pub(crate) fn arrived(&self) -> [bool; 2] {
+        let (mut position, mut rotation) = (0, 0);
+        for i in 0..3 {
+            position |= self.pose.position[i].to_bits() ^ self.target.position[i].to_bits();
+            for j in 0..3 {
+                rotation |= self.pose.rotation[i][j].to_bits() ^ self.target.rotation[i][j].to_bits();
+            }
+        }
+        [position == 0, rotation == 0]
     }
 
     /// Whether position and rotation of the target have left their reference behind; never where `speed` is infinite, and the
@@ -90,7 +103,7 @@ impl Governor {
     /// Velocity of the reference (6,), base axes: the target's own `twist` once it is caught, within `speed`.
     pub(crate) fn velocity(&self, twist: &[f64; 6], speed: [f64; 2]) -> [f64; 6] {
         let mut out = self.velocity;
-        for (block, (&arrived, &most)) in self.arrived.iter().zip(&speed).enumerate() {
+        for (block, (&arrived, &most)) in self.arrived().iter().zip(&speed).enumerate() {
             if arrived {
                 let from = 3 * block;
                 let bounded = within([twist[from], twist[from + 1], twist[from + 2]], most);
@@ -116,7 +129,8 @@ impl Governor {
             *self = Self::new(*target);
             return *target;
         }
-        let (e, moved) = (pose_error_by::<A>(&self.pose, target), pose_error_by::<A>(&self.target, target));
+        let moved = pose_error_by::<A>(&self.target, target);
+        let e = if self.arrived() == [true; 2] { moved } else { pose_error_by::<A>(&self.pose, target) };
         let mut blocks = [([0.0; 3], true); 2];
         for (b, block) in blocks.iter_mut().enumerate() {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
@@ -143,7 +157,6 @@ impl Governor {
             self.pose.rotation = orthonormal(&multiply(&turn, &self.pose.rotation));
         }
         self.velocity = [linear[0], linear[1], linear[2], angular[0], angular[1], angular[2]];
-        self.arrived = [at_position, at_rotation];
         self.pose
     }
 }
@@ -289,7 +302,7 @@ mod tests {
         };
         let waiting = gone(&far(5.0, 0.0), 1.0);
         assert!(norm(waiting.pose.position) < 1e-12 && pose_error(&Pose::IDENTITY, &waiting.pose)[5].abs() < 1e-12);
-        assert!(waiting.velocity.iter().all(|v| v.abs() < 1e-9) && waiting.arrived == [false; 2]);
+        assert!(waiting.velocity.iter().all(|v| v.abs() < 1e-9) && waiting.arrived() == [false; 2]);
         let sideways = gone(&far(0.0, 5.0), 1.0).pose.position;
         assert!(sideways[1] > 0.08 && sideways[0].abs() < 1e-12);
         let (free, back) = (gone(&far(-5.0, 0.0), 0.0), gone(&far(-5.0, 0.0), 1.0));

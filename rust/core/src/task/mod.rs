@@ -9,21 +9,21 @@ pub(crate) mod deviation_limit;
 pub(crate) mod governor;
 pub(crate) mod wish;
 
-use crate::kinematics::spatial::{Mat3, splat_matrix};
+use crate::kinematics::spatial::Mat3;
 use crate::law::inverse::{load_rows, rows_array};
 use crate::number::{Arithmetic, EveryJoint, Lanes, Scalar};
-use crate::pose::Pose;
 use crate::task::axes::Frame;
+use crate::task::deviation::into_frame;
 use crate::{MAX_AXES, Rows};
 
-/// `base_from_task` of a task frame, given the pose of the tool.
+/// A 6-vector of base axes in those of a task in `frame`.
 #[inline(always)]
-pub(crate) fn base_from_task<A: Arithmetic>(frame: &Frame, tool: &Pose<A::Real>) -> Mat3<A::Real> {
-    match frame {
-        Frame::Base => splat_matrix::<A>(&Pose::IDENTITY.rotation),
-        Frame::Tool => tool.rotation,
-        Frame::Rotation(rotation) => splat_matrix::<A>(rotation),
-    }
+pub(crate) fn in_task<A: Arithmetic>(
+    frame: &Frame,
+    base_from_task: &Mat3<A::Real>,
+    v: &[A::Real; MAX_AXES],
+) -> [A::Real; MAX_AXES] {
+    if matches!(frame, Frame::Base) { *v } else { into_frame::<A>(base_from_task, v) }
 }
 
 /// Jacobian rows of the task's axes in the task frame, from the 6 × n Jacobian in base axes; 0 behind them.
@@ -38,15 +38,19 @@ pub(crate) fn rows_in<'a, J: Lanes>(
     world: &'a [J; MAX_AXES],
     base_from_task: &Mat3<Scalar<J>>,
     axes: &[usize],
-    room: &'a mut [J; MAX_AXES],
+    room: &'a mut Option<[J; MAX_AXES]>,
 ) -> &'a [J; MAX_AXES] {
     match frame {
         // The six axes of the base are the world's rows themselves.
         Frame::Base if axes.len() == MAX_AXES => world,
-        _ => {
-            *room = turned_rows(world, base_from_task, axes);
-            room
+        Frame::Base => {
+            let mut out = [J::splat(0.0); MAX_AXES];
+            for r in 0..axes.len().min(MAX_AXES) {
+                out[r] = world[axes[r] % MAX_AXES];
+            }
+            room.insert(out)
         }
+        _ => room.insert(turned_rows(world, base_from_task, axes)),
     }
 }
 

@@ -45,11 +45,11 @@ impl<W: Axes> Wish<W> {
     ) -> Self {
         let rows = &plan.lanes;
         let (e, twist) = (plan.of_rows(error), plan.of_rows(twist));
-        let plus = plus_share::<W>(e, W::constant(&rows.band));
+        let plus = plus_share::<W>(e, W::constant(&rows.band), W::constant(&rows.band_slope));
         let w = side(plus, &rows.yields);
         let adapted = adapt_deviation::<W>(e, W::constant(&rows.eta), w);
         let seen = if settings.raw_deviation { e } else { adapted };
-        let c = compliance_by::<W>(seen, W::constant(&rows.d_minus), W::constant(&rows.d_plus));
+        let c = compliance_by::<W>(seen, W::constant(&rows.d_plus), W::constant(&rows.d_slope));
         let strength = between::<W>(c, side(plus, &rows.far), side(plus, &rows.near));
         let step = W::splat(settings.horizon) * W::fma(W::splat(plan.kx_derating), pulled(plan, adapted), twist);
         let soft_most = W::splat(settings.horizon) * W::constant(&rows.soft_step_limit);

@@ -6,9 +6,9 @@ use std::arch::x86_64::{
     __m256d as Register, _CMP_LT_OQ, _mm256_add_epi64, _mm256_add_pd as add, _mm256_and_pd as and,
     _mm256_andnot_pd as andnot, _mm256_blendv_pd, _mm256_castpd_si256, _mm256_castsi256_pd, _mm256_cmp_pd,
     _mm256_div_pd as div, _mm256_fmadd_pd as fmadd, _mm256_fnmadd_pd as fnmadd, _mm256_loadu_pd as loadu,
-    _mm256_max_pd as max, _mm256_min_pd as min, _mm256_movemask_pd, _mm256_mul_pd as mul, _mm256_or_pd as or,
-    _mm256_set1_epi64x, _mm256_set1_pd as set1, _mm256_slli_epi64, _mm256_sqrt_pd as sqrt, _mm256_storeu_pd as storeu,
-    _mm256_sub_pd as sub, _mm256_xor_pd as xor,
+    _mm256_loadu_si256, _mm256_maskload_pd, _mm256_max_pd as max, _mm256_min_pd as min, _mm256_movemask_pd,
+    _mm256_mul_pd as mul, _mm256_or_pd as or, _mm256_set1_epi64x, _mm256_set1_pd as set1, _mm256_slli_epi64,
+    _mm256_sqrt_pd as sqrt, _mm256_storeu_pd as storeu, _mm256_sub_pd as sub, _mm256_xor_pd as xor,
 };
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -32,6 +32,14 @@ numbers! {
 many! { Four, each row an Avx2: 0 1 2 3 }
 
 short! { Four beside Fused, registers of 4: 0 }
+
+/// The first of `count` numbers, 0 behind the last.
+#[inline(always)]
+unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
+    const MASKS: [i64; 8] = [-1, -1, -1, -1, 0, 0, 0, 0];
+    // SAFETY: as above; `numbers` has `count`, and the mask is set for no more.
+    unsafe { _mm256_maskload_pd(numbers, _mm256_loadu_si256(MASKS.as_ptr().add(4 - count.min(4)).cast())) }
+}
 
 #[inline(always)]
 unsafe fn less(a: Register, b: Register) -> Register {

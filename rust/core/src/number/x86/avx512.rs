@@ -7,8 +7,8 @@ use std::arch::x86_64::{
     _mm512_and_pd as and, _mm512_andnot_pd as andnot, _mm512_castpd_si512, _mm512_castpd256_pd512,
     _mm512_castpd512_pd256, _mm512_castsi512_pd, _mm512_cmp_pd_mask, _mm512_div_pd as div, _mm512_extractf64x4_pd,
     _mm512_fmadd_pd as fmadd, _mm512_fnmadd_pd as fnmadd, _mm512_insertf64x4, _mm512_loadu_pd as loadu,
-    _mm512_mask_blend_pd, _mm512_max_pd as max, _mm512_min_pd as min, _mm512_mul_pd as mul, _mm512_or_pd as or,
-    _mm512_set1_epi64, _mm512_set1_pd as set1, _mm512_shuffle_f64x2 as shuffle, _mm512_slli_epi64,
+    _mm512_mask_blend_pd, _mm512_maskz_loadu_pd, _mm512_max_pd as max, _mm512_min_pd as min, _mm512_mul_pd as mul,
+    _mm512_or_pd as or, _mm512_set1_epi64, _mm512_set1_pd as set1, _mm512_shuffle_f64x2 as shuffle, _mm512_slli_epi64,
     _mm512_sqrt_pd as sqrt, _mm512_storeu_pd as storeu, _mm512_sub_pd as sub, _mm512_test_epi64_mask,
     _mm512_unpackhi_pd as high, _mm512_unpacklo_pd as low, _mm512_xor_pd as xor,
 };
@@ -27,6 +27,14 @@ numbers! {
 wide! { Avx512 beside Fused and Four }
 
 many! { Avx512, each row an Avx512: 0 1 2 3 4 5 6 7 }
+
+/// The first of `count` numbers, 0 behind the last.
+#[inline(always)]
+unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
+    let mask = Mask::MAX >> (LANES - count.min(LANES));
+    // SAFETY: as above; `numbers` has `count`, and the mask is set for no more.
+    unsafe { _mm512_maskz_loadu_pd(if count == 0 { 0 } else { mask }, numbers) }
+}
 
 #[inline(always)]
 unsafe fn less(a: Register, b: Register) -> Mask {

@@ -114,6 +114,15 @@ macro_rules! numbers {
             }
 
             #[inline(always)]
+            fn part(values: &[f64]) -> Self {
+                // SAFETY: as above; each register is given what is left behind those before it, and reads no more.
+                Self(unsafe { [$({
+                    let rest = values.get($i * $width..).unwrap_or_default();
+                    first_of(rest.as_ptr(), rest.len())
+                }),*] })
+            }
+
+            #[inline(always)]
             fn put(self, values: &mut [f64; LANES]) {
                 // SAFETY: as above; there is room for eight values.
                 unsafe { $(storeu(values.as_mut_ptr().add($i * $width), self.0[$i]);)* }

@@ -4,7 +4,7 @@
 
 use std::arch::x86_64::{
     __m128d as Register, _mm_add_epi64, _mm_add_pd as add, _mm_and_pd as and, _mm_and_si128, _mm_andnot_pd as andnot,
-    _mm_castpd_si128, _mm_castsi128_pd, _mm_cmplt_pd as less, _mm_div_pd as div, _mm_loadu_pd as loadu,
+    _mm_castpd_si128, _mm_castsi128_pd, _mm_cmplt_pd as less, _mm_div_pd as div, _mm_load_sd, _mm_loadu_pd as loadu,
     _mm_max_pd as max, _mm_min_pd as min, _mm_movemask_pd, _mm_mul_pd as mul, _mm_or_pd as or, _mm_set1_epi64x,
     _mm_set1_pd as set1, _mm_slli_epi64, _mm_sqrt_pd as sqrt, _mm_storeu_pd as storeu, _mm_sub_epi64,
     _mm_sub_pd as sub, _mm_unpackhi_pd as high, _mm_unpacklo_pd as low, _mm_xor_pd as xor, _mm_xor_si128,
@@ -35,6 +35,19 @@ numbers! {
 }
 
 short! { Pair beside Plain, registers of 2: 0 1 }
+
+/// The first of `count` numbers, 0 behind the last.
+#[inline(always)]
+unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
+    // SAFETY: as above; `numbers` has `count`, and no more are read.
+    unsafe {
+        match count {
+            0 => set1(0.0),
+            1 => _mm_load_sd(numbers),
+            _ => loadu(numbers),
+        }
+    }
+}
 
 #[inline(always)]
 unsafe fn fmadd(a: Register, b: Register, c: Register) -> Register {
