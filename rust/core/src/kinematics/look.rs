@@ -113,9 +113,19 @@ impl Chain {
             self.kinematics_by::<J::One>(q, rows)
         };
         let [a, b, c, d, e, f] = rows;
-        let world =
-            [J::of_joints(a), J::of_joints(b), J::of_joints(c), J::of_joints(d), J::of_joints(e), J::of_joints(f)];
-        View { tool, world, holding: J::of_joints(&holding) }
+        // Made in its place: it is too large to be moved there.
+        View {
+            tool,
+            world: [
+                J::of_joints(a),
+                J::of_joints(b),
+                J::of_joints(c),
+                J::of_joints(d),
+                J::of_joints(e),
+                J::of_joints(f),
+            ],
+            holding: J::of_joints(&holding),
+        }
     }
 
     /// Tool, Jacobian and holding torques at `q`; `g` [m/s²] in the base.
