@@ -176,7 +176,7 @@ fn write(rows: &[f64], out: &mut [f64], past_the_caches: bool) {
 
 /// Configurations whose results are put together in a cache before they go to memory in one piece, a multiple of what any
 /// register holds: six rows of many Jacobians at once are too many places to write to.
-const STAGED: usize = 16;
+const STAGED: usize = 8;
 
 /// Poses and Jacobians of a piece.
 struct PosePiece<'a> {
