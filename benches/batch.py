@@ -1,6 +1,7 @@
 """Many arms in one call: configurations a second on one core and on all, and memory for a million.
 
-    python benches/batch.py                N = 10⁵; --count for others, --instructions baseline
+    python benches/batch.py                N = 10⁵; --count for others, --instructions baseline,
+                                           --only kinematics,paper for some of the calls
 
 One process with one thread and one with as many as there are cores take turns, results into the
 caller's arrays. A core's rate is counted in its own time, so other programs do not matter; what the
@@ -37,8 +38,8 @@ def settings() -> dict[str, pliant.Settings]:
     return {"paper": paper, "cap": pliant.Settings.soft("y")}
 
 
-def calls(count: int) -> dict[str, Callable[[], object]]:
-    """What is timed, each with its own arrays."""
+def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
+    """What is timed; names that contain one of `only`."""
     kp, torque = [150.0] * 4 + [60.0] * 3, [10.7] * 4 + [6.4] * 3
     servos = pliant.Servos(kp=kp, torque=torque, friction=0.1, kp_known=True)
     model = pliant.Model.from_urdf(URDF, servos=servos)
@@ -54,17 +55,24 @@ def calls(count: int) -> dict[str, Callable[[], object]]:
     }
     for law, wanted in settings().items():
         controller = pliant.Controller(model, wanted)
-        state = controller.batch_state(count)
-        found[f"step_batch, law {law}"] = lambda c=controller: c.step_batch(q, targets, out=out)
-        found[f"step_batch, law {law}, with a state"] = lambda c=controller, s=state: c.step_batch(
+        name = f"step_batch, law {law}"
+        found[name] = lambda c=controller: c.step_batch(q, targets, out=out)
+        # A state is large: none that nobody asked for.
+        state = controller.batch_state(count if named(name + ", with a state", only) else 1)
+        found[name + ", with a state"] = lambda c=controller, s=state: c.step_batch(
             q, targets, state=s, out=out
         )
-    return found
+    return {name: call for name, call in found.items() if named(name, only)}
 
 
-def serve(count: int) -> None:
+def named(name: str, only: list[str]) -> bool:
+    """Whether it is asked for."""
+    return any(word in name for word in only)
+
+
+def serve(count: int, only: list[str]) -> None:
     """Answer each name on the input with seconds of the clock, of all threads, and MB more."""
-    ready = calls(count)
+    ready = calls(count, only)
     for name in sys.stdin:
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         start, own = time.perf_counter(), time.process_time()
@@ -74,9 +82,9 @@ def serve(count: int) -> None:
         print(json.dumps((*times, more / 1024)), flush=True)
 
 
-def started(count: int, threads: int) -> subprocess.Popen[str]:
+def started(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
     """A process that answers."""
-    command = [sys.executable, __file__, "--count", str(count), "--serve"]
+    command = [sys.executable, __file__, "--count", str(count), "--only", ",".join(only), "--serve"]
     environment = os.environ | {"RAYON_NUM_THREADS": str(threads)}
     pipe = subprocess.PIPE
     return subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment)
@@ -96,19 +104,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=100_000)
     parser.add_argument("--instructions", help="baseline, avx2 or avx512; default: the widest")
+    parser.add_argument("--only", default="", help="parts of names, comma-separated")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.instructions:
         os.environ["PLIANT_INSTRUCTIONS"] = arguments.instructions
     count, cores = arguments.count, len(os.sched_getaffinity(0))
+    only = arguments.only.split(",")
     if arguments.serve:
-        serve(count)
+        serve(count, only)
         return
     chosen = pliant.Controller(pliant.robots.arm7()).instructions
     print(f"N = {count:,}, instructions {arguments.instructions or chosen}")
     print(f"{'':38} {'M/s a core':>10} {f'{cores} threads':>10} {'ratio':>6} {'MB more':>8}")
-    one, all_cores = started(count, 1), started(count, cores)
-    for name in calls(1):
+    one, all_cores = started(count, only, 1), started(count, only, cores)
+    for name in calls(1, only):
         memory = ask(one, name)[2]
         rounds = [(ask(one, name), ask(all_cores, name)) for _ in range(ROUNDS)]
         rate = count / statistics.median(single[1] for single, _ in rounds)

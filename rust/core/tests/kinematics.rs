@@ -162,6 +162,26 @@ fn joint_positions_are_checked() {
 }
 
 #[test]
+fn results_too_many_for_the_caches_are_the_same_bits() {
+    let model = arm7();
+    let (n, count) = (model.n(), 150_003);
+    let q: Vec<f64> = (0..count * n).map(|i| (0.37 * i as f64).sin()).collect();
+    // Neither begins where a line of the cache does.
+    let (mut poses, mut jacobians) = (vec![0.0; 1 + 16 * count], vec![0.0; 1 + 6 * n * count]);
+    let (poses, jacobians) = (&mut poses[1..], &mut jacobians[1..]);
+    model.kinematics_batch(&q, Reference::WorldAligned, poses, jacobians).unwrap();
+    let (mut few_poses, mut few_jacobians) = (vec![0.0; 16 * 1000], vec![0.0; 6 * n * 1000]);
+    for (part, q) in q.chunks(1000 * n).enumerate() {
+        let here = q.len() / n;
+        let (few_poses, few_jacobians) = (&mut few_poses[..16 * here], &mut few_jacobians[..6 * n * here]);
+        model.kinematics_batch(q, Reference::WorldAligned, few_poses, few_jacobians).unwrap();
+        let same = |few: &[f64], all: &[f64]| few.iter().zip(all).all(|(a, b)| a.to_bits() == b.to_bits());
+        assert!(same(few_poses, &poses[16 * 1000 * part..]), "poses of part {part}");
+        assert!(same(few_jacobians, &jacobians[6 * n * 1000 * part..]), "Jacobians of part {part}");
+    }
+}
+
+#[test]
 fn inverse_kinematics_returns_to_poses_it_was_given() {
     for name in ["arm7", "twisted_6r", "sliding", "hobby_5dof"] {
         let model = if name == "arm7" { arm7() } else { robot(name) };

@@ -7,7 +7,7 @@ use crate::command::goal::register_speed;
 use crate::command::limits::finish;
 use crate::controller::Controller;
 use crate::controller::floors::{Given, Seen, Solution, row_damping};
-use crate::kinematics::batch::{Stage, gather};
+use crate::kinematics::batch::{gather, scatter};
 use crate::law::feedforward::SPEED_BOUND;
 use crate::law::paper::{is_printed, printed};
 use crate::law::singular::Condition;
@@ -18,7 +18,7 @@ use crate::task::deviation::pose_error_by;
 use crate::task::wish::Wish;
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Rows of one piece of a batch, at most 64.
+/// Rows of one piece of a batch.
 pub(super) struct Abreast<'a> {
     pub(super) controller: &'a Controller,
     pub(super) input: &'a BatchInput<'a>,
@@ -28,12 +28,8 @@ pub(super) struct Abreast<'a> {
     pub(super) outs: [&'a mut [f64]; 3],
 }
 
-/// Memory that the arms of a piece share one after another.
-struct Scratch<W> {
-    stage: Stage,
-    /// Jacobian; the columns behind the last joint stay 0.
-    rows: [[W; MAX_JOINTS]; MAX_AXES],
-}
+/// Jacobians, whose memory the arms of a piece share one after another; the columns behind the last joint stay 0.
+type Jacobians<W> = [[W; MAX_JOINTS]; MAX_AXES];
 
 impl Controller {
     /// Whether arms can be stepped side by side.
@@ -51,10 +47,10 @@ impl Kernel for Abreast<'_> {
     fn run<M: Machine>(mut self) -> u64 {
         let (n, mut left) = (self.controller.plan.n.clamp(1, ABREAST), 0);
         let (rows, count) = (self.outs[0].len() / n, M::Many::COUNT);
-        let mut scratch = Scratch { stage: Stage::new(), rows: [[M::Many::splat(0.0); MAX_JOINTS]; MAX_AXES] };
+        let mut jacobians = [[M::Many::splat(0.0); MAX_JOINTS]; MAX_AXES];
         let mut from = 0;
         while from < rows {
-            let sure = self.rows::<M::Many>(n, from, rows.min(from + count), &mut scratch).numbers();
+            let sure = self.rows::<M::Many>(n, from, &mut jacobians).numbers();
             for lane in 0..count.min(rows - from) {
                 left |= u64::from(sure[lane] == 0.0) << (from + lane);
             }
@@ -65,30 +61,33 @@ impl Kernel for Abreast<'_> {
 }
 
 impl Abreast<'_> {
-    /// Steps rows `from` to `to`; 0 for those that are left to single steps, else 1.
+    /// Steps as many rows as a register holds, from `from` on; 0 for those that are left to single steps, else 1.
     #[inline(always)]
-    fn rows<W: Many>(&mut self, n: usize, from: usize, to: usize, scratch: &mut Scratch<W>) -> W {
+    fn rows<W: Many>(&mut self, n: usize, from: usize, jacobians: &mut Jacobians<W>) -> W {
         let Controller { plan, settings, model, masses, gravity, .. } = self.controller;
         let (row, nothing, mut sure) = (self.first + from, W::splat(0.0), W::splat(1.0));
-        let q = &gather::<W>(&self.input.q[n * row..], n);
+        let mut q = gather::<W>(&self.input.q[n * row..], n);
         for i in 0..n {
             sure = W::if_less(W::splat(plan.readable[0][i]), q[i], sure, nothing);
             sure = W::if_less(q[i], W::splat(plan.readable[1][i]), sure, nothing);
         }
-        let q = without_negligible(Columns::of_joints(q));
+        for i in 0..ABREAST {
+            q[i] = if i < n { without_negligible(q[i]) } else { nothing };
+        }
         let mut velocity = Columns::<W, ABREAST>::splat(0.0);
         if let Some(dq) = self.input.dq {
-            let dq = gather::<W>(&dq[n * row..], n);
-            for i in 0..n {
-                sure = W::if_less(W::abs(dq[i]), W::splat(SPEED_BOUND), sure, nothing);
+            let mut dq = gather::<W>(&dq[n * row..], n);
+            for i in 0..ABREAST {
+                sure = if i < n { W::if_less(W::abs(dq[i]), W::splat(SPEED_BOUND), sure, nothing) } else { sure };
+                dq[i] = if i < n { without_negligible(dq[i]) } else { nothing };
             }
-            velocity = without_negligible(Columns::of_joints(&dq));
+            velocity = Columns::of_joints(&dq);
         }
         let target = self.targets(row, &mut sure);
 
-        let view =
-            model.chain().look_abreast(q, masses, gravity, settings.gravity != GravityUse::Off, &mut scratch.rows);
-        let seen = Seen::new(plan, settings, q, &view);
+        let view = model.chain().look_abreast(&q, masses, gravity, settings.gravity != GravityUse::Off, jacobians);
+        let (q, mut turned) = (Columns::<W, ABREAST>::of_joints(&q), None);
+        let seen = Seen::new(plan, settings, q, &view, &mut turned);
         let error = pose_error_by::<W>(&seen.view.tool, &target);
         let wish = Wish::new(plan, settings, plan.in_rows(&seen.base_from_task, &error), Columns::splat(0.0));
         let rest = plan.rest.as_ref().map_or(q, Columns::load);
@@ -98,7 +97,7 @@ impl Abreast<'_> {
             velocity,
             gradient: plan.cost.gradient(q, rest, 1.0),
             integral,
-            scaled_rows: &plan.scale_rows(&seen.rows),
+            scaled_rows: seen.rows, // the printed law asks for them alone
             condition: &condition,
             damping: row_damping::<Columns<W, ABREAST>>(plan, &condition),
         };
@@ -111,15 +110,16 @@ impl Abreast<'_> {
         let speed =
             register_speed(&seen.view.world, settings.max_tool_speed, settings.goal_slew, load(&plan.joint_speed));
 
-        let (moving, goals, limits) = (solution.moving.array(), goal.array(), limit.array());
+        let (moving, goals, limits) = (solution.moving.numbers(), goal.numbers(), limit.numbers());
         for i in 0..n {
             sure = W::if_less(W::splat(plan.upper[i]), moving[i], nothing, sure);
             sure = W::if_less(moving[i], W::splat(plan.lower[i]), nothing, sure);
             sure = W::if_less(W::abs(goals[i]) + W::abs(limits[i]), W::splat(f64::INFINITY), sure, nothing);
         }
-        for (out, numbers) in self.outs.iter_mut().zip([goals, limits, speed.array()]) {
-            scratch.stage.scatter(&numbers, n, to - from, &mut out[n * from..]);
-        }
+        let [a, b, c] = &mut self.outs;
+        scatter::<W>(&goals, n, &mut a[n * from..]);
+        scatter::<W>(&limits, n, &mut b[n * from..]);
+        scatter::<W>(&speed.numbers(), n, &mut c[n * from..]);
         sure
     }
 
@@ -161,8 +161,8 @@ impl Abreast<'_> {
     }
 }
 
-/// Numbers as a step reads them.
+/// A number as a step reads it.
 #[inline(always)]
-fn without_negligible<J: Lanes>(values: J) -> J {
-    J::if_less(J::abs(values), J::splat(NEGLIGIBLE), J::splat(0.0), values)
+fn without_negligible<W: Many>(value: W) -> W {
+    W::if_less(W::abs(value), W::splat(NEGLIGIBLE), W::splat(0.0), value)
 }

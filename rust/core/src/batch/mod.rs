@@ -161,12 +161,16 @@ impl Controller {
         let (n, first) = (self.model().n(), First::default());
         let BatchCommand { goal, torque_limit, velocity } = out;
         let abreast = state.is_none() && self.goes_abreast();
-        let step = |controller: &mut Self, index: usize, mut kept: Option<&mut [f64]>, mut outs: [&mut [f64]; 3]| {
+        let step = |own: &mut Option<Self>, index: usize, mut kept: Option<&mut [f64]>, mut outs: [&mut [f64]; 3]| {
             let mut left = u64::MAX;
             if abreast {
                 let outs = outs.each_mut().map(|out| &mut **out);
                 left = self.instructions().run(Abreast { controller: self, input, first: index * PIECE, outs });
             }
+            if left == 0 {
+                return;
+            }
+            let controller = own.get_or_insert_with(|| self.clone());
             let [goals, limits, velocities] = outs;
             let outs = goals.chunks_exact_mut(n).zip(limits.chunks_exact_mut(n)).zip(velocities.chunks_exact_mut(n));
             for (i, ((goal, limit), velocity)) in outs.enumerate() {
@@ -196,18 +200,17 @@ impl Controller {
         let outs = [goal, torque_limit, velocity];
         let size = PIECE * n;
         if input.q.len() <= size {
-            step(&mut self.clone(), 0, state, outs);
+            step(&mut None, 0, state, outs);
             return first.result();
         }
         let outs = outs.map(|out| out.par_chunks_mut(size));
         let [goals, limits, velocities] = outs;
         let outs = (goals, limits, velocities).into_par_iter().enumerate();
         on_every_core(|| match state {
-            None => outs.for_each_init(|| self.clone(), |own, (index, (a, b, c))| step(own, index, None, [a, b, c])),
-            Some(state) => outs.zip(state.par_chunks_mut(PIECE * width(n))).for_each_init(
-                || self.clone(),
-                |own, ((index, (a, b, c)), kept)| step(own, index, Some(kept), [a, b, c]),
-            ),
+            None => outs.for_each_init(|| None, |own, (index, (a, b, c))| step(own, index, None, [a, b, c])),
+            Some(state) => outs
+                .zip(state.par_chunks_mut(PIECE * width(n)))
+                .for_each_init(|| None, |own, ((index, (a, b, c)), kept)| step(own, index, Some(kept), [a, b, c])),
         })?;
         first.result()
     }

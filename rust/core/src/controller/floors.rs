@@ -26,16 +26,22 @@ pub(crate) struct Seen<'a, J: Lanes> {
     pub(crate) view: &'a View<J>,
     pub(crate) base_from_task: [[Scalar<J>; 3]; 3],
     /// Jacobian rows of the task's axes, in the task frame (k × n).
-    pub(crate) rows: [J; MAX_AXES],
+    pub(crate) rows: &'a [J; MAX_AXES],
     pub(crate) gravity_in_goal: J,
     pub(crate) gravity_in_limit: J,
 }
 
 impl<'a, J: Lanes> Seen<'a, J> {
     #[inline(always)]
-    pub(crate) fn new(plan: &Plan, settings: &Settings, q: J, view: &'a View<J>) -> Self {
+    pub(crate) fn new(
+        plan: &Plan,
+        settings: &Settings,
+        q: J,
+        view: &'a View<J>,
+        room: &'a mut Option<[J; MAX_AXES]>,
+    ) -> Self {
         let base_from_task = plan.base_from_task::<J::One>(&view.tool);
-        let rows = task::rows_in(&plan.frame, &view.world, &base_from_task, &plan.axes);
+        let rows = task::rows_in(&plan.frame, &view.world, &base_from_task, &plan.axes, room);
         let gravity = settings.gravity;
         let in_goal = J::splat(f64::from(u8::from(gravity.in_goal())));
         let in_limit = J::splat(f64::from(u8::from(gravity.in_limits())));
@@ -94,7 +100,7 @@ impl<'a, J: Lanes> Given<'a, J> {
         Tick {
             plan,
             horizon: settings.horizon,
-            rows: &seen.rows,
+            rows: seen.rows,
             scaled_rows: self.scaled_rows,
             condition: self.condition,
             damping: self.damping,
@@ -148,14 +154,14 @@ impl<J: Lanes> Solution<J> {
     ) -> Load<J> {
         let motion = &self.motion;
         let wrench = motion.wrench.whole();
-        let pull = transpose_times(&seen.rows, &wrench.axes());
+        let pull = transpose_times(seen.rows, &wrench.axes());
         // The null space, and what a position limit has taken of the joint's part of the wrench.
         let lead = J::fnma(J::load(&plan.servos.compliance), pull, motion.lead + motion.force_lead + motion.null);
         let ahead = seen.q - q;
         Load {
             gravity: seen.gravity_in_limit,
             feed_forward: self.feed_forward,
-            task: transpose_times(&seen.rows, &J::Axes::clip(wrench, wish.most).axes()),
+            task: transpose_times(seen.rows, &J::Axes::clip(wrench, wish.most).axes()),
             offset: J::load(&plan.servos.kp) * (lead + integral + ahead),
             gravity_scale: settings.gravity_scale,
             margin: J::load(&plan.margin),

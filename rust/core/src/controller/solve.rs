@@ -50,10 +50,10 @@ pub(super) fn solve<J: Joints>(
 ) -> Solved<J> {
     let scaled;
     let scaled_rows = if plan.follows_sigma {
-        scaled = plan.scale_rows(&seen.rows);
+        scaled = plan.scale_rows(seen.rows);
         &scaled
     } else {
-        &seen.rows // nobody asks for the others
+        seen.rows // nobody asks for the others
     };
     let condition = condition(plan, scaled_rows, singular, memory.cold);
     let gradient = cost_gradient(plan, input, &memory.rest, seen, scaled_rows, condition.mu_squared);
@@ -77,7 +77,7 @@ pub(super) fn solve<J: Joints>(
         let hands = Hands {
             plan,
             horizon: settings.horizon,
-            rows: rows_array(&seen.rows),
+            rows: rows_array(seen.rows),
             softness: wish.softness.numbers(),
             without_lead: (seen.q + integral).array(),
             carried: carried.array(),

@@ -146,7 +146,8 @@ impl Cycle<'_> {
         let mut governor = self.memory.governor;
         let reference = governor.follow::<J::One>(self.target, speed, settings.max_tool_acceleration, dt);
         let view = self.chain.look(q, self.masses, self.gravity, self.scratch);
-        let seen = Seen::new(plan, settings, q, &view);
+        let mut turned = None;
+        let seen = Seen::new(plan, settings, q, &view, &mut turned);
         let error = pose_error_by::<J::One>(&seen.view.tool, &reference);
         let deviation = plan.in_rows(&seen.base_from_task, &error);
         let mut aim = Aim { reference, deviation, limited: [false; MAX_AXES] };
@@ -232,7 +233,7 @@ impl Cycle<'_> {
             share: self.settings.integrate * dt,
             gravity: &(seen.view.holding * J::splat(self.settings.gravity_scale)).array(),
             softness: &axes(wish.softness),
-            rows: &without_locked(&rows_array(&seen.rows), locked),
+            rows: &without_locked(&rows_array(seen.rows), locked),
             damping: &axes(solved.row_damping),
         };
         addition.store(&mut self.memory.integral, self.plan);
@@ -276,7 +277,7 @@ impl Cycle<'_> {
             (None, LimitRule::Demand) => load.demand(),
             (None, LimitRule::Sum) => {
                 let asked = Asked {
-                    rows: rows_array(&seen.rows),
+                    rows: rows_array(seen.rows),
                     gradient: solved.gradient.array(),
                     damping: solved.damping.sqrt(),
                     sigma: [singular.smallest, singular.largest],

@@ -6,7 +6,7 @@ use super::jacobian::turn_to_tool;
 use super::{Frames, Masses, Reference};
 use crate::error::{Error, Result};
 use crate::model::{Chain, Model};
-use crate::number::{Arithmetic, Instructions, Kernel, LANES, Machine, Many, Packed};
+use crate::number::{Arithmetic, Instructions, Kernel, LANES, Machine, Many, PAST_THE_CACHES, Packed, settle, stream};
 use crate::pose::COORDINATE_BOUND;
 use crate::threads::on_every_core;
 use crate::{MAX_AXES, MAX_JOINTS};
@@ -33,8 +33,9 @@ impl Model {
         check("poses", poses, count * pose)?;
         check("jacobians", jacobians, count * jacobian)?;
         let chain = self.chain();
+        let past_the_caches = size_of_val(poses) + size_of_val(jacobians) >= PAST_THE_CACHES;
         self.pieces(q, [(poses, pose), (jacobians, jacobian)], |q, [poses, jacobians]| {
-            Instructions::chosen().run(PosePiece { chain, q, reference, poses, jacobians });
+            Instructions::chosen().run(PosePiece { chain, q, reference, past_the_caches, poses, jacobians });
         })
     }
 
@@ -104,64 +105,85 @@ fn check(what: &str, values: &[f64], expected: usize) -> Result<()> {
     if values.len() == expected { Ok(()) } else { Err(Error::length(what, values.len(), expected)) }
 }
 
-/// One number per joint, or entry of a pose, from the rows of `values`, each `size` long: 0 behind the last. Where there are
-/// fewer rows than configurations, the last one again.
+/// One number per joint, or entry of a pose, from the rows of `values`, each `size` long; anything behind the last. Where
+/// there are fewer rows than configurations, the last one again.
 #[inline(always)]
 pub(crate) fn gather<A: Many>(values: &[f64], size: usize) -> [A; MAX_JOINTS] {
-    let (mut out, last) = ([A::splat(0.0); MAX_JOINTS], (values.len() / size).saturating_sub(1));
+    let last;
+    let mut rows = values;
+    // Registers are filled whole: behind the end of a row with the next one.
+    if values.len() < A::COUNT * size + LANES {
+        last = last_rows(values, size);
+        rows = &last;
+    }
+    let mut out = [A::splat(0.0); MAX_JOINTS];
     let mut from = 0;
     while from < size.min(MAX_JOINTS) {
-        let mut rows = [[0.0; LANES]; LANES];
-        for lane in 0..A::COUNT {
-            let row = &values[lane.min(last) * size + from..];
-            // What is read behind the row's end is not used.
-            match row.first_chunk::<LANES>() {
-                Some(row) => rows[lane] = *row,
-                None => rows[lane][..row.len()].copy_from_slice(row),
-            }
-        }
-        let columns = A::columns(&rows);
-        for k in 0..LANES.min(size - from) {
-            out[(from + k) & (MAX_JOINTS - 1)] = columns[k];
+        let eight = A::from_rows(&rows[from..], size);
+        for k in 0..LANES {
+            out[(from + k) & (MAX_JOINTS - 1)] = eight[k];
         }
         from += LANES;
     }
     out
 }
 
-/// Rows as long as poses and Jacobians are, on their way to memory.
-pub(crate) struct Stage([[[f64; LANES]; LANES]; MAX_AXES * MAX_JOINTS / LANES]);
-
-impl Stage {
-    pub(crate) const fn new() -> Self {
-        Self([[[0.0; LANES]; LANES]; MAX_AXES * MAX_JOINTS / LANES])
+/// The last rows, and the very last one again and again.
+#[cold]
+#[inline(never)]
+fn last_rows(values: &[f64], size: usize) -> [f64; LANES * MAX_JOINTS + LANES] {
+    let (mut out, last) = ([0.0; LANES * MAX_JOINTS + LANES], values.len().saturating_sub(size));
+    for (row, out) in out.chunks_exact_mut(size).enumerate() {
+        out.copy_from_slice(&values[last.min(row * size)..][..size]);
     }
+    out
+}
 
-    /// The first `size` numbers of the first `count` configurations into the rows of `out`; `numbers` come in whole eights.
-    ///
-    /// Behind these rows `out` may be overwritten: whoever goes on writes the next rows there.
-    #[inline(always)]
-    pub(crate) fn scatter<A: Many>(&mut self, numbers: &[A], size: usize, count: usize, out: &mut [f64]) {
-        for (turned, eight) in self.0.iter_mut().zip(numbers.as_chunks::<LANES>().0).take(size.div_ceil(LANES)) {
-            *turned = A::transpose(eight);
-        }
-        for (lane, row) in (0..count.min(A::COUNT)).zip((0..).step_by(size)) {
-            for (turned, at) in self.0.iter().zip((0..size).step_by(LANES)) {
-                let to = &mut out[row + at..];
-                match to.first_chunk_mut::<LANES>() {
-                    Some(to) => *to = turned[lane],
-                    None => to.copy_from_slice(&turned[lane][..to.len()]),
-                }
-            }
+/// The first `size` numbers of as many configurations as a register holds into the first rows of `out`, each `size` long;
+/// `numbers` come in whole eights.
+///
+/// Behind these rows `out` may be overwritten: whoever goes on writes the next rows there.
+#[inline(always)]
+pub(crate) fn scatter<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
+    if out.len() >= A::COUNT * size + LANES {
+        return put::<A>(numbers, size, out);
+    }
+    let mut last = [0.0; LANES * MAX_JOINTS + LANES];
+    put::<A>(numbers, size, &mut last);
+    for (to, from) in out.iter_mut().zip(&last) {
+        *to = *from;
+    }
+}
+
+/// [`scatter`] where there is room for eight numbers more.
+#[inline(always)]
+fn put<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
+    let (eights, mut from) = (numbers.as_chunks::<LANES>().0, size.div_ceil(LANES));
+    // From behind: what hangs over the end of a row is the place of the next one's beginning.
+    while from > 0 {
+        from -= 1;
+        if let (Some(eight), Some(rows)) = (eights.get(from), out.get_mut(LANES * from..)) {
+            A::into_rows(eight, rows, size);
         }
     }
 }
+
+/// Copies, past the caches where there is too much for them.
+#[inline(always)]
+fn write(rows: &[f64], out: &mut [f64], past_the_caches: bool) {
+    if past_the_caches { stream(rows, out) } else { out.copy_from_slice(rows) }
+}
+
+/// Configurations whose results are put together in a cache before they go to memory in one piece, a multiple of what any
+/// register holds: six rows of many Jacobians at once are too many places to write to.
+const STAGED: usize = 8;
 
 /// Poses and Jacobians of a piece.
 struct PosePiece<'a> {
     chain: &'a Chain,
     q: &'a [f64],
     reference: Reference,
+    past_the_caches: bool,
     poses: &'a mut [f64],
     jacobians: &'a mut [f64],
 }
@@ -172,37 +194,51 @@ impl Kernel for PosePiece<'_> {
     #[inline(always)]
     fn run<M: Machine>(self) {
         let n = self.chain.n.clamp(1, MAX_JOINTS);
-        let (zero, one, count) = (M::Many::splat(0.0), M::Many::splat(1.0), M::Many::COUNT);
+        let (zero, one) = (M::Many::splat(0.0), M::Many::splat(1.0));
         let mut rows = [[zero; MAX_JOINTS]; MAX_AXES];
         let mut flat = [zero; MAX_AXES * MAX_JOINTS];
         let (with_poses, with_jacobians) = (!self.poses.is_empty(), !self.jacobians.is_empty());
-        let (mut stage, total) = (Stage::new(), self.q.len() / n);
-        for from in (0..total).step_by(count) {
-            let here = count.min(total - from);
-            let tool = self.chain.kinematics_by::<M::Many>(&gather::<M::Many>(&self.q[n * from..], n), &mut rows);
-            if with_poses {
-                let (r, p) = (&tool.rotation, &tool.position);
-                let mut numbers = [zero; 16];
-                for i in 0..3 {
-                    for c in 0..3 {
-                        numbers[4 * i + c] = r[i][c];
+        let (mut poses, mut jacobians) = ([0.0; 16 * STAGED + LANES], [0.0; MAX_AXES * MAX_JOINTS * STAGED + LANES]);
+        let total = self.q.len() / n;
+        for from in (0..total).step_by(STAGED) {
+            let here = STAGED.min(total - from);
+            for at in (0..here).step_by(M::Many::COUNT) {
+                let q = gather::<M::Many>(&self.q[n * (from + at)..], n);
+                let tool = self.chain.kinematics_by::<M::Many>(&q, &mut rows);
+                if with_poses {
+                    let (r, p) = (&tool.rotation, &tool.position);
+                    let mut numbers = [zero; 16];
+                    for i in 0..3 {
+                        for c in 0..3 {
+                            numbers[4 * i + c] = r[i][c];
+                        }
+                        numbers[4 * i + 3] = p[i];
                     }
-                    numbers[4 * i + 3] = p[i];
+                    numbers[15] = one;
+                    put::<M::Many>(&numbers, 16, &mut poses[16 * at..]);
                 }
-                numbers[15] = one;
-                stage.scatter(&numbers, 16, here, &mut self.poses[16 * from..]);
+                if self.reference == Reference::Local {
+                    turn_to_tool::<M::Many>(&tool.rotation, &mut rows, n);
+                }
+                if with_jacobians {
+                    for r in 0..MAX_AXES {
+                        for k in 0..n {
+                            flat[r * n + k] = rows[r][k];
+                        }
+                    }
+                    put::<M::Many>(&flat, 6 * n, &mut jacobians[6 * n * at..]);
+                }
             }
-            if self.reference == Reference::Local {
-                turn_to_tool::<M::Many>(&tool.rotation, &mut rows, n);
+            if with_poses {
+                write(&poses[..16 * here], &mut self.poses[16 * from..][..16 * here], self.past_the_caches);
             }
             if with_jacobians {
-                for r in 0..MAX_AXES {
-                    for k in 0..n {
-                        flat[r * n + k] = rows[r][k];
-                    }
-                }
-                stage.scatter(&flat, 6 * n, here, &mut self.jacobians[6 * n * from..]);
+                let (from, length) = (6 * n * from, 6 * n * here);
+                write(&jacobians[..length], &mut self.jacobians[from..][..length], self.past_the_caches);
             }
+        }
+        if self.past_the_caches {
+            settle();
         }
     }
 }
@@ -222,15 +258,14 @@ impl Kernel for GravityPiece<'_> {
     #[inline(always)]
     fn run<M: Machine>(self) {
         let n = self.chain.n.clamp(1, MAX_JOINTS);
-        let (zero, count) = (M::Many::splat(0.0), M::Many::COUNT);
+        let zero = M::Many::splat(0.0);
         let mut frames = Frames::filled(zero);
         let mut torques = [zero; MAX_JOINTS];
-        let (mut stage, total) = (Stage::new(), self.q.len() / n);
-        for from in (0..total).step_by(count) {
-            let here = count.min(total - from);
+        let total = self.q.len() / n;
+        for from in (0..total).step_by(M::Many::COUNT) {
             self.chain.forward_by::<M::Many>(&gather::<M::Many>(&self.q[n * from..], n), &mut frames);
             self.chain.gravity_by::<M::Many>(&frames, self.masses, self.gravity, &mut torques);
-            stage.scatter(&torques, n, here, &mut self.torques[n * from..]);
+            scatter::<M::Many>(&torques, n, &mut self.torques[n * from..]);
         }
     }
 }

@@ -95,28 +95,37 @@ impl Chain {
     #[inline(always)]
     pub(crate) fn look_abreast<J: Lanes>(
         &self,
-        q: J,
+        q: &[Scalar<J>; MAX_JOINTS],
         masses: &Masses,
         g: &Vec3,
         heavy: bool,
         rows: &mut [[Scalar<J>; MAX_JOINTS]; MAX_AXES],
     ) -> View<J> {
-        let (q, zero) = (q.array(), J::One::splat(0.0));
+        let zero = J::One::splat(0.0);
         let mut holding = [zero; MAX_JOINTS];
         let tool = if heavy {
             let mut frames = Frames::filled(zero);
-            self.forward_by::<J::One>(&q, &mut frames);
+            self.forward_by::<J::One>(q, &mut frames);
             self.jacobian_by::<J::One>(&frames, rows);
             self.gravity_by::<J::One>(&frames, masses, g, &mut holding);
             frames.tool
         } else {
-            self.kinematics_by::<J::One>(&q, rows)
+            self.kinematics_by::<J::One>(q, rows)
         };
-        let mut world = [J::splat(0.0); MAX_AXES];
-        for r in 0..MAX_AXES {
-            world[r] = J::of_joints(&rows[r]);
+        let [a, b, c, d, e, f] = rows;
+        // Made in its place: it is too large to be moved there.
+        View {
+            tool,
+            world: [
+                J::of_joints(a),
+                J::of_joints(b),
+                J::of_joints(c),
+                J::of_joints(d),
+                J::of_joints(e),
+                J::of_joints(f),
+            ],
+            holding: J::of_joints(&holding),
         }
-        View { tool, world, holding: J::of_joints(&holding) }
     }
 
     /// Tool, Jacobian and holding torques at `q`; `g` [m/s²] in the base.

@@ -36,30 +36,39 @@ pub(crate) fn rows_array<J: Joints>(rows: &[J; MAX_AXES]) -> Rows {
     out
 }
 
+/// Rows and columns of the lower half of a [`Square`], in fours; the row behind the last is zero.
+const LOWER_HALF: [[(usize, usize); 4]; 6] = [
+    [(0, 0), (1, 0), (1, 1), (2, 0)],
+    [(2, 1), (2, 2), (3, 0), (3, 1)],
+    [(3, 2), (3, 3), (4, 0), (4, 1)],
+    [(4, 2), (4, 3), (4, 4), (5, 0)],
+    [(5, 1), (5, 2), (5, 3), (5, 4)],
+    [(5, 5), (6, 6), (6, 6), (6, 6)],
+];
+
 /// `J diag(d) Jᵀ`.
 #[inline(always)]
 pub(crate) fn weighted_gram<J: Lanes>(rows: &[J; MAX_AXES], d: J) -> Square<Scalar<J>> {
     let (zero, nothing) = (J::splat(0.0), J::One::splat(0.0));
+    let mut scaled = *rows;
+    for row in &mut scaled {
+        *row = *row * d;
+    }
+    // By reference: rows of several configurations are large.
+    let right = [&rows[0], &rows[1], &rows[2], &rows[3], &rows[4], &rows[5], &zero];
+    let left = [&scaled[0], &scaled[1], &scaled[2], &scaled[3], &scaled[4], &scaled[5], &zero];
     let mut out = [[nothing; MAX_AXES]; MAX_AXES];
-    let (mut left, mut right) = ([zero; 24], [zero; 24]);
-    unrolled!(r in 0 1 2 3 4 5 => {
-        let scaled = rows[r] * d;
-        for c in 0..=r {
-            (left[r * (r + 1) / 2 + c], right[r * (r + 1) / 2 + c]) = (scaled, rows[c]);
-        }
-    });
-    let mut sums = [nothing; 24];
-    unrolled!(b in 0 1 2 3 4 5 => {
-        let i = 4 * b;
-        [sums[i], sums[i + 1], sums[i + 2], sums[i + 3]] = J::dots(
-            [left[i], left[i + 1], left[i + 2], left[i + 3]],
-            [right[i], right[i + 1], right[i + 2], right[i + 3]],
+    unrolled!(four in 0 1 2 3 4 5 => {
+        let at = LOWER_HALF[four];
+        let sums = J::dots(
+            [left[at[0].0], left[at[1].0], left[at[2].0], left[at[3].0]],
+            [right[at[0].1], right[at[1].1], right[at[2].1], right[at[3].1]],
         );
-    });
-    unrolled!(r in 0 1 2 3 4 5 => {
-        for c in 0..=r {
-            let sum = sums[r * (r + 1) / 2 + c];
-            (out[r][c], out[c][r]) = (sum, sum);
+        for i in 0..4 {
+            let (r, c) = at[i];
+            if r < MAX_AXES {
+                (out[r][c], out[c][r]) = (sums[i], sums[i]);
+            }
         }
     });
     out
@@ -81,8 +90,8 @@ pub(crate) fn transpose_times<J: Lanes, const K: usize>(rows: &[J; MAX_AXES], w:
 #[inline(always)]
 pub(crate) fn times<J: Lanes>(rows: &[J; MAX_AXES], v: J) -> [Scalar<J>; MAX_AXES] {
     let zero = J::splat(0.0);
-    let [a, b, c, d] = J::dots([rows[0], rows[1], rows[2], rows[3]], [v; 4]);
-    let [e, f, ..] = J::dots([rows[4], rows[5], zero, zero], [v; 4]);
+    let [a, b, c, d] = J::dots([&rows[0], &rows[1], &rows[2], &rows[3]], [&v; 4]);
+    let [e, f, ..] = J::dots([&rows[4], &rows[5], &zero, &zero], [&v, &v, &zero, &zero]);
     [a, b, c, d, e, f]
 }
 
@@ -174,10 +183,26 @@ impl<R: Number> Factor<R> {
 
     /// `M⁻¹ J D`: the transposed pseudo-inverse that belongs to this factor of `J D Jᵀ`.
     #[inline(always)]
-    pub(crate) fn weighted_rows<J: Lanes + Spread<R>>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
-        let mut out = self.solve::<J>(rows);
-        for row in &mut out {
-            *row = *row * joint_weight;
+    pub(crate) fn weighted_rows<J: Lanes<Group: Spread<R>>>(
+        &self,
+        rows: &[J; MAX_AXES],
+        joint_weight: J,
+    ) -> [J; MAX_AXES] {
+        let mut out = *rows;
+        // Joint by joint where each has a register: six numbers then stay in registers, and not six rows of them.
+        for i in 0..J::GROUPS {
+            let b = [
+                rows[0].group(i),
+                rows[1].group(i),
+                rows[2].group(i),
+                rows[3].group(i),
+                rows[4].group(i),
+                rows[5].group(i),
+            ];
+            let (x, weight) = (self.solve::<J::Group>(&b), joint_weight.group(i));
+            for r in 0..MAX_AXES {
+                out[r].set_group(i, x[r] * weight);
+            }
         }
         out
     }

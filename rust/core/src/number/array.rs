@@ -4,7 +4,7 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::scalar::{Plain, turn};
-use super::{Arithmetic, Cell, LANES, Many, Packed, Spread, Three, Wide};
+use super::{Arithmetic, Cell, LANES, Many, Packed, Spread, Three, Wide, eight, eight_mut};
 
 /// Eight numbers in an array, vector code left to the compiler: architectures whose registers nobody has written down.
 #[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "x86-64 has registers of its own"))]
@@ -167,24 +167,25 @@ impl Wide for Array {
 
 impl Many for Array {
     #[inline(always)]
-    fn transpose(numbers: &[Self; LANES]) -> [[f64; LANES]; LANES] {
-        let mut out = [[0.0; LANES]; LANES];
-        for i in 0..LANES {
-            for j in 0..LANES {
-                out[i][j] = numbers[j].0[i];
+    fn from_rows(rows: &[f64], stride: usize) -> [Self; LANES] {
+        let mut out = [Self([0.0; LANES]); LANES];
+        for j in 0..LANES {
+            let row = eight(rows, j * stride);
+            for i in 0..LANES {
+                out[i].0[j] = row[i];
             }
         }
         out
     }
 
     #[inline(always)]
-    fn columns(rows: &[[f64; LANES]; LANES]) -> [Self; LANES] {
-        let mut out = [Self([0.0; LANES]); LANES];
+    fn into_rows(numbers: &[Self; LANES], rows: &mut [f64], stride: usize) {
         for i in 0..LANES {
-            for j in 0..LANES {
-                out[i].0[j] = rows[j][i];
+            if let Some(row) = eight_mut(rows, i * stride) {
+                for j in 0..LANES {
+                    row[j] = numbers[j].0[i];
+                }
             }
         }
-        out
     }
 }

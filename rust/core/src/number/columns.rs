@@ -1,5 +1,9 @@
 //! Several configurations side by side, one register per joint or per task axis.
 #![forbid(unsafe_code)]
+#![expect(
+    clippy::manual_memcpy,
+    reason = "copies of slices are calls where they are not inlined; loops become registers"
+)]
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -10,9 +14,34 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Columns<W, const N: usize>([W; N]);
 
+impl<W: Many> Columns<W, ABREAST> {
+    /// A number per joint, 0 behind the last.
+    #[inline(always)]
+    pub(crate) fn numbers(self) -> [W; LANES] {
+        let mut out = [W::splat(0.0); LANES];
+        for i in 0..ABREAST {
+            out[i] = self.0[i];
+        }
+        out
+    }
+}
+
 impl<W: Many> Lanes for Columns<W, ABREAST> {
     type One = W;
     type Axes = Columns<W, MAX_AXES>;
+    type Group = W;
+
+    const GROUPS: usize = ABREAST;
+
+    #[inline(always)]
+    fn group(&self, i: usize) -> W {
+        self.0[i]
+    }
+
+    #[inline(always)]
+    fn set_group(&mut self, i: usize, value: W) {
+        self.0[i] = value;
+    }
 
     #[inline(always)]
     fn load(values: &JointVec) -> Self {
@@ -26,14 +55,18 @@ impl<W: Many> Lanes for Columns<W, ABREAST> {
     #[inline(always)]
     fn of_joints(values: &[W; MAX_JOINTS]) -> Self {
         let mut out = [W::splat(0.0); ABREAST];
-        out.copy_from_slice(&values[..ABREAST]);
+        for i in 0..ABREAST {
+            out[i] = values[i];
+        }
         Self(out)
     }
 
     #[inline(always)]
     fn array(self) -> [W; MAX_JOINTS] {
         let mut out = [W::splat(0.0); MAX_JOINTS];
-        out[..ABREAST].copy_from_slice(&self.0);
+        for i in 0..ABREAST {
+            out[i] = self.0[i];
+        }
         out
     }
 
@@ -61,7 +94,7 @@ impl<W: Many> Lanes for Columns<W, ABREAST> {
     }
 
     #[inline(always)]
-    fn dots(a: [Self; 4], b: [Self; 4]) -> [W; 4] {
+    fn dots(a: [&Self; 4], b: [&Self; 4]) -> [W; 4] {
         let mut out = [W::splat(0.0); 4];
         for k in 0..4 {
             out[k] = a[k].0[0] * b[k].0[0];

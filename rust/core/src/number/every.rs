@@ -119,6 +119,19 @@ impl Spread<f64> for EveryJoint {
 impl Lanes for EveryJoint {
     type One = Plain;
     type Axes = PlainEight;
+    type Group = Self;
+
+    const GROUPS: usize = 1;
+
+    #[inline(always)]
+    fn group(&self, _: usize) -> Self {
+        *self
+    }
+
+    #[inline(always)]
+    fn set_group(&mut self, _: usize, value: Self) {
+        *self = value;
+    }
 
     #[inline(always)]
     fn load(values: &JointVec) -> Self {
@@ -158,8 +171,8 @@ impl Lanes for EveryJoint {
     }
 
     #[inline(always)]
-    fn dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
-        Self::sums([a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]])
+    fn dots(a: [&Self; 4], b: [&Self; 4]) -> [f64; 4] {
+        Self::sums([*a[0] * *b[0], *a[1] * *b[1], *a[2] * *b[2], *a[3] * *b[3]])
     }
 }
 

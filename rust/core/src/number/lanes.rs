@@ -20,6 +20,18 @@ pub(crate) trait Lanes: Arithmetic<Real = Self> + Number + Spread<Scalar<Self>> 
     /// One number per task axis.
     type Axes: Axes<One = Self::One>;
 
+    /// What counts together: all joints of one configuration, or one joint of several.
+    type Group: Spread<Scalar<Self>, Real: Number>;
+
+    /// How many groups there are.
+    const GROUPS: usize;
+
+    /// Group `i`.
+    fn group(&self, i: usize) -> <Self::Group as Arithmetic>::Real;
+
+    /// Changes group `i`.
+    fn set_group(&mut self, i: usize, value: <Self::Group as Arithmetic>::Real);
+
     /// From memory, the same for every configuration; what does not fit in is taken for 0.
     fn load(values: &JointVec) -> Self;
 
@@ -36,7 +48,7 @@ pub(crate) trait Lanes: Arithmetic<Real = Self> + Number + Spread<Scalar<Self>> 
     fn sums(numbers: [Self; 4]) -> [Scalar<Self>; 4];
 
     /// The sum over the joints of each product.
-    fn dots(a: [Self; 4], b: [Self; 4]) -> [Scalar<Self>; 4];
+    fn dots(a: [&Self; 4], b: [&Self; 4]) -> [Scalar<Self>; 4];
 
     /// Whether any number is less than the other of its joint.
     #[inline(always)]
@@ -113,6 +125,19 @@ impl<W: Wide> Axes for W {
 impl<W: Wide> Lanes for W {
     type One = W::One;
     type Axes = W;
+    type Group = W;
+
+    const GROUPS: usize = 1;
+
+    #[inline(always)]
+    fn group(&self, _: usize) -> W {
+        *self
+    }
+
+    #[inline(always)]
+    fn set_group(&mut self, _: usize, value: W) {
+        *self = value;
+    }
 
     #[inline(always)]
     fn load(values: &JointVec) -> Self {
@@ -152,8 +177,8 @@ impl<W: Wide> Lanes for W {
     }
 
     #[inline(always)]
-    fn dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
-        W::four_dots(a, b)
+    fn dots(a: [&Self; 4], b: [&Self; 4]) -> [f64; 4] {
+        W::four_dots([*a[0], *a[1], *a[2], *a[3]], [*b[0], *b[1], *b[2], *b[3]])
     }
 }
 

@@ -22,6 +22,7 @@ mod functions;
 mod instructions;
 mod lanes;
 mod scalar;
+mod stream;
 mod triple;
 #[cfg(target_arch = "x86_64")]
 mod x86;
@@ -37,6 +38,7 @@ pub(crate) use lanes::{Axes, AxisScalar, Joints, Lanes, Scalar};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use scalar::Fused;
 pub(crate) use scalar::Plain;
+pub(crate) use stream::{PAST_THE_CACHES, settle, stream};
 pub(crate) use triple::{Cell, Kept, Real, Three, Triple};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::{
@@ -154,11 +156,27 @@ pub(crate) trait Packed: Arithmetic<Real = Self> + Number {
 
 /// One number of each of several configurations: as many as one register of the machine holds.
 pub(crate) trait Many: Packed + Spread<Self> {
-    /// Eight numbers as rows of eight: row `i` holds what configuration `i` has of each; rows behind the last hold anything.
-    fn transpose(numbers: &[Self; LANES]) -> [[f64; LANES]; LANES];
+    /// Eight numbers of each configuration, from rows that begin `stride` apart; 0 where a row is not all there.
+    fn from_rows(rows: &[f64], stride: usize) -> [Self; LANES];
 
-    /// Eight numbers from as many rows of eight as there are configurations.
-    fn columns(rows: &[[f64; LANES]; LANES]) -> [Self; LANES];
+    /// Eight numbers of each configuration into rows that begin `stride` apart, the first row first; not where one does not
+    /// fit in.
+    fn into_rows(numbers: &[Self; LANES], rows: &mut [f64], stride: usize);
+}
+
+/// Eight of the numbers from index `at` on.
+#[inline(always)]
+fn eight(values: &[f64], at: usize) -> &[f64; LANES] {
+    match values.get(at..) {
+        Some(rest) => rest.first_chunk().unwrap_or(&[0.0; LANES]),
+        None => &[0.0; LANES],
+    }
+}
+
+/// Room for eight numbers from index `at` on.
+#[inline(always)]
+fn eight_mut(values: &mut [f64], at: usize) -> Option<&mut [f64; LANES]> {
+    values.get_mut(at..)?.first_chunk_mut()
 }
 
 /// Eight numbers of one configuration: one per joint or per task axis.
@@ -272,30 +290,48 @@ mod tests {
         }
     }
 
-    /// A transposed table, by the wide numbers of a machine.
-    struct Turned<'a>(&'a [[f64; LANES]; LANES]);
+    /// Eight numbers of each configuration from rows of `stride`, and from there into others.
+    struct Turned<'a>(&'a [f64], usize);
 
     impl Kernel for Turned<'_> {
-        type Output = (usize, [[[f64; LANES]; LANES]; 2]);
+        type Output = (usize, [[f64; LANES]; LANES], Vec<f64>);
 
         fn run<M: Machine>(self) -> Self::Output {
-            let turned = M::Many::transpose(&self.0.map(|row| M::Many::of(&row)));
-            (M::Many::COUNT, [turned, M::Many::columns(self.0).map(M::Many::numbers)])
+            let columns = M::Many::from_rows(self.0, self.1);
+            let mut rows = vec![-1.0; self.0.len()];
+            M::Many::into_rows(&columns, &mut rows, self.1);
+            (M::Many::COUNT, columns.map(M::Many::numbers), rows)
         }
     }
 
     #[test]
-    fn a_transposed_table_has_its_rows_in_columns() {
-        let table: [[f64; LANES]; LANES] = std::array::from_fn(|r| std::array::from_fn(|c| (10 * r + c) as f64));
+    fn rows_become_columns_and_rows_again() {
         for instructions in Instructions::available() {
-            let (count, [rows, columns]) = instructions.run(Turned(&table));
-            for r in 0..count {
-                for c in 0..LANES {
-                    let want = table[c][r].to_bits();
-                    assert_eq!(rows[r][c].to_bits(), want, "{instructions} {r} {c}");
-                    assert_eq!(columns[c][r].to_bits(), table[r][c].to_bits(), "{instructions} {r} {c}");
+            for stride in [LANES, 11, 42] {
+                let table: Vec<f64> = (0..LANES * stride).map(|i| i as f64).collect();
+                let (count, columns, rows) = instructions.run(Turned(&table, stride));
+                for (at, row) in rows.iter().enumerate() {
+                    let (r, c) = (at / stride, at % stride);
+                    let inside = r < count && c < LANES;
+                    assert_eq!(
+                        row.to_bits(),
+                        if inside { at as f64 } else { -1.0 }.to_bits(),
+                        "{instructions} {r} {c}"
+                    );
+                    if inside {
+                        assert_eq!(columns[c][r].to_bits(), (at as f64).to_bits(), "{instructions} {r} {c}");
+                    }
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_row_that_is_not_all_there_is_left_alone() {
+        for instructions in Instructions::available() {
+            let (_, columns, rows) = instructions.run(Turned(&[1.0; LANES + 3], LANES));
+            assert!(rows[LANES..].iter().all(|&value| value < 0.0), "{instructions}");
+            assert!(columns.iter().all(|column| column[0] > 0.0 && column[1].abs() < 1.0), "{instructions}");
         }
     }
 }

@@ -20,25 +20,26 @@ pub(crate) fn rows(world: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[usize])
     rows_array(&turned_rows::<EveryJoint>(&load_rows(world), base_from_task, axes))
 }
 
-/// [`rows`] of a task in `frame`.
+/// [`rows`] of a task in `frame`, in `room` where they are not those of `world`.
 #[inline(always)]
-pub(crate) fn rows_in<J: Lanes>(
+pub(crate) fn rows_in<'a, J: Lanes>(
     frame: &Frame,
-    world: &[J; MAX_AXES],
+    world: &'a [J; MAX_AXES],
     base_from_task: &Mat3<Scalar<J>>,
     axes: &[usize],
-) -> [J; MAX_AXES] {
+    room: &'a mut Option<[J; MAX_AXES]>,
+) -> &'a [J; MAX_AXES] {
     match frame {
         // The six axes of the base are the world's rows themselves.
-        Frame::Base if axes.len() == MAX_AXES => *world,
+        Frame::Base if axes.len() == MAX_AXES => world,
         Frame::Base => {
             let mut out = [J::splat(0.0); MAX_AXES];
             for r in 0..axes.len().min(MAX_AXES) {
                 out[r] = world[axes[r] % MAX_AXES];
             }
-            out
+            room.insert(out)
         }
-        _ => turned_rows(world, base_from_task, axes),
+        _ => room.insert(turned_rows(world, base_from_task, axes)),
     }
 }
 

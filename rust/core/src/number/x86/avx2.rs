@@ -15,7 +15,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{sums_of_four as sums, transpose_four};
 use crate::number::triple::Short;
-use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide};
+use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide, eight, eight_mut};
 
 numbers! {
     /// Eight numbers in two registers, with fused multiply-add.
@@ -29,7 +29,7 @@ numbers! {
     Four, 4 in registers of 4: 0
 }
 
-many! { Four }
+many! { Four, each row an Avx2: 0 1 2 3 }
 
 short! { Four beside Fused, registers of 4: 0 }
 
@@ -93,33 +93,15 @@ fn dotted(a: [Register; 2], b: [Register; 2]) -> Register {
 }
 
 #[inline(always)]
-fn transpose(n: [Register; LANES]) -> [[f64; LANES]; LANES] {
-    let mut out = [[0.0; LANES]; LANES];
-    let left = transpose_four([n[0], n[1], n[2], n[3]]);
-    let right = transpose_four([n[4], n[5], n[6], n[7]]);
-    for i in 0..4 {
-        let row = out[i].as_mut_ptr();
-        // SAFETY: as above; a row has room for eight.
-        unsafe {
-            storeu(row, left[i]);
-            storeu(row.add(4), right[i]);
-        }
-    }
-    out
+fn turned(n: [Register; LANES]) -> [[Register; 2]; 4] {
+    let [a, b, c, d] = transpose_four([n[0], n[1], n[2], n[3]]);
+    let [e, f, g, h] = transpose_four([n[4], n[5], n[6], n[7]]);
+    [[a, e], [b, f], [c, g], [d, h]]
 }
 
 #[inline(always)]
-fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
-    // SAFETY: as above.
-    let zero = unsafe { set1(0.0) };
-    let mut halves = [[zero; 4]; 2];
-    for i in 0..4 {
-        for half in 0..2 {
-            // SAFETY: as above; a row has eight.
-            halves[half][i] = unsafe { loadu(rows[i].as_ptr().add(4 * half)) };
-        }
-    }
-    let ([a, b, c, d], [e, f, g, h]) = (transpose_four(halves[0]), transpose_four(halves[1]));
+fn columns([[a, e], [b, f], [c, g], [d, h]]: [[Register; 2]; 4]) -> [Register; LANES] {
+    let ([a, b, c, d], [e, f, g, h]) = (transpose_four([a, b, c, d]), transpose_four([e, f, g, h]));
     [a, b, c, d, e, f, g, h]
 }
 

@@ -3,21 +3,21 @@
 // SAFETY of every `unsafe` below: see the module above.
 
 use std::arch::x86_64::{
-    __m256d, __m512d as Register, __mmask8 as Mask, _CMP_LT_OQ, _mm256_add_pd, _mm256_loadu_pd, _mm256_setzero_pd,
-    _mm256_storeu_pd, _mm512_add_epi64, _mm512_add_pd as add, _mm512_and_pd as and, _mm512_andnot_pd as andnot,
-    _mm512_castpd_si512, _mm512_castpd256_pd512, _mm512_castpd512_pd256, _mm512_castsi512_pd, _mm512_cmp_pd_mask,
-    _mm512_div_pd as div, _mm512_extractf64x4_pd, _mm512_fmadd_pd as fmadd, _mm512_fnmadd_pd as fnmadd,
-    _mm512_insertf64x4, _mm512_loadu_pd as loadu, _mm512_mask_blend_pd, _mm512_maskz_loadu_pd, _mm512_max_pd as max,
-    _mm512_min_pd as min, _mm512_mul_pd as mul, _mm512_or_pd as or, _mm512_set1_epi64, _mm512_set1_pd as set1,
-    _mm512_slli_epi64, _mm512_sqrt_pd as sqrt, _mm512_storeu_pd as storeu, _mm512_sub_pd as sub,
-    _mm512_test_epi64_mask, _mm512_xor_pd as xor,
+    __m256d, __m512d as Register, __mmask8 as Mask, _CMP_LT_OQ, _mm256_add_pd, _mm512_add_epi64, _mm512_add_pd as add,
+    _mm512_and_pd as and, _mm512_andnot_pd as andnot, _mm512_castpd_si512, _mm512_castpd256_pd512,
+    _mm512_castpd512_pd256, _mm512_castsi512_pd, _mm512_cmp_pd_mask, _mm512_div_pd as div, _mm512_extractf64x4_pd,
+    _mm512_fmadd_pd as fmadd, _mm512_fnmadd_pd as fnmadd, _mm512_insertf64x4, _mm512_loadu_pd as loadu,
+    _mm512_mask_blend_pd, _mm512_maskz_loadu_pd, _mm512_max_pd as max, _mm512_min_pd as min, _mm512_mul_pd as mul,
+    _mm512_or_pd as or, _mm512_set1_epi64, _mm512_set1_pd as set1, _mm512_shuffle_f64x2 as shuffle, _mm512_slli_epi64,
+    _mm512_sqrt_pd as sqrt, _mm512_storeu_pd as storeu, _mm512_sub_pd as sub, _mm512_test_epi64_mask,
+    _mm512_unpackhi_pd as high, _mm512_unpacklo_pd as low, _mm512_xor_pd as xor,
 };
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::avx2::{Four, components_of_four};
-use super::{sums_of_four as sums, transpose_four};
-use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide};
+use super::sums_of_four as sums;
+use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide, eight, eight_mut};
 
 numbers! {
     /// Eight numbers in one register.
@@ -26,7 +26,7 @@ numbers! {
 
 wide! { Avx512 beside Fused and Four }
 
-many! { Avx512 }
+many! { Avx512, each row an Avx512: 0 1 2 3 4 5 6 7 }
 
 /// The first of `count` numbers, 0 behind the last.
 #[inline(always)]
@@ -94,52 +94,39 @@ fn dotted([a]: [Register; 1], [b]: [Register; 1]) -> __m256d {
     folded(unsafe { [mul(a, b)] })
 }
 
+/// Eight rows of eight, turned.
 #[inline(always)]
-fn transpose(n: [Register; LANES]) -> [[f64; LANES]; LANES] {
-    let n = [
-        halves(n[0]),
-        halves(n[1]),
-        halves(n[2]),
-        halves(n[3]),
-        halves(n[4]),
-        halves(n[5]),
-        halves(n[6]),
-        halves(n[7]),
-    ];
-    let mut out = [[0.0; LANES]; LANES];
-    for half in 0..2 {
-        let left = transpose_four([n[0][half], n[1][half], n[2][half], n[3][half]]);
-        let right = transpose_four([n[4][half], n[5][half], n[6][half], n[7][half]]);
-        for i in 0..4 {
-            let row = out[4 * half + i].as_mut_ptr();
-            // SAFETY: as above; a row has room for eight.
-            unsafe {
-                _mm256_storeu_pd(row, left[i]);
-                _mm256_storeu_pd(row.add(4), right[i]);
-            }
-        }
+fn turned_eight(n: [Register; LANES]) -> [Register; LANES] {
+    // SAFETY: as above.
+    unsafe {
+        // In pairs: of each the numbers 0, 2, 4, 6, or 1, 3, 5, 7; then the quarters of these come together.
+        let even = [low(n[0], n[1]), low(n[2], n[3]), low(n[4], n[5]), low(n[6], n[7])];
+        let odd = [high(n[0], n[1]), high(n[2], n[3]), high(n[4], n[5]), high(n[6], n[7])];
+        let ([a, c, e, g], [b, d, f, h]) = (quarters(even), quarters(odd));
+        [a, b, c, d, e, f, g, h]
     }
-    out
+}
+
+/// Four rows of four quarters, turned.
+#[inline(always)]
+unsafe fn quarters(n: [Register; 4]) -> [Register; 4] {
+    // SAFETY: as above.
+    unsafe {
+        let (a, b) = (shuffle::<0x88>(n[0], n[1]), shuffle::<0xdd>(n[0], n[1]));
+        let (c, d) = (shuffle::<0x88>(n[2], n[3]), shuffle::<0xdd>(n[2], n[3]));
+        [shuffle::<0x88>(a, c), shuffle::<0x88>(b, d), shuffle::<0xdd>(a, c), shuffle::<0xdd>(b, d)]
+    }
 }
 
 #[inline(always)]
-fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
-    // SAFETY: as above.
-    let mut out = unsafe { [set1(0.0); LANES] };
-    for half in 0..2 {
-        // SAFETY: as above.
-        let mut quarters = unsafe { [[_mm256_setzero_pd(); 4]; 2] };
-        for i in 0..LANES {
-            // SAFETY: as above; a row has eight.
-            quarters[i / 4][i % 4] = unsafe { _mm256_loadu_pd(rows[i].as_ptr().add(4 * half)) };
-        }
-        let (first, second) = (transpose_four(quarters[0]), transpose_four(quarters[1]));
-        for i in 0..4 {
-            // SAFETY: as above.
-            out[4 * half + i] = unsafe { _mm512_insertf64x4::<1>(_mm512_castpd256_pd512(first[i]), second[i]) };
-        }
-    }
-    out
+fn turned(n: [Register; LANES]) -> [[Register; 1]; LANES] {
+    let n = turned_eight(n);
+    [[n[0]], [n[1]], [n[2]], [n[3]], [n[4]], [n[5]], [n[6]], [n[7]]]
+}
+
+#[inline(always)]
+fn columns([[a], [b], [c], [d], [e], [f], [g], [h]]: [[Register; 1]; LANES]) -> [Register; LANES] {
+    turned_eight([a, b, c, d, e, f, g, h])
 }
 
 #[inline(always)]

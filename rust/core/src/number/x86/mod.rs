@@ -201,16 +201,11 @@ macro_rules! short {
 
 /// One register with a number of each of several configurations.
 macro_rules! many {
-    ($name:ident) => {
+    ($name:ident, each row an $row:ident: $($i:literal)*) => {
         impl Many for $name {
             #[inline(always)]
-            fn transpose(n: &[Self; LANES]) -> [[f64; LANES]; LANES] {
-                transpose([n[0].0[0], n[1].0[0], n[2].0[0], n[3].0[0], n[4].0[0], n[5].0[0], n[6].0[0], n[7].0[0]])
-            }
-
-            #[inline(always)]
-            fn columns(rows: &[[f64; LANES]; LANES]) -> [Self; LANES] {
-                let n = columns(rows);
+            fn from_rows(rows: &[f64], stride: usize) -> [Self; LANES] {
+                let n = columns([$($row::of(eight(rows, $i * stride)).0),*]);
                 [
                     Self([n[0]]),
                     Self([n[1]]),
@@ -221,6 +216,15 @@ macro_rules! many {
                     Self([n[6]]),
                     Self([n[7]]),
                 ]
+            }
+
+            #[inline(always)]
+            fn into_rows(n: &[Self; LANES], rows: &mut [f64], stride: usize) {
+                let n = [n[0].0[0], n[1].0[0], n[2].0[0], n[3].0[0], n[4].0[0], n[5].0[0], n[6].0[0], n[7].0[0]];
+                let turned = turned(n);
+                $(if let Some(row) = eight_mut(rows, $i * stride) {
+                    $row(turned[$i]).put(row);
+                })*
             }
         }
 

@@ -13,7 +13,7 @@ use std::arch::x86_64::{
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use crate::number::triple::Short;
-use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide};
+use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide, eight, eight_mut};
 
 numbers! {
     /// Eight numbers in four registers; there is no fused multiply-add.
@@ -27,7 +27,7 @@ numbers! {
     Two, 2 in registers of 2: 0
 }
 
-many! { Two }
+many! { Two, each row an Sse2: 0 1 }
 
 numbers! {
     /// Four numbers in two registers; there is no fused multiply-add.
@@ -122,31 +122,31 @@ fn sums([a, b, c, d]: [Register; 4]) -> [f64; 4] {
 }
 
 #[inline(always)]
-fn transpose(n: [Register; LANES]) -> [[f64; LANES]; LANES] {
-    let mut out = [[0.0; LANES]; LANES];
-    for pair in 0..LANES / 2 {
-        let (a, b) = (n[2 * pair], n[2 * pair + 1]);
-        // SAFETY: as above; a row has room for eight.
-        unsafe {
-            storeu(out[0].as_mut_ptr().add(2 * pair), low(a, b));
-            storeu(out[1].as_mut_ptr().add(2 * pair), high(a, b));
-        }
+fn turned(n: [Register; LANES]) -> [[Register; 4]; 2] {
+    // SAFETY: as above.
+    unsafe {
+        [
+            [low(n[0], n[1]), low(n[2], n[3]), low(n[4], n[5]), low(n[6], n[7])],
+            [high(n[0], n[1]), high(n[2], n[3]), high(n[4], n[5]), high(n[6], n[7])],
+        ]
     }
-    out
 }
 
 #[inline(always)]
-fn columns(rows: &[[f64; LANES]; LANES]) -> [Register; LANES] {
+fn columns([a, b]: [[Register; 4]; 2]) -> [Register; LANES] {
     // SAFETY: as above.
-    let mut out = unsafe { [set1(0.0); LANES] };
-    for pair in 0..LANES / 2 {
-        // SAFETY: as above; a row has eight.
-        unsafe {
-            let (a, b) = (loadu(rows[0].as_ptr().add(2 * pair)), loadu(rows[1].as_ptr().add(2 * pair)));
-            (out[2 * pair], out[2 * pair + 1]) = (low(a, b), high(a, b));
-        }
+    unsafe {
+        [
+            low(a[0], b[0]),
+            high(a[0], b[0]),
+            low(a[1], b[1]),
+            high(a[1], b[1]),
+            low(a[2], b[2]),
+            high(a[2], b[2]),
+            low(a[3], b[3]),
+            high(a[3], b[3]),
+        ]
     }
-    out
 }
 
 #[inline(always)]
