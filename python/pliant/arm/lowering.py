@@ -98,7 +98,7 @@ class Lowering:
 
         Args:
             model: The arm; its `gravity` is what the servos are told to carry.
-            servos: Its servos (`kp`, `torque`, `friction`, `armature`), n entries.
+            servos: Its servos (`kp`, `torque`, `friction`, `armature`, `count`), n entries.
             q: Last good joint positions (n,) [rad].
             goal: Last goals sent (n,) [rad]: the descent starts from what they carry.
             rest: Where to go first (n,) [rad]; None: straight down.
@@ -109,6 +109,7 @@ class Lowering:
         self._kp = np.asarray(servos.kp, dtype=np.float64)
         self._usable = np.asarray(servos.torque, dtype=np.float64)
         self._friction = np.asarray(servos.friction, dtype=np.float64)
+        self._count = np.asarray(servos.count, dtype=np.float64)
         self._points = Points(model, servos.armature) if points is None else points
         self._rest = None if rest is None else np.asarray(rest, dtype=np.float64)
         self._q = np.array(q, dtype=np.float64)
@@ -213,13 +214,18 @@ class Lowering:
             self.phase = "done"
 
     def _energy(self) -> float:
-        """Kinetic energy of the arm's mean motion over the last moments [J]."""
+        """Kinetic energy of the arm's mean motion over the last moments [J].
+
+        A joint that stands still may flicker by a count.
+        """
         self._recent.append((self._age, self._q))
         while len(self._recent) > 2 and self._recent[1][0] <= self._age - LOOK + 1e-9:
             self._recent.popleft()
         began, q = self._recent[0]
         passed = self._age - began
-        return self._points.walk(self._q, (self._q - q) / passed)[2] if passed > 0.0 else 0.0
+        way = self._q - q
+        way -= np.clip(way, -self._count, self._count)
+        return self._points.walk(self._q, way / passed)[2] if passed > 0.0 else 0.0
 
     def _is_blind_to_some(self) -> bool:
         """Whether a joint is lost, or all are."""
