@@ -139,7 +139,7 @@ class Lowering:
             Goals (n,) [rad] and torque limits (n,) [N·m] to write; None when the arm rests and
             torque can go off.
         """
-        if self.phase == "done":
+        if self._is_over():
             return None
         dt = min(max(dt, 0.0), LONGEST_TICK)
         good = np.isfinite(q) & ok
@@ -155,7 +155,11 @@ class Lowering:
             if self.phase != "ramp":
                 self._q = np.clip(self._ref, self._model.lower, self._model.upper)
             self._last = self._advance(dt, good)
-        return None if self.phase == "done" else self._last
+        return None if self._is_over() else self._last
+
+    def _is_over(self) -> bool:
+        """Whether torque can go off."""
+        return self.phase == "done"
 
     def _advance(self, dt: float, lost: Flags) -> tuple[Array, Array]:
         """Goals and limits for the present positions; lost joints keep their goal."""
@@ -245,8 +249,8 @@ class Lowering:
         """Keep the reference where the servos can answer for it."""
         # What goals no longer carry by themselves, the reference has to.
         lift = np.maximum(self._usable - self.share * np.abs(gravity), 0.0)
-        press = DRAG if self._is_blind_to_some() else PRESS
-        press = np.maximum(press * margin(self._servos, gravity), 2.0 * self._friction)
+        share = DRAG if self._is_blind_to_some() else PRESS
+        press = np.maximum(share * margin(self._servos, gravity), 2.0 * self._friction)
         press *= self.share
         above = np.where(gravity > 0.0, lift, press) / self._kp
         below = np.where(gravity > 0.0, press, lift) / self._kp
