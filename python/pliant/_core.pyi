@@ -662,7 +662,8 @@ class Servos:
         stribeck_speed: Speed at which a third of the friction at rest is left [rad/s] > 0.
         damping: Damping of gears and back-EMF outside the torque limit [N m s/rad].
         kv: Damping of the servo's own loop, inside the torque limit [N m s/rad].
-        armature: Rotor inertia seen at the joint [kg m^2]; only simulators use it.
+        armature: Rotor inertia seen at the joint [kg m^2]: contacts, descents and
+            simulators use it.
         count: One encoder count [rad]; 0 when it does not matter.
         kind: What the limit register limits: `"current"`, hence torque, or `"duty"`, whose torque
             falls with speed.

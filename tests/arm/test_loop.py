@@ -181,6 +181,19 @@ def test_nothing_that_goes_wrong_drops_the_arm(title):
     assert got.descent < descent
 
 
+def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
+    model = pliant.robots.arm7()
+    controller = pliant.Controller(model, pliant.Settings.soft("y"), model.servos)
+    controller.step(grasp, model.forward_kinematics(grasp))
+    lever = np.linalg.pinv(model.jacobian(grasp))[:, :3]
+    gears = np.abs(lever).T @ np.asarray(model.servos.friction)
+    got = suffer(next(m for m in MISHAPS if m.title.startswith("target jumps")), held=True)
+    # x and z are stiff and push with their `hold`, y is soft; all within the band of a cap.
+    most = 1.15 * np.asarray(controller.holding_torque[:3]) + gears
+    assert got.along[0] > 0.9 * controller.holding_torque[0]
+    assert np.all(got.along < most), (got.along, most)
+
+
 def test_lost_readings_do_not_forgive_missing_commands():
     with pliant.connect("sim:arm7", read_loss=0.1, seed=1, signals=False) as arm:
         loop = pliant.Loop(arm, rate=100.0, duration=5.0)

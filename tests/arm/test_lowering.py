@@ -5,6 +5,7 @@ import pytest
 
 import pliant
 from pliant.arm import Lowering
+from pliant.arm.points import Points
 from pliant.experiments.lifecycle import LOAD, lower, postures
 
 #: A posture stretched forward.
@@ -135,6 +136,48 @@ def test_limits_carry_the_weight_until_the_arm_is_still(model, grasp):
     for phase, _, limit in orders:
         assert phase == "down"
         assert np.all(limit >= 1.1 * np.abs(model.gravity(grasp)) - 1e-12)
+
+
+@pytest.mark.parametrize("flicker", [0.0, 1.0])
+def test_an_arm_that_stands_on_something_is_left_soon_though_its_encoders_flicker(flicker):
+    model = pliant.robots.load("so101")
+    rng = np.random.default_rng(0)
+    q = np.clip(np.full(model.n, 0.3), model.lower, model.upper)
+    count = flicker * np.asarray(model.servos.count)
+    lowering, orders = descend(
+        model, q, lambda tick: q + count * rng.integers(0, 2, model.n), ticks=1500
+    )
+    assert lowering.phase == "done"
+    assert len(orders) < 800
+    # What the servos still carry as torque goes off is less than the gears hold.
+    left = np.asarray(model.servos.kp) * (orders[-1][1] - q - count / 2)
+    assert np.all(np.abs(left) < np.asarray(model.servos.friction))
+
+
+def test_a_leaning_arm_keeps_its_torque_until_it_has_come_down():
+    """Weight is given up behind a reference: an arm that follows it is never at its limits."""
+    model = pliant.robots.arm7()
+    q, kp, points = STRETCHED.copy(), np.asarray(model.servos.kp), Points(model)
+    lowering = Lowering(model, model.servos, q)
+    # It leans for the first three seconds, so that its weight begins to be given up ...
+    for _ in range(300):
+        lowering.step(q, 0.01)
+    assert lowering.phase == "ramp"
+    assert lowering.share < 0.6
+    # ... then what it leaned on is gone: it sinks into its servos' springs, and goes on slowly.
+    for tick in range(6000):
+        order = lowering.step(q, 0.01)
+        if order is None:
+            break
+        goal, limit = order
+        weight = np.asarray(model.gravity(q))
+        assert np.all(np.abs(kp * (goal - q)) <= limit + 1e-9)
+        new = q + 0.2 * (goal - weight / kp - q)
+        moved = np.linalg.norm(points(new) - points(q), axis=1).max()
+        assert tick < 50 or moved < 0.0015
+        q = new
+    assert order is None
+    assert np.all(np.abs(model.gravity(q)) < 1.6 * np.asarray(model.servos.friction))
 
 
 def test_a_stall_of_the_lowering_itself_moves_the_goal_no_further_than_a_tick(model, grasp):

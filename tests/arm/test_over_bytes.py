@@ -10,6 +10,8 @@ pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra s
 
 import pliant
 from pliant.arm import Arm
+from pliant.experiments import bus_lower
+from pliant.experiments.lifecycle import LOAD
 from pliant.servo import ServoChain, ServoSpec
 from pliant.servo.emulator import Mount, emulate
 
@@ -145,3 +147,14 @@ def test_a_load_that_nobody_told_of_sinks_and_is_brought_back_slowly(monkeypatch
     assert height[0] - height.min() > 0.01, "it was put to the test"
     assert speed.max() < 0.08
     assert height[-1] == pytest.approx(height[0], abs=0.003)
+
+
+@pytest.mark.parametrize(
+    ("family", "pose"), [("sts", 2), pytest.param("x", 5, marks=pytest.mark.full)]
+)
+def test_what_is_in_the_way_of_a_descent_feels_no_more_than_15_newtons(family, pose):
+    # Before the way down was paced by its energy these pressed with 17.8 and 19.2 N.
+    q = bus_lower.poses(family, 6)[pose]
+    run = bus_lower.lower(family, q, load=LOAD, over_table=True)
+    assert run.force < 15.0
+    assert run.speed < 0.18

@@ -69,6 +69,8 @@ def test_urdf_and_file_that_disagree_on_joints():
         (SIM + '[settings]\nlaw = "capp"', "did you mean 'cap'"),
         (SIM + "[settings.axes.y]\nsofft = 3", r"settings: axes\.y: .*did you mean 'soft'"),
         (SIM + "[settings.axes]\ny = 3", r"axes\.y is a table"),
+        (SIM + "[settings.axes.y]\nsoft = -3", r"settings: axes\.y: soft = -3 is outside"),
+        (SIM + "[settings]\nmax_tool_speed = -1", "settings: max_tool_speed .* = -1 is outside"),
         ('preset = "dor"\n' + SIM, "did you mean 'door'"),
         ('preset = "soft"\n' + SIM, "needs its axes"),
         ('preset = { name = "wipe", pres = 3 }\n' + SIM, "pres"),
@@ -86,6 +88,17 @@ def test_mistakes_are_named_with_what_would_be_right(text, said):
         config.parse(text, source="arm.toml")
     assert str(caught.value).startswith("arm.toml")
     assert "http" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("rest", "said"),
+    [([0.0, 0.0], r"life\.rest has shape \(2,\)"), ([0.0] * 4 + [90.0], "are these degrees")],
+)
+def test_a_rest_pose_of_another_arm_is_named_with_its_file(rest, said):
+    read = config.parse(f"{SIM}[life]\nrest = {rest}", source="arm.toml")
+    with pytest.raises(pliant.ConfigError, match=said) as caught:
+        read.arm()
+    assert str(caught.value).startswith("arm.toml")
 
 
 def test_all_mistakes_are_said_at_once():

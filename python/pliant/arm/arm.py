@@ -10,6 +10,7 @@ import numpy as np
 
 from pliant import ConfigError, ServoError
 from pliant.arm.budget import Budget
+from pliant.arm.checks import posture
 from pliant.arm.cycle import Cycle
 from pliant.arm.entry import hear_all, take_up
 from pliant.arm.exits import descend, settle
@@ -96,8 +97,7 @@ class Arm:
         self._budget, self._jaws = budget or Budget(), dict(grippers or {})
         self._keeper = Keeper(self._leave)
         self._meet()
-        self.rest = None if rest is None else self._cycle.posture(rest, "rest")
-        self._points = Points(model)
+        self.rest = None if rest is None else posture(self.model, rest, "rest")
         self.enabled = self._opened = False
 
     def _meet(self) -> None:
@@ -106,6 +106,7 @@ class Arm:
         self.servos = self._cycle.servos
         # What is made from the model alone must not believe the table that it came with.
         self.model = self.model.with_servos(self.servos)
+        self._points = Points(self.model, self.servos.armature)
         self.grippers = self._make_grippers(self._jaws)
 
     def _make_grippers(self, jaws: dict[str, Jaw]) -> dict[str, Gripper]:
@@ -200,7 +201,7 @@ class Arm:
         """
         if pose is None and self.rest is None:
             raise ConfigError("no pose to park in: arm.park([...]) or connect(..., rest=[...])")
-        self._descend(self.rest if pose is None else self._cycle.posture(pose, "pose"))
+        self._descend(self.rest if pose is None else posture(self.model, pose, "pose"))
 
     def hold(self) -> None:
         """Stay here with torque on, also when the program ends. Servos that hold get hot."""

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import LimitError, ServoTimeout, ShapeError
+from pliant import LimitError, ServoTimeout
 from pliant.arm.belief import Belief
 from pliant.arm.budget import Meter
+from pliant.arm.checks import vector
 from pliant.arm.drive import MonotonicClock
 from pliant.arm.lowering import SUPPORT, margin
 from pliant.arm.roster import Roster
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 EASE = 0.5
 #: A goal that lies this far outside of the limits is a mistake, not a lead [rad].
 FAR = 1.0
-#: How far outside of the limits a pose may be that is brought inside [rad].
-SLACK = 0.1
 
 
 class Cycle:
@@ -157,12 +156,12 @@ class Cycle:
         velocity: ArrayLike | None = None,
     ) -> None:
         """Check, cut and send; see `Arm.write`."""
-        goal = self.vector(goal, "goal")
-        limit = self.limit if limit is None else self.vector(limit, "limit")
+        goal = vector(self.model, goal, "goal")
+        limit = self.limit if limit is None else vector(self.model, limit, "limit")
         if limit.min() < 0.0:
             raise LimitError(f"limit must be at least 0 N·m, got {limit.min():g}")
         if velocity is not None:
-            velocity = self.vector(velocity, "velocity", finite=False)
+            velocity = vector(self.model, velocity, "velocity", finite=False)
             if not velocity.min() >= 0.0:
                 raise LimitError(f"velocity must be at least 0 rad/s, got {velocity.tolist()}")
         orders = self.roster.check(extra or {})
@@ -253,35 +252,6 @@ class Cycle:
         if health.temperature is not None:
             self.meter.temperature[place] = health.temperature
         self._trouble[health.name] = health.faults
-
-    def vector(self, value: ArrayLike, name: str, *, finite: bool = True) -> Array:
-        """A joint vector (n,) that can be sent.
-
-        Raises:
-            ShapeError: Another shape. LimitError: Not finite, where it has to be.
-        """
-        array = np.array(value, dtype=np.float64)
-        if array.shape != (self.model.n,):
-            raise ShapeError(f"{name} has shape {array.shape}, expected ({self.model.n},)")
-        if finite and not np.isfinite(array).all():
-            raise LimitError(f"{name} is not finite, nothing was sent: {array.tolist()}")
-        return array
-
-    def posture(self, value: ArrayLike, name: str) -> Array:
-        """A pose of this arm (n,) [rad], brought within the limits where it is just outside.
-
-        Raises:
-            ShapeError, LimitError: It is none.
-        """
-        pose, model = self.vector(value, name), self.model
-        low, high = np.asarray(model.lower), np.asarray(model.upper)
-        for joint, q, least, most in zip(model.joint_names, pose, low, high, strict=True):
-            if not least - SLACK <= q <= most + SLACK:
-                raise LimitError(
-                    f"{name}: {joint} = {q:g} rad is outside of {least:.3g} to {most:.3g} rad"
-                    + (": are these degrees?" if abs(q) > 2.0 * np.pi else "")
-                )
-        return np.clip(pose, low, high)
 
 
 def _row(value: ArrayLike, size: int) -> Array:

@@ -4,14 +4,17 @@
 
 - `rest`: toward a rest pose, ``u = 4/s (q_rest − ref)``, if there is one;
 - `down`: the arm descends its own potential, ``u = −40/s g / k_p``; joints at a limit drop out;
-- `ramp`: the limits fall from 1.1 |g| to nothing within 3 s, and wait while anything moves.
+- `ramp`: the same, while the share s of the weight that goals carry by themselves falls from 1 to 0
+  within 3 s, and waits while the arm moves. What then carries an arm that does not rest after all
+  is the reference, which it stays behind, and which goes down no faster than before.
 
 Where positions no longer arrive, the arm of the model takes the place of the real one: it is where
 its goals are. What would have been sent to it is sent, down the path that it would have taken.
 
-``ref ← q + clip(ref + dt s u − q)``, where s keeps every point of the arm below 0.8 of the speed
-allowed, and the clip is (usable − |g|)/k_p where it lifts and push/k_p where it presses. Then
-``goal = ref + g/k_p`` and ``limit = max(1.1 |g|, |g + k_p (ref − q)|) + push``.
+``ref ← q + clip(ref + dt r u − q)``, where r keeps every point of the arm below 0.8 of the speed
+allowed and the kinetic energy below ``F²/2k``: whatever of stiffness k takes all of it up feels F.
+The clip is (usable − s |g|)/k_p where it lifts and s push/k_p where it presses. Then
+``goal = ref + s g/k_p`` and ``limit = max(1.1 s |g|, |s g + k_p (ref − q)|) + push``.
 """
 
 from __future__ import annotations
@@ -40,22 +43,27 @@ TO_REST, DOWN, FADE = 4.0, 40.0, 0.3
 ARRIVED = 0.02
 #: Standing still: no point moved this share of its commanded way within this time [s].
 STILL, WINDOW = 0.1, 0.5
-#: Share of the speed allowed at which an arm whose limits fall does not rest after all.
-SLIP = 0.6
-#: Least share of the weight that goals carry after that.
-LEAST_SUPPORT = 0.3
 #: Share of its margin with which a joint presses downward: gently on what is in the way, and harder
 #: where one is lost that the others have to drag along, lest they stop short and slide later.
 PRESS, DRAG = 0.3, 0.5
-#: Time in which the limits fall [s].
-RAMP = 3.0
+#: What the arm meets on its way down may feel so much [N] if it is as stiff as this [N/m] and takes
+#: up all of the motion; and the kinetic energy that the arm may have for that [J].
+IMPACT, HARD = 13.0, 2e4
+ENERGY = IMPACT**2 / (2.0 * HARD)
+#: Time in which the weight is given up [s], shares of that energy below which it is given up
+#: further and above which the arm does not rest yet, and the time over which these are taken [s].
+RAMP, CALM, REST, LOOK = 3.0, 0.25, 0.01, 0.2
+#: Time for the weight where a joint is not seen: what hangs on it sinks by its own friction [s].
+UNSEEN = 6.0
+#: Time in which joints that nothing else can bring down let go [s].
+LOOSEN = 1.0
 #: Holding torque over gravity.
 SUPPORT = 1.1
 #: After this long without any position the descent goes blind; a joint silent for as long is left
 #: alone [s].
 PATIENCE = 0.2
-#: Longest descent before the limits fall wherever the arm is [s].
-LONGEST = 60.0
+#: Longest descent before the arm lets go wherever it is, and longest time for that [s].
+LONGEST, LAST = 60.0, 10.0
 #: Longest time between two ticks that counts [s].
 LONGEST_TICK = 0.1
 
@@ -71,7 +79,7 @@ class Lowering:
 
     Attributes:
         phase: `rest`, `down`, `ramp` or `done`.
-        share: Share of the weight that the limits still carry in `ramp`, 1 to 0.
+        share: Share of the weight that goals carry by themselves, 1 to 0 in `ramp`.
         blind: Whether no position has come for so long that the model's take their place.
     """
 
@@ -90,7 +98,7 @@ class Lowering:
 
         Args:
             model: The arm; its `gravity` is what the servos are told to carry.
-            servos: Its servos (`kp`, `torque`, `friction`), n entries.
+            servos: Its servos (`kp`, `torque`, `friction`, `armature`, `count`), n entries.
             q: Last good joint positions (n,) [rad].
             goal: Last goals sent (n,) [rad]: the descent starts from what they carry.
             rest: Where to go first (n,) [rad]; None: straight down.
@@ -101,12 +109,14 @@ class Lowering:
         self._kp = np.asarray(servos.kp, dtype=np.float64)
         self._usable = np.asarray(servos.torque, dtype=np.float64)
         self._friction = np.asarray(servos.friction, dtype=np.float64)
-        self._points = Points(model) if points is None else points
+        self._count = np.asarray(servos.count, dtype=np.float64)
+        self._points = Points(model, servos.armature) if points is None else points
         self._rest = None if rest is None else np.asarray(rest, dtype=np.float64)
         self._q = np.array(q, dtype=np.float64)
         self._silence = np.zeros_like(self._q)
-        self.share = self._support = 1.0
+        self.share = 1.0
         self.blind = False
+        self._loose = np.zeros(self._q.shape, dtype=bool)
         gravity = self._gravity()
         start = self._q if goal is None else np.asarray(goal) - gravity / self._kp
         self._ref = self._leash(start, gravity)
@@ -115,7 +125,7 @@ class Lowering:
         self._age = self._total = 0.0
         self._history: deque[tuple[float, Array, float]] = deque()
         self._way = 0.0
-        self._before: Array | None = None
+        self._recent: deque[tuple[float, Array]] = deque()
 
     def step(self, q: Array, dt: float, ok: Flags | bool = True) -> tuple[Array, Array] | None:
         """One tick.
@@ -129,7 +139,7 @@ class Lowering:
             Goals (n,) [rad] and torque limits (n,) [N·m] to write; None when the arm rests and
             torque can go off.
         """
-        if self.phase == "done":
+        if self._is_over():
             return None
         dt = min(max(dt, 0.0), LONGEST_TICK)
         good = np.isfinite(q) & ok
@@ -139,27 +149,23 @@ class Lowering:
             if self.blind:
                 # What carried the model may be far from where the arm is.
                 self.blind, self._ref = False, self._q.copy()
-            self._last = self._advance(dt, good, self._silence > PATIENCE)
+            self._last = self._advance(dt, self._silence > PATIENCE)
         elif self._silence.min() > PATIENCE:
             self.blind = True
             if self.phase != "ramp":
                 self._q = np.clip(self._ref, self._model.lower, self._model.upper)
-            self._last = self._advance(dt, ~good, good)
-        return None if self.share <= 0.0 else self._last
+            self._last = self._advance(dt, good)
+        return None if self._is_over() else self._last
 
-    def _advance(self, dt: float, good: Flags, lost: Flags) -> tuple[Array, Array]:
-        """Goals and limits for new positions of some joints; lost ones keep their goal."""
+    def _is_over(self) -> bool:
+        """Whether torque can go off."""
+        return self.phase == "done"
+
+    def _advance(self, dt: float, lost: Flags) -> tuple[Array, Array]:
+        """Goals and limits for the present positions; lost joints keep their goal."""
         gravity = self._gravity()
         self._age += dt
         self._total += dt
-        if self.phase in {"rest", "down"}:
-            goal, limit = self._descend(dt, gravity, lost)
-        else:
-            goal, limit = self._ramp(dt, gravity, good)
-        return np.where(lost, self._last[0], goal), limit
-
-    def _descend(self, dt: float, gravity: Array, lost: Flags) -> tuple[Array, Array]:
-        """Phases `rest` and `down`."""
         if self.phase == "rest" and self._rest is not None:
             u = TO_REST * (self._rest - self._ref)
         else:
@@ -167,52 +173,73 @@ class Lowering:
         outward = (u < 0.0) & (self._q <= self._model.lower) | (u > 0.0) & (
             self._q >= self._model.upper
         )
-        u = np.where(outward | lost, 0.0, u)
-        place, velocity = self._points.walk(self._q, u)
-        fastest = float(np.sqrt((velocity**2).sum(axis=1)).max())
-        most = float(np.abs(u).max())
-        scale = min(1.0, self._age / FADE)
-        scale *= min(1.0, 0.8 * self._speed / max(fastest, 1e-9), JOINT_SPEED / max(most, 1e-9))
-        self._ref = self._leash(self._ref + dt * scale * u, gravity)
-        if self._has_arrived(gravity, outward, lost) or self._is_still(place, fastest * scale, dt):
+        idle = outward | lost
+        place, speed, u = self._paced(np.where(idle, 0.0, u))
+        self._ref = self._leash(self._ref + dt * u, gravity)
+        if self.phase == "ramp":
+            self._unload(dt, idle)
+        elif self._has_arrived(gravity, idle, lost) or self._is_still(place, speed, dt):
             self._enter("down" if self.phase == "rest" else "ramp")
-        if self._total > LONGEST:
+        elif self._total > LONGEST:
             self._enter("ramp")
-        return self._ref + self._support * gravity / self._kp, self._limit(gravity)
+        goal = self._ref + self.share * gravity / self._kp
+        return np.where(lost, self._last[0], goal), self._limit(gravity)
 
-    def _ramp(self, dt: float, gravity: Array, good: Flags) -> tuple[Array, Array]:
-        """Limits fall while nothing moves; an arm that starts to fall is caught."""
-        place = self._points(self._q)
-        if self._before is not None and good.all() and dt > 0.0:
-            velocity = (place - self._before) / dt
-            fastest = velocity[np.argmax((velocity**2).sum(axis=1))]
-            size = float(np.sqrt(fastest @ fastest))
-            down = float(np.asarray(self._model.gravity_vector) @ fastest) >= 0.0
-            if size > SLIP * self._speed and down:
-                # It did not rest, it leaned, or its servos carry more than believed: go on down
-                # with the support under which it began to move.
-                self.share = self._support = max(self.share, LEAST_SUPPORT)
-                self._ref = self._q.copy()
-                self._enter("down")
-                return self._ref + self._support * gravity / self._kp, self._limit(gravity)
-            if size < 0.5 * self._speed or not down:
-                self.share -= dt / RAMP
-        else:
-            self.share -= dt / RAMP
-        self._before = place if good.all() else None
-        return self._release(gravity)
+    def _paced(self, u: Array) -> tuple[Array, float, Array]:
+        """Slow joint velocities u (n,) down to what the arm may move at.
 
-    def _release(self, gravity: Array) -> tuple[Array, Array]:
-        """Goals and limits that carry a share of the weight."""
-        share = max(self.share, 0.0)
-        if share <= 0.0:
+        Returns:
+            Points (m, 3) [m], the speed of the fastest one [m/s], and the velocities (n,) [rad/s].
+        """
+        place, velocity, energy = self._points.walk(self._q, u)
+        fastest = float(np.sqrt((velocity**2).sum(axis=1)).max())
+        scale = min(
+            1.0,
+            0.8 * self._speed / max(fastest, 1e-9),
+            JOINT_SPEED / max(float(np.abs(u).max()), 1e-9),
+            float(np.sqrt(ENERGY / max(energy, 1e-12))),
+        )
+        scale *= min(1.0, self._age / FADE)
+        return place, scale * fastest, scale * u
+
+    def _unload(self, dt: float, idle: Flags) -> None:
+        """Give up the weight while nothing moves, and rest once the servos carry nothing."""
+        late = self._total > LONGEST
+        self._loose = idle | self.blind | late
+        self._ref -= np.where(self._loose, min(dt / LOOSEN, 1.0), 0.0) * (self._ref - self._q)
+        energy = self._energy()
+        if late or energy < CALM * ENERGY:
+            slow = UNSEEN if self._is_blind_to_some() else RAMP
+            self.share = max(self.share - dt / slow, 0.0)
+        carried = np.abs(self._kp * (self._ref - self._q))
+        little = np.maximum(0.5 * self._friction, 0.01 * self._usable)
+        at_rest = energy < REST * ENERGY and bool((carried <= little).all())
+        if self.share <= 0.0 and (at_rest or self._total > LONGEST + LAST):
             self.phase = "done"
-        return self._q + share * gravity / self._kp, share * SUPPORT * np.abs(gravity)
+
+    def _energy(self) -> float:
+        """Kinetic energy of the arm's mean motion over the last moments [J].
+
+        A joint that stands still may flicker by a count.
+        """
+        self._recent.append((self._age, self._q))
+        while len(self._recent) > 2 and self._recent[1][0] <= self._age - LOOK + 1e-9:
+            self._recent.popleft()
+        began, q = self._recent[0]
+        passed = self._age - began
+        way = self._q - q
+        way -= np.clip(way, -self._count, self._count)
+        return self._points.walk(self._q, way / passed)[2] if passed > 0.0 else 0.0
+
+    def _is_blind_to_some(self) -> bool:
+        """Whether a joint is lost, or all are."""
+        return bool((self._silence > PATIENCE).any())
 
     def _enter(self, phase: Phase) -> None:
         """Begin a phase with clean clocks."""
-        self.phase, self._age, self._way, self._before = phase, 0.0, 0.0, None
+        self.phase, self._age, self._way = phase, 0.0, 0.0
         self._history.clear()
+        self._recent.clear()
 
     def _gravity(self) -> Array:
         """Holding torques (n,) [N·m] at the last good positions."""
@@ -220,25 +247,27 @@ class Lowering:
 
     def _leash(self, ref: Array, gravity: Array) -> Array:
         """Keep the reference where the servos can answer for it."""
-        lift = np.maximum(self._usable - np.abs(gravity), 0.0) / self._kp
-        share = DRAG if (self._silence > PATIENCE).any() else PRESS
-        press = np.maximum(share * margin(self._servos, gravity), 2.0 * self._friction) / self._kp
-        above = np.where(gravity > 0.0, lift, press)
-        below = np.where(gravity > 0.0, press, lift)
+        # What goals no longer carry by themselves, the reference has to.
+        lift = np.maximum(self._usable - self.share * np.abs(gravity), 0.0)
+        share = DRAG if self._is_blind_to_some() else PRESS
+        press = np.maximum(share * margin(self._servos, gravity), 2.0 * self._friction)
+        press *= self.share
+        above = np.where(gravity > 0.0, lift, press) / self._kp
+        below = np.where(gravity > 0.0, press, lift) / self._kp
         return self._q + np.clip(ref - self._q, -below, above)
 
     def _limit(self, gravity: Array) -> Array:
         """Torque limits (n,) [N·m] for the present reference."""
-        wanted = np.abs(self._support * gravity + self._kp * (self._ref - self._q))
-        limit = np.maximum(SUPPORT * np.abs(gravity), wanted) + margin(self._servos, gravity)
-        return np.minimum(limit, self._usable)
+        wanted = np.abs(self.share * gravity + self._kp * (self._ref - self._q))
+        limit = np.maximum(self.share * SUPPORT * np.abs(gravity), wanted)
+        spare = np.where(self._loose, self.share, 1.0) * margin(self._servos, gravity)
+        return np.minimum(limit + spare, self._usable)
 
-    def _has_arrived(self, gravity: Array, outward: Flags, lost: Flags) -> bool:
+    def _has_arrived(self, gravity: Array, idle: Flags, lost: Flags) -> bool:
         """At the rest pose; or hanging: no joint has more to carry than its friction."""
         if self.phase == "rest" and self._rest is not None:
             return bool((np.abs(self._rest - self._ref) < ARRIVED)[~lost].all())
-        idle = outward | lost | (np.abs(gravity) < 1.5 * self._friction)
-        return bool(idle.all())
+        return bool((idle | (np.abs(gravity) < 1.5 * self._friction)).all())
 
     def _is_still(self, place: Array, speed: float, dt: float) -> bool:
         """Whether no point has moved a tenth of the commanded way within half a second."""

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import ServoError
+from pliant import ConfigError, LimitError, ServoError, ShapeError
 from pliant.arm import Arm, Budget, Jaw
+from pliant.arm.checks import posture
 from pliant.config import build
 from pliant.servo import ServoChain, ServoSpec, serial_ports
 
@@ -25,10 +26,12 @@ def arm(config: Config, **options: Any) -> Arm:
         **options: Those of `pliant.arm.Arm`, in place of the file's.
 
     Raises:
-        ConfigError, UrdfError: URDF, calibration and file do not go together.
+        ConfigError, UrdfError: URDF, calibration and file do not go together, or the rest pose is
+            none of this arm.
         ServoError: `auto` finds no port, or several.
     """
     model = config.model()
+    _check_rest(config, model)
     given = {
         "rest": config.life.rest,
         "exit": config.life.exit,
@@ -40,6 +43,16 @@ def arm(config: Config, **options: Any) -> Arm:
         **options,
     }
     return Arm(model, drive(config, model), **given)
+
+
+def _check_rest(config: Config, model: Model) -> None:
+    """Whether the file's rest pose is a pose of this arm."""
+    if config.life.rest is None:
+        return
+    try:
+        posture(model, config.life.rest, "life.rest")
+    except (LimitError, ShapeError) as error:
+        raise ConfigError(f"{config.source}: {error}") from error
 
 
 def drive(config: Config, model: Model) -> Drive:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pliant
-from pliant import ConfigError
+from pliant import ConfigError, LimitError
 from pliant.config.lerobot import Calibration, read_calibration
 from pliant.config.messages import suggest
 from pliant.servo.models import find
@@ -166,8 +166,10 @@ def _axis(key: str, value: Any) -> pliant.Axis:
     pairs: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in value.items()}
     try:
         return pliant.Axis(**pairs)
-    except ConfigError as error:
-        raise ConfigError(f"axes.{key}: {error}") from error
+    except (ConfigError, LimitError) as error:
+        # An axis does not know its name.
+        said = str(error).removeprefix("axes.*.")
+        raise ConfigError(f"axes.{key}: {said}") from error
 
 
 def zeros(config: Config) -> dict[str, float | None]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from pliant import ConfigError
+from pliant import ConfigError, PliantError
 from pliant.config import ready
 from pliant.config.messages import explain, suggest
 from pliant.config.schema import Config
@@ -116,10 +116,10 @@ def parse(
         config = Config.model_validate(table)
     except ValidationError as error:
         raise ConfigError(explain(error, Config, source)) from None
-    config = config.at(Path(folder))
+    config = config.at(Path(folder), source)
     try:
         config.settings()
-    except (ConfigError, TypeError) as error:
+    except (PliantError, TypeError) as error:
         raise ConfigError(f"{source}: settings: {error}") from error
     return config
 

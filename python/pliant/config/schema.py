@@ -227,8 +227,9 @@ class Config(Table):
     preset: str | dict[str, Any] | None = None
     fields: dict[str, Any] = Field(default_factory=dict, alias="settings")
 
-    #: Folder that relative paths start from.
+    #: Folder that relative paths start from, and what errors call the file.
     _folder: Path = PrivateAttr(default=Path())
+    _source: str = PrivateAttr(default="configuration")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -240,10 +241,15 @@ class Config(Table):
         """Folder that relative paths start from."""
         return self._folder
 
-    def at(self, folder: Path) -> Self:
-        """The same with paths relative to `folder`."""
+    @property
+    def source(self) -> str:
+        """What errors call the file."""
+        return self._source
+
+    def at(self, folder: Path, source: str) -> Self:
+        """The same as read from a file in `folder` that errors call `source`."""
         out = self.model_copy()
-        out._folder = folder
+        out._folder, out._source = folder, source
         return out
 
     def model(self) -> Model:
@@ -265,7 +271,7 @@ class Config(Table):
         """The controller's settings, validated by the same code as those made in Python.
 
         Raises:
-            ConfigError: A field or value is wrong; LimitError, ShapeError alike.
+            ConfigError, LimitError, ShapeError: A field or value is wrong.
         """
         return build.settings(self)
 

@@ -1,7 +1,8 @@
 """Torque on and `lower` over real bytes from many poses, with an unknown load, over a table.
 
 ``python -m pliant.experiments.bus_lower [poses] [family]`` prints highest speeds and forces, how
-far the arm sinks as torque comes on, and the force on the table pose by pose.
+far the arm sinks as torque comes on, how long descents take, and the force on the table pose by
+pose. With one pose it is the grasp pose.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ class Brought:
         speed: Highest speed of the tool on the way down [m/s].
         force: Largest mean over a tick of the force on one point of the table [N].
         resting: What rests on the table once torque is off [N].
+        seconds: How long the descent took.
     """
 
     sank: float
@@ -52,6 +54,7 @@ class Brought:
     speed: float
     force: float
     resting: float
+    seconds: float
 
 
 def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False) -> Brought:
@@ -78,8 +81,9 @@ def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False)
         on.end()
         down = Watcher(bus)
         down.begin()
+        begun = bus.plant.time
         arm.lower()
-        force = down.force
+        seconds, force = bus.plant.time - begun, down.force
         bus.advance(AFTER)
         resting = sum(float(np.linalg.norm(felt.force)) for felt in bus.plant.hands)
     return Brought(
@@ -89,6 +93,7 @@ def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False)
         speed=down.speeds[False],
         force=force,
         resting=resting,
+        seconds=seconds,
     )
 
 
@@ -96,6 +101,11 @@ def fits(family: str, q: Array) -> bool:
     """Whether servos of a family can go to a pose (n,) [rad]."""
     model = configuration(family).model()
     return bool(np.all((model.lower < q) & (q < model.upper)))
+
+
+def poses(family: str, count: int) -> list[Array]:
+    """The grasp pose and random ones (n,) [rad] that the servos of a family can go to."""
+    return [q for q in [VERTICAL, *postures(4 * count)] if fits(family, q)][:count]
 
 
 def _worst(values: Sequence[float], digits: int, scale: float = 1.0) -> str:
@@ -108,21 +118,22 @@ def main() -> None:
     """Print the tables: worst (median) over the poses, and the table pose by pose."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 10
     family = sys.argv[2] if len(sys.argv) > 2 else "p1"
-    poses = [q for q in [VERTICAL, *postures(4 * count)] if fits(family, q)][:count]
+    starts = poses(family, count)
     print(
-        f"| {FAMILIES[family].title}, {len(poses)} poses | sinks [mm] | stands lower by [mm] | "
-        "meanwhile [m/s] | lowered at [m/s] | force on the table [N] | of which rests [N] |\n"
-        "|---|---|---|---|---|---|---|"
+        f"| {FAMILIES[family].title}, {len(starts)} poses | sinks [mm] | stands lower by [mm] | "
+        "meanwhile [m/s] | lowered at [m/s] | force on the table [N] | of which rests [N] | "
+        "takes [s] |\n|---|---|---|---|---|---|---|---|"
     )
     seen: list[Brought] = []
     for name, load, over_table in CASES:
-        seen = [lower(family, q, load=load, over_table=over_table) for q in poses]
+        seen = [lower(family, q, load=load, over_table=over_table) for q in starts]
         print(
             f"| {name} | {_worst([one.sank for one in seen], 0, 1e3)} | "
             f"{_worst([one.left for one in seen], 0, 1e3)} | "
             f"{_worst([one.lifted for one in seen], 2)} | {_worst([one.speed for one in seen], 2)} "
             f"| {_worst([one.force for one in seen], 1) if over_table else ''} | "
-            f"{_worst([one.resting for one in seen], 1) if over_table else ''} |",
+            f"{_worst([one.resting for one in seen], 1) if over_table else ''} | "
+            f"{_worst([one.seconds for one in seen], 0)} |",
             flush=True,
         )
     print("\n".join(["", *pose_table(seen)]))

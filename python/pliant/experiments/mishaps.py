@@ -87,6 +87,7 @@ class Suffered:
         descent: Highest speed of the tool afterwards, while it is lowered [m/s].
         drop: How far the tool sank before it went on or was lowered on purpose [m].
         force: Largest mean over a tick of the force on a hand that holds the tool in place [N].
+        along: The same along each axis of the base, x, y, z [N].
     """
 
     outcome: str
@@ -95,6 +96,7 @@ class Suffered:
     descent: float
     drop: float
     force: float
+    along: tuple[float, ...]
 
 
 def suffer(mishap: Mishap, *, held: bool = False) -> Suffered:
@@ -117,14 +119,14 @@ def suffer(mishap: Mishap, *, held: bool = False) -> Suffered:
     controller = pliant.Controller(model, settings, robot.servos)
     speeds: list[float] = []
     heights: list[float] = []
-    forces = [0.0]
+    forces: list[Array] = [np.zeros(3)]
     begun = [np.inf]
 
     def look() -> None:
         if plant.time > begun[0]:
             speeds.append(float(np.linalg.norm(plant.truth.frame("tool").twist()[:3])))
             heights.append(float(plant.tool[2, 3]))
-            forces.extend(float(np.linalg.norm(felt.force)) for felt in plant.hands)
+            forces.extend(np.array(felt.force) for felt in plant.hands)
 
     drive.clock.on_tick = look
     reason, last = "", 0
@@ -148,7 +150,8 @@ def suffer(mishap: Mishap, *, held: bool = False) -> Suffered:
         speed=max(speeds[:last]),
         descent=max(speeds[last:]),
         drop=max(0.0, start - min(heights[:last])),
-        force=max(forces),
+        force=float(np.linalg.norm(forces, axis=1).max()),
+        along=tuple(float(most) for most in np.abs(forces).max(axis=0)),
     )
 
 

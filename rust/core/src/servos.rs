@@ -36,7 +36,7 @@ pub struct Servos {
     pub damping: Vec<f64>,
     /// Damping of the servo's own loop, inside the torque limit [N·m·s/rad] ≥ 0.
     pub kv: Vec<f64>,
-    /// Rotor inertia seen at the joint [kg·m²] ≥ 0; only simulators use it.
+    /// Rotor inertia seen at the joint [kg·m²] ≥ 0: of contacts, of descents and of simulators.
     pub armature: Vec<f64>,
     /// Encoder count [rad] ≥ 0; 0 when it does not matter.
     pub count: Vec<f64>,
