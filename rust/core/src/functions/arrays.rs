@@ -26,6 +26,11 @@ pub(super) fn finite(what: &str, m: &DMatrix<f64>) -> Result<()> {
     Ok(())
 }
 
+/// `A B`. The operator would bring nalgebra's kernels for large matrices along, for each instruction set.
+pub(super) fn product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
+    DMatrix::from_fn(a.nrows(), b.ncols(), |i, j| (0..a.ncols()).map(|k| a[(i, k)] * b[(k, j)]).sum())
+}
+
 /// A list of `size` finite numbers, padded with zeros.
 pub(super) fn array<const N: usize>(what: &str, values: &[f64], size: usize) -> Result<[f64; N]> {
     same_length(what, values.len(), size)?;

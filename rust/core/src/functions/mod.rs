@@ -18,7 +18,7 @@ use crate::settings::Projector;
 use crate::task::{adapt, compliance as task_compliance, deviation as task_deviation};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
-use arrays::{array, check, finite, inverse_rows, same_length, square, task_rows};
+use arrays::{array, check, finite, inverse_rows, product, same_length, square, task_rows};
 
 /// λ² as a share of tr(JJᵀ) below which JJᵀ + λ²I has lost λ to rounding.
 const LOST_DAMPING: f64 = 1e-9;
@@ -40,7 +40,8 @@ pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DM
     let svd = svd(jacobian)?;
     let cutoff = f64::EPSILON * k.max(n) as f64 * svd.sigma.max();
     let gains = svd.sigma.map(|s| if s > cutoff { s / (s * s + squared) } else { 0.0 });
-    Ok(svd.v * DMatrix::from_diagonal(&gains) * svd.u.transpose())
+    let scaled = DMatrix::from_fn(n, gains.len(), |i, s| svd.v[(i, s)] * gains[s]);
+    Ok(product(&scaled, &svd.u.transpose()))
 }
 
 /// Null-space projector of `J`, n × n.
@@ -53,7 +54,7 @@ pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DM
 pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Projector) -> Result<DMatrix<f64>> {
     let (rows, k, n) = task_rows("J", jacobian)?;
     match kind {
-        Projector::Paper => Ok(DMatrix::identity(n, n) - damped_pseudo_inverse(jacobian, damping)? * jacobian),
+        Projector::Paper => Ok(DMatrix::identity(n, n) - product(&damped_pseudo_inverse(jacobian, damping)?, jacobian)),
         Projector::Exact => {
             check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
             let sigma = svd(jacobian)?.sigma;
