@@ -111,7 +111,7 @@ fn the_step_reproduces_every_quantity() {
         let gradient: Vec<f64> = vector(&case["grad"]).iter().map(|g| -g).collect();
         let input = StepInput { gradient: Some(&gradient), ..StepInput::default() };
         let command = *controller.step(&q, &target(case), &input).unwrap();
-        let record = *controller.record();
+        let record = controller.record();
         for axis in 0..6 {
             close("deviation", index, record.deviation[axis], vector(&case["d_rotvec"])[axis], 1.0);
             close("dx", index, record.dx[axis], vector(&case["dx"])[axis], 1.0);

@@ -240,7 +240,7 @@ fn nothing_is_stored_on_soft_axes() {
         goal = controller.step(&Q, &target, &StepInput::default()).unwrap().goal().to_vec();
     }
     // What the goal holds beyond gravity, as a wrench at the tool: W of the law and the stored part.
-    let (rows, record) = (controller.task_jacobian(), *controller.record());
+    let (rows, record) = (controller.task_jacobian(), controller.record());
     let lead = nalgebra::DVector::from_fn(7, |i, _| goal[i] - Q[i] - record.gravity[i] / BELIEVED[i]);
     let compliance =
         nalgebra::DMatrix::from_fn(6, 6, |r, c| (0..7).map(|i| rows[(r, i)] * rows[(c, i)] / BELIEVED[i]).sum());

@@ -84,7 +84,7 @@ pub struct Controller {
     captured: Option<JointVec>,
     delay: f64,
     pub(crate) memory: Memory,
-    record: Record,
+    pub(crate) record: Record,
     command: Command,
     instructions: Instructions,
     scratch: LookScratch,
@@ -166,8 +166,12 @@ impl Controller {
     }
 
     /// Intermediates of the last step.
-    pub fn record(&self) -> &Record {
-        &self.record
+    pub fn record(&self) -> Record {
+        let mut record = self.record;
+        if !self.plan.heavy {
+            record.gravity = self.holding_torques(&record.q);
+        }
+        record
     }
 
     /// Smallest and largest singular value of the last step's task rows, translations divided by the arm's length.

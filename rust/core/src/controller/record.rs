@@ -32,7 +32,7 @@ pub struct Record {
     pub holding_torque: AxisVec,
     /// Wrench W on the target [N, N·m] (not under law `paper`).
     pub wrench: AxisVec,
-    /// Torques that hold the arm at q̂ [N·m].
+    /// Torques that hold the arm at q̂ [N·m]; where a step has no use for them they are found when the record is asked for.
     pub gravity: JointVec,
     /// Feed-forward of friction and damping [N·m].
     pub feed_forward: JointVec,

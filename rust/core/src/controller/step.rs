@@ -145,7 +145,7 @@ impl Cycle<'_> {
         let speed = settings.max_tool_speed;
         let mut governor = self.memory.governor;
         let reference = governor.follow::<J::One>(self.target, speed, settings.max_tool_acceleration, dt);
-        let view = self.chain.look(q, self.masses, self.gravity, self.scratch);
+        let view = self.chain.look(q, plan.heavy.then_some((self.masses, self.gravity)), self.scratch);
         let mut turned = None;
         let seen = Seen::new(plan, settings, q, &view, &mut turned);
         let error = pose_error_by::<J::One>(&seen.view.tool, &reference);

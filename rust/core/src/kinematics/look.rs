@@ -128,19 +128,26 @@ impl Chain {
         }
     }
 
-    /// Tool, Jacobian and holding torques at `q`; `g` [m/s²] in the base.
+    /// Tool, Jacobian and holding torques at `q`, these of masses under `g` [m/s²] in the base: 0 where nobody asks for them.
     #[inline(always)]
-    pub(crate) fn look<J: Joints>(&self, q: J, masses: &Masses, g: &Vec3, scratch: &mut LookScratch) -> View<J> {
-        let q = q.array();
+    pub(crate) fn look<J: Joints>(&self, q: J, weight: Option<(&Masses, &Vec3)>, scratch: &mut LookScratch) -> View<J> {
+        let (q, nothing) = (q.array(), J::splat(0.0));
         if !(self.simple && self.path == self.total) {
             let LookScratch { frames, world, holding, .. } = scratch;
             self.forward_by::<J::One>(&q, frames);
             self.jacobian_by::<J::One>(frames, world);
+            let (tool, world) = (frames.tool, load_rows(world));
+            let Some((masses, g)) = weight else { return View { tool, world, holding: nothing } };
             self.gravity_by::<J::One>(frames, masses, g, holding);
-            return View { tool: frames.tool, world: load_rows(world), holding: J::load(holding) };
+            return View { tool, world, holding: J::load(holding) };
         }
         let LookScratch { cells, moments, .. } = scratch;
         let motions = self.motions_abreast::<J, MAX_JOINTS>(&q);
+        let Some((masses, g)) = weight else {
+            let tool = self.walk::<J::Triple, _>(&motions, cells);
+            let (_, world) = cells.jacobian::<J>(&tool);
+            return View { tool, world, holding: nothing };
+        };
         let tool = self.walk::<J::Triple, _>(&motions, &mut Heavy { cells, moments, masses });
         // S − M o of [`Chain::gravity`], where M o of the joint's own group cancels; S and M are what hangs beyond it.
         let (mut beyond, mut mass) = (J::Triple::constant(&[0.0; 3]), 0.0);

@@ -15,7 +15,7 @@ use crate::law::nullspace::Cost;
 use crate::model::Model;
 use crate::pose::Pose;
 use crate::servos::{ServoArrays, Servos};
-use crate::settings::{Damping, Follow, Gain, Law, LimitRule, Projector, Settings};
+use crate::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
 use crate::survey::{self, Surveyed};
 use crate::task::axes::{AXIS_NAMES, Frame};
 use crate::task::deviation_limit::DeviationLimit;
@@ -89,6 +89,8 @@ pub(crate) struct Plan {
     pub(crate) rest: Option<JointVec>,
     /// Whether anything of a step depends on the singular values of its rows.
     pub(crate) follows_sigma: bool,
+    /// Whether a step has any use for the torques that hold the arm.
+    pub(crate) heavy: bool,
     pub(crate) null_torque: f64,
     pub(crate) null_speed: f64,
     pub(crate) joint_weight: JointVec,
@@ -178,6 +180,7 @@ impl Plan {
             null_stiffness: settings.null_stiffness,
             alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
             takeover_damping: damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2),
+            heavy: settings.gravity != GravityUse::Off || settings.integrate > 0.0 || settings.dead_host_max.is_some(),
             follows_sigma: scales::follows_sigma(settings, &damping),
             damping,
             cost: resolve_cost(model, settings)?,

@@ -74,7 +74,7 @@ impl Controller {
         let mut dead = (Worst::NONE, 0, 1.0);
         for (index, q) in path.iter().enumerate() {
             let rest = self.at_rest(q)?;
-            let (record, limits) = (rest.record(), rest.limits_in_force());
+            let (record, limits) = (&rest.record(), rest.limits_in_force());
             let pose = Pose::new(&rest.plan, rest.settings(), record);
             let friction = pose.friction();
             let mut frames = Frames::default();

@@ -143,7 +143,7 @@ impl Controller {
     }
 
     fn compose(&self) -> Report {
-        let (plan, record) = (&self.plan, self.record());
+        let (plan, record) = (&self.plan, &self.record());
         let (k, n) = (plan.k, plan.n);
         let limit = self.limits_in_force();
         let pose = Pose::new(plan, self.settings(), record);
@@ -234,7 +234,7 @@ impl Controller {
     /// The ways that pushes lead from the last step's pose; `friction` at rest [N·m].
     fn way<'a>(&'a self, frames: &Frames, friction: &'a JointVec) -> Way<'a> {
         let base_from_task = self.plan.base_from_task::<crate::number::Plain>(&frames.tool);
-        Way { model: self.model(), plan: &self.plan, base_from_task, q: &self.record().q, friction }
+        Way { model: self.model(), plan: &self.plan, base_from_task, q: &self.record.q, friction }
     }
 
     /// The arm with its last command, should the host die now.
@@ -251,7 +251,7 @@ impl Controller {
             masses: &self.masses,
             gravity: self.gravity,
             base_from_task: self.plan.base_from_task::<crate::number::Plain>(&frames.tool),
-            q: &self.record().q,
+            q: &self.record.q,
             goal,
             limit,
             friction,

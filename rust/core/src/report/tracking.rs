@@ -70,7 +70,8 @@ impl Controller {
     /// there it is the friction.
     fn least_soft(&self, q: &[f64]) -> Result<AxisVec> {
         let resting = self.at_rest(q)?;
-        let pose = Pose::new(&resting.plan, resting.settings(), resting.record());
+        let record = resting.record();
+        let pose = Pose::new(&resting.plan, resting.settings(), &record);
         let times = if self.plan.law.by_force() { FOLLOWS } else { 1.0 };
         Ok(pose.friction().map(|friction| times * friction))
     }
