@@ -140,16 +140,21 @@ impl<R: Number> Factor<R> {
             let least = [A::at_least(tiny * m[i][i], least_pivot), A::at_least(tiny * m[j][j], least_pivot)];
             let (a, b, c) = (A::at_least(s[i][i], least[0]), s[j][i], A::at_least(s[j][j], least[1]));
             let determinant = A::at_least(A::fnma(b, b, a * c), a * least[1]);
+            // All that does not wait for the division is done meanwhile.
             let scale = one / determinant;
-            let [x, y, z] = [c * scale, -b * scale, a * scale];
-            inverse[block] = [x, y, z];
+            let mut ahead = [[zero; 2]; MAX_AXES];
             for r in j + 1..MAX_AXES {
                 let (u, v) = (s[r][i], s[r][j]);
-                l[r][i] = A::fma(u, x, v * y);
-                l[r][j] = A::fma(u, y, v * z);
-                for c in j + 1..=r {
-                    s[r][c] = A::fnma(l[r][j], s[c][j], A::fnma(l[r][i], s[c][i], s[r][c]));
+                ahead[r] = [A::fnma(b, v, c * u), A::fnma(b, u, a * v)];
+            }
+            for r in j + 1..MAX_AXES {
+                for k in j + 1..=r {
+                    s[r][k] = A::fnma(scale, A::fma(ahead[r][0], s[k][i], ahead[r][1] * s[k][j]), s[r][k]);
                 }
+            }
+            inverse[block] = [c * scale, -b * scale, a * scale];
+            for r in j + 1..MAX_AXES {
+                (l[r][i], l[r][j]) = (ahead[r][0] * scale, ahead[r][1] * scale);
             }
         });
         Self { l, inverse }
