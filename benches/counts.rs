@@ -8,7 +8,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use pliant_core::settings::Law;
-use pliant_core::task::axes::{Axis, Yields};
+use pliant_core::task::axes::{Axis, Frame, Task, Yields};
 use pliant_core::task::deviation::pose_error;
 use pliant_core::{
     BatchCommand, BatchInput, BatchState, Controller, Frames, Invalid, JointVec, MAX_AXES, MAX_JOINTS, Model, Pose,
@@ -55,6 +55,23 @@ fn soft_y(law: Law) -> Settings {
     let mut settings = Settings { law, ..Settings::default() };
     settings.axes[1] = Axis { yields: Some(Yields::Both), eta: 0.9, ..Axis::default() };
     settings
+}
+
+/// Options that a step should take little longer for than without.
+fn options(settings: &Settings, n: usize) -> Vec<(&'static str, Settings)> {
+    let task = |axes: &str, frame| Task { frame, ..Task::of(axes).expect("axes") };
+    let weights = (1..=n).map(|i| 0.5 + 0.1 * i as f64).collect::<Vec<f64>>();
+    let mut five = Settings { task: task("xyz roll pitch", Frame::Base), ..settings.clone() };
+    five.axes[5] = Axis::default();
+    let mut all = vec![
+        ("five axes", five),
+        ("axes of the tool", Settings { task: task("all", Frame::Tool), ..settings.clone() }),
+        ("posture weights", Settings { posture_weights: Some(weights.clone()), ..settings.clone() }),
+    ];
+    if settings.law == Law::Paper {
+        all.push(("joint weights", Settings { joint_weights: Some(weights), ..settings.clone() }));
+    }
+    all
 }
 
 fn stages() -> Vec<(String, Work)> {
@@ -118,6 +135,11 @@ fn stages() -> Vec<(String, Work)> {
         steps.push((format!("step {law}"), settings.clone(), states.clone()));
         let rare = rare(&model).into_iter();
         steps.extend(rare.map(|(case, states)| (format!("step {law}, {case}"), settings.clone(), states)));
+    }
+    for (law, settings) in [("paper", paper()), ("cap", soft_y(Law::Cap))] {
+        for (option, settings) in options(&settings, model.n()) {
+            steps.push((format!("step {law}, {option}"), settings, states.clone()));
+        }
     }
     for (name, settings, at) in steps {
         let mut controller =

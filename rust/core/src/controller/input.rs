@@ -55,6 +55,17 @@ impl Controller {
 
     /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
     pub(crate) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
+        let (mut out, mut fine, [least, most]) = ([0.0; MAX_JOINTS], values.len() == self.plan.n, &self.plan.readable);
+        for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
+            fine &= least[i] < value && value < most[i];
+            *slot = if value.abs() < NEGLIGIBLE { 0.0 } else { value };
+        }
+        if fine { Ok(out) } else { self.explain(what, values) }
+    }
+
+    /// What is wrong with joint positions that cannot be.
+    #[cold]
+    fn explain(&self, what: &str, values: &[f64]) -> Result<JointVec> {
         let q = self.joints(what, values, COORDINATE_BOUND)?;
         for i in 0..self.plan.n {
             let (lower, upper) = (self.plan.lower[i], self.plan.upper[i]);
