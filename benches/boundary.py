@@ -9,6 +9,7 @@ loudly where it is absent.
 
 from __future__ import annotations
 
+import operator
 import statistics
 import timeit
 from typing import Any
@@ -25,6 +26,7 @@ STATES = 1000
 #: What is timed, and how it is called.
 CALLS = {
     "(the loop)": "for q, t in states: pass",
+    "a call that does nothing": "for q, t in states: nothing(q, t); kept.goal; kept.torque_limit",
     "step, law cap": "for q, t in followed: c = cap(q, t); c.goal; c.torque_limit",
     "step, law paper as printed": "for q, t in states: c = paper(q, t); c.goal; c.torque_limit",
     "pose and Jacobian, own arrays": "for q, t in states: kinematics(q, out=arrays)",
@@ -46,6 +48,8 @@ def names() -> dict[str, Any]:
     states = problem.states(problem.bench_arm())
     cap = pliant.Controller(model, pliant.Settings.soft("y"), pliant.Servos(**SERVOS))
     return {
+        "nothing": operator.is_,
+        "kept": cap.step(*followed(model)[0]),
         "states": [(q, model.forward_kinematics(ahead)) for q, ahead in states],
         "followed": followed(model),
         "cap": cap.step,

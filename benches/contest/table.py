@@ -140,7 +140,7 @@ def plot(found: list[Row], path: Path, note: str) -> None:
                 **{"va": "center", "ha": "right", "fontsize": 9, "color": colour},
             )
         axis.set_xscale("log")
-        axis.set_xlim(left=0.45 * min(median for median, _ in values))
+        axis.set_xlim(left=0.3 * min(median for median, _ in values))
         axis.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         axis.set_title(title, loc="left", fontsize=11)
         axis.grid(axis="x", color="0.9")

@@ -155,7 +155,10 @@ impl Cycle<'_> {
             let (tool, base_from_task) = (seen.view.tool, seen.base_from_task);
             let pushed = Pushed { tool: &tool, base_from_task: &base_from_task, before: &self.memory.governor.pose() };
             if let Some(kept) = limit_deviation(plan, &pushed, &mut governor) {
-                aim = Aim { reference: kept.reference, deviation: plan.of_rows(&kept.error), limited: kept.met };
+                // One that only waits where it was leaves the deviation as it is, to the last bit.
+                let still = kept.reference == aim.reference;
+                let deviation = if still { aim.deviation } else { plan.of_rows(&kept.error) };
+                aim = Aim { reference: kept.reference, deviation, limited: kept.met };
             }
         }
         let twist = match &self.input.twist {
