@@ -11,7 +11,7 @@ import pytest
 from emulator.helpers import Host, p1, two
 
 from pliant import ConfigError, ServoError
-from pliant.servo.emulator import Device, Emulator, Timing
+from pliant.servo.emulator import Device, Emulator, StepClock, Timing
 
 
 def sts(count=1, **options):
@@ -63,10 +63,22 @@ def test_wire_time_passes_under_the_clock_of_steps():
     with sts(timing=Timing(wire=True)) as emulator, Host(emulator.port) as host:
         for _ in range(100):
             host.ask(p1(1, 2, 56, 15), 21)
-        emulator.sync()
+        # Whoever has the answer sees the time after it, without waiting for anything.
         spent = sum(transaction.duration for transaction in emulator.log)
         assert emulator.time == pytest.approx(spent, abs=0.0011)
         assert spent == pytest.approx(100 * (290e-6 + 30e-6), rel=0.01)
+
+
+def test_the_clock_of_steps_knows_what_was_written_and_stops_where_it_is_told():
+    with sts(timing=Timing(wire=True)) as emulator, Host(emulator.port) as host:
+        clock, packet = StepClock(emulator), p1(0xFE, 3, 42, *two(2100), *[0] * 100)
+        for k in range(1, 21):
+            before = clock.now()
+            os.write(host.fd, packet)
+            assert clock.now() == pytest.approx(before + 10e-6 * len(packet), abs=0.0011)
+            os.write(host.fd, packet)
+            clock.wait_until(0.01 * k)
+            assert emulator.time == pytest.approx(0.01 * k, abs=1e-9)
 
 
 def test_real_time_moves_servos_by_itself():

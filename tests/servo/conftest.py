@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
 
 from pliant.servo import BusError, ServoChain, ServoSpec
-from pliant.servo.emulator import Device, Emulator
+from pliant.servo.emulator import Device, Emulator, StepClock
 
 
 class FakeBus:
@@ -75,25 +75,6 @@ class FakeBus:
 
     def close(self):
         self.calls.append(("close",))
-
-
-class StepClock:
-    """The emulator's time, which passes when somebody waits."""
-
-    def __init__(self, bus):
-        self._bus = bus
-
-    def now(self):
-        return self._bus.time
-
-    def wait_until(self, deadline):
-        if deadline > self._bus.time:
-            self._bus.advance(deadline - self._bus.time)
-
-
-@pytest.fixture
-def step_clock():
-    return StepClock
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 
 from pliant import ConfigError, ServoError, ShapeError
 from pliant.servo import ServoChain, ServoSpec
-from pliant.servo.emulator import Device, Emulator
+from pliant.servo.emulator import Device, Emulator, StepClock
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
 
@@ -162,7 +162,7 @@ def test_a_speed_cap_slows_the_joint(emulated, enabled):
         assert chain.read().position[0] == pytest.approx(0.2, abs=0.06)
 
 
-def test_families_share_a_port_and_ports_an_arm(enabled, step_clock):
+def test_families_share_a_port_and_ports_an_arm(enabled):
     parts = [
         Device("MX-64", id=1, return_delay_time=0),
         Device("STS3215", id=2),
@@ -177,7 +177,7 @@ def test_families_share_a_port_and_ports_an_arm(enabled, step_clock):
             ServoSpec(name="lift", model="XM540-W270", id=1, port=two, twin=(2, -1), **bounds),
             ServoSpec(name="wrist", model="STS3215-7.4V", id=2, port=one, **bounds),
         ]
-        with ServoChain(specs, patience=0.1, clock=step_clock(bus)) as chain:
+        with ServoChain(specs, patience=0.1, clock=StepClock(bus)) as chain:
             limit = enabled(chain)
             goal = np.array([0.2, 0.3, -0.1])
             sample = settle(bus, chain, goal, limit)

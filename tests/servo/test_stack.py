@@ -9,7 +9,7 @@ import pliant
 import pliant.robots
 from pliant.arm import Arm
 from pliant.servo import ServoChain, ServoSpec
-from pliant.servo.emulator import Faults, Mount, emulate
+from pliant.servo.emulator import Faults, Mount, StepClock, emulate
 
 START = np.array([0.0, -0.5, 0.8, 0.3, 0.0])
 
@@ -26,14 +26,14 @@ def so101(bus, model, **options):
 
 
 @pytest.mark.parametrize("shares", [{}, {"lose": 0.01, "corrupt": 0.01, "late": 0.01}])
-def test_an_arm_is_enabled_held_and_lowered(step_clock, shares):
+def test_an_arm_is_enabled_held_and_lowered(shares):
     model = pliant.robots.so101()
     mounts = [
         Mount(joint=name, model="STS3215", id=i) for i, name in enumerate(model.joint_names, 1)
     ]
     faults = Faults(seed=1, **shares)
     with emulate(model, mounts, q=START, clock="steps", faults=faults) as bus:
-        chain = so101(bus, model, clock=step_clock(bus))
+        chain = so101(bus, model, clock=StepClock(bus))
         with Arm(model, chain, rate=50.0, signals=False) as arm:
             controller = pliant.Controller(
                 model, pliant.Settings(task=pliant.Task(axes="xyz"), rate=50.0), chain.servos

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Least time to wait for an answer [s]; the emulator's time stands still meanwhile.
+#: Least time to wait for an answer [s]; the emulator's time stands still meanwhile. A computer that
+#: is busy for longer takes one for lost.
 PATIENCE = 0.05
 
 
@@ -105,6 +106,7 @@ def stepped(
     arm: dict[str, Any],
     chain: type[ServoChain] = ServoChain,
     q: Array = VERTICAL,
+    patience: float = PATIENCE,
     **options: Any,
 ) -> Iterator[tuple[ArmEmulator, Arm]]:
     """The emulator and its arm in the emulator's own time, which passes when somebody waits.
@@ -114,13 +116,14 @@ def stepped(
         arm: Options of `pliant.arm.Arm`.
         chain: What drives the servos.
         q: Where the arm stands (n,) [rad].
+        patience: Least time to wait for an answer, by the clock on the wall [s].
         **options: Of `emulator`.
     """
     read = configuration(family, q)
     with emulator(family, q=q, clock="steps", **options) as bus:
         drive = chain(
             assemble.specs(read, bus.ports),
-            patience=PATIENCE,
+            patience=patience,
             clock=StepClock(bus),
         )
         try:

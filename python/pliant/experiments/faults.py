@@ -10,12 +10,12 @@ import sys
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import pliant
-from pliant.experiments.bus_arm import stepped
+from pliant.experiments.bus_arm import PATIENCE, stepped
 from pliant.experiments.bus_mishaps import MISHAPS, HostDiedError, Mishap, Scene
 from pliant.loop import Loop
 from pliant.sim.hand import Course, Drag
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 #: When things go wrong after torque came on, how long the program would go on, and how long an arm
 #: without a host is watched [s].
 WHEN, END, WATCHED = 1.2, 3.0, 4.0
-#: The hand that comes then: along y, the soft axis, [m], in [s].
-WAY, RISE = 0.10, 2.0
+#: The hand that comes so long after [s]: along y, the soft axis, [m], in [s].
+TAKING, WAY, RISE = 0.2, 0.10, 2.0
 #: How long a fall takes [s].
 FALL = 1.5
 #: What a moving arm may add to the force of one whose host is dead [N].
@@ -158,17 +158,23 @@ class Watcher:
             self.lowest = min(self.lowest, float(plant.tool[2, 3]))
 
 
-def suffer(mishap: Mishap, *, held: bool = False) -> Outcome:
+def suffer(
+    mishap: Mishap, *, held: bool = False, when: float = WHEN, patience: float = PATIENCE
+) -> Outcome:
     """Let `arm7` hold its grasp pose, y soft, at 100 Hz over real bytes, and fail.
 
     Args:
         mishap: What goes wrong.
         held: Whether a hand pulls the tool 0.10 m along y from then on; the arm is then not
             lowered.
+        when: How long after torque came on [s].
+        patience: Least time to wait for an answer, by the clock on the wall [s]; where none is
+            lost, a long one keeps a busy computer out of the outcome.
     """
-    with stepped(mishap.family, arm={"rate": RATE, "watchdog": mishap.watchdog}) as (bus, arm):
+    options: dict[str, Any] = {"rate": RATE, "watchdog": mishap.watchdog}
+    with stepped(mishap.family, arm=options, patience=patience) as (bus, arm):
         watcher = Watcher(bus, FALL if mishap.state == "no torque" else 0.0)
-        reason, torque = _run(mishap, bus, arm, watcher, held)
+        reason, torque = _run(mishap, bus, arm, watcher, held=held, when=when)
     speed, lowered = watcher.speeds[False], watcher.speeds[True]
     ending = "goes on" if not reason else "keeps its last order" if torque else "is lowered"
     if mishap.state == "no torque" and reason:
@@ -187,7 +193,7 @@ def suffer(mishap: Mishap, *, held: bool = False) -> Outcome:
 
 
 def _run(
-    mishap: Mishap, bus: ArmEmulator, arm: Arm, watcher: Watcher, held: bool
+    mishap: Mishap, bus: ArmEmulator, arm: Arm, watcher: Watcher, *, held: bool, when: float
 ) -> tuple[str, bool]:
     """Control until it ends; return why, and whether torque is left."""
     arm.enable()
@@ -196,16 +202,16 @@ def _run(
     target = arm.model.forward_kinematics(arm.read().q)
     reason = ""
     try:
-        for tick in Loop(arm, controller, rate=settings.rate, duration=WHEN + END):
+        for tick in Loop(arm, controller, rate=settings.rate, duration=when + END):
             wanted: Array | None = target
-            if bus.plant.time >= WHEN:
+            if bus.plant.time >= when:
                 first = watcher.begun == np.inf
                 if first or mishap.state != "dead host":
                     watcher.allowed = _allowed(controller, mishap, bus.plant)
                 if first:
                     watcher.begin()
                     if held:
-                        bus.plant.set_hands([Grasp()])
+                        bus.plant.set_hands([Grasp(when + TAKING)])
                 since = bus.plant.time - watcher.begun
                 wanted = mishap.act(Scene(bus, arm, tick, target, since, first))
             if wanted is not None:
@@ -245,13 +251,14 @@ class Grasp:
 
     at = TOOL
 
-    def __init__(self) -> None:
-        """Nothing is held yet."""
+    def __init__(self, since: float) -> None:
+        """Nothing is held before `since` [s]."""
+        self._since = since
         self._hand: Drag | None = None
 
     def force(self, truth: Truth, t: float) -> tuple[Array, Array, Array]:
         """The hand's force, torque and point of attack; see `pliant.sim.hand.Hand`."""
-        if self._hand is None and t >= WHEN + 0.2:
+        if self._hand is None and t >= self._since:
             self._hand = Drag(
                 axis="y",
                 distance=WAY,

@@ -247,19 +247,21 @@ class Server:
             port.line.reset()
         port.last = self._now()
         baud, start = port.pty.baud(), max(self._now(), port.busy)
+        deliveries = port.line.feed(data, baud, self._world.time)
+        port.busy = start + port.line.occupied
+        # Time passes before the answer leaves: a host that has it sees the time after it.
+        if self._clock == "steps":
+            self._world.advance(max(port.line.occupied, port.line.answered))
         stale, port.stale = port.stale, []
         for late in stale:
             port.pty.write(late)
-        for delivery in port.line.feed(data, baud, self._world.time):
+        for delivery in deliveries:
             if delivery.after is None:
                 port.stale.append(delivery.data)
             elif delivery.late or (self._clock == "real" and delivery.after > 0.0):
                 port.due.append((start + delivery.after, delivery.data))
             else:
                 port.pty.write(delivery.data)
-        port.busy = start + port.line.occupied
-        if self._clock == "steps":
-            self._world.advance(max(port.line.occupied, port.line.answered))
         self._flush(port)
 
     def _flush(self, port: Port) -> None:

@@ -22,10 +22,12 @@ class StepClock:
         self._bus = bus
 
     def now(self) -> float:
-        """Time of the emulated world [s]."""
+        """Time of the emulated world [s], after what the host has written so far."""
+        self._bus.sync()
         return self._bus.time
 
     def wait_until(self, deadline: float) -> None:
         """Let time pass until `deadline` [s]."""
-        if deadline > self._bus.time:
-            self._bus.advance(deadline - self._bus.time)
+        left = deadline - self.now()
+        if left > 0.0:
+            self._bus.advance(left)

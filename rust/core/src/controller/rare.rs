@@ -38,8 +38,8 @@ pub(super) fn strain(share: f64) -> f64 {
 /// A reference that runs ahead of an arm whose stiff axes exert what they may.
 pub(super) struct Waiting<'a> {
     pub(super) plan: &'a Plan,
-    /// Most of the tool, linear and angular [m/s, rad/s].
-    pub(super) speed: [f64; 2],
+    /// Most of the tool, linear and angular: speed [m/s, rad/s] and acceleration [m/s², rad/s²].
+    pub(super) bounds: [[f64; 2]; 2],
     pub(super) base_from_task: &'a [[f64; 3]; 3],
     /// Deviation of each row as far as it is stiff [m, rad].
     pub(super) lag: &'a AxisVec,
@@ -57,7 +57,7 @@ impl Waiting<'_> {
         for (&axis, &value) in self.plan.axes.iter().zip(self.lag) {
             lag[axis] = value;
         }
-        governor.wait(before, &out_of_frame(self.base_from_task, &lag), self.strain, self.speed, self.dt);
+        governor.wait(before, &out_of_frame(self.base_from_task, &lag), self.strain, self.bounds, self.dt);
     }
 }
 

@@ -184,7 +184,8 @@ impl Cycle<'_> {
         let strain = strain(solution.motion.factors[2].min(share));
         if strain > 0.0 && governor.behind(speed) != [false; 2] {
             let lag = axes(wish.deviation * (J::Axes::splat(1.0) - wish.softness));
-            let waiting = Waiting { plan, speed, base_from_task: &seen.base_from_task, lag: &lag, strain, dt };
+            let bounds = [speed, settings.max_tool_acceleration];
+            let waiting = Waiting { plan, bounds, base_from_task: &seen.base_from_task, lag: &lag, strain, dt };
             waiting.of(&self.memory.governor.pose(), &mut governor);
         }
         if let Some(most) = plan.dead_host_max {

@@ -7,6 +7,9 @@ use crate::task::deviation::{pose_error, pose_error_by, rotation_matrix, rotatio
 /// A target that is farther away than this [m, rad] has left its reference behind: it jumped.
 const LEFT_BEHIND: [f64; 2] = [0.05, 0.2];
 
+/// How much harder a reference that waits brakes than it speeds up. One that stood still at once would shake the arm behind it.
+const BRAKE: f64 = 4.0;
+
 /// Trace of a rotation by the second of these, 1 + 2 cos.
 const TRACE_LEFT_BEHIND: f64 = 2.960_133_155_682_483;
 
@@ -66,12 +69,20 @@ impl Governor {
         [squared > LEFT_BEHIND[0].powi(2) && speed[0].is_finite(), trace < TRACE_LEFT_BEHIND && speed[1].is_finite()]
     }
 
-    /// Takes back `share` of what the last step, from `before`, led farther along the deviation `lag` (6,), base axes.
+    /// Takes back `share` of what the last step, from `before`, led farther along the deviation `lag` (6,), base axes, but brakes
+    /// no harder than with [`BRAKE`] times the `acceleration`.
     ///
     /// Sideways and back it goes as it did, so that an arm that is pressed against something follows along it, and one that
     /// is left behind is not pulled on. Nothing is taken back while the target is near: an arm that is led
     /// into something within the bounds is to press.
-    pub(crate) fn wait(&mut self, before: &Pose, lag: &[f64; 6], share: f64, speed: [f64; 2], dt: f64) {
+    pub(crate) fn wait(
+        &mut self,
+        before: &Pose,
+        lag: &[f64; 6],
+        share: f64,
+        [speed, acceleration]: [[f64; 2]; 2],
+        dt: f64,
+    ) {
         let (mut moved, behind) = (pose_error(before, &self.pose), self.behind(speed));
         for b in 0..2 {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
@@ -82,7 +93,7 @@ impl Governor {
             if !behind[b] || gained <= 0.0 || squared < f64::MIN_POSITIVE {
                 continue;
             }
-            let most = share * gained / squared;
+            let most = (share * gained / squared).min(BRAKE * acceleration[b] * dt * dt / squared.sqrt());
             for i in 0..3 {
                 moved[3 * b + i] -= most * d[i];
                 self.velocity[3 * b + i] -= most * d[i] / dt;
@@ -292,12 +303,13 @@ mod tests {
     fn a_reference_waits_for_an_arm_that_lags_but_not_sideways_nor_back() {
         let far = |x: f64, y: f64| Pose { position: [x, y, 0.0], rotation: rotation_matrix([0.0, 0.0, 0.2 * x]) };
         let (speed, lag) = ([0.25, 1.0], [0.02, 0.0, 0.0, 0.0, 0.0, 0.1]);
+        let bounds = [speed, [1.0, 4.0]];
         let gone = |target: &Pose, share: f64| {
             let mut governor = Governor::new(Pose::IDENTITY);
             for _ in 0..50 {
                 let before = governor.pose;
                 governor.follow::<Plain>(target, speed, [1.0, 4.0], 0.01);
-                governor.wait(&before, &lag, share, speed, 0.01);
+                governor.wait(&before, &lag, share, bounds, 0.01);
             }
             governor
         };
@@ -310,6 +322,27 @@ mod tests {
         assert_eq!((free.pose, free.velocity), (back.pose, back.velocity));
         let half = gone(&far(5.0, 0.0), 0.5).pose.position[0];
         assert!(half > 1e-4 && half < 0.5 * -free.pose.position[0]);
+    }
+
+    #[test]
+    fn a_reference_that_begins_to_wait_brakes_within_its_bound_until_it_stands() {
+        let far = Pose { position: [5.0, 0.0, 0.0], ..Pose::IDENTITY };
+        let mut governor = Governor::new(Pose::IDENTITY);
+        for _ in 0..100 {
+            governor.follow::<Plain>(&far, [0.25, 1.0], [1.0, 4.0], 0.01);
+        }
+        let (from, mut speed) = (governor.pose.position[0], governor.velocity[0]);
+        for tick in 0..12 {
+            let before = governor.pose;
+            governor.follow::<Plain>(&far, [0.25, 1.0], [1.0, 4.0], 0.01);
+            governor.wait(&before, &[0.02, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0, [[0.25, 1.0], [1.0, 4.0]], 0.01);
+            let now = governor.velocity[0];
+            assert!((-1e-12..=0.04 + 1e-12).contains(&(speed - now)), "tick {tick}: {speed} {now}");
+            assert!((governor.pose.position[0] - before.position[0] - now * 0.01).abs() < 1e-12);
+            speed = now;
+        }
+        let way = governor.pose.position[0] - from;
+        assert!(speed.abs() < 1e-12 && way > 0.005 && way < 0.25 * 0.25 / (2.0 * 3.0) + 0.0025, "{speed} {way}");
     }
 
     #[test]
