@@ -42,8 +42,14 @@ fn rare(model: &Model) -> Vec<(&'static str, States)> {
     for (_, target) in &mut far {
         *target = Pose { position: [0.0, 0.0, 1.0], ..Pose::IDENTITY };
     }
+    let mut one = make(&|wave, i| if i == 3 { high[i] } else { ordinary(wave, i) }, 0.0);
+    for (q, target) in &mut one {
+        let beyond = q.iter().enumerate().map(|(i, q)| if i == 3 { q + 0.02 } else { *q }).collect::<Vec<f64>>();
+        *target = model.forward_kinematics(&beyond).expect("a state of this arm");
+    }
     vec![
         ("singular", make(&stretched, 0.02)),
+        ("one at its limit", one),
         ("at the limits", make(&limits, 0.02)),
         ("saturated", far),
         ("denormal", make(&|wave, _| 1e-310 * wave, 0.0)),

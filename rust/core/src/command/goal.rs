@@ -1,7 +1,7 @@
 //! Goals: scaling of parts, joints at their position limits, slew.
 
+use crate::MAX_AXES;
 use crate::number::{Arithmetic, Lanes, Scalar};
-use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Factors in [0, 1], one per part, so that `|base + Σ f_p part_p| ≤ bound` for every joint.
 ///
@@ -59,27 +59,45 @@ pub(crate) fn fade_beyond<J: Lanes>(lead: J, q: J, lower: J, upper: J, slope: f6
     J::copy_sign(J::at_least(faded, zero), lead)
 }
 
-/// Finds joints that are to move beyond a position limit, and the lead that brings them onto the limit.
-///
-/// Returns whether a joint was added to `locked`. A locked joint keeps the lead it still has and the others take over what
-/// it cannot do, so that the rest of the task stays right; it is not unlocked within a tick.
-pub(crate) fn lock(
-    goal: &JointVec,
-    without_lead: &JointVec,
-    lower: &JointVec,
-    upper: &JointVec,
-    locked: &mut [bool; MAX_JOINTS],
-    fixed_lead: &mut JointVec,
-) -> bool {
-    let mut added = false;
-    for i in 0..MAX_JOINTS {
-        if !locked[i] && (goal[i] > upper[i] || goal[i] < lower[i]) {
-            locked[i] = true;
-            fixed_lead[i] = goal[i].clamp(lower[i], upper[i]) - without_lead[i];
-            added = true;
-        }
+/// Joints that have met a position limit.
+#[derive(Clone, Copy)]
+pub(crate) struct Locks<J> {
+    /// 1 for those, 0 for the others.
+    pub(crate) locked: J,
+    /// Lead that brings each of them onto its limit [rad].
+    pub(crate) lead: J,
+}
+
+impl<J: Lanes> Locks<J> {
+    /// None.
+    #[inline(always)]
+    pub(crate) fn none() -> Self {
+        Self { locked: J::splat(0.0), lead: J::splat(0.0) }
     }
-    added
+
+    /// Adds the joints whose `goal` lies beyond a limit; says whether there were any.
+    ///
+    /// A locked joint keeps the lead it still has and the others take over what it cannot do, so that the rest of the task
+    /// stays right; it is not unlocked within a tick.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, goal: J, without_lead: J, lower: J, upper: J) -> bool {
+        let (zero, one) = (J::splat(0.0), J::splat(1.0));
+        let beyond = J::if_less(upper, goal, one, J::if_less(goal, lower, one, zero));
+        let new = beyond * (one - self.locked);
+        if !zero.any_less(new) {
+            return false;
+        }
+        let lead = J::at_least(J::at_most(goal, upper), lower) - without_lead;
+        self.lead = J::if_less(zero, new, lead, self.lead);
+        self.locked = self.locked + new;
+        true
+    }
+
+    /// `value` for locked joints, `other` for the rest.
+    #[inline(always)]
+    pub(crate) fn either(&self, value: J, other: J) -> J {
+        J::if_less(J::splat(0.0), self.locked, value, other)
+    }
 }
 
 /// Goals of the servos, and what of them carries the weight [rad].
@@ -132,16 +150,13 @@ pub(crate) fn register_speed<J: Lanes>(world: &[J; MAX_AXES], tool: [f64; 2], sl
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::MAX_JOINTS;
     use crate::number::{Arithmetic, EveryJoint};
 
-    fn array(values: &[f64]) -> JointVec {
+    fn vector(values: &[f64]) -> EveryJoint {
         let mut out = [0.0; MAX_JOINTS];
         out[..values.len()].copy_from_slice(values);
-        out
-    }
-
-    fn vector(values: &[f64]) -> EveryJoint {
-        EveryJoint::load(&array(values))
+        EveryJoint::load(&out)
     }
 
     fn first(values: EveryJoint) -> f64 {
@@ -243,8 +258,15 @@ mod tests {
 
     #[test]
     fn a_goal_beyond_the_limit_keeps_the_lead_that_is_left() {
-        let (mut locked, mut lead) = ([false; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        let added = lock(&array(&[1.2]), &array(&[0.7]), &array(&[-1.0]), &array(&[1.0]), &mut locked, &mut lead);
-        assert!(added && locked[0] && (lead[0] - 0.3).abs() < 1e-15);
+        let (without, one) = (vector(&[0.7, 0.2, -0.7]), EveryJoint::splat(1.0));
+        let mut locks = Locks::none();
+        assert!(locks.add(vector(&[1.2, 0.3, 0.5]), without, -one, one));
+        assert!(!locks.add(vector(&[1.3, 0.3, 0.5]), without, -one, one), "locked already");
+        assert!(locks.add(vector(&[1.0, 0.3, -1.5]), without, -one, one), "another joint");
+        let lead = locks.lead.array();
+        assert_eq!(locks.locked.array()[..3].iter().map(|l| *l > 0.0).collect::<Vec<_>>(), [true, false, true]);
+        assert!((lead[0] - 0.3).abs() < 1e-15 && lead[1].abs() < 1e-15 && (lead[2] + 0.3).abs() < 1e-15);
+        let either = locks.either(vector(&[5.0; 3]), vector(&[7.0; 3])).array();
+        assert_eq!(either[..3].iter().map(|l| *l > 6.0).collect::<Vec<_>>(), [false, true, false]);
     }
 }

@@ -1,6 +1,6 @@
 //! Lines 7 to 11: the law, and what the other joints take over where one meets a position limit.
 
-use crate::command::goal::lock;
+use crate::command::goal::Locks;
 use crate::controller::floors::{Given, Seen, Solution, row_damping};
 use crate::controller::input::Input;
 use crate::controller::memory::Memory;
@@ -89,7 +89,9 @@ pub(super) fn solve<J: Joints>(
             },
         };
         let held = hands.over(instructions);
-        solved.locked = held.locked;
+        for (slot, locked) in solved.locked.iter_mut().zip(held.locked) {
+            *slot = locked > 0.0;
+        }
         solution.moving = J::load(&held.goal);
         (motion.lead, motion.null) = (J::load(&held.share.lead), J::load(&held.share.null));
         motion.wrench.stiff = J::Axes::of(&held.share.stiff);
@@ -125,7 +127,8 @@ struct Hands<'a> {
 /// What the joints do once none is left to lock.
 struct Held {
     share: Shares,
-    locked: [bool; MAX_JOINTS],
+    /// 1 for locked joints.
+    locked: JointVec,
     /// Goals without what exerts a force [rad].
     goal: JointVec,
 }
@@ -161,36 +164,29 @@ impl Hands<'_> {
             null: J::load(&self.share.null),
             stiff: J::Axes::of(&self.share.stiff),
         };
-        let whole = all_joints.lead + all_joints.null;
-        let (all, lead) = (whole.array(), (whole + J::load(&self.force_lead)).array());
-        let torque = J::fma(J::load(&plan.servos.kp), whole, J::load(&self.carried)).array();
-        let (mut share, mut locked, mut fixed_lead) = (all_joints, [false; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        let (without_lead, nothing) = (J::load(&self.without_lead), J::splat(0.0));
+        let (lower, upper) = (J::load(&plan.lower), J::load(&plan.upper));
+        let all = all_joints.lead + all_joints.null;
+        let lead = all + J::load(&self.force_lead);
+        let torque = J::fma(J::load(&plan.servos.kp), all, J::load(&self.carried));
+        let (mut share, mut locks) = (all_joints, Locks::none());
         loop {
-            let goal = (J::load(&self.without_lead) + share.lead + share.null).array();
-            if !lock(&goal, &self.without_lead, &plan.lower, &plan.upper, &mut locked, &mut fixed_lead) {
+            let goal = without_lead + share.lead + share.null;
+            if !locks.add(goal, without_lead, lower, upper) {
                 let share = Shares { lead: share.lead.array(), null: share.null.array(), stiff: share.stiff.numbers() };
-                return Held { share, locked, goal };
-            }
-            let (mut cut, mut free, mut lead, mut torque) = ([0.0; MAX_JOINTS], [1.0; MAX_JOINTS], lead, torque);
-            for i in 0..MAX_JOINTS {
-                if locked[i] {
-                    (cut[i], free[i], lead[i], torque[i]) = (all[i] - fixed_lead[i], 0.0, 0.0, 0.0);
-                }
-            }
-            let (mut free_rows, free) = (rows, J::load(&free));
-            for row in &mut free_rows {
-                *row = *row * free;
+                return Held { share, locked: locks.locked.array(), goal: goal.array() };
             }
             let takeover = Takeover {
                 plan,
                 horizon: self.horizon,
-                rows: &free_rows,
-                lost: &times(&rows, J::load(&cut)),
+                rows: &rows,
+                free: J::splat(1.0) - locks.locked,
+                lost: &times(&rows, locks.either(all - locks.lead, nothing)),
                 softness: J::Axes::of(&self.softness),
-                torque: J::load(&torque),
-                lead: J::load(&lead),
+                torque: locks.either(nothing, torque),
+                lead: locks.either(nothing, lead),
             };
-            share = all_joints.with(&locked, &fixed_lead, &takeover.addition());
+            share = all_joints.with(&locks, &takeover.addition());
         }
     }
 }
@@ -253,7 +249,8 @@ fn cost_gradient<J: Joints>(
     mu_squared: f64,
 ) -> J {
     let rest = input.rest.as_ref().or(plan.rest.as_ref()).unwrap_or(rest);
-    let mut gradient = plan.cost.gradient(seen.q, J::load(rest), posture_share(plan, seen.q, rest));
+    let rest = J::load(rest);
+    let mut gradient = plan.cost.gradient(seen.q, rest, posture_share(plan, seen.q, rest));
     if plan.cost.manipulability > 0.0 {
         let (world, scaled) = (rows_array(&seen.view.world), rows_array(scaled));
         let more = weighted_manipulability(plan, &world, &scaled, &seen.base_from_task, mu_squared);

@@ -23,23 +23,20 @@ pub(crate) fn clearance(lower: &JointVec, upper: &JointVec) -> JointVec {
 
 /// How much of the posture is held at `q`, from 0 with a joint at its limit to 1 clear of all of them, or at `rest`.
 #[inline(always)]
-pub(crate) fn posture_share<J: Joints>(plan: &Plan, q: J, rest: &JointVec) -> f64 {
-    let room = J::at_most(q - J::load(&plan.lower), J::load(&plan.upper) - q);
-    if room.any_less(J::load(&plan.clearance)) { near_a_stop(plan, &q.array(), rest) } else { 1.0 }
+pub(crate) fn posture_share<J: Joints>(plan: &Plan, q: J, rest: J) -> f64 {
+    let (lower, upper, clear) = (J::load(&plan.lower), J::load(&plan.upper), J::load(&plan.clearance));
+    let (below, above) = (q - lower, upper - q);
+    if !J::at_most(below, above).any_less(clear) {
+        return 1.0;
+    }
+    let missing = J::at_least(gone(below, rest - lower, clear), gone(above, upper - rest, clear));
+    (1.0 - missing.largest().max(0.0)).max(0.0)
 }
 
-#[cold]
-#[inline(never)]
-fn near_a_stop(plan: &Plan, q: &JointVec, rest: &JointVec) -> f64 {
-    let mut share: f64 = 1.0;
-    for i in 0..plan.n {
-        for (room, at_rest) in
-            [(q[i] - plan.lower[i], rest[i] - plan.lower[i]), (plan.upper[i] - q[i], plan.upper[i] - rest[i])]
-        {
-            // From where the posture itself is: at rest nothing changes.
-            let width = at_rest.max(LEAST * plan.clearance[i]).min(plan.clearance[i]);
-            share = share.min(1.0 - (at_rest.min(width) - room) / (GONE * width));
-        }
-    }
-    share.max(0.0)
+/// Share of the posture that a stop takes away over whose distance `room` is left: none from where the posture itself is,
+/// so that nothing changes `at_rest`.
+#[inline(always)]
+fn gone<J: Joints>(room: J, at_rest: J, clear: J) -> J {
+    let width = J::at_most(J::at_least(at_rest, J::splat(LEAST) * clear), clear);
+    (J::at_most(at_rest, width) - room) / (J::splat(GONE) * width)
 }

@@ -3,21 +3,23 @@
 //! The task is solved with all joints; then only the motion that was cut off is solved for anew, without those joints. A
 //! joint that just touches its limit loses nothing, so nothing jumps when it gets there.
 
-use crate::command::goal::scale_to_fit;
+use crate::command::goal::{Locks, scale_to_fit};
 use crate::law::cap::Demand;
 use crate::law::inverse::{Factor, axes, damped, transpose_times, weighted_gram, wide};
 use crate::number::{Arithmetic, Joints, Packed};
 use crate::plan::Plan;
 use crate::settings::{Follow, Law};
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
+use crate::{AxisVec, MAX_AXES};
 
 /// The motion that locked joints leave to the others.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Takeover<'a, J: Joints> {
     pub(crate) plan: &'a Plan,
     pub(crate) horizon: f64,
-    /// Task rows, columns of locked joints zero.
+    /// Task rows of all joints.
     pub(crate) rows: &'a [J; MAX_AXES],
+    /// 0 for locked joints, 1 for the others.
+    pub(crate) free: J,
     /// What the task has lost, per row [m, rad].
     pub(crate) lost: &'a AxisVec,
     /// Softness of each row.
@@ -45,11 +47,11 @@ impl<J: Joints> Takeover<'_, J> {
         let squared = J::Axes::of(&plan.lanes.damping_scale) * J::Axes::splat(plan.takeover_damping);
         let (mut lead, mut wrench) = if plan.law == Law::Paper && plan.follow == Follow::Hold {
             // The damped pseudo-inverse of (3), of which one product is wanted and not the whole.
-            let weight = J::load(&plan.joint_weight);
+            let weight = J::load(&plan.joint_weight) * self.free;
             let factor = Factor::new::<J::One>(&damped(weighted_gram(self.rows, weight), &axes(squared)));
             (weight * transpose_times(self.rows, &factor.solve::<J::One>(self.lost)), nothing)
         } else {
-            let compliance = J::load(&plan.servos.compliance);
+            let compliance = J::load(&plan.servos.compliance) * self.free;
             let demand = Demand {
                 compliance: &weighted_gram(self.rows, compliance),
                 damping: plan.per_stiffness(squared),
@@ -86,15 +88,13 @@ pub(crate) struct Share<J: Joints> {
 }
 
 impl<J: Joints> Share<J> {
-    /// With locked joints at their `fixed` lead and what the others do instead.
+    /// With locked joints at the lead that is left to them and what the others do instead.
     #[inline(always)]
-    pub(crate) fn with(&self, locked: &[bool; MAX_JOINTS], fixed: &JointVec, addition: &Addition<J>) -> Self {
-        let (mut lead, mut null) = ((self.lead + addition.lead).array(), self.null.array());
-        for i in 0..MAX_JOINTS {
-            if locked[i] {
-                (lead[i], null[i]) = (fixed[i], 0.0);
-            }
+    pub(crate) fn with(&self, locks: &Locks<J>, addition: &Addition<J>) -> Self {
+        Self {
+            lead: locks.either(locks.lead, self.lead + addition.lead),
+            null: locks.either(J::splat(0.0), self.null),
+            stiff: self.stiff + addition.wrench,
         }
-        Self { lead: J::load(&lead), null: J::load(&null), stiff: self.stiff + addition.wrench }
     }
 }
