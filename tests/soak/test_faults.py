@@ -18,6 +18,7 @@ BUSY = 0.3
 POWERED = {
     "one answer with a wrong checksum": "goes on",
     "a policy gives NaN for goals": "is lowered",
+    "the line is shorted for 1 s": "is lowered",
     "the firmware does not take the elbow's limit": "is lowered",
 }
 

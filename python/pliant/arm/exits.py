@@ -68,7 +68,7 @@ def descend(
         if order is None:
             return True
         with contextlib.suppress(ServoError):
-            cycle.send(*order)
+            cycle.send(*order, lowering.velocity)
         before, deadline = now, max(deadline + 1.0 / rate, now)
         clock.wait_until(deadline)
     return False

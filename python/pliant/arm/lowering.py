@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 #: Speed of the tool and every joint origin on the way down [m/s], and of any joint [rad/s].
 SPEED, JOINT_SPEED = 0.15, 0.5
+#: Share of the speed allowed at which the reference moves, so that an arm behind it may catch up.
+PACE = 0.8
 #: Rates of the two descents [1/s], and how long they take to fade in [s].
 TO_REST, DOWN, FADE = 4.0, 40.0, 0.3
 #: Distance at which a joint counts as arrived at the rest pose [rad].
@@ -81,6 +83,8 @@ class Lowering:
         phase: `rest`, `down`, `ramp` or `done`.
         share: Share of the weight that goals carry by themselves, 1 to 0 in `ramp`.
         blind: Whether no position has come for so long that the model's take their place.
+        velocity: Fastest motion of the joints (n,) [rad/s] while blind: goals that did not arrive
+            either would all be caught up with at once. None otherwise.
     """
 
     def __init__(
@@ -116,6 +120,7 @@ class Lowering:
         self._silence = np.zeros_like(self._q)
         self.share = 1.0
         self.blind = False
+        self.velocity: Array | None = None
         self._loose = np.zeros(self._q.shape, dtype=bool)
         gravity = self._gravity()
         start = self._q if goal is None else np.asarray(goal) - gravity / self._kp
@@ -175,6 +180,7 @@ class Lowering:
         )
         idle = outward | lost
         place, speed, u = self._paced(np.where(idle, 0.0, u))
+        self.velocity = np.abs(u) / PACE if self.blind else None
         self._ref = self._leash(self._ref + dt * u, gravity)
         if self.phase == "ramp":
             self._unload(dt, idle)
@@ -195,7 +201,7 @@ class Lowering:
         fastest = float(np.sqrt((velocity**2).sum(axis=1)).max())
         scale = min(
             1.0,
-            0.8 * self._speed / max(fastest, 1e-9),
+            PACE * self._speed / max(fastest, 1e-9),
             JOINT_SPEED / max(float(np.abs(u).max()), 1e-9),
             float(np.sqrt(ENERGY / max(energy, 1e-12))),
         )
