@@ -3,7 +3,7 @@
 
 /// Results [bytes] from which on they go past the caches: a cache would first read what they overwrite, and what they push out
 /// of it is of more use than they are.
-pub(crate) const PAST_THE_CACHES: usize = 1 << 26;
+pub(crate) const PAST_THE_CACHES: usize = 1 << 25;
 
 /// Copies past the caches, in whole lines of them; other threads see it after [`settle`].
 #[cfg(target_arch = "x86_64")]
