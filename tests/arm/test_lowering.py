@@ -186,3 +186,21 @@ def test_a_stall_of_the_lowering_itself_moves_the_goal_no_further_than_a_tick(mo
         first, _ = lowering.step(grasp, 0.01)
     second, _ = lowering.step(grasp, 5.0)
     assert np.abs(second - first).max() < 0.05
+
+
+def test_goals_of_a_blind_descent_are_caught_up_with_no_faster_than_it_goes(model, grasp):
+    lowering = Lowering(model, model.servos, grasp)
+    for _ in range(50):
+        before, _ = lowering.step(grasp, 0.01)
+        assert lowering.velocity is None
+    seen = []
+    for _ in range(100):
+        goal, _ = lowering.step(np.full(model.n, np.nan), 0.01)
+        if lowering.blind:
+            way = np.sign(goal - before) * lowering.velocity
+            seen.append(np.linalg.norm(model.jacobian(goal)[:3] @ way))
+        before = goal
+    assert len(seen) > 70
+    assert 0.02 < max(seen) < 0.15
+    lowering.step(grasp, 0.01)
+    assert lowering.velocity is None
