@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import termios
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from emulator.helpers import Host, p1, two
 
 from pliant import ConfigError, ServoError
 from pliant.servo.emulator import Device, Emulator, StepClock, Timing
+from pliant.servo.emulator.line import Line
 
 
 def sts(count=1, **options):
@@ -71,7 +73,7 @@ def test_wire_time_passes_under_the_clock_of_steps():
 
 def test_the_clock_of_steps_knows_what_was_written_and_stops_where_it_is_told():
     with sts(timing=Timing(wire=True)) as emulator, Host(emulator.port) as host:
-        clock, packet = StepClock(emulator), p1(0xFE, 3, 42, *two(2100), *[0] * 100)
+        clock, packet = StepClock(emulator), p1(0xFE, 3, 42, *two(2100), *[0] * 200)
         for k in range(1, 21):
             before = clock.now()
             os.write(host.fd, packet)
@@ -79,6 +81,31 @@ def test_the_clock_of_steps_knows_what_was_written_and_stops_where_it_is_told():
             os.write(host.fd, packet)
             clock.wait_until(0.01 * k)
             assert emulator.time == pytest.approx(0.01 * k, abs=1e-9)
+
+
+def test_threads_that_wait_at_once_leave_nothing_on_the_wires(monkeypatch):
+    devices = [Device("STS3215", 1, port="left"), Device("STS3215", 1, port="right")]
+    heard, feed = [], Line.feed
+
+    def listening(line, data, *rest):
+        heard.append(data)
+        return feed(line, data, *rest)
+
+    monkeypatch.setattr(Line, "feed", listening)
+    with Emulator(devices, clock="steps") as emulator, ThreadPoolExecutor(4) as threads:
+        paths = emulator.ports
+        with Host(paths["left"]) as left, Host(paths["right"]) as right:
+
+            def ask(host):
+                for _ in range(50):
+                    emulator.sync()
+                    assert host.ask(p1(1, 1), 6) == p1(1, 0)
+
+            for done in [threads.submit(ask, host) for host in (left, right)]:
+                done.result()
+            for done in [threads.submit(emulator.sync) for _ in range(100)]:
+                done.result()
+    assert b"".join(heard) == p1(1, 1) * 100
 
 
 def test_real_time_moves_servos_by_itself():

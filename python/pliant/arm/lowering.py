@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 SPEED, JOINT_SPEED = 0.15, 0.5
 #: Share of the speed allowed at which the reference moves, so that an arm behind it may catch up.
 PACE = 0.8
+#: Least speed that is asked of servos [rad/s]: some take 0 for none to be kept.
+LEAST_SPEED = 0.01
 #: Rates of the two descents [1/s], and how long they take to fade in [s].
 TO_REST, DOWN, FADE = 4.0, 40.0, 0.3
 #: Distance at which a joint counts as arrived at the rest pose [rad].
@@ -180,7 +182,6 @@ class Lowering:
         )
         idle = outward | lost
         place, speed, u = self._paced(np.where(idle, 0.0, u))
-        self.velocity = np.abs(u) / PACE if self.blind else None
         self._ref = self._leash(self._ref + dt * u, gravity)
         if self.phase == "ramp":
             self._unload(dt, idle)
@@ -188,8 +189,12 @@ class Lowering:
             self._enter("down" if self.phase == "rest" else "ramp")
         elif self._total > LONGEST:
             self._enter("ramp")
-        goal = self._ref + self.share * gravity / self._kp
-        return np.where(lost, self._last[0], goal), self._limit(gravity)
+        goal = np.where(lost, self._last[0], self._ref + self.share * gravity / self._kp)
+        self.velocity = None
+        if self.blind and dt > 0.0:
+            way = np.maximum(np.abs(u), np.abs(goal - self._last[0]) / dt)
+            self.velocity = np.maximum(way / PACE, LEAST_SPEED)
+        return goal, self._limit(gravity)
 
     def _paced(self, u: Array) -> tuple[Array, float, Array]:
         """Slow joint velocities u (n,) down to what the arm may move at.

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Least time to wait for an answer [s]; the emulator's time stands still meanwhile. A computer that
-#: is busy for longer takes one for lost.
+#: Least time to wait for an answer [s]; the emulator's time stands still meanwhile. On a
+#: computer that is busy for longer an answer counts as lost.
 PATIENCE = 0.05
 
 

@@ -64,6 +64,7 @@ class Server:
         self._errand: Callable[[], None] | None = None
         self._done = threading.Event()
         self.lock, self.lag = threading.RLock(), 0.0
+        self._marking = threading.Lock()
 
     def start(self) -> None:
         """Open the ports and begin to answer.
@@ -115,15 +116,17 @@ class Server:
         Raises:
             ServoError: The thread does not answer.
         """
-        for port in list(self._ports.values()):
-            with self.lock:
-                if self._thread is None or port.pty.master is None:
-                    continue
-                port.marker = b"\x00sync" + os.urandom(11)
-                port.waiting.clear()
-                port.pty.mark(port.marker)
-            if not port.waiting.wait(SYNC_TIME):
-                raise ServoError(f"the emulator does not answer: {self._failed or 'too slow'}")
+        # One at a time: a second mark on the same port would hide the first.
+        with self._marking:
+            for port in list(self._ports.values()):
+                with self.lock:
+                    if self._thread is None or port.pty.master is None:
+                        continue
+                    port.marker = b"\x00sync" + os.urandom(11)
+                    port.waiting.clear()
+                    port.pty.mark(port.marker)
+                if not port.waiting.wait(SYNC_TIME):
+                    raise ServoError(f"the emulator does not answer: {self._failed or 'too slow'}")
 
     def hang_up(self, name: str | None) -> None:
         """Pull the adapter of one port, or of all; when it returns, hosts see it."""

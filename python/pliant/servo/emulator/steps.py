@@ -12,7 +12,7 @@ class StepClock:
     """Time of an emulator with the clock `steps`, for `ServoChain(..., clock=...)`.
 
     Waiting advances the emulator's world, so that a program over real bytes runs as fast as the
-    computer goes, and does not notice how busy it is.
+    computer goes. How busy that is matters only where an answer takes longer than the host waits.
 
     Args:
         bus: The emulator, in this process.

@@ -7,8 +7,8 @@ use crate::task::deviation::{pose_error, pose_error_by, rotation_matrix, rotatio
 /// A target that is farther away than this [m, rad] has left its reference behind: it jumped.
 const LEFT_BEHIND: [f64; 2] = [0.05, 0.2];
 
-/// How much harder a reference that waits brakes than it speeds up. One that stood still at once would shake the arm behind it.
-const BRAKE: f64 = 4.0;
+/// How hard a reference brakes to wait [m/s², rad/s²]. One that stood still at once would shake the arm behind it.
+const BRAKE: [f64; 2] = [3.0, 12.0];
 
 /// Trace of a rotation by the second of these, 1 + 2 cos.
 const TRACE_LEFT_BEHIND: f64 = 2.960_133_155_682_483;
@@ -70,7 +70,7 @@ impl Governor {
     }
 
     /// Takes back `share` of what the last step, from `before`, led farther along the deviation `lag` (6,), base axes, but brakes
-    /// no harder than with [`BRAKE`] times the `acceleration`.
+    /// no harder than with [`BRAKE`], beside the `acceleration` that the step may have given it.
     ///
     /// Sideways and back it goes as it did, so that an arm that is pressed against something follows along it, and one that
     /// is left behind is not pulled on. Nothing is taken back while the target is near: an arm that is led
@@ -93,7 +93,7 @@ impl Governor {
             if !behind[b] || gained <= 0.0 || squared < f64::MIN_POSITIVE {
                 continue;
             }
-            let most = (share * gained / squared).min(BRAKE * acceleration[b] * dt * dt / squared.sqrt());
+            let most = (share * gained / squared).min((BRAKE[b] + acceleration[b]) * dt * dt / squared.sqrt());
             for i in 0..3 {
                 moved[3 * b + i] -= most * d[i];
                 self.velocity[3 * b + i] -= most * d[i] / dt;
@@ -326,23 +326,31 @@ mod tests {
 
     #[test]
     fn a_reference_that_begins_to_wait_brakes_within_its_bound_until_it_stands() {
-        let far = Pose { position: [5.0, 0.0, 0.0], ..Pose::IDENTITY };
-        let mut governor = Governor::new(Pose::IDENTITY);
-        for _ in 0..100 {
-            governor.follow::<Plain>(&far, [0.25, 1.0], [1.0, 4.0], 0.01);
+        let (far, lag) = (Pose { position: [5.0, 0.0, 0.0], ..Pose::IDENTITY }, [0.02, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        for acceleration in [0.05, 1.0, 20.0] {
+            let bounds = [[0.25, 1.0], [acceleration, 4.0]];
+            let mut governor = Governor::new(Pose::IDENTITY);
+            for _ in 0..600 {
+                governor.follow::<Plain>(&far, bounds[0], bounds[1], 0.01);
+            }
+            let (from, mut speed) = (governor.pose.position[0], governor.velocity[0]);
+            assert!((speed - 0.25).abs() < 1e-12);
+            for tick in 0..12 {
+                let before = governor.pose;
+                governor.follow::<Plain>(&far, bounds[0], bounds[1], 0.01);
+                governor.wait(&before, &lag, 1.0, bounds, 0.01);
+                let now = governor.velocity[0];
+                let most = (BRAKE[0] + acceleration) * 0.01 + 1e-12;
+                assert!((-1e-12..=most).contains(&(speed - now)), "tick {tick}: {speed} {now}");
+                assert!((governor.pose.position[0] - before.position[0] - now * 0.01).abs() < 1e-12);
+                speed = now;
+            }
+            let way = governor.pose.position[0] - from;
+            assert!(
+                speed.abs() < 1e-12 && way < 0.25 * 0.25 / (2.0 * BRAKE[0]) + 0.0025,
+                "{acceleration}: {speed} {way}"
+            );
         }
-        let (from, mut speed) = (governor.pose.position[0], governor.velocity[0]);
-        for tick in 0..12 {
-            let before = governor.pose;
-            governor.follow::<Plain>(&far, [0.25, 1.0], [1.0, 4.0], 0.01);
-            governor.wait(&before, &[0.02, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0, [[0.25, 1.0], [1.0, 4.0]], 0.01);
-            let now = governor.velocity[0];
-            assert!((-1e-12..=0.04 + 1e-12).contains(&(speed - now)), "tick {tick}: {speed} {now}");
-            assert!((governor.pose.position[0] - before.position[0] - now * 0.01).abs() < 1e-12);
-            speed = now;
-        }
-        let way = governor.pose.position[0] - from;
-        assert!(speed.abs() < 1e-12 && way > 0.005 && way < 0.25 * 0.25 / (2.0 * 3.0) + 0.0025, "{speed} {way}");
     }
 
     #[test]
