@@ -147,6 +147,9 @@ fn stages() -> Vec<(String, Work)> {
             steps.push((format!("step {law}, {option}"), settings, states.clone()));
         }
     }
+    // Without a gradient the shares of the null space are the lengths of its projector's rows.
+    let waiting = Settings { limit_avoidance: 0.0, ..paper() };
+    steps.push(("step paper, as it started".into(), waiting, vec![states[0].clone(); STATES]));
     for (name, settings, at) in steps {
         let mut controller =
             Controller::new(Arc::clone(&model), settings, Some(servos())).expect("settings that fit the bench arm");

@@ -3,11 +3,12 @@
     python benches/tail.py                 10⁷ steps in a row, then 10⁶ in turn; --steps, --turns
 
 First one law after the other steps through ordinary poses without a pause. Then ordinary poses,
-singular ones, joints at their limits, targets that saturate every limit, and
-denormal numbers take turns in short blocks, so that a busy machine is busy for all of them alike.
-Calls are timed one by one, the garbage collector on. What the system adds stands in the row of
-calls that do nothing; "calm" are the blocks in which, by the scheduler's own counter, no other
-program had the core.
+singular ones, joints at their limits, targets that saturate every limit, an arm that stays where it
+was started, and denormal numbers take turns in short blocks, so that a busy machine is busy for all
+of them alike. Calls are timed one by one, the garbage collector on. What the system adds stands in
+the rows of calls that do nothing, once at once and once for as long as a step of law `paper` takes:
+the longer a call, the more of them are interrupted. "Calm" are the blocks in which, by the
+scheduler's own counter, no other program had the core.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import argparse
 import gc
 import itertools
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,6 +75,7 @@ def cases(model: pliant.Model) -> list[Case]:
         Case("near singular (elbow and wrist straight)", toward(stretched, near)),
         Case("joints at their limits", toward(limits, near)),
         Case("every limit saturated (target far away)", [(q, far) for q in ordinary]),
+        Case("where it was started", toward(ordinary[:1].repeat(STATES, axis=0), 0.02 + 0.0 * near)),
         Case("denormal positions", toward(tiny, np.zeros_like(near))),
         Case("at rest on the target (denormal deviations)", toward(ordinary, 1e-310 * near)),
     ]
@@ -103,6 +106,22 @@ def nothing() -> Array:
         start = now()
         times.append(now() - start)
     return np.array(times, dtype=np.float64)
+
+
+def waiter(length: float) -> Callable[[], Array]:
+    """Times [ns] of calls that do nothing for so long [ns]: they touch no memory of their own."""
+
+    def block(turns: int) -> Array:
+        times, now, forget = [], time.perf_counter_ns, deque[None](maxlen=0).extend
+        for _ in range(BLOCK):
+            start = now()
+            forget(itertools.repeat(None, turns))
+            times.append(now() - start)
+        return np.array(times, dtype=np.float64)
+
+    once, often = (np.median([np.median(block(turns)) for _ in range(100)]) for turns in (1, 1001))
+    turns = 1 + round(1000 * max(length - once, 0.0) / max(often - once, 1.0))
+    return lambda: block(turns)
 
 
 def waited() -> int:
@@ -136,6 +155,8 @@ def consecutive(model: pliant.Model, steps: int) -> None:
     blocks = {"(nothing)": nothing} | {
         f"law {law}": stepper(case, settings) for law, settings in laws().items()
     }
+    length = float(np.median([np.median(blocks["law paper"]()) for _ in range(1000)]))
+    blocks = {"(nothing)": nothing, "(as long)": waiter(length), **blocks}
     print(f"{steps:,} calls in a row [µs]; without calls that do nothing")
     print(f"  {'':12} {'median':>8} {'p99.9':>9} {'p99.99':>9} {'largest':>9}   calm:")
     empty = 0.0

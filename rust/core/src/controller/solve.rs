@@ -6,12 +6,12 @@ use crate::controller::input::Input;
 use crate::controller::memory::Memory;
 use crate::law::clearance::posture_share;
 use crate::law::feedforward::{Filtered, damping_squared, fade};
-use crate::law::inverse::{Factor, Square, load_rows, rows_array, times, weighted_gram};
+use crate::law::inverse::{Factor, Square, rows_array, times, weighted_gram};
 use crate::law::nullspace::fade_squared;
 use crate::law::singular::{Condition, SingularValues};
 use crate::law::takeover::{Share, Takeover};
 use crate::law::{motion, weighted_manipulability};
-use crate::number::{EveryJoint, Instructions, Joints, Kernel, LANES, Machine, Packed};
+use crate::number::Joints;
 use crate::plan::Plan;
 use crate::settings::Settings;
 use crate::task::wish::Wish;
@@ -40,7 +40,6 @@ pub(super) struct Solved<J: Joints> {
 pub(super) fn solve<J: Joints>(
     plan: &Plan,
     settings: &Settings,
-    instructions: Instructions,
     input: &Input,
     seen: &Seen<'_, J>,
     wish: &Wish<J::Axes>,
@@ -72,119 +71,49 @@ pub(super) fn solve<J: Joints>(
     let solution = &mut solved.solution;
     let (lower, upper) = (J::load(&plan.lower), J::load(&plan.upper));
     if upper.any_less(solution.moving) | solution.moving.any_less(lower) {
-        let (kp, motion) = (J::load(&plan.servos.kp), &mut solution.motion);
-        let carried = seen.gravity_in_goal + solution.feed_forward + kp * (integral + motion.force_lead);
-        let hands = Hands {
-            plan,
-            horizon: settings.horizon,
-            rows: rows_array(seen.rows),
-            softness: wish.softness.numbers(),
-            without_lead: (seen.q + integral).array(),
-            carried: carried.array(),
-            force_lead: motion.force_lead.array(),
-            share: Shares {
-                lead: motion.lead.array(),
-                null: motion.null.array(),
-                stiff: motion.wrench.stiff.numbers(),
-            },
-        };
-        let held = hands.over(instructions);
-        for (slot, locked) in solved.locked.iter_mut().zip(held.locked) {
+        rare();
+        let locked = solution.hold(plan, settings, seen, wish, integral).array();
+        for (slot, locked) in solved.locked.iter_mut().zip(locked) {
             *slot = locked > 0.0;
         }
-        solution.moving = J::load(&held.goal);
-        (motion.lead, motion.null) = (J::load(&held.share.lead), J::load(&held.share.null));
-        motion.wrench.stiff = J::Axes::of(&held.share.stiff);
     }
     solved
 }
 
-/// A [`Share`] in memory.
-struct Shares {
-    lead: JointVec,
-    null: JointVec,
-    stiff: [f64; LANES],
-}
+/// What calls this is rare: its branch is laid out behind all others.
+#[cold]
+#[inline(never)]
+fn rare() {}
 
-/// What is known when joints are to move beyond their position limits.
-///
-/// Rare, hence kept out of the step, with an entry of its own for each set of instructions.
-struct Hands<'a> {
-    plan: &'a Plan,
-    horizon: f64,
-    rows: Rows,
-    /// Of each task axis.
-    softness: [f64; LANES],
-    /// Goals without any lead [rad].
-    without_lead: JointVec,
-    /// Torque of everything but lead and null-space motion [N·m].
-    carried: JointVec,
-    force_lead: JointVec,
-    /// With all joints.
-    share: Shares,
-}
-
-/// What the joints do once none is left to lock.
-struct Held {
-    share: Shares,
-    /// 1 for locked joints.
-    locked: JointVec,
-    /// Goals without what exerts a force [rad].
-    goal: JointVec,
-}
-
-impl Kernel for Hands<'_> {
-    type Output = Held;
-
+impl<J: Joints> Solution<J> {
+    /// Locks the joints that would move beyond their position limits until none is left to lock; 1 for those, 0 for the others.
     #[inline(always)]
-    fn run<M: Machine>(self) -> Held {
-        if self.plan.n <= LANES { self.hold::<M::Eight>() } else { self.hold_many() }
-    }
-}
-
-impl Hands<'_> {
-    #[cold]
-    #[inline(never)]
-    fn over(self, instructions: Instructions) -> Held {
-        instructions.run_single(self)
-    }
-
-    /// [`Hands::hold`] of an arm with more joints than one has lanes.
-    #[inline(never)]
-    fn hold_many(&self) -> Held {
-        self.hold::<EveryJoint>()
-    }
-
-    /// Locks joints until none is left to lock.
-    #[inline(always)]
-    fn hold<J: Joints>(&self) -> Held {
-        let (plan, rows) = (self.plan, load_rows::<J>(&self.rows));
-        let all_joints = Share {
-            lead: J::load(&self.share.lead),
-            null: J::load(&self.share.null),
-            stiff: J::Axes::of(&self.share.stiff),
-        };
-        let (without_lead, nothing) = (J::load(&self.without_lead), J::splat(0.0));
+    fn hold(&mut self, plan: &Plan, settings: &Settings, seen: &Seen<'_, J>, wish: &Wish<J::Axes>, integral: J) -> J {
+        let motion = &mut self.motion;
+        let all_joints = Share { lead: motion.lead, null: motion.null, stiff: motion.wrench.stiff };
+        let (without_lead, nothing) = (seen.q + integral, J::splat(0.0));
         let (lower, upper) = (J::load(&plan.lower), J::load(&plan.upper));
         let all = all_joints.lead + all_joints.null;
-        let lead = all + J::load(&self.force_lead);
-        let torque = J::fma(J::load(&plan.servos.kp), all, J::load(&self.carried));
+        let lead = all + motion.force_lead;
+        let carried = seen.gravity_in_goal + self.feed_forward;
+        let torque = J::fma(J::load(&plan.servos.kp), integral + lead, carried);
         let (mut share, mut locks) = (all_joints, Locks::none());
         loop {
             let goal = without_lead + share.lead + share.null;
             if !locks.add(goal, without_lead, lower, upper) {
-                let share = Shares { lead: share.lead.array(), null: share.null.array(), stiff: share.stiff.numbers() };
-                return Held { share, locked: locks.locked.array(), goal: goal.array() };
+                self.moving = goal;
+                (motion.lead, motion.null, motion.wrench.stiff) = (share.lead, share.null, share.stiff);
+                return locks.locked;
             }
             let takeover = Takeover {
                 plan,
-                horizon: self.horizon,
-                rows: &rows,
+                horizon: settings.horizon,
+                rows: seen.rows,
                 free: J::splat(1.0) - locks.locked,
-                lost: &times(&rows, locks.either(all - locks.lead, nothing)),
-                softness: J::Axes::of(&self.softness),
-                torque: locks.either(nothing, torque),
-                lead: locks.either(nothing, lead),
+                lost: &times(seen.rows, locks.either(all - locks.lead, nothing)),
+                softness: wish.softness,
+                torque,
+                lead,
             };
             share = all_joints.with(&locks, &takeover.addition());
         }

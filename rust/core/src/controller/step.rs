@@ -16,7 +16,7 @@ use crate::law::feedforward::Filtered;
 use crate::law::inverse::{axes, rows_array};
 use crate::law::singular::SingularValues;
 use crate::model::Chain;
-use crate::number::{Arithmetic, EveryJoint, Instructions, Joints, Kernel, LANES, Machine};
+use crate::number::{Arithmetic, EveryJoint, Joints, Kernel, LANES, Machine};
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::{LimitRule, Settings};
@@ -82,7 +82,6 @@ impl Controller {
             masses: &self.masses,
             gravity: &self.gravity,
             delay: self.delay,
-            instructions: self.instructions,
             q,
             target,
             input,
@@ -102,7 +101,6 @@ pub(super) struct Cycle<'a> {
     pub(super) masses: &'a Masses,
     pub(super) gravity: &'a [f64; 3],
     delay: f64,
-    instructions: Instructions,
     q: &'a [f64],
     target: &'a Pose,
     input: &'a Input,
@@ -169,8 +167,7 @@ impl Cycle<'_> {
         };
         let wish = Wish::new(plan, settings, aim.deviation, twist);
         let mut singular = self.memory.singular;
-        let solved =
-            solve(plan, settings, self.instructions, self.input, &seen, &wish, self.memory, &filtered, &mut singular);
+        let solved = solve(plan, settings, self.input, &seen, &wish, self.memory, &filtered, &mut singular);
         let solution = &solved.solution;
 
         let wanted = self.wanted_limits(measured, &seen, &wish, &solved, &singular);

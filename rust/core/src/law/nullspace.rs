@@ -80,28 +80,43 @@ impl<'a, J: Lanes> NullSpace<'a, J> {
     }
 }
 
+/// Rows of the identity: one that is made by storing a single number has to be waited for.
+static IDENTITY: JointSquare = {
+    let mut rows = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+    let mut i = 0;
+    while i < MAX_JOINTS {
+        rows[i][i] = 1.0;
+        i += 1;
+    }
+    rows
+};
+
 impl<J: Lanes> RowLengths<J> for NullSpace<'_, J> {
     #[inline(always)]
     fn row_lengths(&self) -> J {
-        let zero = J::One::splat(0.0);
-        let mut lengths = [zero; MAX_JOINTS];
+        let (nothing, zero) = (J::splat(0.0), J::One::splat(0.0));
         if self.task > self.joints {
-            return J::of_joints(&lengths);
+            return nothing;
         }
         let (mut columns, pinv_transposed) = ([[zero; MAX_JOINTS]; MAX_AXES], self.pseudo_inverse());
         for r in 0..MAX_AXES {
             columns[r] = pinv_transposed[r].array();
         }
-        for i in 0..self.joints.min(MAX_JOINTS) {
-            let mut unit = [0.0; MAX_JOINTS];
-            unit[i] = 1.0;
-            let mut row = J::load(&unit);
-            for r in 0..MAX_AXES {
-                row = J::fnma(J::spread(columns[r][i]), self.rows[r], row);
+        let (joints, mut squares) = (self.joints.min(MAX_JOINTS), [zero; MAX_JOINTS]);
+        for first in (0..joints).step_by(4) {
+            let mut four = [nothing; 4];
+            for i in first..joints.min(first + 4) {
+                let row = &mut four[i - first];
+                *row = J::load(&IDENTITY[i]);
+                for r in 0..MAX_AXES {
+                    *row = J::fnma(J::spread(columns[r][i]), self.rows[r], *row);
+                }
             }
-            lengths[i] = J::One::sqrt((row * row).sum());
+            let [a, b, c, d] = &four;
+            let sums = J::dots([a, b, c, d], [a, b, c, d]);
+            squares[first..first + 4].copy_from_slice(&sums);
         }
-        J::of_joints(&lengths)
+        J::sqrt(J::of_joints(&squares))
     }
 }
 

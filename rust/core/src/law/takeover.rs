@@ -5,7 +5,7 @@
 
 use crate::command::goal::{Locks, scale_to_fit};
 use crate::law::cap::Demand;
-use crate::law::inverse::{Factor, axes, damped, transpose_times, weighted_gram, wide};
+use crate::law::inverse::{Factor, damped, transpose_times, weighted_gram, wide};
 use crate::number::{Arithmetic, Joints, Packed};
 use crate::plan::Plan;
 use crate::settings::{Follow, Law};
@@ -24,9 +24,9 @@ pub(crate) struct Takeover<'a, J: Joints> {
     pub(crate) lost: &'a AxisVec,
     /// Softness of each row.
     pub(crate) softness: J::Axes,
-    /// Torque that every joint gives already [N·m]; 0 for locked ones.
+    /// Torque that every joint gives already [N·m].
     pub(crate) torque: J,
-    /// Lead that every joint has already [rad]; 0 for locked ones.
+    /// Lead that every joint has already [rad].
     pub(crate) lead: J,
 }
 
@@ -44,17 +44,17 @@ impl<J: Joints> Takeover<'_, J> {
     #[inline(always)]
     pub(crate) fn addition(&self) -> Addition<J> {
         let (plan, nothing) = (self.plan, J::Axes::splat(0.0));
-        let squared = J::Axes::of(&plan.lanes.damping_scale) * J::Axes::splat(plan.takeover_damping);
+        let squared = &plan.takeover_damping;
         let (mut lead, mut wrench) = if plan.law == Law::Paper && plan.follow == Follow::Hold {
             // The damped pseudo-inverse of (3), of which one product is wanted and not the whole.
             let weight = J::load(&plan.joint_weight) * self.free;
-            let factor = Factor::new::<J::One>(&damped(weighted_gram(self.rows, weight), &axes(squared)));
+            let factor = Factor::new::<J::One>(&damped(weighted_gram(self.rows, weight), squared));
             (weight * transpose_times(self.rows, &factor.solve::<J::One>(self.lost)), nothing)
         } else {
             let compliance = J::load(&plan.servos.compliance) * self.free;
             let demand = Demand {
                 compliance: &weighted_gram(self.rows, compliance),
-                damping: plan.per_stiffness(squared),
+                damping: plan.per_stiffness(wide(squared)),
                 step: wide(self.lost),
                 bounded_step: wide(self.lost),
                 softness: if plan.follow == Follow::Free { self.softness } else { nothing },
@@ -66,9 +66,9 @@ impl<J: Joints> Takeover<'_, J> {
         let mut factor: f64 = 1.0;
         if plan.law.by_force() {
             let torque = lead * J::load(&plan.servos.kp);
-            [factor] = scale_to_fit(self.torque, [torque], J::load(&plan.servos.torque));
+            [factor] = scale_to_fit(self.torque * self.free, [torque], J::load(&plan.servos.torque));
         }
-        let [slower] = scale_to_fit(self.lead, [lead], plan.reach(self.horizon));
+        let [slower] = scale_to_fit(self.lead * self.free, [lead], plan.reach(self.horizon));
         factor = factor.min(slower);
         lead = lead * J::splat(factor);
         wrench = if plan.law.by_force() { wrench * J::Axes::splat(factor) } else { nothing };

@@ -82,7 +82,7 @@ pub(crate) struct Plan {
     pub(crate) alpha: f64,
     pub(crate) damping: DampingPlan,
     /// λ² of what joints take over from one at its limit: as near a singular pose, for the arm that is left often is.
-    pub(crate) takeover_damping: f64,
+    pub(crate) takeover_damping: AxisVec,
     pub(crate) servos: ServoArrays,
     pub(crate) cost: Cost,
     /// Rest posture; `None`: q at reset.
@@ -179,7 +179,9 @@ impl Plan {
             impedance_bounds: stiffness::bounds(settings, settings.delay, arrays.well_damped(n)),
             null_stiffness: settings.null_stiffness,
             alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
-            takeover_damping: damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2),
+            takeover_damping: damping_scale.map(|scale| {
+                scale * (damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2))
+            }),
             heavy: settings.gravity != GravityUse::Off || settings.integrate > 0.0 || settings.dead_host_max.is_some(),
             follows_sigma: scales::follows_sigma(settings, &damping),
             damping,
