@@ -1052,8 +1052,9 @@ class Settings:
             their ways, the weight that they carry apart and first.
         stiffening_time: Time in which a limit may rise from zero to its ceiling [s]; 0 for no
             limit.
-        max_tool_speed: Most speed of the target [m/s], or a pair [m/s, rad/s]; a single number
-            takes 4 rad/s for each m/s; None for no limit.
+        max_tool_speed: Most speed of the target that the law sees, `reference` [m/s], or a pair
+            [m/s, rad/s]; a single number takes 4 rad/s for each m/s; None for no limit. The tool
+            is faster while it catches up, by up to 0.1 m/s where friction let it go late.
         max_tool_acceleration: The same for its acceleration [m/s^2, rad/s^2].
         joint_speed: Joint speed limits (n,) [rad/s]; None: the model's.
         floor: Floor of the torque limits (n,) [N m]; None: the servos' friction.

@@ -205,7 +205,7 @@ pub struct Settings {
     pub goal_slew: f64,
     /// Time [s] in which a limit may rise from zero to its ceiling; 0 for no limit.
     pub stiffening_time: f64,
-    /// Speed of the tool's target [m/s, rad/s]; ∞ for none.
+    /// Speed of the target that the law sees [m/s, rad/s]; ∞ for none. A tool that friction let go late is faster for a while.
     pub max_tool_speed: [f64; 2],
     /// Acceleration of the tool's target [m/s², rad/s²].
     pub max_tool_acceleration: [f64; 2],
