@@ -131,7 +131,7 @@ impl<J: Lanes> Solution<J> {
             force_lead = fade_beyond(force_lead, seen.q, lower, upper, plan.stop_slope);
             resistance = fade_beyond(resistance * compliance, seen.q, lower, upper, plan.stop_slope);
         }
-        let weight = seen.gravity_in_goal / J::load(&plan.kg);
+        let weight = seen.gravity_in_goal * J::load(&plan.gravity_compliance);
         Self {
             motion: Motion { force_lead, ..motion },
             budget,

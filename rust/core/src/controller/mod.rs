@@ -80,7 +80,7 @@ pub struct Controller {
     pub(crate) plan: Plan,
     pub(crate) masses: Masses,
     pub(crate) gravity: [f64; 3],
-    /// k_g where gravity was captured.
+    /// 1/k_g where gravity was captured.
     captured: Option<JointVec>,
     delay: f64,
     pub(crate) memory: Memory,
@@ -234,8 +234,8 @@ impl Controller {
         let mut plan =
             Plan::new(&self.model, &settings, self.servos.as_ref(), self.captured.is_some(), &mut self.surveyed)?;
         self.check_posture(&settings)?;
-        if let Some(kg) = self.captured {
-            plan.kg = kg;
+        if let Some(compliance) = self.captured {
+            plan.gravity_compliance = compliance;
         }
         // A measured delay stays, unless these settings believe in another one than the last.
         if settings.delay.to_bits() != self.settings.delay.to_bits() {
@@ -341,24 +341,24 @@ impl Controller {
         }
         let holding = self.holding_torques(&q);
         let servos = &self.plan.servos;
-        let mut kg = servos.kp;
+        let mut captured = servos.compliance;
         for i in 0..self.plan.n {
             if holding[i].abs() > 3.0 * servos.friction[i] {
-                let compliance = (goal[i] - q[i]) / holding[i];
-                kg[i] = 1.0 / compliance.clamp(servos.compliance[i] / 3.0, servos.compliance[i] / 0.3);
+                let (compliance, believed) = ((goal[i] - q[i]) / holding[i], servos.compliance[i]);
+                captured[i] = compliance.clamp(believed / 3.0, believed / 0.3);
             }
         }
         // What the integrating goal holds of this offset must not count twice.
         if self.settings.gravity.in_goal() {
             for i in 0..self.plan.n {
-                let more = holding[i] / kg[i] - holding[i] / self.plan.kg[i];
+                let more = holding[i] * (captured[i] - self.plan.gravity_compliance[i]);
                 self.memory.integral[i] -= more;
                 self.memory.weight[i] += more;
             }
         }
-        self.captured = Some(kg);
-        self.plan.kg = kg;
-        Ok(kg[..self.plan.n].to_vec())
+        self.captured = Some(captured);
+        self.plan.gravity_compliance = captured;
+        Ok(captured[..self.plan.n].iter().map(|compliance| 1.0 / compliance).collect())
     }
 
     /// One control step toward a pose of the tool.

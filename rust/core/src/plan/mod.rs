@@ -111,8 +111,8 @@ pub(crate) struct Plan {
     pub(crate) dead_host_max: Option<f64>,
     /// Rise of the limits per second; ∞ for none.
     pub(crate) rise: JointVec,
-    /// Stiffness for the gravity offset, k_g.
-    pub(crate) kg: JointVec,
+    /// 1/k_g, of the gravity offset.
+    pub(crate) gravity_compliance: JointVec,
 }
 
 impl Plan {
@@ -204,7 +204,7 @@ impl Plan {
             margin: [0.0; MAX_JOINTS],
             dead_host_max: settings.dead_host_max,
             rise: [f64::INFINITY; MAX_JOINTS],
-            kg: arrays.kp,
+            gravity_compliance: arrays.compliance,
             servos: arrays,
             axes,
         };
