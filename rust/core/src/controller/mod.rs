@@ -171,6 +171,9 @@ impl Controller {
         if !self.plan.heavy {
             record.gravity = self.holding_torques(&record.q);
         }
+        for i in 0..self.plan.n {
+            record.saturated[i] = self.command.torque_limit[i] >= self.plan.servos.torque[i];
+        }
         record
     }
 

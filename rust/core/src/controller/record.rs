@@ -52,7 +52,8 @@ pub struct Record {
     /// Factor ≤ 1 on the gain of the stiff axes: on K_x what the delay demands, on the stiffness of law `impedance` what
     /// delay and pose do.
     pub gain_factor: f64,
-    /// Joints whose limit is at the ceiling; `factors` say how far the motion had to be scaled for them.
+    /// Joints whose limit is at the ceiling, found when the record is asked for; `factors` say how far the motion had to be
+    /// scaled for them.
     pub saturated: [bool; MAX_JOINTS],
     /// Joints at a position limit that left the inverse kinematics.
     pub locked: [bool; MAX_JOINTS],

@@ -199,7 +199,9 @@ impl Cycle<'_> {
         }
         self.memory.filter.keep(filtered);
         self.memory.gamma = solved.gamma;
-        (self.memory.singular, self.memory.cold) = (singular, self.memory.cold && !plan.follows_sigma);
+        if plan.follows_sigma {
+            (self.memory.singular, self.memory.cold) = (singular, false);
+        }
         self.memory.governor = governor;
         // A deviation that a limit keeps up is not to be worked off.
         if settings.integrate > 0.0 && !aim.limited.contains(&true) {
@@ -207,17 +209,12 @@ impl Cycle<'_> {
         }
         goal.store(&mut self.memory.goal);
         weight.store(&mut self.memory.weight);
-        let mut kept = [0.0; MAX_JOINTS];
-        limit.store(&mut kept);
-        self.memory.limit = Some(kept);
+        limit.store(self.memory.limit.get_or_insert([0.0; MAX_JOINTS]));
         goal.store(&mut self.command.goal);
         limit.store(&mut self.command.torque_limit);
         let profile = register_speed(&seen.view.world, speed, settings.goal_slew, J::load(&plan.joint_speed));
         profile.store(&mut self.command.velocity);
         self.note(&seen, &aim, &wish, &solved, &filtered);
-        for i in 0..plan.n.min(MAX_JOINTS) {
-            self.record.saturated[i] = kept[i] >= plan.servos.torque[i];
-        }
         true
     }
 
