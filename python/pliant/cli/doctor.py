@@ -10,9 +10,14 @@ from rich.console import Console
 from rich.markup import escape
 
 from pliant import ConfigError, config
+from pliant.cli.watch import watch as look
 from pliant.config.doctor import examine
 
 MARKS = {"good": "[green]ok  [/]", "note": "[yellow]note[/]", "bad": "[red]bad [/]"}
+READY = (
+    "ready, but for what no program sees: whether each joint is counted the right way round. "
+    "Before torque comes on: the same command with --watch"
+)
 
 
 def run(
@@ -22,8 +27,13 @@ def run(
     backend: str | None = None,
     urdf: Path | None = None,
     calibration: Path | None = None,
+    watch: bool = False,
+    seconds: float | None = None,
 ) -> None:
     """Look at files, ports, servos and this machine; nothing is written and nothing moves.
+
+    Which way round a joint is counted no program sees: --watch shows the angles while a hand moves
+    the joints, and which way the tool must go as each grows.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
@@ -31,9 +41,18 @@ def run(
         backend: bus, emulator or sim in place of the file's.
         urdf: URDF in place of the file's.
         calibration: LeRobot's calibration file in place of the file's.
+        watch: Show the joints, torque off, until Ctrl-C: to check their directions by eye.
+        seconds: With --watch: ends by itself [s].
     """
+    if seconds is not None and not watch:
+        raise ConfigError("--seconds belongs to --watch, which was not given")
+    if seconds is not None and not seconds > 0.0:
+        raise ConfigError(f"--seconds must be above 0 s, got {seconds:g}")
     console, bad = Console(), 0
     read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
+    if watch:
+        look(read, console, seconds)
+        return
     for finding in examine(read):
         bad += finding.level == "bad"
         console.print(
@@ -42,4 +61,4 @@ def run(
         )
     if bad:
         raise ConfigError(f"{bad} to be mended")
-    console.print("ready")
+    console.print("ready" if read.backend == "sim" else READY, highlight=False)

@@ -1,0 +1,181 @@
+"""`pliant doctor --watch`: joints as they are moved by hand with torque off, and what they say."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.live import Live
+from rich.table import Table
+
+from pliant.config import assemble
+from pliant.config.ways import ways
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+    from rich.console import Console
+
+    from pliant import Model
+    from pliant.config import Config
+
+    Array = NDArray[np.float64]
+
+#: From reading to reading [s].
+PERIOD = 0.1
+#: A joint that turns by this much counts as being moved [rad].
+MOVED = 0.05
+#: Beyond its limits by less than this it stands at one [rad].
+BESIDE = 0.01
+
+
+class Watch:
+    """What the joints did since they were first read.
+
+    Attributes:
+        model: The robot.
+        names: Joints of the drive, grippers included.
+        position: As read last (N,) [rad]; NaN for one that has not answered yet.
+        said: What the last joint that was moved did, and what the tool should have done.
+    """
+
+    def __init__(self, config: Config, model: Model, names: tuple[str, ...]) -> None:
+        """Nothing is read yet."""
+        self.model, self.names = model, names
+        self._up = -np.array(config.robot.gravity)
+        self._limits = {
+            name: (float(low), float(high))
+            for name, low, high in zip(model.joint_names, model.lower, model.upper, strict=True)
+        }
+        if config.gripper is not None:
+            opened, closed = config.gripper.opened, config.gripper.closed
+            if opened is not None and closed is not None:
+                self._limits[config.gripper.joint] = min(opened, closed), max(opened, closed)
+        self.position = np.full(len(names), np.nan)
+        self._from = self.position.copy()
+        self.said = ""
+
+    def update(self, position: Array, ok: NDArray[np.bool_]) -> bool:
+        """Take a reading; whether a joint has been moved since the last one that was."""
+        self.position = np.where(ok, position, self.position)
+        self._from = np.where(np.isnan(self._from), self.position, self._from)
+        way = np.nan_to_num(self.position - self._from)
+        most = int(np.argmax(np.abs(way)))
+        if abs(way[most]) < MOVED:
+            return False
+        self.said = self._sentence(most, float(way[most]))
+        self._from = self.position.copy()
+        return True
+
+    @property
+    def rows(self) -> Iterator[tuple[str, str, str, str]]:
+        """Joint, angle, limits, and what the tool does as the angle grows."""
+        phrases = self._ways()
+        for name, q in zip(self.names, self.position, strict=True):
+            low, high = self._limits.get(name, (-np.inf, np.inf))
+            span = f"{low:+.2f} to {high:+.2f}" if np.isfinite([low, high]).all() else "none"
+            odd = "" if np.isnan(q) or low - BESIDE <= q <= high + BESIDE else ", outside"
+            angle = "no answer" if np.isnan(q) else f"{q:+.2f} rad ({np.degrees(q):+.0f}°)"
+            yield name, angle, span + odd, phrases.get(name, "")
+
+    @property
+    def tool(self) -> str:
+        """Where the model believes the tool to be."""
+        x, y, z = self.model.forward_kinematics(self._chain())[:3, 3]
+        return f"tool at x {x:+.3f}, y {y:+.3f}, z {z:+.3f} m in {self.model.base}"
+
+    def _sentence(self, joint: int, way: float) -> str:
+        name = self.names[joint]
+        grew = "grew" if way > 0.0 else "fell"
+        begin = f"{name} {grew} by {abs(way):.2f} rad to {self.position[joint]:+.2f}"
+        if name not in self.model.joint_names:
+            return begin
+        return f"{begin}: for this model the tool {self._ways(falling=way < 0.0)[name]}"
+
+    def _ways(self, *, falling: bool = False) -> dict[str, str]:
+        phrases = ways(self.model, self._chain(), up=self._up, falling=falling)
+        return dict(zip(self.model.joint_names, phrases, strict=True))
+
+    def _chain(self) -> Array:
+        """Angles of the chain (n,) [rad]; 0 for those that have not answered."""
+        known = dict(zip(self.names, np.nan_to_num(self.position), strict=True))
+        return np.array([known[name] for name in self.model.joint_names])
+
+
+def watch(config: Config, console: Console, seconds: float | None) -> None:
+    """Show the joints until Ctrl-C, or for some seconds; nothing is written to the servos.
+
+    Args:
+        config: The arm.
+        console: Where to; one that is no terminal gets a line whenever a joint has been moved.
+        seconds: How long [s]; None: until Ctrl-C.
+
+    Raises:
+        ServoError: A port cannot be opened, or a servo is missing or cannot be driven.
+    """
+    model = config.model()
+    drive: Any = assemble.drive(config, model)
+    drive.open()
+    try:
+        look = Watch(config, model, tuple(drive.names))
+        _begin(console, [n for n, on in zip(drive.names, drive.enabled, strict=True) if on])
+        end = None if seconds is None else time.monotonic() + seconds
+        with Live(console=console, auto_refresh=False) as live:
+            first = True
+            while end is None or time.monotonic() < end:
+                sample = drive.read()
+                moved = look.update(sample.position, sample.ok)
+                if console.is_terminal:
+                    live.update(_table(look), refresh=True)
+                else:
+                    _lines(console, look, first=first, moved=moved)
+                first = False
+                time.sleep(PERIOD)
+    except KeyboardInterrupt:
+        pass  # how it ends
+    finally:
+        drive.close()
+
+
+def _begin(console: Console, on: list[str]) -> None:
+    """What to do, and whose torque is in the way of it."""
+    console.print(
+        "Nothing is switched on. Hold the arm and move one joint at a time, from the base outward: "
+        "as its angle grows the tool must go where its line says. If it goes the other way, turn "
+        "the joint's `sign` round in [servo]. Ctrl-C ends",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
+    if on:
+        console.print(
+            f"torque is on already, they cannot be moved by hand: {', '.join(on)}",
+            highlight=False,
+            soft_wrap=True,
+        )
+
+
+def _table(look: Watch) -> Table:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, caption=f"{look.tool}\n{look.said}")
+    table.caption_justify = "left"
+    for name in ("joint", "angle", "limits [rad]", "as it grows the tool"):
+        table.add_column(name, justify="right" if name == "angle" else "left")
+    for row in look.rows:
+        table.add_row(*row)
+    return table
+
+
+def _lines(console: Console, look: Watch, *, first: bool, moved: bool) -> None:
+    lines = []
+    if first:
+        lines = [
+            f"{name}: {angle}, limits {span}" + (f"; as it grows the tool {way}" if way else "")
+            for name, angle, span, way in look.rows
+        ]
+    if moved:
+        lines = [look.said]
+    for line in [*lines, look.tool] if lines else []:
+        console.print(line, highlight=False, soft_wrap=True)

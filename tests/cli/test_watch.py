@@ -1,0 +1,105 @@
+"""`pliant doctor --watch`: joints moved by hand with torque off, and which way the tool must go."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant import config
+from pliant.cli import main
+from pliant.config.emulation import emulated
+from pliant.config.ways import ways
+
+UP = (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
+def test_ways_are_those_of_finite_differences(name):
+    model = getattr(pliant.robots, name)()
+    q = 0.5 * np.ones(model.n) * np.where(np.arange(model.n) % 2, 1.0, -1.0)
+    for falling, sign in ((False, 1.0), (True, -1.0)):
+        for joint, phrase in enumerate(ways(model, q, up=UP, falling=falling)):
+            step = 1e-5 * np.eye(model.n)[joint] * sign
+            here, there = (model.forward_kinematics(p)[:3, 3] for p in (q, q + step))
+            moved = (there - here) / 1e-5
+            most = int(np.argmax(np.abs(moved)))
+            if np.linalg.norm(moved) < 0.02:
+                assert phrase.startswith("turns in place about ")
+                continue
+            expected = "+-"[int(moved[most] < 0.0)] + "xyz"[most]
+            assert phrase.startswith(f"goes {expected}"), (joint, phrase, moved)
+            assert ("(down)" in phrase) == bool(-moved[2] >= 0.3 * np.linalg.norm(moved))
+
+
+def test_what_moves_the_tool_nowhere_says_about_what_it_turns():
+    model = pliant.robots.so101()
+    roll = ways(model, np.zeros(5), up=UP)[4]
+    assert roll == "turns in place about +x, as a screw goes in"
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """An emulated SO-101 and a file for it whose shoulder_lift has the wrong sign."""
+    ready = config.load("so101", backend="emulator")
+    with emulated(ready) as bus:
+        text = config.ready.text("so101").replace('path = "auto"', f'path = "{bus.port}"')
+        file = tmp_path / "arm.toml"
+        file.write_text(text)
+        mirrored = tmp_path / "mirrored.toml"
+        mirrored.write_text(text.replace("id = 2", "id = 2, sign = -1"))
+        yield bus, file, mirrored
+
+
+def watch_while_lifted(bus, file, capsys):
+    """What it prints while a hand turns shoulder_lift by +0.4 rad, and back."""
+
+    def lift():
+        for angle in (0.4, 0.0):
+            time.sleep(1.5)
+            bus.plant.reset([0.0, angle, 0.0, 0.0, 0.0])
+
+    hand = threading.Thread(target=lift)
+    hand.start()
+    assert main(["doctor", str(file), "--watch", "--seconds", "4.5"]) == 0
+    hand.join()
+    return capsys.readouterr().out
+
+
+def test_a_moved_joint_is_named_with_the_way_of_the_tool(arm, capsys):
+    bus, file, mirrored = arm
+    out = watch_while_lifted(bus, file, capsys)
+    assert "shoulder_lift: +0.00 rad (+0°), limits -1.75 to +1.75" in out
+    assert "shoulder_pan: " in out
+    assert "gripper: " in out
+    grew = next(line for line in out.splitlines() if "shoulder_lift grew by 0.40 rad" in line)
+    assert "the tool goes -z (down)" in grew
+    fell = next(line for line in out.splitlines() if "shoulder_lift fell by 0.40 rad" in line)
+    assert "+z (up)" in fell
+    assert "elbow_flex grew" not in out
+    assert not bus.log.writes("torque_enable")
+    assert not bus.log.eeprom_writes()
+    # The arm sank; the mirrored file says that it should have risen.
+    out = watch_while_lifted(bus, mirrored, capsys)
+    fell = next(line for line in out.splitlines() if "shoulder_lift fell by 0.40 rad" in line)
+    assert "+z (up)" in fell
+
+
+def test_torque_that_is_on_is_in_the_way(capsys):
+    assert main(["doctor", "so101", "--backend", "sim", "--watch", "--seconds", "0.2"]) == 0
+    assert "torque is on already" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("flags", [["--seconds", "1"], ["--watch", "--seconds", "0"]])
+def test_seconds_are_refused_where_they_mean_nothing(flags, capsys):
+    assert main(["doctor", "so101", "--backend", "sim", *flags]) == 2
+    assert "--seconds" in capsys.readouterr().err
+
+
+def test_ready_points_to_what_no_program_sees(monkeypatch, capsys):
+    monkeypatch.setattr("pliant.cli.doctor.examine", lambda _: iter(()))
+    assert main(["doctor", "so101", "--backend", "emulator"]) == 0
+    assert "the same command with --watch" in " ".join(capsys.readouterr().out.split())
