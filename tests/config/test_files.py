@@ -156,6 +156,33 @@ def test_directions_of_the_ready_so101_match_the_makers_model():
         np.testing.assert_allclose(turn[0], turn[1], atol=0.06)
 
 
+@pytest.mark.parametrize("name", OWN)
+def test_a_file_for_a_built_in_model_takes_no_other_urdf(name):
+    said = r"built-in model '\w+': its signs and zeros are wrong for my\.urdf.*docs/robots/so101\.md"
+    with pytest.raises(pliant.ConfigError, match=said):
+        config.load(name, urdf="my.urdf")
+
+
+@pytest.mark.parametrize("backend", ["sim", "emulator"])
+def test_the_file_for_the_makers_so101_runs_as_printed(backend, tmp_path):
+    page = Path(__file__).parents[2] / "docs" / "robots" / "so101.md"
+    (text,) = re.findall(r"^```toml\n(.*?)^```", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    file = tmp_path / "my_so101.toml"
+    file.write_text(text, "utf-8")
+    assert {servo.sign for servo in config.load(file).servo.values()} == {1}
+    urdf = ROBOTS / "so101" / "so101_new_calib.urdf"
+    if not urdf.is_file():
+        pytest.skip(f"no {urdf}")
+    read = config.load(file, backend=backend, urdf=urdf)
+    with read.arm(signals=False) as arm:
+        controller = pliant.Controller(arm.model, read.settings(), arm.servos)
+        start = arm.read().q
+        target = arm.model.forward_kinematics(start)
+        for tick in pliant.Loop(arm, controller, duration=0.3):
+            tick.write(controller.step(tick.q, target, dt=tick.dt))
+        assert np.abs(arm.read().q - start).max() < 0.05
+
+
 def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):
     (tmp_path / "cal.json").write_text(
         '{"shoulder_pan": {"id": 1, "drive_mode": 0, "homing_offset": 5, "range_min": 1000, '

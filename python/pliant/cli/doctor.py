@@ -39,7 +39,7 @@ def run(
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         port: Device in place of the file's.
         backend: bus, emulator or sim in place of the file's.
-        urdf: URDF in place of the file's.
+        urdf: URDF in place of the file's, which must not be written for a built-in model.
         calibration: LeRobot's calibration file in place of the file's.
         watch: Show the joints, torque off, until Ctrl-C: to check their directions by eye.
         seconds: With --watch: ends by itself [s].

@@ -34,7 +34,7 @@ def run(
         lose: Share of the answers that get lost.
         seed: Of all chance.
         duration: Ends by itself [s].
-        urdf: URDF in place of the file's.
+        urdf: URDF in place of the file's, which must not be written for a built-in model.
         calibration: LeRobot's calibration file in place of the file's.
     """
     from pliant.config.emulation import emulated

@@ -44,7 +44,7 @@ def run(
         undo: Backup of an earlier set-up whose values are to be put back.
         backup: Where the old values go.
         port: Device in place of the file's.
-        urdf: URDF in place of the file's.
+        urdf: URDF in place of the file's, which must not be written for a built-in model.
         calibration: LeRobot's calibration file in place of the file's.
     """
     read = config.load(arm, port=port, urdf=urdf, calibration=calibration)

@@ -47,7 +47,7 @@ def run(
         log: MCAP file to write (extra log).
         port: Device in place of the file's.
         backend: bus, emulator or sim in place of the file's.
-        urdf: URDF in place of the file's.
+        urdf: URDF in place of the file's, which must not be written for a built-in model.
         calibration: LeRobot's calibration file in place of the file's.
     """
     _needs()

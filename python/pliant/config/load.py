@@ -29,7 +29,8 @@ def load(
         source: Path of a TOML file, or the name of a ready one (`pliant.config.names()`).
         port: Device in place of the file's, where the file names a single port; or `auto`.
         backend: `bus`, `emulator` or `sim` in place of the file's.
-        urdf: URDF file in place of the file's, relative to the working folder.
+        urdf: URDF file in place of the file's, relative to the working folder; a file for a
+            built-in model takes none, since its signs belong to that model.
         calibration: LeRobot's calibration file in place of the file's, likewise.
 
     Returns:
@@ -69,12 +70,18 @@ class Overrides:
         """Write them into the table.
 
         Raises:
-            ConfigError: One port is given for several.
+            ConfigError: One port is given for several, or a URDF for a built-in model.
         """
         if self.backend is not None:
             table["backend"] = self.backend
         if self.urdf is not None and isinstance(table.get("robot"), dict):
-            table["robot"].pop("builtin", None)
+            if "builtin" in table["robot"]:
+                raise ConfigError(
+                    f"{source} is written for the built-in model {table['robot']['builtin']!r}: "
+                    f"its signs and zeros are wrong for {self.urdf}, which may count joints the "
+                    "other way round. Write a file with urdf, base and tip in [robot] and the "
+                    "signs of that URDF (docs/robots/so101.md has one), without --urdf"
+                )
             table["robot"]["urdf"] = Path(self.urdf).expanduser().resolve()
         if self.calibration is not None:
             table["calibration"] = Path(self.calibration).expanduser().resolve()
