@@ -158,7 +158,7 @@ def test_directions_of_the_ready_so101_match_the_makers_model():
 
 @pytest.mark.parametrize("name", OWN)
 def test_a_file_for_a_built_in_model_takes_no_other_urdf(name):
-    said = r"built-in model '\w+': its signs and zeros are wrong for my\.urdf.*docs/robots/so101\.md"
+    said = r"model '\w+': its signs and zeros are wrong for my\.urdf.*docs/robots/so101\.md"
     with pytest.raises(pliant.ConfigError, match=said):
         config.load(name, urdf="my.urdf")
 

@@ -75,7 +75,7 @@ def run(
                 own = [c for c in wanted if c.joint == spec.name and c.id == number]
                 apply(ports[spec.port], spec.row.family, own)
     console.print(f"{len(wanted)} registers written and read back")
-    console.print(f"before torque comes on, see the joints' directions: pliant doctor {arm} --watch")
+    console.print(f"before torque comes on, see its directions: pliant doctor {arm} --watch")
     if undo is None:
         console.print(f"old values in {backup}; pliant setup {arm} --undo {backup} puts them back")
 
