@@ -1,6 +1,8 @@
 import re
+import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,6 +49,13 @@ def test_bench_takes_any_urdf(law, tmp_path, capsys):
     assert f"two: 2 joints, law {law}" in capsys.readouterr().out
 
 
+def test_bench_runs_as_the_docs_say(capsys):
+    page = (Path(__file__).parents[2] / "docs" / "performance.md").read_text("utf-8")
+    (flags,) = re.findall(r'^pliant bench (--robot so101 --soft "[^"]+")', page, re.MULTILINE)
+    assert main(["bench", *shlex.split(flags), "--calls", "200"]) == 0
+    assert "so101_like: 5 joints" in capsys.readouterr().out
+
+
 def test_bench_moves_through_the_ranges():
     model = pliant.robots.arm7()
     path = np.array(bench.path(model))
@@ -63,6 +72,11 @@ def test_bench_moves_through_the_ranges():
         (["--robot", "so999"], "so101"),
         (["--urdf", "nowhere.urdf"], "nowhere.urdf"),
         (["--law", "papper"], "paper"),
+        (["--robot", "so101", "--soft", "y yaw"], "yaw is no axis of the task, which has x, y, z;"),
+        (["--robot", "so101", "--soft", "y yaw"], "--axes"),
+        (["--soft", "qq"], "--soft 'qq': 'qq' is not an axis"),
+        (["--urdf", "a.urdf", "--robot", "so101"], "--urdf a.urdf and --robot so101 are two arms"),
+        (["--tip", "tool"], "--tip tool belongs to --urdf"),
     ],
 )
 def test_what_bench_cannot_do_is_explained(flags, said, capsys):

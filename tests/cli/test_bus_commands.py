@@ -104,6 +104,12 @@ def test_run_on_the_simulator_lowers_the_arm(capsys):
     assert "100 ticks" in capsys.readouterr().out
 
 
+def test_soft_axes_that_the_task_has_not_are_answered_with_its_own(capsys):
+    assert main(["run", "so101", "--backend", "sim", "--soft", "y yaw"]) == 2
+    said = capsys.readouterr().err
+    assert "--soft 'y yaw': yaw is no axis of the task, which has x, y, z; task in" in said
+
+
 def test_run_follows_a_file(tmp_path, capsys):
     file = tmp_path / "targets.jsonl"
     file.write_text('{"q": [0.1, 0, 0, 0, 0]}\n' * 50)

@@ -15,6 +15,7 @@ from rich.table import Table
 
 import pliant
 from pliant import config
+from pliant.cli.soft import check_soft
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -59,7 +60,7 @@ def run(
     *,
     urdf: Path | None = None,
     tip: str | None = None,
-    robot: str = "arm7",
+    robot: str | None = None,
     law: Law | None = None,
     axes: str = "",
     soft: str = "y",
@@ -70,7 +71,8 @@ def run(
     Args:
         urdf: URDF of an arm, in place of a configured one; its servos are then made up.
         tip: Frame of the tool in it; may be left out where the choice is clear.
-        robot: Name of a ready arm (arm7, so101, koch, vx300s, ...) or a configuration file.
+        robot: Name of a ready arm (arm7, so101, koch, vx300s, ...) or a configuration file; default
+            arm7.
         law: cap, impedance or paper; default: as the arm's configuration has it.
         axes: Axes of the task, e.g. "xyz"; default: as the arm's configuration has it, and as many
             as the arm has joints for with --urdf.
@@ -79,11 +81,15 @@ def run(
     """
     if calls < 100:
         raise pliant.ConfigError(f"--calls must be at least 100, got {calls}")
+    if urdf is not None and robot is not None:
+        raise pliant.ConfigError(f"--urdf {urdf} and --robot {robot} are two arms: give one")
+    if urdf is None and tip is not None:
+        raise pliant.ConfigError(f"--tip {tip} belongs to --urdf, which was not given")
     if urdf is not None:
         model = pliant.Model.from_urdf(urdf, tip=tip)
         settings = pliant.Settings(task=pliant.Task(axes=_axes(model)))
     else:
-        read = config.load(robot)
+        read = config.load(robot or "arm7")
         model, settings = read.model(), read.settings()
     servos = _guessed(model) if model.servos is None else model.servos
     controller = pliant.Controller(model, _wanted(settings, axes, law, soft), servos)
@@ -159,6 +165,8 @@ def _axes(model: pliant.Model) -> str:
 
 def _wanted(settings: pliant.Settings, axes: str, law: Law | None, soft: str) -> pliant.Settings:
     task = pliant.Task(axes=axes) if axes else settings.task
+    if soft:
+        check_soft(soft, task, 'another task: --axes "x y z yaw"')
     if law == "paper":
         settings = pliant.Settings.paper(task=task)
     else:

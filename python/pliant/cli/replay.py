@@ -13,6 +13,7 @@ from rich.console import Console
 import pliant
 from pliant import config
 from pliant.cli.keys import Keys
+from pliant.cli.soft import check_soft
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -119,6 +120,7 @@ def softened(settings: pliant.Settings, soft: str) -> pliant.Settings:
     axes: dict[str, pliant.Axis] = {}
     for word in soft.replace(",", " ").split():
         name, given, number = word.partition("=")
+        check_soft(name, settings.task, "task in [settings] of a file of your own")
         try:
             cap = float(number) if given else None
         except ValueError:

@@ -14,6 +14,7 @@ from rich.table import Table
 
 import pliant
 from pliant import config
+from pliant.cli.soft import check_soft
 from pliant.cli.targets import Targets, open_targets
 
 if TYPE_CHECKING:
@@ -64,6 +65,7 @@ def run(
     read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
     settings = read.settings()
     if soft:
+        check_soft(soft, settings.task, "task in [settings] of a file of your own")
         asked = pliant.Settings.soft(soft, task=settings.task).axes
         axes: dict[str, pliant.Axis] = {name: axis for name, axis in settings.axes.items()}
         axes.update((name, axis) for name, axis in asked.items() if axis.yields is not None)
