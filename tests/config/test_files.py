@@ -107,6 +107,54 @@ def test_all_mistakes_are_said_at_once():
     assert len(re.findall("; ", str(caught.value))) >= 2
 
 
+def test_mistakes_of_settings_and_servos_are_said_with_the_rest():
+    text = SIM.replace("backend", "bakend = 1\nbackend") + (
+        '[loop]\nrate = -1\n[servo]\na = { model = "STS3512-7.4V", id = "4" }\n[settings]\n'
+        'lw = "cap"\nmax_tool_speed = -1\ntask = "xyz"\n'
+        "axes.y = { sofft = 3, eta = 4 }\naxes.z = { soft = -3 }\naxes.yaw = { soft = 3 }\n"
+        "axes.roll = { soft = 3 }\n"
+    )
+    with pytest.raises(pliant.ConfigError) as caught:
+        config.parse(text)
+    for said in (
+        "bakend is not a key here",
+        "loop.rate = -1",
+        "servo.a.model: ",
+        "servo.a.id = '4': input should be a valid integer",
+        "settings: lw: Settings has no such field",
+        "settings: max_tool_speed [m/s, rad/s] = -1 is outside",
+        "settings: axes.y: sofft: Axis has no such field",
+        "settings: axes.y: eta = 4 is outside",
+        "settings: axes.z: soft = -3 is outside",
+        "settings: axes.yaw: 'yaw' is not an axis of the task",
+        "settings: axes.roll: 'roll' is not an axis of the task",
+    ):
+        assert str(caught.value).count(said) == 1, said
+
+
+@pytest.mark.parametrize("first", ['task = "xyzq"', 'law = "capp"'])
+def test_what_depends_on_a_wrong_field_is_not_judged(first):
+    with pytest.raises(pliant.ConfigError) as caught:
+        config.parse(SIM + f"[settings]\n{first}\nkx = [1.0, 1.0, 1.0]\n")
+    assert str(caught.value).count("settings: ") == 1
+    assert "kx" not in str(caught.value).partition(";")[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[servo.a]\nmodel = "MX-64"\nid = 1\nkp = "4.7"', r"servo\.a\.kp = '4\.7'"),
+        ("[servo.a]\nmodel = 'MX-64'\nid = true", r"servo\.a\.id = True"),
+        ("[loop]\nrate = '100'", r"loop\.rate = '100'"),
+        ("[[port]]\nbaud = '57600'", r"port\[0\]\.baud = '57600'"),
+        ("[life]\nrest = ['0', 0, 0, 0, 0]", r"life\.rest\[0\] = '0'"),
+    ],
+)
+def test_a_number_in_quotes_is_none(text, said):
+    with pytest.raises(pliant.ConfigError, match=said):
+        config.parse(SIM + text)
+
+
 def test_settings_go_through_the_same_code_as_in_python():
     read = config.parse(
         'backend = "sim"\npreset = { name = "soft", axes = "y" }\nrobot.builtin = "arm7"\n'

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pliant
-from pliant import ConfigError, LimitError
+from pliant import ConfigError
+from pliant.config import fields
 from pliant.config.lerobot import Calibration, read_calibration
 from pliant.config.messages import suggest
-from pliant.servo.models import find
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from pliant import Model, Settings
     from pliant.config.schema import Config, Servo
 
-#: Presets that need nothing but their name, and the one that needs axes.
-PRESETS = ("paper", "firm", "door", "drawer", "hand_guiding", "hand_over", "plug", "soft", "wipe")
-
 
 def check(config: Config) -> None:
     """What no table can check by itself.
@@ -27,21 +24,11 @@ def check(config: Config) -> None:
     Raises:
         ValueError: Several sentences, joined.
     """
-    wrong = [*_models(config), *_ports(config), *_ids(config), *_presets(config)]
+    wrong = [*_ports(config), *_ids(config)]
     if config.backend != "sim" and not config.servo:
         wrong.append(f"servo is missing: backend {config.backend!r} needs a servo for every joint")
     if wrong:
         raise ValueError("; ".join(wrong))
-
-
-def _models(config: Config) -> list[str]:
-    out = []
-    for joint, servo in servos(config).items():
-        try:
-            find(servo.model)
-        except ConfigError as error:
-            out.append(f"servo.{joint}.model: {error}")
-    return out
 
 
 def _ports(config: Config) -> list[str]:
@@ -66,21 +53,6 @@ def _ids(config: Config) -> list[str]:
                     f"{servo.port!r}; every servo on a port needs an id of its own"
                 )
     return list(dict.fromkeys(out))
-
-
-def _presets(config: Config) -> list[str]:
-    name, _ = _preset(config)
-    if name in (None, *PRESETS):
-        return []
-    return [f"preset: there is no preset {name!r}; {suggest(str(name), PRESETS)}"]
-
-
-def _preset(config: Config) -> tuple[Any, dict[str, Any]]:
-    """Name and arguments of the preset."""
-    if isinstance(config.preset, dict):
-        arguments = dict(config.preset)
-        return arguments.pop("name", "(without a name)"), arguments
-    return config.preset, {}
 
 
 def servos(config: Config) -> dict[str, Servo]:
@@ -140,36 +112,10 @@ def _match(config: Config, model: Model) -> None:
 
 def settings(config: Config) -> Settings:
     """The controller's settings; see `Config.settings`."""
-    fields = dict(config.fields)
-    axes = fields.get("axes")
-    if axes is not None:
-        if not isinstance(axes, dict):
-            raise ConfigError(f"axes is a table of axis keys, got {axes!r}")
-        fields["axes"] = {key: _axis(key, value) for key, value in axes.items()}
-    if isinstance(fields.get("task"), dict):
-        fields["task"] = pliant.Task(**fields["task"])
-    fields.setdefault("rate", config.loop.rate)
-    name, arguments = _preset(config)
-    if name is None:
-        return pliant.Settings(**fields)
-    if name == "soft":
-        if "axes" not in arguments:
-            raise ConfigError('preset "soft" needs its axes: { name = "soft", axes = "y yaw" }')
-        return pliant.Settings.soft(arguments.pop("axes"), **arguments, **fields)
-    preset: Settings = getattr(pliant.Settings, name)(**arguments, **fields)
-    return preset
-
-
-def _axis(key: str, value: Any) -> pliant.Axis:
-    if not isinstance(value, dict):
-        raise ConfigError(f"axes.{key} is a table such as {{ soft = 4.0 }}, got {value!r}")
-    pairs: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in value.items()}
-    try:
-        return pliant.Axis(**pairs)
-    except (ConfigError, LimitError) as error:
-        # An axis does not know its name.
-        said = str(error).removeprefix("axes.*.")
-        raise ConfigError(f"axes.{key}: {said}") from error
+    made, wrong = fields.resolve(config.fields, config.preset, config.loop.rate)
+    if made is None:
+        raise ConfigError("; ".join(wrong))
+    return made
 
 
 def zeros(config: Config) -> dict[str, float | None]:

@@ -9,10 +9,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from pliant import ConfigError, PliantError
+from pliant import ConfigError
 from pliant.config import ready
+from pliant.config.fields import check_preset, resolve
 from pliant.config.messages import explain, suggest
-from pliant.config.schema import Config
+from pliant.config.schema import Config, Loop
 
 
 def load(
@@ -37,8 +38,9 @@ def load(
         The configuration, checked as a whole.
 
     Raises:
-        ConfigError: The file is not there, is no TOML, or something in it is wrong: all of it is
-            said at once, with the key, the value and what would be right.
+        ConfigError: The file is not there, is no TOML, or something in it is wrong. All keys and
+            values that are wrong are said at once, with what would be right; whether they go
+            together (ids on a port, names of ports) is looked at once each is right by itself.
     """
     path = Path(source).expanduser()
     name = str(source)
@@ -122,13 +124,24 @@ def parse(
     try:
         config = Config.model_validate(table)
     except ValidationError as error:
-        raise ConfigError(explain(error, Config, source)) from None
-    config = config.at(Path(folder), source)
+        wrong = [*explain(error, Config), *_settings(table)]
+        raise ConfigError(f"{source}: {'; '.join(wrong)}") from None
+    if wrong := _settings(table):
+        raise ConfigError(f"{source}: {'; '.join(wrong)}")
+    return config.at(Path(folder), source)
+
+
+def _settings(table: dict[str, Any]) -> list[str]:
+    """What is wrong with the settings of a table that may be wrong elsewhere too."""
+    fields, preset, loop = table.get("settings", {}), table.get("preset"), table.get("loop", {})
     try:
-        config.settings()
-    except (PliantError, TypeError) as error:
-        raise ConfigError(f"{source}: settings: {error}") from error
-    return config
+        rate = Loop.model_validate(loop).rate
+        check_preset(preset)
+    except ValueError:  # said already; the settings are then those without it
+        rate, preset = Loop().rate, None
+    if not isinstance(fields, dict):
+        return []
+    return [f"settings: {said}" for said in resolve(fields, preset, rate)[1]]
 
 
 def _read(path: Path) -> str:

@@ -14,16 +14,14 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 
-def explain(error: ValidationError, schema: type[BaseModel], source: str) -> str:
+def explain(error: ValidationError, schema: type[BaseModel]) -> list[str]:
     """All that is wrong, one sentence each.
 
     Args:
         error: What pydantic found.
         schema: The table that was read.
-        source: Name of the file.
     """
-    findings = dict.fromkeys(_sentence(detail, schema) for detail in error.errors())
-    return f"{source}: " + "; ".join(findings)
+    return list(dict.fromkeys(_sentence(detail, schema) for detail in error.errors()))
 
 
 def suggest(word: str, known: Iterable[str]) -> str:

@@ -8,19 +8,23 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
+from pliant import ConfigError
 from pliant.config import build
+from pliant.config.fields import check_preset
+from pliant.servo.models import find
 
 if TYPE_CHECKING:
     from pliant import Model, Settings
     from pliant.arm import Arm
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Number = Annotated[float, Field(allow_inf_nan=False)]
+# Strict: a number in quotes is a mistake, not a number.
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Triple = tuple[Number, Number, Number]
-Id = Annotated[int, Field(ge=0, le=252)]
+Id = Annotated[int, Field(ge=0, le=252, strict=True)]
 
 
 class Table(BaseModel):
@@ -82,7 +86,7 @@ class Port(Table):
 
     name: str = "main"
     path: str = "auto"
-    baud: Annotated[int, Field(ge=9600, le=4_500_000)] = 1_000_000
+    baud: Annotated[int, Field(ge=9600, le=4_500_000, strict=True)] = 1_000_000
 
 
 class Twin(Table):
@@ -131,6 +135,15 @@ class Servo(Table):
     friction: NotNegative | None = None
     damping: NotNegative | None = None
 
+    @field_validator("model")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        try:
+            find(name)
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
+        return name
+
 
 class Gripper(Table):
     """A gripper: a joint off the chain that opens and closes.
@@ -168,7 +181,7 @@ class Loop(Table):
             elsewhere.
     """
 
-    rate: Annotated[float, Field(gt=0.0, le=2000.0)] = 100.0
+    rate: Annotated[float, Field(gt=0.0, le=2000.0, strict=True)] = 100.0
     hold_for: Positive = 0.5
     patience: Positive = 0.01
 
@@ -231,6 +244,12 @@ class Config(Table):
     _folder: Path = PrivateAttr(default=Path())
     _source: str = PrivateAttr(default="configuration")
 
+    @field_validator("preset")
+    @classmethod
+    def _there_is_one(cls, preset: str | dict[str, Any] | None) -> str | dict[str, Any] | None:
+        check_preset(preset)
+        return preset
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         build.check(self)
@@ -271,7 +290,7 @@ class Config(Table):
         """The controller's settings, validated by the same code as those made in Python.
 
         Raises:
-            ConfigError, LimitError, ShapeError: A field or value is wrong.
+            ConfigError: Fields or values are wrong; all of them are named.
         """
         return build.settings(self)
 
