@@ -1,10 +1,11 @@
 import json
 
+import numpy as np
 import pytest
 
 import pliant
 from pliant.cli import main
-from pliant.cli.targets import Target, open_targets
+from pliant.cli.targets import Target, open_targets, shoulder
 from pliant.servo.emulator import Device, Emulator
 
 rustypot = pytest.importorskip("rustypot")
@@ -129,6 +130,8 @@ def test_run_follows_a_file(tmp_path, capsys):
         ('{"q": [1], "position": [1, 2, 3]}', "q, or position"),
         ('{"q": [0, 0, 0]}', "expected (5,)"),
         ('{"wxyz": [0, 0, 0, 0]}', "quaternion"),
+        ('{"position": [5, 0, 0.2]}', "5 m from shoulder_pan, and the arm reaches 0.478 m"),
+        ('{"position": [200, 0, 150]}', "in millimetres"),
         ('{"wxyz": [1, 0, 0, 0], "xyzw": [0, 0, 0, 1]}', "one quaternion"),
     ],
 )
@@ -139,6 +142,22 @@ def test_targets_that_are_none(line, said, tmp_path, capsys):
     error = capsys.readouterr().err
     assert said in error
     assert "line 2" in error
+
+
+@pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
+def test_every_pose_of_an_arm_is_within_its_reach(name):
+    model = getattr(pliant.robots, name)()
+    q = np.random.default_rng(0).uniform(model.lower, model.upper, (2000, model.n))
+    for pose in model.forward_kinematics_batch(q):
+        Target(position=tuple(pose[:3, 3])).check_reach(model)
+    up = shoulder(model)
+    for distance, far in ((0.99, False), (1.01, True)):
+        target = Target(position=(up[0], up[1], up[2] + distance * model.reach))
+        if far:
+            with pytest.raises(pliant.ConfigError, match="reaches"):
+                target.check_reach(model)
+        else:
+            target.check_reach(model)
 
 
 def test_datagrams_come_from_this_machine_only():

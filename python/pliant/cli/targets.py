@@ -82,6 +82,33 @@ class Target:
             pose[:3, :3] = make(pose[:3, 3], quaternion).rotation
         return pose
 
+    def check_reach(self, model: Model) -> None:
+        """See that the arm could get there, stretched.
+
+        Raises:
+            ConfigError: It is farther from the first joint than the arm is long.
+        """
+        if self.position is None:
+            return
+        away = float(np.linalg.norm(np.array(self.position) - shoulder(model)))
+        if away > model.reach:
+            raise ConfigError(
+                f"position {list(self.position)} is {away:.3g} m from {model.joint_names[0]}, and "
+                f"the arm reaches {model.reach:.3g} m: is it in millimetres, or in other axes than "
+                f"those of {model.base}?"
+            )
+
+
+def shoulder(model: Model) -> Array:
+    """Where the first joint of the chain is (3,) [m], in base axes: what `reach` counts from."""
+    above = {joint.child: joint for joint in model.joints}
+    joint = next(j for j in model.joints if j.name == model.joint_names[0])
+    pose = np.asarray(joint.origin)
+    while model.links[joint.parent].name != model.base:
+        joint = above[joint.parent]
+        pose = np.asarray(joint.origin) @ pose
+    return pose[:3, 3]
+
 
 class Targets(Protocol):
     """Where targets come from.
@@ -130,7 +157,9 @@ class Lines(Nothing):
         for number, line in enumerate(text, 1):
             if line.strip():
                 try:
-                    self._targets.append(Target.parse(line, model))
+                    target = Target.parse(line, model)
+                    target.check_reach(model)
+                    self._targets.append(target)
                 except ConfigError as error:
                     raise ConfigError(f"{path}, line {number}: {error}") from error
         if not self._targets:
