@@ -15,6 +15,8 @@ from pliant.extras import missing, pip
 if TYPE_CHECKING:
     from pliant.log import Log
 
+#: Kinds of picture that plot writes.
+PICTURES = (".png", ".svg", ".pdf")
 #: Figures of a log: column, and what its axis says.
 FIGURES = {
     "joints": (
@@ -51,6 +53,7 @@ def run(
     """
     from pliant.log import read
 
+    _suits(what, output, parquet, rerun)
     data = read(log)
     console = Console()
     if what == "info":
@@ -68,6 +71,28 @@ def run(
         columns: dict[str, Any] = dict(data.columns)
         np.savez_compressed(file, **columns)
     console.print(str(file), highlight=False, soft_wrap=True)
+
+
+def _suits(what: str, output: Path | None, parquet: bool, rerun: bool) -> None:
+    """Whether the flags go with what is asked for, and the file with what will be in it."""
+    for flag, given, of in (
+        ("--output", output is not None, ("plot", "export")),
+        ("--parquet", parquet, ("export",)),
+        ("--rerun", rerun, ("info",)),
+    ):
+        if given and what not in of:
+            raise pliant.ConfigError(f"{flag} belongs to pliant log {' and '.join(of)}, not {what}")
+    if output is None:
+        return
+    kinds = PICTURES if what == "plot" else (".parquet",) if parquet else (".npz",)
+    if output.suffix not in kinds:
+        hint = " (--parquet writes .parquet)" if what == "export" and not parquet else ""
+        raise pliant.ConfigError(
+            f"--output {output}: pliant log {what} writes {', '.join(kinds)}{hint}, "
+            f"got {output.suffix or 'no suffix'}"
+        )
+    if not output.absolute().parent.is_dir():
+        raise pliant.ConfigError(f"there is no folder {output.absolute().parent}")
 
 
 def _info(console: Console, path: Path, log: Log, again: bool) -> None:

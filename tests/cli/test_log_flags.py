@@ -1,0 +1,27 @@
+"""Flags of `pliant log` that do not go together, said before the log is read."""
+
+import pytest
+
+from pliant.cli import main
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["export", "--output", "x.csv"], "writes .npz (--parquet writes .parquet), got .csv"),
+        (["export", "--output", "x"], "got no suffix"),
+        (["export", "--parquet", "--output", "x.npz"], "writes .parquet, got .npz"),
+        (["plot", "--output", "x.bmp"], "pliant log plot writes .png, .svg, .pdf, got .bmp"),
+        (["plot", "--output", "nowhere/x.png"], "there is no folder"),
+        (["plot", "--parquet"], "--parquet belongs to pliant log export, not plot"),
+        (["export", "--rerun"], "--rerun belongs to pliant log info"),
+        (["info", "--output", "x.png"], "--output belongs to pliant log plot and export, not info"),
+    ],
+)
+def test_flags_that_do_not_go_together(words, said, tmp_path, capsys, monkeypatch):
+    pytest.importorskip("mcap", reason="logs need the extra log")
+    monkeypatch.chdir(tmp_path)
+    verb, *flags = words
+    assert main(["log", verb, "run.mcap", *flags]) == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
