@@ -247,6 +247,21 @@ def test_connect_by_name_and_by_parts():
             wrong()
 
 
+def test_a_misspelt_option_is_named_before_a_port_is_looked_for():
+    model = pliant.robots.koch()
+    for wrong, near in (
+        (lambda: pliant.connect("so101", backned="sim"), "'backned' here; did you mean 'backend'"),
+        (lambda: pliant.connect("sim:so101", exti="hold"), "did you mean 'exit'"),
+        (lambda: pliant.connect("so101", exti="hold"), "did you mean 'exit'"),
+        (lambda: pliant.connect(pliant.config.load("so101"), exti="hold"), "did you mean 'exit'"),
+        (lambda: pliant.config.load("so101").arm(exti="hold"), "did you mean 'exit'"),
+        (lambda: pliant.connect(model, object(), exti="hold"), "did you mean 'exit'"),
+        (lambda: pliant.connect("so101", backend="sim", q=[0.0] * 5), "no option 'q' here"),
+    ):
+        with pytest.raises(pliant.ConfigError, match=near):
+            wrong()
+
+
 def test_degrees_are_refused_before_anything_is_sent():
     with pytest.raises(pliant.LimitError, match=r"rest: .*degrees"):
         pliant.connect("sim:so101", rest=[0, -90, 90, 40, 0])

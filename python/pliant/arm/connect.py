@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pliant.config import Config
 
 #: Arguments that belong to the arm, whatever drives it.
-_OF_THE_ARM = frozenset(
+OF_THE_ARM = frozenset(
     ("rest", "exit", "rate", "hold_for", "budget", "grippers", "watchdog", "signals")
 )
 
@@ -57,12 +57,14 @@ def connect(
             raise ConfigError("connect(model, drive) needs the drive that moves the joints")
         from pliant.arm import Arm
 
+        check_options(options, OF_THE_ARM)
         return Arm(what, drive, **options)
     if drive is not None:
         raise ConfigError("a drive goes with a model: connect(model, drive)")
     if isinstance(what, str | Path) and str(what).partition(":")[0] != "sim":
         from pliant.config import load
 
+        check_options(options, OF_THE_ARM | _OF_THE_FILE)
         return load(what, **{k: options.pop(k) for k in _OF_THE_FILE & set(options)}).arm(**options)
     if isinstance(what, str | Path):
         kind, _, robot = str(what).partition(":")
@@ -81,6 +83,20 @@ def connect(
     return _simulated(**merged)
 
 
+def check_options(options: Iterable[str], known: Iterable[str]) -> None:
+    """See that there are such options, before anything is opened.
+
+    Raises:
+        ConfigError: There is none of that name; the message has the nearest and all.
+    """
+    names = frozenset(known)
+    for key in options:
+        if key not in names:
+            from pliant.config.messages import suggest
+
+            raise ConfigError(f"an arm has no option {key!r} here; {suggest(key, names)}")
+
+
 def _simulated(
     *, robot: str | Model = "arm7", q: Any = None, real_time: bool = False, **options: Any
 ) -> Arm:
@@ -91,17 +107,10 @@ def _simulated(
     from pliant.sim import Plant
 
     model = robots.load(robot) if isinstance(robot, str) else robot
-    of_the_arm = {key: value for key, value in options.items() if key in _OF_THE_ARM}
+    of_the_arm = {key: value for key, value in options.items() if key in OF_THE_ARM}
     of_the_plant = set(signature(Plant).parameters) - {"model"}
-    known = {"robot", "q", "real_time", *of_the_plant, *_OF_THE_ARM}
-    for key in options:
-        if key not in known:
-            from pliant.config.messages import suggest
-
-            raise ConfigError(f"connect has no option {key!r}; {suggest(key, known)}")
-    plant = Plant(
-        model, **{k: v for k, v in options.items() if k not in _OF_THE_ARM or k == "rate"}
-    )
+    check_options(options, {"robot", "q", "real_time", *of_the_plant, *OF_THE_ARM})
+    plant = Plant(model, **{k: v for k, v in options.items() if k not in OF_THE_ARM or k == "rate"})
     if q is not None:
         plant.reset(q)
     return Arm(model, SimDrive(plant, real_time=real_time), **of_the_arm)

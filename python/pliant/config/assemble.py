@@ -9,6 +9,7 @@ import numpy as np
 from pliant import ConfigError, LimitError, ServoError, ShapeError
 from pliant.arm import Arm, Budget, Jaw
 from pliant.arm.checks import posture
+from pliant.arm.connect import OF_THE_ARM, check_options
 from pliant.config import build
 from pliant.servo import ServoChain, ServoSpec, serial_ports
 
@@ -26,10 +27,11 @@ def arm(config: Config, **options: Any) -> Arm:
         **options: Those of `pliant.arm.Arm`, in place of the file's.
 
     Raises:
-        ConfigError, UrdfError: URDF, calibration and file do not go together, or the rest pose is
-            none of this arm.
+        ConfigError, UrdfError: There is no such option; URDF, calibration and file do not go
+            together, or the rest pose is none of this arm.
         ServoError: `auto` finds no port, or several.
     """
+    check_options(options, OF_THE_ARM)
     model = config.model()
     _check_rest(config, model)
     given = {
