@@ -7,6 +7,7 @@ import termios
 import time
 import tty
 
+from pliant.extras import missing
 from pliant.servo.emulator import Device, Line
 
 BAUD = 1_000_000
@@ -85,3 +86,8 @@ class Host:
             except BlockingIOError:
                 time.sleep(0.0005)
         return answer
+
+
+def without_extra():
+    """A factory where the simulator is not installed."""
+    raise ImportError(missing("pliant.sim", "sim"))

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
-from emulator.helpers import Host, p1, two
+from emulator.helpers import Host, p1, two, without_extra
 
 from pliant import ConfigError, ServoError
 from pliant.servo.emulator import Device, Emulator, Remote
@@ -37,6 +37,11 @@ def test_errors_come_back(remote):
 def test_a_factory_that_fails_says_why():
     with pytest.raises(ConfigError, match="at least one"):
         Remote(Emulator, [])
+
+
+def test_a_missing_extra_is_said_in_its_own_words():
+    with pytest.raises(ImportError, match=r'^pliant\.sim needs the extra "sim": \S.* install'):
+        Remote(without_extra)
 
 
 def test_killed_it_hangs_up():

@@ -67,7 +67,7 @@ def examine(config: Config) -> Iterator[Diagnosis]:
         return
     try:
         drive = assemble.drive(config, model)
-    except PliantError as error:
+    except (PliantError, ImportError) as error:
         yield Diagnosis("bad", "ports", str(error))
         return
     assert isinstance(drive, ServoChain)

@@ -35,7 +35,7 @@ class Remote:
         **kwargs: For the factory.
 
     Raises:
-        PliantError: What the factory raised.
+        PliantError, ImportError: What the factory raised.
         ServoError: The process did not come up.
 
     Example:
@@ -156,5 +156,6 @@ def _serve(
 
 
 def _portable(error: Exception) -> Exception:
-    """An error that the other process can raise."""
-    return error if isinstance(error, PliantError) else ServoError(f"{error!r}")
+    """An error that the other process can raise; a missing extra says by itself what to do."""
+    explained = isinstance(error, PliantError | ImportError)
+    return error if explained else ServoError(f"{error!r}")
