@@ -73,6 +73,32 @@ def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
     assert main([*flags, "--yes"]) == 2, "the first backup is not overwritten"
 
 
+def test_setup_says_when_it_writes_no_backup(arm, tmp_path, capsys):
+    _, file = arm
+    assert main(["setup", str(file), "--yes", "--backup", str(tmp_path / "old.json")]) == 0
+    capsys.readouterr()
+    backup = tmp_path / "new.json"
+    assert main(["setup", str(file), "--yes", "--backup", str(backup)]) == 0
+    assert "nothing to change; no backup is written" in capsys.readouterr().out
+    assert not backup.exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["setup", "so101", "--undo", "nope.json"],
+        ["run", "so101", "--backend", "sim", "--targets", "nope.json"],
+    ],
+)
+def test_a_missing_file_comes_before_ports_and_names_those_there_are(
+    words, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "other.json").write_text("")
+    assert main(words) == 2
+    assert "there is no file nope.json; there are other.json" in capsys.readouterr().err
+
+
 def test_setup_leaves_servos_with_torque_alone(arm, capsys):
     bus, file = arm
     host = rustypot.Xl430PyController(bus.port, 1_000_000, 0.2)

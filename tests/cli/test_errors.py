@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+
 import pytest
 
 import pliant
@@ -100,6 +105,47 @@ def test_a_low_voltage_servo_on_12_volts(said):
     # Once for all five.
     assert texts[0].count("wrong supply") == 1
     assert "shoulder_pan (id 1), shoulder_lift (id 2)" in texts[0]
+
+
+def test_what_several_servos_have_in_common_is_noted_once(tmp_path, capsys):
+    models = ["XL430-W250"] * 5
+    file = tmp_path / "arm.toml"
+    with Emulator([Device(m, id=i, return_delay_time=0) for i, m in enumerate(models, 1)]) as bus:
+        file.write_text(toml(bus.port, model="XL430-W250"))
+        main(["doctor", str(file)])
+    out = " ".join(capsys.readouterr().out.split())
+    assert out.count("it shuts off on overload") == 1
+    assert "note " + ", ".join(JOINTS) + ": it shuts off on overload" in out
+
+
+def test_a_motion_is_no_calibration(tmp_path, capsys):
+    file = tmp_path / "wave.json"
+    file.write_text('{"format": 1, "joints": ["a"], "samples": []}')
+    assert main(["doctor", "so101", "--backend", "sim", "--calibration", str(file)]) == 2
+    out = " ".join(capsys.readouterr().out.split())
+    assert "wave.json is no calibration file: LeRobot's has a table of id," in out
+    assert "what is under format, joints, samples is no table" in out
+
+
+@pytest.mark.parametrize("rate", ["-1", "333"])
+def test_a_rate_that_cannot_be_is_said_before_there_is_a_link(rate, capsys):
+    pytest.importorskip("mjviser", reason="the page needs the extra view")
+    assert main(["view", "--rate", rate]) == 2
+    both = capsys.readouterr()
+    assert "http" not in both.out
+    assert rate.lstrip("-") in both.err
+
+
+def test_an_emulator_that_is_ended_leaves_nothing(tmp_path):
+    words = [sys.executable, "-m", "pliant.cli", "emulate", "so101"]
+    place = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(words, env=place, stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        assert "tty-main" in running.stdout.readline()
+        assert list(tmp_path.iterdir())
+        running.terminate()
+        assert running.wait(timeout=30) == 128 + signal.SIGTERM
+    assert not list(tmp_path.iterdir())
 
 
 def test_another_model(said):

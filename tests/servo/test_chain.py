@@ -53,6 +53,18 @@ def test_limits_on_the_wire_are_what_was_asked(emulated, enabled, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_what_is_negative_is_named_with_its_joint(emulated, enabled, kind):
+    with emulated(kind, 2, clock="steps") as (_, chain):
+        enabled(chain)
+        name = chain.names[1]
+        for call in (chain.enable, chain.write):
+            with pytest.raises(ConfigError, match=f"limit of {name} is -0.1 N·m, at least 0"):
+                call([0.0, 0.0], [0.5, -0.1])
+        with pytest.raises(ConfigError, match=f"velocity of {name} is -2 rad/s, at least 0"):
+            chain.write([0.0, 0.0], [0.5, 0.5], [1.0, -2.0])
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_order_on_the_wire_is_limit_goal_torque(emulated, enabled, kind):
     with emulated(kind, 2, clock="steps") as (bus, chain):
         enabled(chain)

@@ -57,6 +57,7 @@ def run(
         bad += finding.level == "bad"
         console.print(
             f"{MARKS[finding.level]} [bold]{escape(finding.about)}[/]: {escape(finding.text)}",
+            soft_wrap=True,
             highlight=False,
         )
     if bad:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from pathlib import Path
 from typing import Annotated, Literal
@@ -45,10 +46,21 @@ def run(
     latency = 0.016 if timing == "usb" else 0.0
     chosen = Timing(wire=timing != "off", usb_latency=latency)
     console = Console()
-    with emulated(read, timing=chosen, faults=Faults(seed=seed, lose=lose)) as bus:
-        for name, path in bus.ports.items():
-            console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
-        console.print("somebody holds the arm until its torque comes on; Ctrl-C ends", style="dim")
-        end = None if duration is None else time.monotonic() + duration
-        while end is None or time.monotonic() < end:
-            time.sleep(0.1)
+    # A service is ended by SIGTERM: its ports go with it, as after Ctrl-C.
+    former = signal.signal(signal.SIGTERM, _ended)
+    try:
+        with emulated(read, timing=chosen, faults=Faults(seed=seed, lose=lose)) as bus:
+            for name, path in bus.ports.items():
+                console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
+            said = "somebody holds the arm until its torque comes on; Ctrl-C ends"
+            console.print(said, style="dim")
+            end = None if duration is None else time.monotonic() + duration
+            while end is None or time.monotonic() < end:
+                time.sleep(0.1)
+    finally:
+        signal.signal(signal.SIGTERM, former)
+
+
+def _ended(number: int, _: object) -> None:
+    """Leave as a shell says that a signal ended a program."""
+    raise SystemExit(128 + number)

@@ -47,11 +47,12 @@ def run(
         urdf: URDF in place of the file's, which must not be written for a built-in model.
         calibration: LeRobot's calibration file in place of the file's.
     """
+    former = None if undo is None else restore(_load(undo))
     read = config.load(arm, port=port, urdf=urdf, calibration=calibration)
     console = Console()
     specs = assemble.specs(read, assemble.paths(read))
     with _Ports(read, specs) as ports:
-        if undo is None:
+        if former is None:
             wanted = [
                 change
                 for spec in specs
@@ -61,9 +62,9 @@ def run(
                 )
             ]
         else:
-            wanted = restore(_load(undo))
+            wanted = former
         if not wanted:
-            console.print("nothing to change")
+            console.print("nothing to change" + ("; no backup is written" if undo is None else ""))
             return
         _show(console, wanted)
         if not yes and console.input("write this? [y/N] ").strip().lower() not in {"y", "yes"}:
@@ -127,5 +128,7 @@ def _load(path: Path) -> list[Change]:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
         return [Change(**entry) for entry in data]
+    except FileNotFoundError:
+        raise  # the command line says which files there are
     except (OSError, ValueError, TypeError) as error:
         raise ServoError(f"{path} is no backup of pliant setup: {error}") from error

@@ -151,6 +151,8 @@ class Lines(Nothing):
     def __init__(self, path: Path, model: Model) -> None:
         try:
             text = path.read_text(encoding="utf-8").splitlines()
+        except FileNotFoundError:
+            raise  # the command line says which files there are
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path} cannot be read: {error}") from error
         self._targets = []
@@ -229,6 +231,7 @@ def open_targets(source: str, model: Model) -> Targets:
 
     Raises:
         ConfigError: It cannot be read, or is no port.
+        FileNotFoundError: There is no such file.
     """
     if not source:
         return Nothing()

@@ -81,7 +81,9 @@ def _simulated(robot: str, scene: str, rate: float, options: dict[str, Any]) -> 
     if odd:
         given = f"--{odd[0]} {options[odd[0]]}"
         raise ConfigError(f"--{odd[0]} belongs to a configuration: pliant view so101 {given}")
-    return Simulated(robot, scene, rate)
+    source = Simulated(robot, scene, rate)
+    source.arm()  # a rate that it cannot have is said before there is a link
+    return source
 
 
 def _configured(arm: str, options: dict[str, Any]) -> Source:

@@ -149,10 +149,13 @@ def _servos(found: tuple[Found, ...]) -> Iterator[Diagnosis]:
         f"{min(volts):.1f} to {max(volts):.1f} V",
     )
     firmware: dict[str, set[int]] = {}
+    notes: dict[str, dict[str, None]] = {}
     for one in found:
         firmware.setdefault(one.model, set()).add(one.firmware)
         for note in one.notes:
-            yield Diagnosis("note", one.joint, note)
+            notes.setdefault(note, {})[one.joint] = None
+    for note, joints in notes.items():
+        yield Diagnosis("note", ", ".join(joints), note)
     for model, versions in firmware.items():
         if len(versions) > 1:
             said = ", ".join(map(str, sorted(versions)))

@@ -15,6 +15,8 @@ from typing import Any
 from pliant import ConfigError
 from pliant.config.messages import suggest
 
+#: Keys that are named of a file of another kind.
+SHOWN = 6
 _FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
@@ -66,12 +68,17 @@ def read_calibration(path: str | Path) -> dict[str, Calibration]:
         raise ConfigError(f"{file} is no calibration file: {error}") from error
     if not isinstance(data, dict) or not data:
         raise ConfigError(f"{file} is no calibration file: it holds no table of motors")
+    if not any(isinstance(entry, dict) for entry in data.values()):
+        raise ConfigError(
+            f"{file} is no calibration file: LeRobot's has a table of {', '.join(_FIELDS)} for "
+            f"each motor; here what is under {', '.join(list(data)[:SHOWN])} is no table"
+        )
     return {str(name): _motor(file, str(name), entry) for name, entry in data.items()}
 
 
 def _motor(file: Path, name: str, entry: object) -> Calibration:
     if not isinstance(entry, dict):
-        raise ConfigError(f"{file}: {name} is no table")
+        raise ConfigError(f"{file}: {name} is no table of {', '.join(_FIELDS)}: {entry!r}")
     missing = [key for key in _FIELDS if key not in entry]
     if missing:
         raise ConfigError(f"{file}: {name} lacks {', '.join(missing)}")

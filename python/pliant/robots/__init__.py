@@ -12,7 +12,7 @@ the user.
 
 from __future__ import annotations
 
-from importlib.resources import files
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -94,7 +94,7 @@ def load(name: str, **options: Any) -> Model:
 
 
 def _load(file: str, servos: Callable[[], Servos], options: dict[str, Any]) -> Model:
-    text = files(__name__).joinpath(file).read_text(encoding="utf-8")
+    text = resources.files(__name__).joinpath(file).read_text(encoding="utf-8")
     return pliant.Model.from_urdf_str(
         text, **{"base": "base", "tip": "tool", "servos": servos(), **options}
     )

@@ -234,7 +234,7 @@ class ServoChain:
             goal: Joint goals (n,) [rad]; clamped to the joint's range.
             limit: Torque limits (n,) [N·m], at least 0; rounded down to the register, clamped to
                 the servo's ceiling.
-            velocity: Fastest motion (n,) [rad/s] > 0, at most the chain's own; default that.
+            velocity: Fastest motion (n,) [rad/s], at least 0; at most the chain's own, the default.
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative. Nothing is sent.
@@ -242,10 +242,7 @@ class ServoChain:
                 and limit before it stay in force.
         """
         self._check_open()
-        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit")
-        if np.any(limit < 0.0):
-            i = int(np.argmin(limit))
-            raise ConfigError(f"limit of {self.names[i]} is {limit[i]:g} N·m, at least 0 is needed")
+        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", least="N·m")
         cap = self._cap(velocity)
         packets: dict[int, list[tuple[Device, int, int, int]]] = {}
         for i, joint in enumerate(self._joints):
@@ -296,9 +293,7 @@ class ServoChain:
                 obey. Torque is then as it was before.
         """
         self._check_open()
-        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit")
-        if np.any(limit < 0.0):
-            raise ConfigError(f"limit must be at least 0 N·m, got {limit.min():g}")
+        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", least="N·m")
         cap = self._cap(None)
         enabling.enable(self._devices, self._port_of, goal, limit, cap)
         if self._watchdog:
@@ -373,9 +368,7 @@ class ServoChain:
         if velocity is None:
             return speeds
         # A speed that no servo reaches is none.
-        cap = self._vector(np.nan_to_num(velocity, nan=np.nan), "velocity")
-        if np.any(cap < 0.0):
-            raise ConfigError(f"velocity must be at least 0 rad/s, got {cap.min():g}")
+        cap = self._vector(np.nan_to_num(velocity, nan=np.nan), "velocity", least="rad/s")
         slower: Array = np.minimum(cap, speeds)
         return slower
 
@@ -387,12 +380,17 @@ class ServoChain:
             raise ConfigError(f"no joint {unknown[0]!r}; there are: {', '.join(self.names)}")
         return [device for device in self._devices if device.spec.name in names]
 
-    def _vector(self, value: ArrayLike, name: str) -> Array:
+    def _vector(self, value: ArrayLike, name: str, *, least: str = "") -> Array:
+        """One finite number a joint; with `least`, their unit, at least 0."""
         array = np.array(value, dtype=np.float64)
         if array.shape != (self.n,):
             raise ShapeError(f"{name} has shape {array.shape}, expected ({self.n},)")
         if not np.isfinite(array).all():
             raise ConfigError(f"{name} is not finite: {array.tolist()}")
+        if least and array[i := int(np.argmin(array))] < 0.0:
+            raise ConfigError(
+                f"{name} of {self.names[i]} is {array[i]:g} {least}, at least 0 is needed"
+            )
         return array
 
     def _check_open(self) -> None:
