@@ -92,3 +92,21 @@ def test_a_folder_that_cannot_be_made_is_one_line(capsys, tmp_path):
     file.write_text("", encoding="utf-8")
     assert main(["demo", "--quick", "--only", "1", "--jobs", "1", "--out", str(file)]) == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith("error: ")
+
+
+def test_bands_that_are_missed_are_said_with_number_and_reason():
+    pytest.importorskip("mujoco")
+    from pliant.cli.demo import missed
+    from pliant.experiments.result import Chapter, Check, Figure, Statement
+
+    kept = Check(name="force", value=3.0, high=4.0, unit="N")
+    tests = (kept, Check(name="drift", value=0.0123, low=0.001, high=0.01, unit="m"))
+    statements = (
+        Statement(claim="It holds.", outcome="", tests=(kept,), source="study"),
+        Statement(claim="It stays.", outcome="", tests=tests, source="study", because="gears rub"),
+        Statement(claim="The paper's.", outcome="", tests=tests),
+    )
+    figure = Figure(file="f", title="", done="", caption="", statements=statements)
+    chapter = Chapter(number=2, title="Held", lead="", figures=(figure,), numbers={})
+    (line,) = missed(chapter)
+    assert line == "2 not kept: It stays. drift is 0.0123 m, band 0.001 to 0.01; gears rub"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from types import ModuleType
 
     from pliant.experiments.demo import Demonstration, Subject
+    from pliant.experiments.result import Chapter, Check
 
 #: Beyond this many processes the longest run decides.
 MOST_JOBS = 16
@@ -128,6 +130,34 @@ class Bar:
         self._progress.update(self._task, advance=1)
 
 
+def missed(chapter: Chapter) -> list[str]:
+    """Our own bands that this run did not keep, a line each, with the number and why."""
+    from pliant.experiments.result import Verdict
+
+    lines = []
+    for statement in chapter.statements("study"):
+        if statement.verdict is Verdict.AGREES:
+            continue
+        failed = [
+            f"{test.name} is {test.value:.3g}{test.unit and ' '}{test.unit}, band {_band(test)}"
+            for test in statement.tests
+            if not test.passed
+        ]
+        why = f"; {statement.because}" if statement.because else ""
+        said = "; ".join(failed) or statement.outcome
+        lines.append(f"{chapter.number} not kept: {statement.claim} {said}{why}")
+    return lines
+
+
+def _band(test: Check) -> str:
+    """The interval of a test in words."""
+    if math.isinf(test.low):
+        return f"up to {test.high:.3g}"
+    if math.isinf(test.high):
+        return f"from {test.low:.3g}"
+    return f"{test.low:.3g} to {test.high:.3g}"
+
+
 def _close(console: Console, done: Demonstration) -> None:
     """Print what came out, the path of the report last."""
     from pliant.experiments.result import Verdict
@@ -149,6 +179,9 @@ def _close(console: Console, done: Demonstration) -> None:
         for name, value in chapter.headline:
             facts.add_row(f"[dim]{chapter.number}[/]", name, f"[bold]{value}[/]")
     console.print(table)
+    for chapter in done.chapters:
+        for line in missed(chapter):
+            console.print(line, highlight=False, soft_wrap=True)
     console.print(facts)
     console.print(
         f"\n{len(done.pictures)} figures, every number in {done.results.name}, {done.seconds:.0f} s"
