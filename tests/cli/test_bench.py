@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant.cli import bench, main
+from pliant.cli import COMMANDS, bench, main
 
 
 def test_bench_says_what_a_step_takes(capsys):
@@ -82,6 +82,15 @@ def test_bench_moves_through_the_ranges():
 def test_what_bench_cannot_do_is_explained(flags, said, capsys):
     assert main(["bench", *flags]) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_calls_files_arms_and_devices_by_their_names(name, capsys):
+    assert main([name, "--help"]) == 0
+    out = capsys.readouterr().out
+    assert not re.search(r"\{None\}\|(STR|PATH)", out)
+    assert ("--urdf FILE" in out) == ("--urdf" in out)
+    assert "ARM" in out or name in {"scan", "log", "report", "demo"}
 
 
 def test_help_starts_without_what_commands_need():

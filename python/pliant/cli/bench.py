@@ -15,6 +15,7 @@ from rich.table import Table
 
 import pliant
 from pliant import config
+from pliant.cli.flags import Axes, File, Frame, OtherArm
 from pliant.cli.soft import check_soft
 
 if TYPE_CHECKING:
@@ -58,12 +59,12 @@ class Latency:
 
 def run(
     *,
-    urdf: Path | None = None,
-    tip: str | None = None,
-    robot: str | None = None,
+    urdf: File = None,
+    tip: Frame = None,
+    robot: OtherArm = None,
     law: Law | None = None,
-    axes: str = "",
-    soft: str = "y",
+    axes: Axes = "",
+    soft: Axes = "y",
     calls: int = 1_000_000,
 ) -> None:
     """Time single steps on this machine, garbage collector on, beside calls that do nothing.

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from pliant import ConfigError, PliantError
+from pliant.cli.flags import File, Frame
 from pliant.experiments.runner import draw_off_screen
 from pliant.extras import missing
 
@@ -33,9 +34,9 @@ def run(
     only: Annotated[str, tyro.conf.arg(metavar="1,3")] = "",
     quick: bool = False,
     robot: Literal["arm7", "so101", "koch"] = "arm7",
-    urdf: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
-    base: Annotated[str | None, tyro.conf.arg(metavar="FRAME")] = None,
-    tip: Annotated[str | None, tyro.conf.arg(metavar="FRAME")] = None,
+    urdf: File = None,
+    base: Frame = None,
+    tip: Frame = None,
     jobs: int = 2,
 ) -> None:
     """Run the experiments and leave a report.

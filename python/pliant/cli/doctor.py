@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
-import tyro
 from rich.console import Console
 from rich.markup import escape
 
 from pliant import ConfigError, config
+from pliant.cli.flags import ArmName, Backend, Device, File, Seconds
 from pliant.cli.watch import watch as look
 from pliant.config.doctor import examine
 
@@ -21,14 +18,14 @@ READY = (
 
 
 def run(
-    arm: Annotated[str, tyro.conf.Positional],
+    arm: ArmName,
     *,
-    port: str | None = None,
-    backend: str | None = None,
-    urdf: Path | None = None,
-    calibration: Path | None = None,
+    port: Device = None,
+    backend: Backend = None,
+    urdf: File = None,
+    calibration: File = None,
     watch: bool = False,
-    seconds: float | None = None,
+    seconds: Seconds = None,
 ) -> None:
     """Look at files, ports, servos and this machine; nothing is written and nothing moves.
 

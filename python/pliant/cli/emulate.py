@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import signal
 import time
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
 from rich.console import Console
 
 from pliant import ConfigError, config
+from pliant.cli.flags import ArmName, File, Seconds
 from pliant.servo.emulator import Faults, Timing
 
 
 def run(
-    arm: Annotated[str, tyro.conf.Positional],
+    arm: ArmName,
     *,
     timing: Literal["off", "wire", "usb"] = "off",
     lose: float = 0.0,
     seed: int = 0,
-    duration: float | None = None,
-    urdf: Path | None = None,
-    calibration: Path | None = None,
+    duration: Seconds = None,
+    urdf: File = None,
+    calibration: File = None,
 ) -> None:
     """Emulate an arm's servos, with the simulated arm behind them, until Ctrl-C.
 

@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 
 import pliant
+from pliant.cli.flags import File, LogFile
 from pliant.extras import missing, pip
 
 if TYPE_CHECKING:
@@ -34,9 +35,9 @@ FIGURES = {
 
 def run(
     what: Annotated[Literal["info", "plot", "export"], tyro.conf.Positional],
-    log: Annotated[Path, tyro.conf.Positional],
+    log: LogFile,
     *,
-    output: Path | None = None,
+    output: File = None,
     parquet: bool = False,
     rerun: bool = False,
 ) -> None:

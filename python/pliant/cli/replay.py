@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import tyro
 from rich.console import Console
 
 import pliant
 from pliant import config
+from pliant.cli.flags import ArmName, Axes, Backend, Device, File, MotionFile
 from pliant.cli.keys import Keys
 from pliant.cli.soft import check_soft
 
@@ -24,19 +23,19 @@ if TYPE_CHECKING:
 
 
 def run(
-    arm: Annotated[str, tyro.conf.Positional],
-    motion: Annotated[Path, tyro.conf.Positional],
+    arm: ArmName,
+    motion: MotionFile,
     *,
-    soft: str = "",
+    soft: Axes = "",
     speed: float = 1.0,
     wait: tuple[float, float] = (0.03, 0.25),
     stop: float | None = None,
     times: int = 1,
-    log: Path | None = None,
-    port: str | None = None,
-    backend: str | None = None,
-    urdf: Path | None = None,
-    calibration: Path | None = None,
+    log: File = None,
+    port: Device = None,
+    backend: Backend = None,
+    urdf: File = None,
+    calibration: File = None,
 ) -> None:
     """Go to where the motion begins, play it, and lower the arm.
 

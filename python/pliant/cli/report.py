@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
-import tyro
 from rich.console import Console
+
+from pliant.cli.flags import File, LogFile
 
 
 def run(
-    log: Annotated[Path, tyro.conf.Positional],
+    log: LogFile,
     *,
-    output: Path | None = None,
+    output: File = None,
 ) -> None:
     """Make a page of a log that `pliant run --log` or `pliant.log.Recorder` made.
 

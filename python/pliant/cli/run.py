@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -14,6 +13,7 @@ from rich.table import Table
 
 import pliant
 from pliant import config
+from pliant.cli.flags import ArmName, Axes, Backend, Device, File, Seconds
 from pliant.cli.soft import check_soft
 from pliant.cli.targets import Targets, open_targets
 
@@ -32,16 +32,16 @@ LINGER = 2.0
 
 
 def run(
-    arm: Annotated[str, tyro.conf.Positional],
+    arm: ArmName,
     *,
-    soft: str = "",
+    soft: Axes = "",
     targets: Annotated[str, tyro.conf.arg(metavar="FILE|-|udp:PORT")] = "",
-    duration: float | None = None,
-    port: str | None = None,
-    backend: str | None = None,
-    urdf: Path | None = None,
-    calibration: Path | None = None,
-    log: Path | None = None,
+    duration: Seconds = None,
+    port: Device = None,
+    backend: Backend = None,
+    urdf: File = None,
+    calibration: File = None,
+    log: File = None,
     quiet: bool = False,
 ) -> None:
     """Switch torque on, control the arm until Ctrl-C, and lower it.

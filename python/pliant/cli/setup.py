@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import tyro
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
 from pliant import ConfigError, ServoError, config
+from pliant.cli.flags import ArmName, Device, File
 from pliant.config import assemble
 from pliant.servo import RustypotTransport
 from pliant.servo.settle import Change, apply, changes, restore
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 
 
 def run(
-    arm: Annotated[str, tyro.conf.Positional],
+    arm: ArmName,
     *,
     yes: bool = False,
     keep_overload: bool = False,
-    undo: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    undo: File = None,
     backup: Path = Path("pliant-setup.json"),
-    port: str | None = None,
-    urdf: Path | None = None,
-    calibration: Path | None = None,
+    port: Device = None,
+    urdf: File = None,
+    calibration: File = None,
 ) -> None:
     """Set the servos' EEPROM up for compliant control; LeRobot's own values stay as they are.
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-import tyro
 from rich.console import Console
 
 import pliant
 from pliant import config
+from pliant.cli.flags import ArmName, Backend, Device, File, MotionFile
 from pliant.cli.keys import Keys
 from pliant.teach.bounded import ready
 from pliant.teach.lead import lead
@@ -21,18 +20,18 @@ if TYPE_CHECKING:
 
 
 def run(
-    arm: Annotated[str, tyro.conf.Positional],
-    motion: Annotated[Path, tyro.conf.Positional],
+    arm: ArmName,
+    motion: MotionFile,
     *,
     by: Literal["rest", "enter", "gripper"] = "rest",
     seconds: float = 60.0,
     hand: bool = False,
     bounds: tuple[float, float, float] | None = None,
     note: str = "",
-    port: str | None = None,
-    backend: str | None = None,
-    urdf: Path | None = None,
-    calibration: Path | None = None,
+    port: Device = None,
+    backend: Backend = None,
+    urdf: File = None,
+    calibration: File = None,
 ) -> None:
     """Float the arm, record how it is led, trim and smooth it, and lower the arm.
 

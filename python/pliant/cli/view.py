@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import tyro
 from rich.console import Console
 
 from pliant import ConfigError, PliantError
+from pliant.cli.flags import ArmName, Backend, Device, File
 from pliant.extras import missing
 
 if TYPE_CHECKING:
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    arm: Annotated[str, tyro.conf.Positional] = "",
+    arm: ArmName = "",
     *,
     robot: Literal["arm7", "so101", "koch"] = "arm7",
     scene: str = "free",
@@ -24,11 +23,11 @@ def run(
     host: str = "127.0.0.1",
     page: int = 8080,
     browser: bool = False,
-    log: Path | None = None,
-    port: str | None = None,
-    backend: str | None = None,
-    urdf: Path | None = None,
-    calibration: Path | None = None,
+    log: File = None,
+    port: Device = None,
+    backend: Backend = None,
+    urdf: File = None,
+    calibration: File = None,
 ) -> None:
     """Show an arm on a page, control it from there until Ctrl-C, and lower it.
 
