@@ -80,17 +80,16 @@ fn options(settings: &Settings, n: usize) -> Vec<(&'static str, Settings)> {
     all
 }
 
+fn padded(q: &[f64]) -> JointVec {
+    let mut out = [0.0; MAX_JOINTS];
+    out[..q.len()].copy_from_slice(q);
+    out
+}
+
 fn stages() -> Vec<(String, Work)> {
     let model = arm();
     let states = states(&model);
-    let joints: Vec<JointVec> = states
-        .iter()
-        .map(|(q, _)| {
-            let mut out = [0.0; MAX_JOINTS];
-            out[..q.len()].copy_from_slice(q);
-            out
-        })
-        .collect();
+    let joints: Vec<JointVec> = states.iter().map(|(q, _)| padded(q)).collect();
     let poses: Vec<(Pose, Pose)> =
         states.iter().map(|(q, target)| (model.forward_kinematics(q).expect("a state of this arm"), *target)).collect();
     let mut stages: Vec<(String, Work)> = Vec::new();
