@@ -164,7 +164,7 @@ class Pose:
     Raises:
         ShapeError: Not 4x4.
         ConfigError: No rotation, or a last row other than 0 0 0 1.
-        LimitError: A position beyond 1e6 m or not finite.
+        LimitError: A position beyond 100 m or not finite.
     """
 
     def __new__(cls, matrix: _PoseLike | None = None) -> Pose: ...
@@ -1630,8 +1630,9 @@ class Controller:
         Args:
             q: Measured joint positions (n,) [rad].
             target: Pose `base_from_tool`: (4, 4), `Pose`, any object with a 4x4 accessor; (3,) for
-                a task without rotations.
-            dt: Time since the last step [s]; None: 1 / settings.rate.
+                a task without rotations. Within 100 m along each axis; toward one out of reach
+                the arm stretches, and `check` says that it is.
+            dt: Time since the last step [s], at most 1; None: 1 / settings.rate.
             dq: Joint velocity (n,) [rad/s] in place of the filtered one.
             twist: Velocity of the target (6,) [m/s, rad/s], base axes.
             gradient: Gradient (n,) of an own null-space cost, added to the others; the cost is
@@ -1682,7 +1683,7 @@ class Controller:
             targets: Poses (N, 4, 4), or positions (N, 3) for a task without rotations; or one for
                 all: whatever `step` takes.
             state: What the arms remember, of `batch_state(N)`; changed in place.
-            dt: Time since the last step of all arms [s]; None: 1 / settings.rate.
+            dt: Time since the last step of all arms [s], at most 1; None: 1 / settings.rate.
             dq: Joint velocities (N, n) [rad/s] in place of the filtered ones.
             invalid: What becomes of rows whose q, target or dq cannot be used: ``"raise"`` an error
                 that names the first one before any arm is stepped, or ``"nan"``: their command is
@@ -2029,7 +2030,8 @@ class Contact:
 
         Args:
             q: Measured joint positions (n,) [rad].
-            dt: Time since the last reading [s]; None: 1 / rate of the controller's settings.
+            dt: Time since the last reading [s], at most 1; None: 1 / rate of the controller's
+                settings.
             dq: Joint velocity (n,) [rad/s] in place of the filtered one.
             load: Torques that the servos say they exert (n,) [N m], in place of lead and limit.
             current: Currents of the motors (n,) [A]; needs `torque_constant`.

@@ -6,10 +6,13 @@ use crate::error::{Error, Result};
 use crate::kinematics::spatial::{Mat3, cross, dot, sub};
 use crate::number::{Arithmetic, Number, Plain};
 
-/// Largest position [m] or joint coordinate that is taken for a real one.
+/// Largest joint coordinate that is taken for a real one.
 ///
 /// Beyond it squares of differences lose the digits that control needs, so it is an input error.
 pub const COORDINATE_BOUND: f64 = 1e6;
+
+/// Farthest [m] that a pose may be along an axis: no arm reaches it, and what is beyond is mostly given in millimetres.
+pub const POSITION_BOUND: f64 = 100.0;
 
 /// Largest error of `RᵀR − I` (largest entry) that a rotation may have.
 pub const ROTATION_TOLERANCE: f64 = 1e-4;
@@ -71,7 +74,7 @@ impl Pose {
         ]
     }
 
-    /// Checks that the position is finite and below [`COORDINATE_BOUND`] and that the rotation is one.
+    /// Checks that the position is finite and within [`POSITION_BOUND`] and that the rotation is one.
     ///
     /// # Errors
     /// [`Error::Limit`] names the entry; [`Error::Config`] the rotation's fault.
@@ -96,8 +99,10 @@ impl Pose {
     #[inline(never)]
     fn explain(&self, name: &str) -> Result<()> {
         for (axis, &value) in ["x", "y", "z"].iter().zip(&self.position) {
-            if !(value.abs() <= COORDINATE_BOUND) {
-                return Err(Error::limit(format!("{name}: position {axis} [m]"), value, "±1e6, finite"));
+            if !(value.abs() <= POSITION_BOUND) {
+                let hint = if value.is_finite() { "; is it in millimetres?" } else { "" };
+                let bound = format!("±{POSITION_BOUND}{hint}");
+                return Err(Error::limit(format!("{name}: position {axis} [m]"), value, bound));
             }
         }
         let mut worst: f64 = 0.0;
@@ -158,13 +163,13 @@ impl<R: Copy> Pose<R> {
         let lengths = A::abs(dot::<A>(x, x) - one) + A::abs(dot::<A>(y, y) - one);
         let angles = A::abs(dot::<A>(x, y)) + (A::abs(off[0]) + A::abs(off[1]) + A::abs(off[2]));
         let far = A::abs(a) + A::abs(b) + A::abs(c);
-        A::fma(A::splat(DOUBT / COORDINATE_BOUND), far, lengths + angles)
+        A::fma(A::splat(DOUBT / POSITION_BOUND), far, lengths + angles)
     }
 
     /// `fine` where this is a pose beyond doubt, 0 where [`Pose::check`] is to be asked.
     #[inline(always)]
     pub(crate) fn if_sure<A: Arithmetic<Real = R>>(&self, mut fine: R) -> R {
-        let (nothing, bound) = (A::splat(0.0), A::splat(COORDINATE_BOUND));
+        let (nothing, bound) = (A::splat(0.0), A::splat(POSITION_BOUND));
         for value in self.position {
             fine = A::if_less(A::abs(value), bound, fine, nothing);
         }

@@ -279,7 +279,7 @@ fn hostile_input_is_refused_and_leaves_no_trace() {
     assert_eq!(before, *contact.estimate());
     // The largest numbers that are taken give finite answers, and a reset forgets them.
     let large = [1e6; 7];
-    for dt in [1e-300, 10.0] {
+    for dt in [1e-300, 1.0] {
         let input = ContactInput { load: Some(&large), dt: Some(dt), ..ContactInput::default() };
         let estimate = *contact.update(&ctl, &GRASP, &input).unwrap();
         assert!(estimate.force.iter().chain(&estimate.uncertainty).all(|x| x.is_finite()));

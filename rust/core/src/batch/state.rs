@@ -78,7 +78,7 @@ impl BatchState {
                 return Err(Error::length("Q", q.len(), self.n));
             }
             if let Some(&value) = q.iter().find(|value| !(value.abs() <= COORDINATE_BOUND)) {
-                return Err(Error::limit("q", value, format!("±{COORDINATE_BOUND:e} and finite")).in_row("Q", index));
+                return Err(Error::limit("q", value, format!("±{COORDINATE_BOUND:e}")).in_row("Q", index));
             }
         }
         let (width, count) = (width(self.n), self.len());

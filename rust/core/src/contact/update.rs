@@ -4,6 +4,7 @@ use super::residual::{Balance, Errors, Noise};
 use super::wrench::Estimator;
 use super::{Contact, ContactInput, HISTORY, Memory, Sent, Tare, WrenchEstimate};
 use crate::controller::Controller;
+use crate::controller::input::period;
 use crate::error::{Error, Result};
 use crate::kinematics::Frames;
 use crate::law::feedforward::{Filtered, SPEED_BOUND, VelocityFilter};
@@ -14,9 +15,6 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows, survey};
 
 /// Largest torque or current that is taken for a real one.
 const LOAD_BOUND: f64 = 1e6;
-
-/// Shortest and longest time between two readings [s].
-const PERIODS: [f64; 2] = [1e-6, 10.0];
 
 /// Standard deviation of a reading that is rounded to counts and flickers by one of them half the time [counts].
 const READING_NOISE: f64 = 0.76;
@@ -62,14 +60,10 @@ impl Contact {
     /// torque constants; the estimate is then as before.
     pub fn update(&mut self, controller: &Controller, q: &[f64], input: &ContactInput<'_>) -> Result<&WrenchEstimate> {
         let q = controller.positions("q", q)?;
-        let dt = input.dt.unwrap_or(1.0 / controller.settings().rate);
-        if !(dt > 0.0 && dt <= PERIODS[1]) {
-            return Err(Error::limit("dt [s]", dt, format!("(0, {}]", PERIODS[1])));
-        }
+        let dt = period(input.dt.unwrap_or(1.0 / controller.settings().rate))?;
         let dq = input.dq.map(|dq| controller.joints("dq", dq, SPEED_BOUND)).transpose()?;
         let measured = self.measured(controller, input)?;
         let sent = sent(controller, input)?;
-        let dt = dt.max(PERIODS[0]);
 
         let mut memory = self.memory;
         if let Some(sent) = sent {

@@ -11,8 +11,8 @@ use crate::{AxisVec, JointVec, MAX_JOINTS};
 /// Shortest time [s] that is divided by: two readings of one instant must not make infinite speeds.
 const SHORTEST_PERIOD: f64 = 1e-6;
 
-/// Longest time between two steps [s].
-const LONGEST_PERIOD: f64 = 10.0;
+/// Longest time between two steps [s], that of the lowest rate: what is longer is mostly told in milliseconds.
+const LONGEST_PERIOD: f64 = 1.0;
 
 /// A step's input, read and checked; what was not given is `None`.
 #[derive(Default)]
@@ -33,11 +33,7 @@ impl Controller {
     /// Reads into `out`, which a step mostly leaves nearly empty: that is not moved about.
     #[inline]
     pub(super) fn read(&self, input: &StepInput<'_>, out: &mut Input) -> Result<()> {
-        let dt = input.dt.unwrap_or(1.0 / self.settings.rate);
-        if !(dt > 0.0 && dt <= LONGEST_PERIOD) {
-            return Err(Error::limit("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]")));
-        }
-        out.dt = dt.max(SHORTEST_PERIOD);
+        out.dt = period(input.dt.unwrap_or(1.0 / self.settings.rate))?;
         if let Some(twist) = input.twist {
             out.twist = Some(checked_twist(twist)?);
         }
@@ -104,12 +100,25 @@ impl Controller {
         for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
             if !(value.abs() <= bound) {
                 let name = self.model.joint_names().get(i).map_or("", String::as_str);
-                return Err(Error::limit(format!("{what}[{i}] ({name})"), value, format!("±{bound:e} and finite")));
+                return Err(Error::limit(format!("{what}[{i}] ({name})"), value, format!("±{bound:e}")));
             }
             *slot = if value.abs() < NEGLIGIBLE { 0.0 } else { value };
         }
         Ok(out)
     }
+}
+
+/// Reads the time [s] since the last step or reading: no shorter than can be divided by.
+#[inline]
+pub(crate) fn period(dt: f64) -> Result<f64> {
+    if dt > 0.0 && dt <= LONGEST_PERIOD { Ok(dt.max(SHORTEST_PERIOD)) } else { Err(no_period(dt)) }
+}
+
+#[cold]
+#[inline(never)]
+fn no_period(dt: f64) -> Error {
+    let hint = if dt > LONGEST_PERIOD { "; is it in milliseconds?" } else { "" };
+    Error::limit("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]{hint}"))
 }
 
 /// Whether positions may be those of a real arm, as [`Controller::positions`] has it.
@@ -129,7 +138,7 @@ pub(super) fn without_negligible<J: Lanes>(q: J) -> J {
 fn checked_twist(twist: &AxisVec) -> Result<AxisVec> {
     for value in twist {
         if !(value.abs() <= SPEED_BOUND) {
-            return Err(Error::limit("twist [m/s, rad/s]", *value, format!("±{SPEED_BOUND} and finite")));
+            return Err(Error::limit("twist [m/s, rad/s]", *value, format!("±{SPEED_BOUND}")));
         }
     }
     Ok(*twist)

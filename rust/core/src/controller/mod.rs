@@ -1,7 +1,7 @@
 //! The control step: the staircase that calls each floor once and has no formula of its own.
 
 pub(crate) mod floors;
-mod input;
+pub(crate) mod input;
 pub(crate) mod kept;
 pub(crate) mod memory;
 mod rare;
@@ -58,7 +58,7 @@ impl Command {
 /// Optional inputs of one step.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct StepInput<'a> {
-    /// Time since the last step [s]; `None`: 1 / rate.
+    /// Time since the last step [s], at most 1; `None`: 1 / rate.
     pub dt: Option<f64>,
     /// Joint velocity [rad/s] in place of the filtered one.
     pub dq: Option<&'a [f64]>,

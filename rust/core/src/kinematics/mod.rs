@@ -99,11 +99,7 @@ impl Model {
         for (i, (slot, &value)) in out.iter_mut().zip(q).enumerate() {
             if !(value.abs() <= COORDINATE_BOUND) {
                 let name = &self.joint_names()[i];
-                return Err(Error::limit(
-                    format!("q[{i}] ({name})"),
-                    value,
-                    format!("±{COORDINATE_BOUND:e} and finite"),
-                ));
+                return Err(Error::limit(format!("q[{i}] ({name})"), value, format!("±{COORDINATE_BOUND:e}")));
             }
             *slot = value;
         }

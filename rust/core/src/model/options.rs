@@ -64,11 +64,7 @@ impl Payload {
 pub(super) fn finite_vector(what: &str, unit: &str, vector: &[f64; 3]) -> Result<()> {
     for (axis, &value) in ["x", "y", "z"].iter().zip(vector) {
         if !(value.abs() <= COORDINATE_BOUND) {
-            return Err(Error::limit(
-                format!("{what}.{axis} [{unit}]"),
-                value,
-                format!("±{COORDINATE_BOUND:e} and finite"),
-            ));
+            return Err(Error::limit(format!("{what}.{axis} [{unit}]"), value, format!("±{COORDINATE_BOUND:e}")));
         }
     }
     Ok(())
