@@ -407,7 +407,8 @@ class IkSolution:
 class Model:
     """One kinematic chain with every body it carries. Immutable; controllers share it.
 
-    Made by `Model.from_urdf`, `Model.from_urdf_str`, or a function of `pliant.robots`.
+    Made by `Model.from_urdf`, `Model.from_urdf_str`, or a function of `pliant.robots`. A pickle
+    holds the URDF text and the options.
     """
 
     @staticmethod
@@ -464,6 +465,9 @@ class Model:
     def source(self) -> tuple[str, dict[str, Any]]:
         """URDF text and options: `Model.from_urdf_str(text, **options)` makes the same model."""
 
+    def __copy__(self) -> Model: ...
+    def __deepcopy__(self, memo: dict[int, Any], /) -> Model: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
     @property
     def name(self) -> str:
         """Name of the robot."""
@@ -1596,7 +1600,9 @@ class Controller:
     """Compliant task-space controller: joint goals and torque limits from positions alone.
 
     Not to be shared between threads: a second call during a first one raises `RuntimeError`. Arrays
-    per axis have one entry per axis of the task, in its order.
+    per axis have one entry per axis of the task, in its order. Can be copied, and pickled to be
+    read by the same version: the next step is then the one that it would have been, and so are
+    payload, gravity and delay; what was read of the last step only a copy keeps.
 
     Args:
         model: The arm.
@@ -1611,6 +1617,9 @@ class Controller:
     def __new__(
         cls, model: Model, settings: Settings | None = None, servos: Servos | None = None
     ) -> Controller: ...
+    def __copy__(self) -> Controller: ...
+    def __deepcopy__(self, memo: dict[int, Any], /) -> Controller: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
     def step(
         self,
         q: ArrayLike,
@@ -2228,3 +2237,11 @@ def adapt_target(
 
 def pose_error(actual: _PoseLike, target: _PoseLike) -> _Array:
     """Deviation target - actual (6,), base axes [m, rad]; rotation vector of R_d R^T."""
+
+def _model(text: str, options: dict[str, Any]) -> Model:
+    """What a pickle of a model calls."""
+
+def _controller(
+    model: Model, settings: Settings, servos: Servos | None, numbers: tuple[Any, ...]
+) -> Controller:
+    """What a pickle of a controller calls."""

@@ -66,7 +66,7 @@ mod threads;
 
 pub use batch::{BatchCommand, BatchInput, BatchState, Invalid, Targets};
 pub use contact::{Contact, ContactInput, ContactOptions, WrenchEstimate};
-pub use controller::{Command, Controller, Record, StepInput};
+pub use controller::{Carried, Command, Controller, Record, StepInput};
 pub use error::{Error, Result};
 pub use functions::{
     activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,

@@ -1,10 +1,12 @@
 //! `Controller`.
 
+use std::sync::Arc;
+
 use pliant_core::settings::Law;
 use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis};
 use pliant_core::{
-    AxisVec, Command as CoreCommand, Controller as CoreController, JointVec, Payload as CorePayload,
-    Settings as CoreSettings, StepInput,
+    Command as CoreCommand, Controller as CoreController, Model as CoreModel, Payload as CorePayload,
+    Servos as CoreServos, Settings as CoreSettings,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -12,9 +14,11 @@ use pyo3::types::PyDict;
 use crate::arguments;
 use crate::command::{Command, Pool};
 use crate::convert::new_array;
-use crate::error::{OrRaise, wrong_type};
+use crate::error::OrRaise;
+use crate::extras::Extras;
 use crate::model::Model;
-use crate::read::{array_into, joints, joints_in_place, number, pose, vector3};
+use crate::pickle::{self, Reduced};
+use crate::read::{joints, joints_in_place, pose, vector3};
 use crate::record::readings;
 use crate::report::{Check, Report, check_with};
 use crate::servos::Servos;
@@ -34,51 +38,32 @@ pub(crate) struct Controller {
     servos: Option<Py<Servos>>,
 }
 
-/// The optional arguments of a step as numbers.
-#[derive(Default)]
-struct Extras {
-    dt: Option<f64>,
-    dq: Option<JointVec>,
-    twist: Option<AxisVec>,
-    gradient: Option<JointVec>,
-}
-
-impl Extras {
-    /// Those that are given; read where they are kept, for mostly there are none to be moved about.
-    #[inline]
-    fn read(
-        &mut self,
-        n: usize,
-        dt: Option<&Bound<'_, PyAny>>,
-        dq: Option<&Bound<'_, PyAny>>,
-        twist: Option<&Bound<'_, PyAny>>,
-        gradient: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<()> {
-        if let Some(dt) = dt {
-            self.dt = Some(number(dt).ok_or_else(|| wrong_type("dt", "a number [s]", dt))?);
-        }
-        if let Some(dq) = dq {
-            self.dq = Some(joints("dq", dq, n)?);
-        }
-        if let Some(twist) = twist {
-            let mut six = [0.0; 6];
-            array_into("twist", twist, &[6], &mut six)?;
-            self.twist = Some(six);
-        }
-        if let Some(gradient) = gradient {
-            self.gradient = Some(joints("gradient", gradient, n)?);
-        }
-        Ok(())
+impl Controller {
+    /// Of parts that have been read, by one of the core's constructors.
+    pub(crate) fn made(
+        py: Python<'_>,
+        model: Py<Model>,
+        settings: Py<Settings>,
+        servos: Option<Py<Servos>>,
+        make: impl FnOnce(Arc<CoreModel>, CoreSettings, Option<CoreServos>) -> pliant_core::Result<CoreController> + Send,
+    ) -> PyResult<Self> {
+        let arm = Arc::clone(&model.get().core);
+        let (wanted, table) = (settings.get().0.clone(), servos.as_ref().map(|servos| servos.get().0.clone()));
+        let core = py.detach(|| make(arm, wanted, table)).or_raise()?;
+        let (n, position_only) = (core.model().n(), position_only(&settings.get().0));
+        Ok(Self { core, n, position_only, pool: Pool::default(), model, settings, servos })
     }
 
-    #[inline]
-    fn input(&self, n: usize) -> StepInput<'_> {
-        StepInput {
-            dt: self.dt,
-            dq: self.dq.as_ref().map(|dq| &dq[..n]),
-            twist: self.twist.as_ref(),
-            gradient: self.gradient.as_ref().map(|gradient| &gradient[..n]),
-            posture: None,
+    /// Another one that has read, remembers and was told the same.
+    fn twin(&self, py: Python<'_>) -> Self {
+        Self {
+            core: self.core.clone(),
+            n: self.n,
+            position_only: self.position_only,
+            pool: Pool::default(),
+            model: self.model.clone_ref(py),
+            settings: self.settings.clone_ref(py),
+            servos: self.servos.as_ref().map(|servos| servos.clone_ref(py)),
         }
     }
 }
@@ -104,16 +89,11 @@ readings! {
                 Some(settings) => settings,
                 None => Py::new(py, Settings(CoreSettings::default()))?,
             };
-            let arm = &model.get().core;
-            let n = arm.n();
             let servos = match servos {
-                Some(servos) => Some(Py::new(py, Servos(servos.get().0.for_joints(n).or_raise()?))?),
+                Some(servos) => Some(Py::new(py, Servos(servos.get().0.for_joints(model.get().core.n()).or_raise()?))?),
                 None => model.get().servos.as_ref().map(|servos| servos.clone_ref(py)),
             };
-            let (wanted, table) = (settings.get().0.clone(), servos.as_ref().map(|servos| servos.get().0.clone()));
-            let core = py.detach(|| CoreController::new(arm.clone(), wanted, table)).or_raise()?;
-            let position_only = position_only(&settings.get().0);
-            Ok(Self { core, n, position_only, pool: Pool::default(), model, settings, servos })
+            Self::made(py, model, settings, servos, CoreController::new)
         }
 
         #[pyo3(signature = (q, target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
@@ -331,6 +311,19 @@ readings! {
         #[getter]
         fn factors(&self) -> (f64, f64, f64) {
             self.core.record().factors.into()
+        }
+
+        fn __copy__(&self, py: Python<'_>) -> Self {
+            self.twin(py)
+        }
+
+        fn __deepcopy__(&self, py: Python<'_>, _memo: &Bound<'_, PyAny>) -> Self {
+            self.twin(py)
+        }
+
+        fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Reduced<'py>> {
+            let parts = (self.model.clone_ref(py), self.settings.clone_ref(py), self.servos(py));
+            pickle::of_controller(py, parts, &self.core.carried())
         }
 
         fn __repr__(&self, py: Python<'_>) -> PyResult<String> {

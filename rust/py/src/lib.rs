@@ -11,12 +11,14 @@ mod contact;
 mod controller;
 mod convert;
 mod error;
+mod extras;
 mod fields;
 mod functions;
 mod kinds;
 mod kinematics;
 mod model;
 mod options;
+mod pickle;
 mod pose;
 mod read;
 mod record;
@@ -53,6 +55,8 @@ mod _core {
     use crate::model::Model;
     #[pymodule_export]
     use crate::options::Payload;
+    #[pymodule_export]
+    use crate::pickle::{controller, model};
     #[pymodule_export]
     use crate::pose::{Pose, as_pose};
     #[pymodule_export]

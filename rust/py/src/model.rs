@@ -16,6 +16,7 @@ use crate::error::OrRaise;
 use crate::kinds::Kind;
 use crate::kinematics::{self, positions};
 use crate::options::Payload;
+use crate::pickle::{self, Reduced};
 use crate::pose::matrix;
 use crate::servos::Servos;
 use crate::solution::{IkSolution, search};
@@ -46,10 +47,20 @@ impl Model {
         text: String,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
-        let options = options.map(PyDictMethods::copy).transpose()?.map(Bound::unbind);
+        // Whoever changes what an option was made of later does not change what the model was made of.
+        let options = match options {
+            Some(given) => Some(py.import("copy")?.call_method1("deepcopy", (given,))?.cast_into::<PyDict>()?.unbind()),
+            None => None,
+        };
         let spread = servos.map(|servos| servos.for_joints(core.n()).or_raise()).transpose()?;
         let servos = spread.map(|servos| Py::new(py, Servos(servos))).transpose()?;
         Ok(Self { core: Arc::new(core), servos, text, options, links: PyOnceLock::new(), joints: PyOnceLock::new() })
+    }
+
+    pub(crate) fn from_text(py: Python<'_>, text: &str, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let (read, servos) = crate::options::read(options)?;
+        let core = py.detach(|| CoreModel::from_urdf_str(text, &read)).or_raise()?;
+        Self::new(py, core, servos.as_ref(), text.to_owned(), options)
     }
 }
 
@@ -84,9 +95,7 @@ impl Model {
                           limits=None, servos=None)"
     )]
     fn from_urdf_str(py: Python<'_>, text: &str, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-        let (read, servos) = crate::options::read(options)?;
-        let core = py.detach(|| CoreModel::from_urdf_str(text, &read)).or_raise()?;
-        Self::new(py, core, servos.as_ref(), text.to_owned(), options)
+        Self::from_text(py, text, options)
     }
 
     #[getter]
@@ -288,6 +297,19 @@ impl Model {
         out: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         kinematics::gravities(&self.core, Q, out)
+    }
+
+    fn __copy__(model: Py<Self>) -> Py<Self> {
+        model
+    }
+
+    fn __deepcopy__(model: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        model
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Reduced<'py>> {
+        let (text, options) = self.source(py)?;
+        pickle::of_model(py, text, options)
     }
 
     fn __repr__(&self) -> String {

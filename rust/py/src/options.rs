@@ -9,7 +9,7 @@ use crate::error::{OrRaise, config, shown, suggestion};
 use crate::read::{number, vector3};
 use crate::servos::Servos;
 
-#[pyclass(name = "Payload", module = "pliant", frozen, eq)]
+#[pyclass(name = "Payload", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Payload(pub(crate) CorePayload);
 

@@ -1,5 +1,7 @@
 //! The control step: the staircase that calls each floor once and has no formula of its own.
 
+mod capture;
+mod carried;
 pub(crate) mod floors;
 pub(crate) mod input;
 pub(crate) mod kept;
@@ -18,12 +20,13 @@ use crate::kinematics::{Frames, LookScratch, Masses};
 use crate::model::{Model, Payload};
 use crate::number::Instructions;
 use crate::plan::Plan;
-use crate::pose::{COORDINATE_BOUND, Pose};
+use crate::pose::Pose;
 use crate::servos::Servos;
 use crate::settings::{Law, Settings};
 use crate::survey::{self, Surveyed};
 use crate::{JointVec, MAX_JOINTS};
 
+pub use carried::Carried;
 pub use record::Record;
 
 use memory::Memory;
@@ -79,6 +82,7 @@ pub struct Controller {
     surveyed: Surveyed,
     pub(crate) plan: Plan,
     pub(crate) masses: Masses,
+    payload: Option<Payload>,
     pub(crate) gravity: [f64; 3],
     /// 1/k_g where gravity was captured.
     captured: Option<JointVec>,
@@ -96,20 +100,27 @@ impl Controller {
     /// # Errors
     /// [`Error::Limit`], [`Error::Shape`] or [`Error::Config`], naming the setting and the remedy.
     pub fn new(model: Arc<Model>, settings: Settings, servos: Option<Servos>) -> Result<Self> {
+        Self::made(model, settings, servos, None)
+    }
+
+    /// [`Controller::new`], with the gravity offset 1/k_g (n) of one that captured it.
+    fn made(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
         let mut surveyed = Surveyed::default();
-        let plan = Plan::new(&model, &settings, servos.as_ref(), false, &mut surveyed)?;
+        let mut plan = Plan::new(&model, &settings, servos.as_ref(), captured.is_some(), &mut surveyed)?;
+        plan.gravity_compliance.iter_mut().zip(captured.into_iter().flatten()).for_each(|(slot, &value)| *slot = value);
         let masses = model.chain().masses(model.payload());
         if settings.gravity != crate::settings::GravityUse::Off {
             survey::check_holding(&model, &plan.servos.torque, &masses, model.gravity_vector())?;
         }
         let zero = [0.0; MAX_JOINTS];
         let controller = Self {
+            payload: model.payload().copied(),
             gravity: model.gravity_vector(),
             delay: settings.delay,
             memory: Memory::new(),
             record: Record::empty(),
             command: Command { n: plan.n, goal: zero, torque_limit: zero, velocity: zero },
-            captured: None,
+            captured: captured.map(|_| plan.gravity_compliance),
             instructions: Instructions::chosen(),
             scratch: LookScratch::new(),
             model,
@@ -276,7 +287,7 @@ impl Controller {
         }
         let masses = self.model.chain().masses(payload);
         survey::check_holding(&self.model, &self.plan.servos.torque, &masses, self.gravity)?;
-        self.masses = masses;
+        (self.payload, self.masses) = (payload.copied(), masses);
         Ok(())
     }
 
@@ -327,41 +338,6 @@ impl Controller {
         } else {
             1.0
         }
-    }
-
-    /// Takes the gravity offset from an arm that has been held still by an integrating goal.
-    ///
-    /// `k_g,i = g_i / lead_i` with `lead = goal − q`, where |g_i| exceeds three times the friction, within 0.3…3 × the
-    /// believed `k_p`; elsewhere the believed one. Serves the gravity offset only. Returns k_g [N·m/rad].
-    ///
-    /// # Errors
-    /// [`Error::Shape`] or [`Error::Limit`] for `q` or `goal`; [`Error::Config`] without `k_p`.
-    pub fn capture_gravity(&mut self, q: &[f64], goal: &[f64]) -> Result<Vec<f64>> {
-        let q = self.positions("q", q)?;
-        let goal = self.joints("goal", goal, COORDINATE_BOUND)?;
-        if !self.plan.servos.has_kp {
-            return Err(Error::config("servos", "capturing gravity needs the believed k_p: give servos"));
-        }
-        let holding = self.holding_torques(&q);
-        let servos = &self.plan.servos;
-        let mut captured = servos.compliance;
-        for i in 0..self.plan.n {
-            if holding[i].abs() > 3.0 * servos.friction[i] {
-                let (compliance, believed) = ((goal[i] - q[i]) / holding[i], servos.compliance[i]);
-                captured[i] = compliance.clamp(believed / 3.0, believed / 0.3);
-            }
-        }
-        // What the integrating goal holds of this offset must not count twice.
-        if self.settings.gravity.in_goal() {
-            for i in 0..self.plan.n {
-                let more = holding[i] * (captured[i] - self.plan.gravity_compliance[i]);
-                self.memory.integral[i] -= more;
-                self.memory.weight[i] += more;
-            }
-        }
-        self.captured = Some(captured);
-        self.plan.gravity_compliance = captured;
-        Ok(captured[..self.plan.n].iter().map(|compliance| 1.0 / compliance).collect())
     }
 
     /// One control step toward a pose of the tool.

@@ -1,0 +1,42 @@
+//! The gravity offset, taken from an arm that is held still.
+
+use crate::controller::Controller;
+use crate::error::{Error, Result};
+use crate::pose::COORDINATE_BOUND;
+
+impl Controller {
+    /// Takes the gravity offset from an arm that has been held still by an integrating goal.
+    ///
+    /// `k_g,i = g_i / lead_i` with `lead = goal − q`, where |g_i| exceeds three times the friction, within 0.3…3 × the
+    /// believed `k_p`; elsewhere the believed one. Serves the gravity offset only. Returns k_g [N·m/rad].
+    ///
+    /// # Errors
+    /// [`Error::Shape`] or [`Error::Limit`] for `q` or `goal`; [`Error::Config`] without `k_p`.
+    pub fn capture_gravity(&mut self, q: &[f64], goal: &[f64]) -> Result<Vec<f64>> {
+        let q = self.positions("q", q)?;
+        let goal = self.joints("goal", goal, COORDINATE_BOUND)?;
+        if !self.plan.servos.has_kp {
+            return Err(Error::config("servos", "capturing gravity needs the believed k_p: give servos"));
+        }
+        let holding = self.holding_torques(&q);
+        let servos = &self.plan.servos;
+        let mut captured = servos.compliance;
+        for i in 0..self.plan.n {
+            if holding[i].abs() > 3.0 * servos.friction[i] {
+                let (compliance, believed) = ((goal[i] - q[i]) / holding[i], servos.compliance[i]);
+                captured[i] = compliance.clamp(believed / 3.0, believed / 0.3);
+            }
+        }
+        // What the integrating goal holds of this offset must not count twice.
+        if self.settings.gravity.in_goal() {
+            for i in 0..self.plan.n {
+                let more = holding[i] * (captured[i] - self.plan.gravity_compliance[i]);
+                self.memory.integral[i] -= more;
+                self.memory.weight[i] += more;
+            }
+        }
+        self.captured = Some(captured);
+        self.plan.gravity_compliance = captured;
+        Ok(captured[..self.plan.n].iter().map(|compliance| 1.0 / compliance).collect())
+    }
+}

@@ -1,0 +1,56 @@
+//! What a step can be given beside positions and target.
+
+use pliant_core::{AxisVec, JointVec, StepInput};
+use pyo3::prelude::*;
+
+use crate::error::wrong_type;
+use crate::read::{array_into, joints, number};
+
+/// The optional arguments of a step as numbers.
+#[derive(Default)]
+pub(crate) struct Extras {
+    pub(crate) dt: Option<f64>,
+    dq: Option<JointVec>,
+    twist: Option<AxisVec>,
+    gradient: Option<JointVec>,
+}
+
+impl Extras {
+    /// Those that are given; read where they are kept, for mostly there are none to be moved about.
+    #[inline]
+    pub(crate) fn read(
+        &mut self,
+        n: usize,
+        dt: Option<&Bound<'_, PyAny>>,
+        dq: Option<&Bound<'_, PyAny>>,
+        twist: Option<&Bound<'_, PyAny>>,
+        gradient: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        if let Some(dt) = dt {
+            self.dt = Some(number(dt).ok_or_else(|| wrong_type("dt", "a number [s]", dt))?);
+        }
+        if let Some(dq) = dq {
+            self.dq = Some(joints("dq", dq, n)?);
+        }
+        if let Some(twist) = twist {
+            let mut six = [0.0; 6];
+            array_into("twist", twist, &[6], &mut six)?;
+            self.twist = Some(six);
+        }
+        if let Some(gradient) = gradient {
+            self.gradient = Some(joints("gradient", gradient, n)?);
+        }
+        Ok(())
+    }
+
+    #[inline]
+    pub(crate) fn input(&self, n: usize) -> StepInput<'_> {
+        StepInput {
+            dt: self.dt,
+            dq: self.dq.as_ref().map(|dq| &dq[..n]),
+            twist: self.twist.as_ref(),
+            gradient: self.gradient.as_ref().map(|gradient| &gradient[..n]),
+            posture: None,
+        }
+    }
+}
