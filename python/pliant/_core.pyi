@@ -1762,9 +1762,16 @@ class Controller:
         """Whether these settings can be met, and which to change to what if not.
 
         Args:
-            path_or_pose: Postures (n,) or (N, n) [rad]; or a pose of the tool: `Pose`, or (4, 4)
-                with the last row 0 0 0 1.
+            path_or_pose: Postures (n,) or (N, n) [rad]; or a pose of the tool as `step` takes it,
+                (4, 4) with the last row 0 0 0 1; a position (3,) [m] for a task without rotations,
+                where the arm has not three joints.
             q0: Where the search for a pose starts (n,) [rad]; None: mid-range.
+
+        Returns:
+            Verdict and findings; true where all can be met.
+
+        Raises:
+            ShapeError, LimitError, ConfigError, TypeError: An input that cannot be used, by name.
         """
 
     @property
@@ -2159,7 +2166,27 @@ def check(
     servos: Servos | None = None,
     q0: ArrayLike | None = None,
 ) -> Check:
-    """`Controller(model, settings, servos).check(path_or_pose, q0=q0)`."""
+    """Whether settings can be met on a path or in a pose, and which to change to what if not.
+
+    The same as `Controller(model, settings, servos).check(path_or_pose, q0=q0)`.
+
+    Args:
+        model: The arm.
+        settings: What it shall do.
+        path_or_pose: Postures (n,) or (N, n) [rad]; or a pose of the tool `base_from_tool`: (4, 4)
+            with the last row 0 0 0 1, `Pose`, any object with a 4x4 accessor; a position (3,) [m]
+            for a task without rotations, where the arm has not three joints.
+        servos: None for those of the model.
+        q0: Where the search for a pose starts (n,) [rad]; None: mid-range.
+
+    Returns:
+        Verdict and findings; true where all can be met. Out of reach is a finding, no error.
+
+    Raises:
+        ConfigError, LimitError, ShapeError: Settings, servos and model do not go together, or a
+            path or pose that cannot be used, by name.
+        TypeError: An argument of another kind.
+    """
 
 @overload
 def compliance(deviation: float, d_minus: float, d_plus: float) -> float:

@@ -40,6 +40,20 @@ def instance(value: Any, kind: type[T], name: str, hint: str = "") -> T:
     return value
 
 
+def real(value: Any, name: str) -> float:
+    """Return a number, finite or not.
+
+    Raises:
+        ConfigError: It is no number.
+    """
+    if isinstance(value, (bool, str, bytes)) or np.ndim(value) != 0:
+        raise ConfigError(f"{name} must be a number, got {given(value)}")
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ConfigError(f"{name} must be a number, got {given(value)}") from None
+
+
 def number(value: Any, name: str, low: float, high: float = np.inf, unit: str = "") -> float:
     """Return a finite number in [low, high].
 
@@ -47,12 +61,7 @@ def number(value: Any, name: str, low: float, high: float = np.inf, unit: str = 
         ConfigError: It is no number.
         LimitError: It is NaN, infinite or outside.
     """
-    if isinstance(value, (bool, str, bytes)) or np.ndim(value) != 0:
-        raise ConfigError(f"{name} must be a number, got {given(value)}")
-    try:
-        out = float(value)
-    except (TypeError, ValueError):
-        raise ConfigError(f"{name} must be a number, got {given(value)}") from None
+    out = real(value, name)
     if not (low <= out <= high and np.isfinite(out)):
         end = "∞)" if np.isinf(high) else f"{high:g}]"
         of = f" [{unit}]" if unit else ""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from pliant import Command, ConfigError, ServoError, ServoFault, ServoTimeout
+from pliant.arguments import given, real
 from pliant.arm.lateness import Lateness
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ STALE_PERIODS, STALE = 5.0, 0.1
 PRIME = 0.1
 #: How much later than the loop itself would the arm sees that the program does not come back [s].
 GRACE = 0.1
+#: Lowest rate [Hz]: a controller is told no longer time than 1 s between two steps.
+LOWEST = 1.0
 #: Ticks over which the delay is averaged, and the change that is passed on [s], [1].
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 
@@ -102,7 +105,7 @@ class Loop:
         arm: The arm, enabled.
         controller: What makes the commands; its delay is set from measurements, and it is reset
             when it must start anew. None: nothing to set or reset.
-        rate: Ticks per second [Hz]; None: the controller's, or the arm's.
+        rate: Ticks per second [Hz], at least 1; None: the controller's, or the arm's.
         duration: Ends the loop [s]; None: never.
         stall: Longest time that one turn of the program may take [s]; None: `arm.hold_for`.
 
@@ -116,7 +119,8 @@ class Loop:
         delay: Measured, from positions to the arrival of the goal [s].
 
     Raises:
-        ConfigError: The rate does not fit.
+        TypeError: `arm` is no arm.
+        ConfigError: The rate does not fit, or a time is negative or no number.
         ServoTimeout: While looping: positions, commands or the program did not come.
         ServoFault: While looping: a servo reports a fault, or is too hot.
 
@@ -137,10 +141,17 @@ class Loop:
         stall: float | None = None,
     ) -> None:
         """Check that it can run."""
+        if not hasattr(arm, "clock"):
+            raise TypeError(
+                f"arm must be an Arm, as pliant.connect(...) makes one, got {given(arm)}"
+            )
         wanted = getattr(getattr(controller, "settings", None), "rate", arm.rate)
-        rate = float(wanted if rate is None else rate)
-        if not 0.0 < rate < math.inf:
-            raise ConfigError(f"rate must be above 0 Hz, got {rate!r}")
+        rate = real(wanted if rate is None else rate, "rate")
+        if not LOWEST <= rate < math.inf:
+            raise ConfigError(f"rate must be {LOWEST:g} Hz or more, got {rate!r}")
+        for name, time in (("duration", duration), ("stall", stall)):
+            if time is not None and not real(time, name) >= 0.0:
+                raise ConfigError(f"{name} must be 0 s or more, or None, got {time!r}")
         self.period = 1.0 / rate
         grain = getattr(arm.clock, "period", None)
         if grain is not None and not _divides(grain, self.period):

@@ -209,6 +209,8 @@ def test_a_gripper_holds_on_while_the_arm_comes_down(make):
         assert arm.drive.diary[-1][2][5] == pytest.approx(0.1)  # [N·m] of 2 N at 50 mm
         with pytest.raises(pliant.ConfigError, match="force must be between 0 and"):
             gripper.close(force=1e3)
+        with pytest.raises(pliant.ConfigError, match=r"gripper: force must be a number, got '1'"):
+            gripper.close(force="1")
         with pytest.raises(pliant.ConfigError, match="not finite"):
             gripper.go(np.nan)
         arm.write(arm.read().q, None, {"gripper": (0.2, 0.05)})

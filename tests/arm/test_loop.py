@@ -102,8 +102,18 @@ def test_a_loop_needs_torque_and_a_rate_that_fits(make):
         next(iter(pliant.Loop(arm)))
     with pytest.raises(pliant.ConfigError, match="rate=150"):
         pliant.Loop(arm, rate=150.0)
-    with pytest.raises(pliant.ConfigError, match="above 0 Hz"):
-        pliant.Loop(arm, rate=0.0)
+    for low in (0.0, 0.5):
+        with pytest.raises(pliant.ConfigError, match="rate must be 1 Hz or more, got"):
+            pliant.Loop(arm, rate=low)
+
+
+def test_a_loop_says_what_it_was_given(make):
+    with pytest.raises(TypeError, match=r"arm must be an Arm, .*got None \(NoneType\)"):
+        pliant.Loop(None, None, rate=0.0)
+    for wrong, said in ((-1.0, "must be 0 s or more"), ("2", "must be a number, got '2'")):
+        for name in ("duration", "stall"):
+            with pytest.raises(pliant.ConfigError, match=f"{name} {said}"):
+                pliant.Loop(make(), **{name: wrong})
 
 
 def test_leaving_the_loop_lowers(make):

@@ -53,3 +53,92 @@ def test_what_is_not_a_number_is_said_plainly(model, q, target):
     target[0, 3] = np.inf
     said = refused(controller.step, q, target)
     assert said == "target: position x [m] = inf is outside ±100"
+
+
+def calls(model, q):
+    """Calls with one argument of the wrong kind, and what is to be said of it."""
+    lone = pliant.Controller(model, pliant.Settings(task="xyz"))
+    at = model.forward_kinematics(q)[:3, 3]
+    contact = pliant.Contact(lone)
+    text = model.source[0]
+    servos = pliant.Servos.of
+    return {
+        "mass": (
+            lambda: lone.set_payload("0.3"),
+            "a number [kg]; 0 for no payload, got '0.3' (str)",
+        ),
+        "mass ": (lambda: lone.set_payload(None), "a number [kg]; 0 for no payload, got None"),
+        "delay": (lambda: lone.set_delay("a"), "a number [s], got 'a' (str)"),
+        "delay ": (lambda: lone.set_delay(True), "a number [s], got True (bool)"),
+        "press": (lambda: pliant.Settings.wipe(press="5"), "a number [N], got '5' (str)"),
+        "pull": (lambda: pliant.Settings.drawer(pull="5"), "a number [N], got '5' (str)"),
+        "push": (lambda: pliant.Settings.plug(push="5"), "a number [N], got '5' (str)"),
+        "axis": (lambda: pliant.Settings.wipe(axis=3), "the name of an axis, such as 'x', got 3"),
+        "kp_error": (
+            lambda: pliant.Contact(lone, kp_error="2%"),
+            "a number; a share of 2 % is 0.02",
+        ),
+        "filter": (lambda: pliant.Contact(lone, filter="fast"), "a number [s], got 'fast' (str)"),
+        "most": (lambda: pliant.Contact(lone, most=3), "a pair (force [N], torque [N·m]), got 3"),
+        "axes": (lambda: pliant.Contact(lone, axes=3), "an axis key such as 'xyz rpy', got 3"),
+        "accept": (lambda: pliant.Contact(lone, accept=3), "a tuple of names, got 3"),
+        "dt": (lambda: contact.update(q, dt="a"), "a number [s], got 'a' (str)"),
+        "sent": (lambda: contact.update(q, sent=3), "a pair (goal, torque_limit), got 3"),
+        "count": (lambda: lone.batch_state(-1), "a whole number, 0 or more, got -1 (int)"),
+        "state": (
+            lambda: lone.step_batch(q[None], at, state=3),
+            "a BatchState, as batch_state(N) ",
+        ),
+        "out": (lambda: lone.step(q, at, out=np.zeros(7)), "a Command, as a step returns it, got "),
+        "source": (lambda: pliant.Model.from_urdf(None), "the path of a URDF file (str or path"),
+        "text": (lambda: pliant.Model.from_urdf_str(None), "URDF text; for a file there is Model"),
+        "damping": (
+            lambda: pliant.damped_pseudo_inverse(np.eye(3), "a"),
+            "a number, got 'a' (str)",
+        ),
+        "restarts": (
+            lambda: model.inverse_kinematics(np.eye(4), q, restarts=-1),
+            "a whole number, 0 or more, got -1 (int)",
+        ),
+        "position_tolerance": (
+            lambda: model.inverse_kinematics(np.eye(4), q, position_tolerance="fine"),
+            "a number [m], got 'fine' (str)",
+        ),
+        "voltage [V]": (lambda: servos(["sts3215"], voltage="7.4"), "a number, got '7.4' (str)"),
+        "locked.wrist": (
+            lambda: pliant.Model.from_urdf_str(text, tip="tool", locked={"wrist": "0"}),
+            "a position [rad or m], got '0' (str)",
+        ),
+        "limits.wrist": (
+            lambda: pliant.Model.from_urdf_str(text, tip="tool", limits={"wrist": 2.0}),
+            "a pair (lower, upper) [rad or m], got 2.0 (float)",
+        ),
+        "locked": (
+            lambda: pliant.Model.from_urdf_str(text, tip="tool", locked=3),
+            "a dict such as {'gripper': 0.3}, got 3 (int)",
+        ),
+        "Axis.soft": (lambda: pliant.Axis(soft="a"), "a number, or a pair (pushed toward -"),
+    }
+
+
+def test_an_argument_of_another_kind_is_named_with_what_would_do(model, q):
+    for name, (call, expected) in calls(model, q).items():
+        said = refused(call)
+        assert said.startswith(name.strip()), said
+        assert f"must be {expected}" in said, said
+
+
+def test_an_axis_is_named_by_what_it_is(model):
+    assert refused(pliant.Axis, soft=5, firm=1) == "Axis.soft = 5 is outside [0, firm = 1]"
+    settings = pliant.Settings(
+        axes={"y": pliant.Axis(yields="both", stiffness=1e5)}, law="impedance"
+    )
+    said = refused(pliant.Controller, model, settings)
+    assert "axes.stiffness: y=100000 N/m is" in said
+    assert " times what the median pose can have" in said
+
+
+def test_the_variant_of_a_servo_that_fits_the_supply_is_named():
+    said = refused(pliant.Servos.of, ["STS3215-7.4V"], voltage=12.0)
+    assert "STS3215-7.4V takes 4 to 8.4 V, got 12 V; for 12 V there is STS3215-12V;" in said
+    assert "there is" not in refused(pliant.Servos.of, ["STS3215-7.4V"], voltage=100.0)

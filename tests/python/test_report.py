@@ -272,3 +272,21 @@ def test_a_singular_pose_that_a_push_leads_to_is_said(model):
     assert np.all(np.isinf(check.way_sigma[1:])), "sides that do not yield"
     (found,) = [one for one in check.findings if "singular" in one.reason]
     assert (found.about, found.pose, found.required) == ("+x", 1, False)
+
+
+def test_check_takes_what_a_step_takes(model, q, target):
+    at = target[:3, 3]
+    lone = pliant.Settings(task="xyz")
+    wanted = str(pliant.check(model, lone, target, q0=q))
+
+    class Held:
+        matrix = target
+
+    for form in (at, at.tolist(), pliant.Pose(target), Held()):
+        assert str(pliant.check(model, lone, form, q0=q)) == wanted
+        pliant.Controller(model, lone).step(q, form)
+    with pytest.raises(pliant.ShapeError, match=r"expected \(4, 4\), \(3,\), \(7,\) or \(N, 7\)"):
+        pliant.check(model, lone, np.zeros(5))
+    with pytest.raises(pliant.ShapeError, match=r"expected \(4, 4\), \(7,\) or \(N, 7\)"):
+        pliant.check(model, pliant.Settings(), at)
+    assert not pliant.check(model, lone, [2.0, 0.0, 2.0])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pliant import ConfigError
+from pliant.arguments import real
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -99,6 +100,7 @@ class Gripper:
     def go(self, position: float, force: float | None = None) -> None:
         """Go to a joint position [rad, m], at most from end to end; `force` as in `close`."""
         low, high = sorted((self.closed, self.opened))
+        position = real(position, f"{self.name}: position")
         if not math.isfinite(position):
             raise ConfigError(f"{self.name}: position is not finite: {position!r}")
         self._order(self.name, min(max(position, low), high), self._torque(force))
@@ -121,7 +123,7 @@ class Gripper:
         if force is None:
             return self.limit
         arm = self._lever if self._lever is not None and not self._sliding else 1.0
-        torque = force * arm
+        torque = real(force, f"{self.name}: force") * arm
         if not 0.0 <= torque <= self.largest:
             raise ConfigError(
                 f"{self.name}: force must be between 0 and {self.largest / arm:g}, got {force!r}"

@@ -105,7 +105,7 @@ def _axis(key: str, value: Any, wrong: list[str]) -> pliant.Axis | None:
             axis = pliant.Axis(**left)
         except (PliantError, TypeError) as error:
             # An axis does not know its name.
-            said = str(error).removeprefix("axes.*.")
+            said = str(error).removeprefix("Axis.")
             wrong.append(f"axes.{key}: {said}")
             good = False
             if not _leave_out(left, said):

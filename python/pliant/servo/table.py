@@ -8,6 +8,8 @@ import numpy as np
 
 import pliant
 from pliant import ConfigError
+from pliant.arguments import real
+from pliant.servo.models import by_number
 from pliant.servo.spec import ServoSpec
 from pliant.servo.units import Units
 
@@ -15,6 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+
+    from pliant.servo.models import ServoModel
 
     Array = NDArray[np.float64]
 
@@ -45,21 +49,30 @@ def servos_of(
     given = [None] * len(models) if gains is None else list(gains)
     if len(given) != len(models):
         raise ConfigError(f"{len(given)} gains for {len(models)} servos: one each, or None")
+    volts = None if voltage is None else real(voltage, "voltage [V]")
     specs = [ServoSpec(name=f"joint {i}", model=m, id=i + 1, port="") for i, m in enumerate(models)]
     units = []
     for spec in specs:
         low, high = spec.row.voltage
-        if voltage is not None and not low <= voltage <= high:
+        if volts is not None and not low <= volts <= high:
+            others = [row.name for row in by_number(spec.row.number) if _bears(row, volts)]
+            variant = f"; for {volts:g} V there is {' or '.join(others)}" if others else ""
             raise ConfigError(
-                f"{spec.row.name} takes {low:g} to {high:g} V, got {voltage:g} V; "
+                f"{spec.row.name} takes {low:g} to {high:g} V, got {volts:g} V{variant}; "
                 "on several supplies build the arm's servos per joint"
             )
-        units.append(Units.of(spec, voltage))
+        units.append(Units.of(spec, volts))
     registers = [
         unit.row.gain_default if gain is None else gain
         for unit, gain in zip(units, given, strict=True)
     ]
     return servos(units, registers, [unit.full for unit in units])
+
+
+def _bears(row: ServoModel, volts: float) -> bool:
+    """Whether a model takes this supply."""
+    low, high = row.voltage
+    return low <= volts <= high
 
 
 def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]) -> pliant.Servos:

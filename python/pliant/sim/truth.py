@@ -87,9 +87,9 @@ class Truth:
         names = [self.model.site(i).name for i in range(self.model.nsite)]
         link = name if name in names else self._aliases.get(name, name)
         if link not in names:
+            there = dict.fromkeys([*self._aliases, *names])
             raise FrameNotFound(
-                f"no frame {name!r} in the simulation; "
-                f"there are {', '.join([*self._aliases, *names])}"
+                f"no frame {name!r} in the simulation; there are {', '.join(there)}"
             )
         found = self._frames[name] = Frame(self.model, self.data, self.model.site(link).id)
         return found

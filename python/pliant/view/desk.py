@@ -103,9 +103,9 @@ class Desk:
             controller.update(self.effective)
         except (PliantError, TypeError, ValueError) as error:
             self.settings, self.preset, self.firm = before
-            # The core calls an axis that is made by itself "axes.*".
-            where = f"axes.{order.axis}" if isinstance(order, orders.Change) else "axes.*"
-            raise ConfigError(str(error).replace("axes.*", where)) from error
+            # The core calls an axis that is made by itself "Axis".
+            where = f"axes.{order.axis}" if isinstance(order, orders.Change) else "Axis"
+            raise ConfigError(str(error).replace("Axis.", f"{where}.", 1)) from error
 
     def _change(self, order: orders.Edit, controller: Controller) -> None:
         axes: dict[str, pliant.Axis] = {name: axis for name, axis in self.settings.axes.items()}

@@ -74,7 +74,8 @@ fn stiffness_is_refused_where_half_the_poses_would_ring() {
     };
     let message = refusal(delayed(2000.0), servos.clone());
     assert!(
-        message.contains(" times what the median pose can have")
+        message.starts_with("axes.stiffness: x=2000 N/m, z=2000 N/m is ")
+            && message.contains(" times what the median pose can have")
             && message.contains(": use x=")
             && message.contains("accept=(\"stiffness\",)"),
         "{message}"
@@ -101,7 +102,9 @@ fn stiffness_is_refused_where_half_the_poses_would_ring() {
         damped.set_axes("rpy", Axis { damping: Some([0.0375 * stiffness; 2]), ..Axis::default() }).unwrap();
         assert_eq!(controller(damped.clone()).is_ok(), taken, "{stiffness}");
     }
-    assert!(refusal(damped, servos.clone()).starts_with("axes.damping: is 1."));
+    let message = refusal(damped, servos.clone());
+    let given = "x=60 N·s/m, y=60 N·s/m, z=60 N·s/m, roll=2.25 N·m·s/rad, pitch=2.25 N·m·s/rad, yaw=2.25 N·m·s/rad";
+    assert!(message.starts_with(&format!("axes.damping: {given} is 1.")), "{message}");
     // An axis that yields has no spring.
     let mut soft = Settings { law: Law::Impedance, ..Settings::default() };
     soft.set_axes("y", Axis { yields: Some(Yields::Plus), ..Axis::default() }).unwrap();

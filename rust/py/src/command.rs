@@ -53,7 +53,9 @@ impl Command {
     }
 
     /// A caller's command, if its arrays can take `n` numbers each.
-    pub(crate) fn writable<'a, 'py>(out: &'a Bound<'py, Self>, n: usize) -> PyResult<&'a Bound<'py, Self>> {
+    #[inline]
+    pub(crate) fn writable<'a, 'py>(out: &'a Bound<'py, PyAny>, n: usize) -> PyResult<&'a Bound<'py, Self>> {
+        let out = out.cast::<Self>().map_err(|_| wrong_type("out", "a Command, as a step returns it", out))?;
         let command = out.get();
         for array in [&command.goal, &command.torque_limit, &command.velocity] {
             let array = array.bind(out.py());

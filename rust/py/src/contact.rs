@@ -2,7 +2,9 @@
 
 use numpy::PyArray1;
 use pliant_core::task::axes::{AXIS_NAMES, parse_axes};
-use pliant_core::{Contact as CoreContact, ContactInput, ContactOptions, JointVec, WrenchEstimate as CoreEstimate};
+use pliant_core::{
+    Contact as CoreContact, ContactInput, ContactOptions, JointVec, MAX_AXES, WrenchEstimate as CoreEstimate,
+};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
@@ -10,7 +12,9 @@ use crate::arguments;
 use crate::controller::Controller;
 use crate::convert::new_array;
 use crate::error::{OrRaise, config, wrong_type};
-use crate::read::{joints, number, vector};
+use crate::extras::SECONDS;
+use crate::kinds::{Kind, Names};
+use crate::read::{given, joints, number, real, vector};
 
 /// Risk that is taken by name.
 const THRESHOLDS: &str = "thresholds";
@@ -84,6 +88,21 @@ fn part(values: Option<&JointVec>, n: usize) -> Option<&[f64]> {
     values.map(|values| &values[..n])
 }
 
+/// What a share is, in a message.
+const SHARE: &str = "a number; a share of 2 % is 0.02";
+
+/// The axes of an axis key.
+fn keyed(axes: &Bound<'_, PyAny>) -> PyResult<[bool; MAX_AXES]> {
+    parse_axes("axes", &arguments::text("axes", "an axis key such as 'xyz rpy'", axes)?).or_raise()
+}
+
+/// Goals and limits that were sent.
+fn pair(sent: &Bound<'_, PyAny>, n: usize) -> PyResult<[JointVec; 2]> {
+    let (goal, limit): (Bound<'_, PyAny>, Bound<'_, PyAny>) =
+        sent.extract().map_err(|_| wrong_type("sent", "a pair (goal, torque_limit)", sent))?;
+    Ok([joints("goal", &goal, n)?, joints("torque_limit", &limit, n)?])
+}
+
 /// Numbers by axis key, e.g. `{"xyz": 8.0, "yaw": 1.0}`.
 fn thresholds(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<[Option<f64>; 6]> {
     let mut out = [None; 6];
@@ -106,59 +125,66 @@ fn thresholds(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<[Option<
 impl Contact {
     #[new]
     #[pyo3(signature = (
-        controller, *, axes = None, filter = 0.04, friction_error = 0.3, kp_error = None, gravity_error = 0.05,
-        payload_error = 0.0, inertia_error = 0.3, load_error = 0.2, torque_constant = None, most = (100.0, 20.0),
-        touch = None, stop = None, hysteresis = 0.3, min_time = 0.02, guard = 1.0, accept = Vec::new()
+        controller, *, axes = None, filter = None, friction_error = None, kp_error = None, gravity_error = None,
+        payload_error = None, inertia_error = None, load_error = None, torque_constant = None, most = None,
+        touch = None, stop = None, hysteresis = None, min_time = None, guard = None, accept = None
     ))]
     #[pyo3(text_signature = "(controller, *, axes=None, filter=0.04, friction_error=0.3, kp_error=None, \
         gravity_error=0.05, payload_error=0.0, inertia_error=0.3, load_error=0.2, torque_constant=None, \
         most=(100.0, 20.0), touch=None, stop=None, hysteresis=0.3, min_time=0.02, guard=1.0, accept=())")]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn new(
         py: Python<'_>,
         #[pyo3(from_py_with = arguments::controller)] controller: Py<Controller>,
-        axes: Option<&str>,
-        filter: f64,
-        friction_error: f64,
-        kp_error: Option<f64>,
-        gravity_error: f64,
-        payload_error: f64,
-        inertia_error: f64,
-        load_error: f64,
+        axes: Option<&Bound<'_, PyAny>>,
+        filter: Option<&Bound<'_, PyAny>>,
+        friction_error: Option<&Bound<'_, PyAny>>,
+        kp_error: Option<&Bound<'_, PyAny>>,
+        gravity_error: Option<&Bound<'_, PyAny>>,
+        payload_error: Option<&Bound<'_, PyAny>>,
+        inertia_error: Option<&Bound<'_, PyAny>>,
+        load_error: Option<&Bound<'_, PyAny>>,
         torque_constant: Option<&Bound<'_, PyAny>>,
-        most: (f64, f64),
+        most: Option<&Bound<'_, PyAny>>,
         touch: Option<&Bound<'_, PyAny>>,
         stop: Option<&Bound<'_, PyAny>>,
-        hysteresis: f64,
-        min_time: f64,
-        guard: f64,
-        accept: Vec<String>,
+        hysteresis: Option<&Bound<'_, PyAny>>,
+        min_time: Option<&Bound<'_, PyAny>>,
+        guard: Option<&Bound<'_, PyAny>>,
+        accept: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
+        let accept = accept.map_or(Ok(Vec::new()), |accept| Names::read("accept", accept))?;
         if let Some(unknown) = accept.iter().find(|risk| *risk != THRESHOLDS) {
             return Err(config(
                 "accept",
                 format!("'{unknown}' is no risk of a contact estimate; there is '{THRESHOLDS}'"),
             ));
         }
-        let options = ContactOptions {
-            axes: axes.map(|text| parse_axes("axes", text)).transpose().or_raise()?,
-            filter,
-            friction_error,
-            kp_error,
-            gravity_error,
-            payload_error,
-            inertia_error,
-            load_error,
+        let mut options = ContactOptions {
+            axes: axes.map(keyed).transpose()?,
+            kp_error: kp_error.map(|share| real("kp_error", SHARE, share)).transpose()?,
             torque_constant: torque_constant.map(|values| vector("torque_constant", values)).transpose()?,
-            most: most.into(),
             touch: thresholds("touch", touch)?,
             stop: thresholds("stop", stop)?,
-            hysteresis,
-            min_time,
-            guard,
             accept_thresholds: !accept.is_empty(),
+            ..ContactOptions::default()
         };
+        given(&mut options.most, most, |pair| {
+            pair.extract().map_err(|_| wrong_type("most", "a pair (force [N], torque [N·m])", pair))
+        })?;
+        for (slot, name, expected, value) in [
+            (&mut options.filter, "filter", SECONDS, filter),
+            (&mut options.friction_error, "friction_error", SHARE, friction_error),
+            (&mut options.gravity_error, "gravity_error", SHARE, gravity_error),
+            (&mut options.payload_error, "payload_error", "a number [kg]", payload_error),
+            (&mut options.inertia_error, "inertia_error", SHARE, inertia_error),
+            (&mut options.load_error, "load_error", SHARE, load_error),
+            (&mut options.hysteresis, "hysteresis", SHARE, hysteresis),
+            (&mut options.min_time, "min_time", SECONDS, min_time),
+            (&mut options.guard, "guard", SHARE, guard),
+        ] {
+            given(slot, value, |value| real(name, expected, value))?;
+        }
         let (core, n) = {
             let borrowed = controller.borrow(py);
             (CoreContact::new(&borrowed.core, options).or_raise()?, borrowed.core.model().n())
@@ -168,25 +194,22 @@ impl Contact {
 
     #[pyo3(signature = (q, *, dt = None, dq = None, load = None, current = None, sent = None))]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn update(
         &mut self,
         py: Python<'_>,
         q: &Bound<'_, PyAny>,
-        dt: Option<f64>,
+        dt: Option<&Bound<'_, PyAny>>,
         dq: Option<&Bound<'_, PyAny>>,
         load: Option<&Bound<'_, PyAny>>,
         current: Option<&Bound<'_, PyAny>>,
-        sent: Option<(Bound<'_, PyAny>, Bound<'_, PyAny>)>,
+        sent: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<WrenchEstimate> {
         let n = self.n;
         let read = |name: &str, value: Option<&Bound<'_, PyAny>>| value.map(|value| joints(name, value, n)).transpose();
         let q = joints("q", q, n)?;
         let (dq, load, current) = (read("dq", dq)?, read("load", load)?, read("current", current)?);
-        let sent = match &sent {
-            Some((goal, limit)) => Some([joints("goal", goal, n)?, joints("torque_limit", limit, n)?]),
-            None => None,
-        };
+        let sent = sent.map(|sent| pair(sent, n)).transpose()?;
+        let dt = dt.map(|dt| real("dt", SECONDS, dt)).transpose()?;
         let input = ContactInput {
             dt,
             dq: part(dq.as_ref(), n),

@@ -15,10 +15,10 @@ use crate::arguments;
 use crate::command::{Command, Pool};
 use crate::convert::new_array;
 use crate::error::OrRaise;
-use crate::extras::Extras;
+use crate::extras::{Extras, SECONDS};
 use crate::model::Model;
 use crate::pickle::{self, Reduced};
-use crate::read::{joints, joints_in_place, pose, vector3};
+use crate::read::{self, joints, joints_in_place, pose, real, vector3};
 use crate::record::readings;
 use crate::report::{Check, Report, check_with};
 use crate::servos::Servos;
@@ -107,7 +107,7 @@ readings! {
             dq: Option<&Bound<'_, PyAny>>,
             twist: Option<&Bound<'_, PyAny>>,
             gradient: Option<&Bound<'_, PyAny>>,
-            out: Option<&Bound<'_, Command>>,
+            out: Option<&Bound<'_, PyAny>>,
         ) -> PyResult<Py<Command>> {
             let (n, mut slot) = (self.n, None);
             let q = joints_in_place("q", q, n, &mut slot)?;
@@ -130,7 +130,7 @@ readings! {
             dq: Option<&Bound<'_, PyAny>>,
             twist: Option<&Bound<'_, PyAny>>,
             gradient: Option<&Bound<'_, PyAny>>,
-            out: Option<&Bound<'_, Command>>,
+            out: Option<&Bound<'_, PyAny>>,
         ) -> PyResult<Py<Command>> {
             let n = self.n;
             let (q, wanted) = (joints("q", q, n)?, joints("q_target", q_target, n)?);
@@ -152,7 +152,7 @@ readings! {
             py: Python<'_>,
             Q: &Bound<'_, PyAny>,
             targets: &Bound<'_, PyAny>,
-            state: Option<&Bound<'_, BatchState>>,
+            state: Option<&Bound<'_, PyAny>>,
             dt: Option<&Bound<'_, PyAny>>,
             dq: Option<&Bound<'_, PyAny>>,
             invalid: Option<&Bound<'_, PyAny>>,
@@ -161,11 +161,11 @@ readings! {
             let mut extras = Extras::default();
             extras.read(self.n, dt, None, None, None)?;
             let call = BatchCall { targets, position_only: self.position_only, dt: extras.dt, dq, invalid, out };
-            call.run(py, &self.core, Q, state)
+            call.run(py, &self.core, Q, state.map(BatchState::given).transpose()?)
         }
 
-        fn batch_state(&self, count: usize) -> PyResult<BatchState> {
-            BatchState::of(self.n, count)
+        fn batch_state(&self, count: &Bound<'_, PyAny>) -> PyResult<BatchState> {
+            BatchState::of(self.n, read::count("count", count)?)
         }
 
         fn reset(&mut self, q: &Bound<'_, PyAny>) -> PyResult<()> {
@@ -181,7 +181,8 @@ readings! {
         }
 
         #[pyo3(signature = (mass, com = None), text_signature = "($self, mass, com=(0.0, 0.0, 0.0))")]
-        fn set_payload(&mut self, mass: f64, com: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        fn set_payload(&mut self, mass: &Bound<'_, PyAny>, com: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+            let mass = real("mass", "a number [kg]; 0 for no payload", mass)?;
             let com = com.map_or(Ok([0.0; 3]), |com| vector3("com", com))?;
             self.core.set_payload(Some(&CorePayload { mass, com })).or_raise()
         }
@@ -190,8 +191,8 @@ readings! {
             self.core.set_gravity(vector3("vector", vector)?).or_raise()
         }
 
-        fn set_delay(&mut self, delay: f64) -> PyResult<()> {
-            self.core.set_delay(delay).or_raise()
+        fn set_delay(&mut self, delay: &Bound<'_, PyAny>) -> PyResult<()> {
+            self.core.set_delay(real("delay", SECONDS, delay)?).or_raise()
         }
 
         fn capture_gravity<'py>(&mut self, q: &Bound<'py, PyAny>, goal: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
@@ -216,7 +217,7 @@ readings! {
             path_or_pose: &Bound<'_, PyAny>,
             q0: Option<&Bound<'_, PyAny>>,
         ) -> PyResult<Check> {
-            check_with(&self.core, path_or_pose, q0)
+            check_with(&self.core, self.position_only, path_or_pose, q0)
         }
 
         #[getter]

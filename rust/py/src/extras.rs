@@ -3,8 +3,10 @@
 use pliant_core::{AxisVec, JointVec, StepInput};
 use pyo3::prelude::*;
 
-use crate::error::wrong_type;
-use crate::read::{array_into, joints, number};
+use crate::read::{array_into, joints, real};
+
+/// What a time must be.
+pub(crate) const SECONDS: &str = "a number [s]";
 
 /// The optional arguments of a step as numbers.
 #[derive(Default)]
@@ -27,7 +29,7 @@ impl Extras {
         gradient: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         if let Some(dt) = dt {
-            self.dt = Some(number(dt).ok_or_else(|| wrong_type("dt", "a number [s]", dt))?);
+            self.dt = Some(real("dt", SECONDS, dt)?);
         }
         if let Some(dq) = dq {
             self.dq = Some(joints("dq", dq, n)?);

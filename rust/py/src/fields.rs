@@ -13,6 +13,9 @@ pub(crate) trait Fields: Sized {
     /// Name of the class.
     const CLASS: &'static str;
 
+    /// What stands before a field's name in a message, where the name alone says too little.
+    const OWNER: &'static str;
+
     /// Names of the fields, in order.
     const NAMES: &'static [&'static str];
 
@@ -73,7 +76,7 @@ pub(crate) fn differ<T: PartialEq>(a: &T, b: &T) -> bool {
 /// Implements [`Fields`] and the Python methods that follow from it, and adds those in `methods`.
 macro_rules! fields {
     (
-        $class:ident($name:literal) of $core:ty {
+        $class:ident($name:literal $(, $prefix:literal)?) of $core:ty {
             $($field:ident: $kind:ty,)*
         }
         $(#[$attribute:meta])*
@@ -84,11 +87,15 @@ macro_rules! fields {
 
             const CLASS: &'static str = $name;
 
+            const OWNER: &'static str = concat!($($prefix)?);
+
             const NAMES: &'static [&'static str] = &[$(stringify!($field)),*];
 
             fn set(core: &mut $core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<bool> {
                 match name {
-                    $(stringify!($field) => core.$field = $crate::kinds::read::<$kind>(name, value)?,)*
+                    $(stringify!($field) => {
+                        core.$field = $crate::kinds::read::<$kind>(&format!("{}{name}", Self::OWNER), value)?;
+                    })*
                     _ => return Ok(false),
                 }
                 Ok(true)

@@ -11,25 +11,29 @@ use crate::convert::new_array;
 use crate::error::{OrRaise, config, shape, shown, wrong_type};
 use crate::kinds::Kind;
 use crate::pose::matrix as pose_matrix;
-use crate::read::{matrix, number, pose, vector};
+use crate::read::{matrix, number, pose, real, vector};
 use crate::words::Word;
 
 #[doc = stub!(damped_pseudo_inverse)]
 #[pyfunction]
-pub(crate) fn damped_pseudo_inverse<'py>(J: &Bound<'py, PyAny>, damping: f64) -> PyResult<Bound<'py, PyAny>> {
-    let inverse = core::damped_pseudo_inverse(&read(J, "J")?, damping).or_raise()?;
+pub(crate) fn damped_pseudo_inverse<'py>(
+    J: &Bound<'py, PyAny>,
+    damping: &Bound<'_, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let inverse = core::damped_pseudo_inverse(&read(J, "J")?, real("damping", "a number", damping)?).or_raise()?;
     Ok(table(J.py(), &inverse))
 }
 
 #[doc = stub!(null_space_projector)]
 #[pyfunction]
-#[pyo3(signature = (J, damping = 0.0, kind = None), text_signature = "(J, damping=0.0, kind='exact')")]
+#[pyo3(signature = (J, damping = None, kind = None), text_signature = "(J, damping=0.0, kind='exact')")]
 pub(crate) fn null_space_projector<'py>(
     J: &Bound<'py, PyAny>,
-    damping: f64,
+    damping: Option<&Bound<'_, PyAny>>,
     kind: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let kind = kind.map_or(Ok(Projector::Exact), |word| Word::<Projector>::read("kind", word))?;
+    let damping = damping.map_or(Ok(0.0), |damping| real("damping", "a number", damping))?;
     let projector = core::null_space_projector(&read(J, "J")?, damping, kind).or_raise()?;
     Ok(table(J.py(), &projector))
 }
@@ -41,11 +45,12 @@ pub(crate) fn responsibility<'py>(
     dx: &Bound<'_, PyAny>,
     N: &Bound<'_, PyAny>,
     gradient: &Bound<'_, PyAny>,
-    alpha: f64,
+    alpha: &Bound<'_, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let (inverse, projector) = (read(J_pinv, "J_pinv")?, read(N, "N")?);
     let (dx, gradient) = (vector("dx", dx)?, vector("gradient", gradient)?);
-    let shares = core::responsibility(&inverse, &dx, &projector, &gradient, alpha).or_raise()?;
+    let shares = core::responsibility(&inverse, &dx, &projector, &gradient, real("alpha", "a number [1/s]", alpha)?)
+        .or_raise()?;
     Ok(table(J_pinv.py(), &shares))
 }
 
@@ -107,7 +112,7 @@ pub(crate) fn joint_torque_limits<'py>(
 pub(crate) fn adapt_target<'py>(
     actual: &Bound<'py, PyAny>,
     target: &Bound<'_, PyAny>,
-    eta: f64,
+    eta: &Bound<'_, PyAny>,
     compliant: &Bound<'_, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let (from, to) = (pose("actual", actual, false)?, pose("target", target, false)?);
@@ -115,7 +120,7 @@ pub(crate) fn adapt_target<'py>(
         Ok(key) => parse_axes("compliant", &key).or_raise()?,
         Err(_) => <[bool; 6]>::try_from(flags(compliant, 6)?).unwrap_or_default(),
     };
-    let adapted = core::adapt_target(&from, &to, eta, axes).or_raise()?;
+    let adapted = core::adapt_target(&from, &to, real("eta", "a number, 0 to 1", eta)?, axes).or_raise()?;
     Ok(pose_matrix(actual.py(), &adapted))
 }
 

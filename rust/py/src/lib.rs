@@ -56,8 +56,6 @@ mod _core {
     #[pymodule_export]
     use crate::options::Payload;
     #[pymodule_export]
-    use crate::pickle::{controller, model};
-    #[pymodule_export]
     use crate::pose::{Pose, as_pose};
     #[pymodule_export]
     use crate::report::{Check, Finding, Report, check};
@@ -80,6 +78,7 @@ mod _core {
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         crate::convert::initialise(py)?;
         crate::error::register(module)?;
+        crate::pickle::register(module)?;
         crate::docs::attach(module)?;
         if cfg!(debug_assertions) {
             let category = py.get_type::<PyRuntimeWarning>();

@@ -12,12 +12,13 @@ use pyo3::types::{PyDict, PyTuple};
 
 use crate::arguments;
 use crate::convert::{freeze, new_array};
-use crate::error::OrRaise;
+use crate::error::{OrRaise, wrong_type};
 use crate::kinds::Kind;
 use crate::kinematics::{self, positions};
 use crate::options::Payload;
 use crate::pickle::{self, Reduced};
 use crate::pose::matrix;
+use crate::read::{count, given, real};
 use crate::servos::Servos;
 use crate::solution::{IkSolution, search};
 use crate::tree::{Joint, Link};
@@ -73,7 +74,9 @@ impl Model {
                           limits=None, servos=None)"
     )]
     fn from_urdf(source: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-        let (py, path) = (source.py(), source.extract::<PathBuf>()?);
+        let expected = "the path of a URDF file (str or pathlib.Path); for XML text there is Model.from_urdf_str";
+        let path = source.extract::<PathBuf>().map_err(|_| wrong_type("source", expected, source))?;
+        let py = source.py();
         let (read, servos) = crate::options::read(options)?;
         if !path.exists() {
             let path = path.display().to_string();
@@ -94,8 +97,9 @@ impl Model {
         text_signature = "(text, *, base=None, tip=None, locked=None, payload=None, gravity=(0.0, 0.0, -9.81), \
                           limits=None, servos=None)"
     )]
-    fn from_urdf_str(py: Python<'_>, text: &str, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-        Self::from_text(py, text, options)
+    fn from_urdf_str(text: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let expected = "URDF text; for a file there is Model.from_urdf";
+        Self::from_text(text.py(), &arguments::text("text", expected, text)?, options)
     }
 
     #[getter]
@@ -241,7 +245,7 @@ impl Model {
     }
 
     #[pyo3(
-        signature = (target, q0, *, axes = None, position_tolerance = 1e-8, rotation_tolerance = 1e-8, max_iterations = 100, restarts = 8),
+        signature = (target, q0, *, axes = None, position_tolerance = None, rotation_tolerance = None, max_iterations = None, restarts = None),
         text_signature = "($self, target, q0, *, axes='xyz rpy', position_tolerance=1e-08, rotation_tolerance=1e-08, \
                           max_iterations=100, restarts=8)"
     )]
@@ -251,13 +255,20 @@ impl Model {
         target: &Bound<'_, PyAny>,
         q0: &Bound<'_, PyAny>,
         axes: Option<&Bound<'_, PyAny>>,
-        position_tolerance: f64,
-        rotation_tolerance: f64,
-        max_iterations: usize,
-        restarts: usize,
+        position_tolerance: Option<&Bound<'_, PyAny>>,
+        rotation_tolerance: Option<&Bound<'_, PyAny>>,
+        max_iterations: Option<&Bound<'_, PyAny>>,
+        restarts: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<IkSolution> {
-        let options =
-            IkOptions { position_tolerance, rotation_tolerance, max_iterations, restarts, ..IkOptions::default() };
+        let mut options = IkOptions::default();
+        given(&mut options.position_tolerance, position_tolerance, |it| {
+            real("position_tolerance", "a number [m]", it)
+        })?;
+        given(&mut options.rotation_tolerance, rotation_tolerance, |it| {
+            real("rotation_tolerance", "a number [rad]", it)
+        })?;
+        given(&mut options.max_iterations, max_iterations, |it| count("max_iterations", it))?;
+        given(&mut options.restarts, restarts, |it| count("restarts", it))?;
         search(self, target, q0, axes, &options)
     }
 

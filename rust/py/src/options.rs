@@ -1,11 +1,14 @@
 //! `Payload`, and the keywords with which a model is read.
 
+use std::collections::BTreeMap;
+
 use pliant_core::{ModelOptions, Payload as CorePayload, Servos as CoreServos};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyMapping};
 
 use crate::convert::new_array;
 use crate::error::{OrRaise, config, shown, suggestion};
+use crate::kinds::wrong;
 use crate::read::{number, vector3};
 use crate::servos::Servos;
 
@@ -56,6 +59,24 @@ fn payload(value: &Bound<'_, PyAny>) -> PyResult<CorePayload> {
     }
 }
 
+/// A mapping from names of joints; `read` is told the key under which a value is named.
+fn by_joint<T>(
+    name: &str,
+    value: &Bound<'_, PyAny>,
+    expected: &str,
+    read: impl Fn(&str, &Bound<'_, PyAny>) -> PyResult<T>,
+) -> PyResult<BTreeMap<String, T>> {
+    let mapping = value.cast::<PyMapping>().map_err(|_| wrong(name, expected, value))?;
+    let mut out = BTreeMap::new();
+    for item in mapping.items()?.iter() {
+        let (key, it): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract()?;
+        let key: String = key.extract().map_err(|_| wrong(name, expected, value))?;
+        let it = read(&format!("{name}.{key}"), &it)?;
+        out.insert(key, it);
+    }
+    Ok(out)
+}
+
 const KEYWORDS: [&str; 7] = ["base", "tip", "locked", "payload", "gravity", "limits", "servos"];
 
 /// What the keywords of `Model.from_urdf` say; `None` leaves the default.
@@ -63,16 +84,24 @@ pub(crate) fn read(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<(ModelOptio
     let (mut options, mut servos) = (ModelOptions::default(), None);
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;
-        let wrong = |expected: &str| config(&name, format!("must be {expected}, got {}", shown(&value)));
+        let refused = |expected: &str| wrong(&name, expected, &value);
         match name.as_str() {
             known if value.is_none() && KEYWORDS.contains(&known) => {}
-            "base" => options.base = Some(value.extract().map_err(|_| wrong("the name of a link"))?),
-            "tip" => options.tip = Some(value.extract().map_err(|_| wrong("the name of a link"))?),
-            "locked" => options.locked = value.extract().map_err(|_| wrong("a dict such as {'gripper': 0.3}"))?,
-            "limits" => options.limits = value.extract().map_err(|_| wrong("a dict such as {'elbow': (-1.0, 2.0)}"))?,
+            "base" => options.base = Some(value.extract().map_err(|_| refused("the name of a link"))?),
+            "tip" => options.tip = Some(value.extract().map_err(|_| refused("the name of a link"))?),
+            "locked" => {
+                options.locked = by_joint(&name, &value, "a dict such as {'gripper': 0.3}", |of, it| {
+                    number(it).ok_or_else(|| wrong(of, "a position [rad or m]", it))
+                })?;
+            }
+            "limits" => {
+                options.limits = by_joint(&name, &value, "a dict such as {'elbow': (-1.0, 2.0)}", |of, it| {
+                    it.extract().map_err(|_| wrong(of, "a pair (lower, upper) [rad or m]", it))
+                })?;
+            }
             "payload" => options.payload = Some(payload(&value)?),
             "gravity" => options.gravity = vector3("gravity", &value)?,
-            "servos" => servos = Some(value.cast::<Servos>().map_err(|_| wrong("Servos"))?.get().0.clone()),
+            "servos" => servos = Some(value.cast::<Servos>().map_err(|_| refused("Servos"))?.get().0.clone()),
             _ => {
                 let hint = suggestion(value.py(), &name, &KEYWORDS, ".");
                 return Err(config(&name, format!("no such keyword{hint} Keywords: {}", KEYWORDS.join(", "))));

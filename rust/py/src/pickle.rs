@@ -21,6 +21,12 @@ type Parts = (Py<Model>, Py<Settings>, Option<Py<Servos>>);
 /// The numbers of a [`Carried`]: payload, gravity, delay, captured stiffness, memory.
 type Numbers<'py> = (Option<Payload>, [f64; 3], f64, Option<Vec<f64>>, Bound<'py, PyAny>);
 
+/// Puts what pickles call into the module, not among the names that it offers.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.setattr("_model", wrap_pyfunction!(model, module)?)?;
+    module.setattr("_controller", wrap_pyfunction!(controller, module)?)
+}
+
 fn function<'py>(py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
     py.import("pliant._core")?.getattr(name)
 }
@@ -39,13 +45,13 @@ pub(crate) fn of_controller<'py>(py: Python<'py>, parts: Parts, carried: &Carrie
 
 /// A model from what [`of_model`] gave.
 #[pyfunction(name = "_model")]
-pub(crate) fn model(py: Python<'_>, text: &str, options: &Bound<'_, PyDict>) -> PyResult<Model> {
+fn model(py: Python<'_>, text: &str, options: &Bound<'_, PyDict>) -> PyResult<Model> {
     Model::from_text(py, text, Some(options))
 }
 
 /// A controller from what [`of_controller`] gave.
 #[pyfunction(name = "_controller")]
-pub(crate) fn controller(
+fn controller(
     py: Python<'_>,
     model: Py<Model>,
     settings: Py<Settings>,

@@ -133,8 +133,16 @@ pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) ->
 #[cold]
 #[inline(never)]
 fn pose_slowly(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
+    match pose_of_object(name, value)? {
+        Some(pose) => Ok(pose),
+        None => from_array(name, value, position_only),
+    }
+}
+
+/// A `Pose`, or that of any object with a 4×4 accessor; `None` for what is to be read as an array.
+pub(crate) fn pose_of_object(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Option<CorePose>> {
     if let Ok(pose) = value.cast::<Pose>() {
-        return Ok(pose.get().0);
+        return Ok(Some(pose.get().0));
     }
     let plain = value.is_instance_of::<PyList>()
         || value.is_instance_of::<PyTuple>()
@@ -143,11 +151,11 @@ fn pose_slowly(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyR
         for accessor in ACCESSORS {
             if let Some(found) = value.getattr_opt(accessor)? {
                 let found = if found.is_callable() { found.call0()? } else { found };
-                return from_array(&format!("{name}.{accessor}"), &found, false);
+                return from_array(&format!("{name}.{accessor}"), &found, false).map(Some);
             }
         }
     }
-    from_array(name, value, position_only)
+    Ok(None)
 }
 
 fn from_array(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
@@ -175,6 +183,28 @@ fn from_numbers(name: &str, m: &[f64; 16]) -> PyResult<CorePose> {
     }
     let rotation = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2]];
     Ok(CorePose { rotation: [rotation(0), rotation(1), rotation(2)], position: [m[3], m[7], m[11]] })
+}
+
+/// A number by the argument's name; `expected` says what it is and its unit.
+pub(crate) fn real(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyResult<f64> {
+    number(value).ok_or_else(|| wrong_type(name, expected, value))
+}
+
+/// Reads an option that was given in place of its default.
+pub(crate) fn given<'py, T>(
+    slot: &mut T,
+    value: Option<&Bound<'py, PyAny>>,
+    read: impl FnOnce(&Bound<'py, PyAny>) -> PyResult<T>,
+) -> PyResult<()> {
+    if let Some(value) = value {
+        *slot = read(value)?;
+    }
+    Ok(())
+}
+
+/// A whole number, 0 or more.
+pub(crate) fn count(name: &str, value: &Bound<'_, PyAny>) -> PyResult<usize> {
+    value.extract().map_err(|_| wrong_type(name, "a whole number, 0 or more", value))
 }
 
 /// A number; booleans are none.

@@ -13,8 +13,7 @@ use crate::controller::Controller;
 use crate::convert::new_array;
 use crate::error::{OrRaise, shape};
 use crate::model::Model;
-use crate::pose::Pose;
-use crate::read::{joints, numbers};
+use crate::read::{joints, numbers, pose_of_object};
 use crate::servos::Servos;
 use crate::settings::Settings;
 
@@ -270,20 +269,26 @@ fn postures(got: &[usize], values: &[f64], n: usize) -> Option<Vec<Vec<f64>>> {
     }
 }
 
-/// A pose of the tool (an object of ours, or a 4×4 array whose last row says so) or postures.
-fn checked(value: &Bound<'_, PyAny>, n: usize) -> PyResult<Checked> {
-    if let Ok(pose) = value.cast::<Pose>() {
-        return Ok(Checked::Pose(pose.get().0));
+/// What a step takes for a target (as an array a pose has 0 0 0 1 for its last row), or postures; three numbers are the
+/// posture of an arm of three joints.
+fn checked(value: &Bound<'_, PyAny>, n: usize, position_only: bool) -> PyResult<Checked> {
+    let name = "path_or_pose";
+    if let Some(pose) = pose_of_object(name, value)? {
+        return Ok(Checked::Pose(pose));
     }
-    let (got, values) = numbers("path_or_pose", value)?;
+    let (got, values) = numbers(name, value)?;
     let last = [0.0, 0.0, 0.0, 1.0_f64];
     if got == [4, 4] && values[12..].iter().zip(last).all(|(a, b)| (a - b).abs() < 1e-12) {
         let row = |i: usize| [values[4 * i], values[4 * i + 1], values[4 * i + 2], values[4 * i + 3]];
-        return CorePose::from_rows(&[row(0), row(1), row(2), row(3)]).or_raise().map(Checked::Pose);
+        return CorePose::from_rows_of(name, &[row(0), row(1), row(2), row(3)]).or_raise().map(Checked::Pose);
     }
+    if let (true, [3], [x, y, z]) = (position_only && n != 3, &got[..], &values[..]) {
+        return Ok(Checked::Pose(CorePose { position: [*x, *y, *z], ..CorePose::IDENTITY }));
+    }
+    let position = if position_only && n != 3 { "(3,), " } else { "" };
     postures(&got, &values, n)
         .map(Checked::Path)
-        .ok_or_else(|| shape("path_or_pose", &got, format!("(4, 4), ({n},) or (N, {n})")))
+        .ok_or_else(|| shape(name, &got, format!("(4, 4), {position}({n},) or (N, {n})")))
 }
 
 /// Where a search for a pose starts if nobody says: the middle of the joint ranges.
@@ -295,11 +300,12 @@ fn middle(model: &CoreModel) -> Vec<f64> {
 /// [`CoreController::check`] or [`CoreController::check_pose`], by what is given.
 pub(crate) fn check_with(
     core: &CoreController,
+    position_only: bool,
     path_or_pose: &Bound<'_, PyAny>,
     q0: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Check> {
     let n = core.model().n();
-    match checked(path_or_pose, n)? {
+    match checked(path_or_pose, n, position_only)? {
         Checked::Path(path) => path_or_pose.py().detach(|| core.check(&path)).or_raise().map(Check),
         Checked::Pose(target) => {
             let start = match q0 {

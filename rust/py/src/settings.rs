@@ -11,6 +11,7 @@ use crate::error::{OrRaise, config};
 use crate::fields::{Fields, fields};
 use crate::kinds::{Dampings, Flag, Gains, Joints, Kind, Names, Number, Optional, Speeds};
 use crate::model::Model;
+use crate::read::real;
 use crate::report::path as postures;
 use crate::servos::Servos;
 use crate::task::{AxesField, TaskField, merged};
@@ -174,24 +175,26 @@ fields! {
         }
 
         #[classmethod]
-        #[pyo3(signature = (*, axis = "x", pull = None, **overrides))]
+        #[pyo3(signature = (*, axis = None, pull = None, **overrides), text_signature = "(*, axis='x', pull=None, **overrides)")]
         fn drawer(
             _class: &Bound<'_, PyType>,
-            axis: &str,
-            pull: Option<f64>,
+            axis: Option<&Bound<'_, PyAny>>,
+            pull: Option<&Bound<'_, PyAny>>,
             overrides: Option<&Bound<'_, PyDict>>,
         ) -> PyResult<Self> {
+            let (axis, pull) = (&along(axis, "x")?, newtons("pull", pull)?);
             Self::driven(CoreSettings::drawer(axis, pull).or_raise()?, axis, overrides)
         }
 
         #[classmethod]
-        #[pyo3(signature = (*, press = None, axis = "z", **overrides))]
+        #[pyo3(signature = (*, press = None, axis = None, **overrides), text_signature = "(*, press=None, axis='z', **overrides)")]
         fn wipe(
             _class: &Bound<'_, PyType>,
-            press: Option<f64>,
-            axis: &str,
+            press: Option<&Bound<'_, PyAny>>,
+            axis: Option<&Bound<'_, PyAny>>,
             overrides: Option<&Bound<'_, PyDict>>,
         ) -> PyResult<Self> {
+            let (axis, press) = (&along(axis, "z")?, newtons("press", press)?);
             Self::driven(CoreSettings::wipe(press, axis).or_raise()?, axis, overrides)
         }
 
@@ -202,14 +205,15 @@ fields! {
         }
 
         #[classmethod]
-        #[pyo3(signature = (*, axis = "-z", push = None, **overrides))]
+        #[pyo3(signature = (*, axis = None, push = None, **overrides), text_signature = "(*, axis='-z', push=None, **overrides)")]
         fn plug(
             _class: &Bound<'_, PyType>,
-            axis: &str,
-            push: Option<f64>,
+            axis: Option<&Bound<'_, PyAny>>,
+            push: Option<&Bound<'_, PyAny>>,
             overrides: Option<&Bound<'_, PyDict>>,
         ) -> PyResult<Self> {
-            let settings = CoreSettings::plug(axis, push).or_raise()?;
+            let axis = along(axis, "-z")?;
+            let settings = CoreSettings::plug(&axis, newtons("push", push)?).or_raise()?;
             Self::driven(settings, axis.trim_start_matches(['-', '+']), overrides)
         }
 
@@ -219,4 +223,17 @@ fields! {
             Self::preset(CoreSettings::hand_guiding(), "", overrides)
         }
     }
+}
+
+/// The axis that a preset works along.
+fn along(axis: Option<&Bound<'_, PyAny>>, default: &str) -> PyResult<String> {
+    axis.map_or_else(
+        || Ok(default.to_owned()),
+        |axis| arguments::text("axis", "the name of an axis, such as 'x'", axis),
+    )
+}
+
+/// The force of a preset, where one is given.
+fn newtons(name: &str, force: Option<&Bound<'_, PyAny>>) -> PyResult<Option<f64>> {
+    force.map(|force| real(name, "a number [N]", force)).transpose()
 }

@@ -26,6 +26,11 @@ impl Words for Invalid {
 pub(crate) struct BatchState(CoreState);
 
 impl BatchState {
+    /// What a caller gave as one.
+    pub(crate) fn given<'a, 'py>(state: &'a Bound<'py, PyAny>) -> PyResult<&'a Bound<'py, Self>> {
+        state.cast().map_err(|_| wrong_type("state", "a BatchState, as batch_state(N) makes one", state))
+    }
+
     /// Of arms of which nothing is known yet.
     pub(crate) fn of(n: usize, count: usize) -> PyResult<Self> {
         CoreState::new(n, count).or_raise().map(Self)
@@ -35,7 +40,8 @@ impl BatchState {
 #[pymethods]
 impl BatchState {
     #[new]
-    fn new(n: usize, numbers: &Bound<'_, PyAny>) -> PyResult<Self> {
+    fn new(n: &Bound<'_, PyAny>, numbers: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let n = crate::read::count("n", n)?;
         CoreState::from_numbers(n, crate::read::numbers("numbers", numbers)?.1).or_raise().map(Self)
     }
 

@@ -60,7 +60,7 @@ pub(crate) struct Axis(pub(crate) CoreAxis);
 
 impl Axis {
     fn check(core: &CoreAxis) -> PyResult<Self> {
-        core.validate("*").or_raise()?;
+        core.validate("Axis").or_raise()?;
         Ok(Self(*core))
     }
 
@@ -70,7 +70,7 @@ impl Axis {
 }
 
 fields! {
-    Axis("Axis") of CoreAxis {
+    Axis("Axis", "Axis.") of CoreAxis {
         soft: Optional<Sides>,
         firm: Optional<Sides>,
         hold: Optional<Number>,

@@ -71,21 +71,19 @@ pub(super) fn check(model: &Model, settings: &Settings, plan: &Plan) -> Result<(
     ] {
         let ratio = overshoot(model, plan, &asked, most);
         if ratio > 1.0 {
-            let nearest: Vec<String> = (0..plan.k)
-                .filter(|&r| asked[r] > 0.0)
-                .map(|r| {
-                    let axis = plan.rows[r].axis;
-                    let value = floor_to_two_digits(asked[r] / ratio);
-                    format!("{}={value} {}", AXIS_NAMES[axis], units[usize::from(axis >= 3)])
-                })
-                .collect();
+            let listed = |value: &dyn Fn(usize) -> f64| {
+                let rows = (0..plan.k).filter(|&r| asked[r] > 0.0).map(|r| (r, plan.rows[r].axis));
+                let each = rows
+                    .map(|(r, axis)| format!("{}={} {}", AXIS_NAMES[axis], value(r), units[usize::from(axis >= 3)]));
+                each.collect::<Vec<_>>().join(", ")
+            };
+            let (given, nearest) = (listed(&|r| asked[r]), listed(&|r| floor_to_two_digits(asked[r] / ratio)));
             return Err(Error::config(
                 format!("axes.{field}"),
                 format!(
-                    "is {ratio:.2} times what the median pose can have, and {}: use {}, shorten delay and period, or take \
-                     the risk by name: Settings(accept=(\"stiffness\",))",
-                    why(settings),
-                    nearest.join(", ")
+                    "{given} is {ratio:.2} times what the median pose can have, and {}: use {nearest}, shorten delay and \
+                     period, or take the risk by name: Settings(accept=(\"stiffness\",))",
+                    why(settings)
                 ),
             ));
         }

@@ -15,7 +15,7 @@ impl Settings {
     pub fn validate(&self) -> Result<()> {
         self.task.validate()?;
         for (axis, name) in self.axes.iter().zip(AXIS_NAMES) {
-            axis.validate(name)?;
+            axis.validate(&format!("axes.{name}"))?;
         }
         for ((axis, name), on) in self.axes.iter().zip(AXIS_NAMES).zip(self.task.axes) {
             if !on && *axis != Axis::default() {

@@ -236,12 +236,12 @@ impl Axis {
         self.yields.unwrap_or(if compliant { Yields::Both } else { Yields::None })
     }
 
-    /// Checks every value; `name` is the axis' name for the message.
+    /// Checks every value; `owner` stands before the field's name in the message, e.g. `axes.y`.
     ///
     /// # Errors
     /// [`Error::Limit`] or [`Error::Config`] naming the field.
-    pub fn validate(&self, name: &str) -> Result<()> {
-        let at = |field: &str| format!("axes.{name}.{field}");
+    pub fn validate(&self, owner: &str) -> Result<()> {
+        let at = |field: &str| format!("{owner}.{field}");
         for (field, pair) in [("soft", self.soft), ("firm", self.firm)] {
             for value in pair.into_iter().flatten() {
                 check(at(field), value, value >= 0.0 && value.is_finite(), "[0, ∞)")?;
@@ -334,7 +334,7 @@ mod tests {
 
     #[test]
     fn eta_needs_an_axis_that_yields() {
-        let message = Axis { eta: 0.5, ..Axis::default() }.validate("y").unwrap_err().to_string();
+        let message = Axis { eta: 0.5, ..Axis::default() }.validate("axes.y").unwrap_err().to_string();
         assert!(message.starts_with("axes.y.eta: 0.5 has no effect"), "{message}");
     }
 }
