@@ -101,7 +101,7 @@ impl Record {
 
     fn pseudo_inverse(&self, plan: &Plan) -> Rows {
         let squared = plan.damping_scale.map(|scale| scale * self.damping * self.damping);
-        pseudo_inverse(&self.rows, &plan.joint_weight, &squared)
+        pseudo_inverse(&self.rows, &plan.inverse_weight, &squared)
     }
 
     /// N as the settings have it.
@@ -110,13 +110,13 @@ impl Record {
         match plan.projector {
             Projector::Paper => {
                 let squared = plan.damping_scale.map(|scale| scale * self.damping * self.damping);
-                projector(&self.rows, &plan.joint_weight, &squared, size)
+                projector(&self.rows, &plan.inverse_weight, &squared, size)
             }
             Projector::Exact => {
                 let scaled = rows_array(&plan.scale_rows(&load_rows::<EveryJoint>(&self.rows)));
                 let [smallest, largest] = self.sigma(plan);
                 let mu_squared = fade_squared(smallest, largest);
-                projector(&scaled, &plan.joint_weight, &[mu_squared; MAX_AXES], size)
+                projector(&scaled, &plan.inverse_weight, &[mu_squared; MAX_AXES], size)
             }
         }
     }

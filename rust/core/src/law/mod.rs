@@ -88,7 +88,7 @@ impl<J: Lanes> Tick<'_, J> {
     #[inline(always)]
     pub(crate) fn null_space(&self) -> NullSpace<'_, J> {
         let (plan, size) = (self.plan, (self.plan.k, self.plan.n));
-        let weight = J::load(&plan.joint_weight);
+        let weight = J::load(&plan.inverse_weight);
         match (plan.projector, &self.condition.factor) {
             (Projector::Paper, _) => NullSpace::new(self.rows, weight, &axes(self.damping), size),
             // With joints that count alike and μ = 0 it is the matrix whose singular values were followed.

@@ -94,7 +94,7 @@ pub(crate) fn printed<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, J) {
 #[inline(always)]
 fn damped_space<'a, J: Lanes>(tick: &Tick<'a, J>) -> NullSpace<'a, J> {
     let plan = tick.plan;
-    NullSpace::new(tick.rows, J::load(&plan.joint_weight), &axes(tick.damping), (plan.k, plan.n))
+    NullSpace::new(tick.rows, J::load(&plan.inverse_weight), &axes(tick.damping), (plan.k, plan.n))
 }
 
 /// The motion toward `task` and `along` the null space [rad] within speed limits, and the budgets of (11).

@@ -47,7 +47,7 @@ impl<J: Joints> Takeover<'_, J> {
         let squared = &plan.takeover_damping;
         let (mut lead, mut wrench) = if plan.law == Law::Paper && plan.follow == Follow::Hold {
             // The damped pseudo-inverse of (3), of which one product is wanted and not the whole.
-            let weight = J::load(&plan.joint_weight) * self.free;
+            let weight = J::load(&plan.inverse_weight) * self.free;
             let factor = Factor::new::<J::One>(&damped(weighted_gram(self.rows, weight), squared));
             (weight * transpose_times(self.rows, &factor.solve::<J::One>(self.lost)), nothing)
         } else {

@@ -23,6 +23,17 @@ pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> 
     ))
 }
 
+/// A torque for motions that the task leaves free needs some.
+pub(super) fn check_null_torque(settings: &Settings, k: usize, n: usize) -> Result<()> {
+    if settings.law != Law::Paper || k < n || settings.null_torque.is_none_or(|torque| torque <= 0.0) {
+        return Ok(());
+    }
+    Err(Error::config(
+        "null_torque",
+        format!("{k} task axes leave no null space on {n} joints: leave it out, or take away an axis"),
+    ))
+}
+
 pub(super) fn check_gain(settings: &Settings, plan: &Plan) -> Result<()> {
     let symmetric = DMatrix::from_fn(plan.k, plan.k, |r, c| 0.5 * (plan.kx[r][c] + plan.kx[c][r]));
     let shift = 1e-9 * (1.0 + symmetric.amax());

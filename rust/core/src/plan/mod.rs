@@ -21,7 +21,7 @@ use crate::task::axes::{AXIS_NAMES, Frame};
 use crate::task::deviation_limit::DeviationLimit;
 
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
-use checks::{check_axes, check_gain, check_gravity, check_kp};
+use checks::{check_axes, check_gain, check_gravity, check_kp, check_null_torque};
 pub(crate) use lanes::{AxisLanes, RowLanes};
 pub(crate) use rows::Row;
 use rows::{deviation_limits, resolve_rows};
@@ -93,7 +93,8 @@ pub(crate) struct Plan {
     pub(crate) heavy: bool,
     pub(crate) null_torque: f64,
     pub(crate) null_speed: f64,
-    pub(crate) joint_weight: JointVec,
+    /// 1 / w of law `paper`'s pseudo-inverse; 1 under the others, which weigh joints by the servos' stiffness.
+    pub(crate) inverse_weight: JointVec,
     pub(crate) joint_speed: JointVec,
     pub(crate) lower: JointVec,
     pub(crate) upper: JointVec,
@@ -135,26 +136,19 @@ impl Plan {
         let known = captured || servos.is_some_and(|s| s.kp_known);
         let rows = resolve_rows(model, settings, &arrays, &axes, known, surveyed)?;
         let unit = settings.task.length.filter(|_| k > n).unwrap_or_else(|| scale_length(model.reach()));
-        let (mut row_scale, mut damping_scale) = ([1.0; MAX_AXES], [1.0; MAX_AXES]);
-        for (r, &axis) in axes.iter().enumerate() {
-            if axis < 3 {
-                row_scale[r] = 1.0 / unit;
-                // λ as printed in (3) adds to rows in mixed units; with more axes than joints it is what weighs them.
-                let as_printed = matches!(settings.damping, Damping::Fixed(_)) && k <= n;
-                damping_scale[r] = if as_printed { 1.0 } else { unit * unit };
-            }
-        }
+        // λ as printed in (3) adds to rows in mixed units; with more axes than joints it is what weighs them.
+        let as_printed = matches!(settings.damping, Damping::Fixed(_)) && k <= n;
+        let row_scale = of_translations(&axes, 1.0 / unit);
+        let damping_scale = of_translations(&axes, if as_printed { 1.0 } else { unit * unit });
         let redundant = k < n;
         let damping = resolve_damping(model, settings, &axes, unit, surveyed)?;
-        if settings.law == Law::Paper && !redundant && settings.null_torque.is_some_and(|torque| torque > 0.0) {
-            return Err(Error::config(
-                "null_torque",
-                format!("{k} task axes leave no null space on {n} joints: leave it out, or take away an axis"),
-            ));
-        }
+        check_null_torque(settings, k, n)?;
         let kx = settings.kx.spread("kx", if matches!(settings.kx, Gain::Scalar(_)) { MAX_AXES } else { k })?;
         let kx = compact(&kx, k);
-        let mut plan = Self {
+        let (lower, upper) = (fill(model.lower(), f64::NEG_INFINITY), fill(model.upper(), f64::INFINITY));
+        let posture_lets_go = settings.law.by_force() && redundant;
+        let well_damped = arrays.well_damped(n);
+        let plan = Self {
             n,
             k,
             law: settings.law,
@@ -176,7 +170,7 @@ impl Plan {
                 _ => None,
             },
             kx_derating: 1.0,
-            impedance_bounds: stiffness::bounds(settings, settings.delay, arrays.well_damped(n)),
+            impedance_bounds: stiffness::bounds(settings, settings.delay, well_damped),
             null_stiffness: settings.null_stiffness,
             alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
             takeover_damping: damping_scale.map(|scale| {
@@ -189,57 +183,35 @@ impl Plan {
             rest: settings.posture.as_ref().map(|posture| list("posture", Some(posture), n, 0.0)).transpose()?,
             null_torque: settings.null_torque.unwrap_or(if redundant { 2.0 } else { 0.0 }),
             null_speed: settings.null_speed,
-            joint_weight: list("joint_weights", settings.joint_weights.as_deref(), n, 1.0)?,
+            inverse_weight: resolve_weight(settings, n)?,
             joint_speed: resolve_speed(model, settings)?,
-            lower: fill(model.lower(), f64::NEG_INFINITY),
+            lower,
+            upper,
             readable: scales::readable(model),
-            upper: fill(model.upper(), f64::INFINITY),
-            beyond: [0.0; MAX_JOINTS],
-            stop_slope: 0.0,
-            clearance: [f64::NEG_INFINITY; MAX_JOINTS],
+            beyond: joints(n, 0.0, |i| beyond(&arrays, i)),
+            stop_slope: gain_bound(well_damped, settings.delay, 1.0 / settings.rate) - 1.0,
+            clearance: if posture_lets_go { clearance(&lower, &upper) } else { [f64::NEG_INFINITY; MAX_JOINTS] },
             floor: match &settings.floor {
                 Some(floor) => list("floor", Some(floor), n, 0.0)?,
                 None => arrays.friction,
             },
-            margin: [0.0; MAX_JOINTS],
+            margin: joints(n, 0.0, |i| margin(settings, &arrays, i)),
             dead_host_max: settings.dead_host_max,
-            rise: [f64::INFINITY; MAX_JOINTS],
+            rise: joints(n, f64::INFINITY, |i| rise(settings, &arrays, i)),
             gravity_compliance: arrays.compliance,
             servos: arrays,
             axes,
         };
-        // The pseudo-inverse wants the inverse of the joints' cost; the others weigh them by the servos' stiffness instead.
-        plan.joint_weight =
-            if settings.law == Law::Paper { plan.joint_weight.map(|w| 1.0 / w) } else { [1.0; MAX_JOINTS] };
         check_gain(settings, &plan)?;
-        plan.stop_slope = plan.gain_bound(settings.delay, 1.0 / settings.rate) - 1.0;
-        if plan.law.by_force() && redundant {
-            plan.clearance = clearance(&plan.lower, &plan.upper);
-        }
         if plan.law == Law::Impedance {
             stiffness::check(model, settings, &plan)?;
         }
-        plan.follow_torques(settings);
         Ok(plan)
-    }
-
-    /// Margin and rise of the limits, and how far goals may pass the position limits.
-    fn follow_torques(&mut self, settings: &Settings) {
-        for i in 0..self.n {
-            let usable = self.servos.torque[i];
-            let share = if usable.is_finite() { settings.margin * usable } else { 0.0 };
-            self.margin[i] = share.max(2.0 * self.servos.friction[i]);
-            self.beyond[i] = if self.servos.has_kp { usable * self.servos.compliance[i] } else { 0.0 };
-            if settings.stiffening_time > 0.0 {
-                self.rise[i] = usable / settings.stiffening_time;
-            }
-        }
     }
 
     /// K_x h that the present delay allows.
     pub(crate) fn gain_bound(&self, delay: f64, period: f64) -> f64 {
-        let effective_delay = delay + 0.5 * period;
-        if self.servos.well_damped(self.n) { 3.0 } else { (GAIN_DELAY_BOUND / effective_delay).clamp(1.0, 3.0) }
+        gain_bound(self.servos.well_damped(self.n), delay, period)
     }
 
     /// The largest K_x h in any direction of the task: the largest singular value.
@@ -254,6 +226,46 @@ impl Plan {
         self.impedance_bounds = stiffness::bounds(settings, delay, self.servos.well_damped(self.n));
         self.stop_slope = bound - 1.0;
     }
+}
+
+fn gain_bound(well_damped: bool, delay: f64, period: f64) -> f64 {
+    if well_damped { 3.0 } else { (GAIN_DELAY_BOUND / (delay + 0.5 * period)).clamp(1.0, 3.0) }
+}
+
+/// Lead that a servo's whole torque takes [rad].
+fn beyond(servos: &ServoArrays, i: usize) -> f64 {
+    if servos.has_kp { servos.torque[i] * servos.compliance[i] } else { 0.0 }
+}
+
+/// What a joint's limit has to spare beside what the law asks for [N·m].
+fn margin(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
+    let usable = servos.torque[i];
+    let share = if usable.is_finite() { settings.margin * usable } else { 0.0 };
+    share.max(2.0 * servos.friction[i])
+}
+
+/// By how much a joint's limit may rise [N·m/s].
+fn rise(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
+    if settings.stiffening_time > 0.0 { servos.torque[i] / settings.stiffening_time } else { f64::INFINITY }
+}
+
+fn resolve_weight(settings: &Settings, n: usize) -> Result<JointVec> {
+    let weight = list("joint_weights", settings.joint_weights.as_deref(), n, 1.0)?;
+    Ok(if settings.law == Law::Paper { weight.map(|w| 1.0 / w) } else { [1.0; MAX_JOINTS] })
+}
+
+/// `scale` in the rows of translations, 1 in the others.
+fn of_translations(axes: &[usize], scale: f64) -> AxisVec {
+    let mut out = [1.0; MAX_AXES];
+    for (slot, _) in out.iter_mut().zip(axes).filter(|(_, axis)| **axis < 3) {
+        *slot = scale;
+    }
+    out
+}
+
+/// One number of each of `n` joints, `rest` behind them.
+fn joints(n: usize, rest: f64, of: impl Fn(usize) -> f64) -> JointVec {
+    std::array::from_fn(|i| if i < n { of(i) } else { rest })
 }
 
 fn scale_length(reach: f64) -> f64 {

@@ -260,8 +260,8 @@ mod tests {
             let linear = norm([v[0], v[1], v[2]]);
             let angular = norm([v[3], v[4], v[5]]);
             assert!(linear <= 0.25 + 1e-12 && angular <= 1.0 + 1e-12, "tick {tick}: {linear} {angular}");
-            let jerk = norm([v[0] - before[0], v[1] - before[1], v[2] - before[2]]);
-            assert!(jerk <= 0.01 + 1e-12, "tick {tick}: {jerk}");
+            let change = norm([v[0] - before[0], v[1] - before[1], v[2] - before[2]]);
+            assert!(change <= 0.01 + 1e-12, "tick {tick}: {change} m/s in one tick");
             before = v;
             if tick == 399 {
                 assert_eq!(pose, target);
