@@ -108,6 +108,33 @@ def test_gallery_is_of_this_example(example):
     assert said, "it prints nothing"
 
 
+#: Run again as the gallery ran them: a second or two each, nothing of the machine in their texts.
+AGAIN = ("01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "13", "14", "15", "16")
+NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+def near(kept: str, now: str) -> bool:
+    """Whether two printed numbers agree: within 5 %, or within one of the last digit."""
+    x, y = (float(text.replace("−", "-")) for text in (kept, now))
+    digit = 10.0 ** -len(kept.partition(".")[2].partition("e")[0])
+    return abs(x - y) <= max(0.05 * abs(x), 1.01 * digit)
+
+
+# Its digest tells that an example changed; this, that the law under it did.
+@pytest.mark.parametrize("number", AGAIN)
+def test_gallery_is_of_this_law(number, tmp_path):
+    (example,) = (ROOT / "examples").glob(f"{number}_*.py")
+    kept = (ROOT / "docs" / "gallery" / f"{example.stem}.txt").read_text(encoding="utf-8")
+    done = run(str(example), cwd=tmp_path, COLUMNS="100")
+    assert done.returncode == 0, done.stderr
+    told = [kept.split("\n", 1)[1], done.stdout]
+    words = [NUMBER.sub("#", text).split() for text in told]
+    numbers = [NUMBER.findall(text) for text in told]
+    stale = f"{example.name} says something else now: make gallery ARGS={number}\n{done.stdout}"
+    assert words[0] == words[1], stale
+    assert all(near(a, b) for a, b in zip(*numbers, strict=True)), stale
+
+
 def built(pattern: str) -> Path:
     """The file that `make wheel` left."""
     files = sorted((ROOT / "build" / "wheels").glob(pattern))

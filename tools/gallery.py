@@ -4,8 +4,9 @@
     .venv/bin/python tools/gallery.py 07  # one of them
 
 What is kept stands in docs/gallery: `NAME.txt` with the digest of the example it is from, so that a
-changed example is noticed (tests/test_house.py), `NAME.jpg`, and for some `NAME.html`: a replay
-that needs nothing but a browser. The pages themselves are made by docs/ext/gallery.py.
+changed example is noticed, as is a changed law by running the quick ones again
+(tests/test_house.py); `NAME.jpg`, and for some `NAME.html`: a replay that needs nothing but a
+browser. The pages themselves are made by docs/ext/gallery.py.
 """
 
 from __future__ import annotations
