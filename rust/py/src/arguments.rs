@@ -39,6 +39,7 @@ pub(crate) fn controller(value: &Bound<'_, PyAny>) -> PyResult<Py<Controller>> {
 }
 
 /// A text.
+#[inline(never)]
 pub(crate) fn text(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
     value.extract().map_err(|_| wrong_type(name, expected, value))
 }

@@ -5,8 +5,7 @@ use std::sync::Arc;
 use pliant_core::settings::Law;
 use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis};
 use pliant_core::{
-    Command as CoreCommand, Controller as CoreController, Model as CoreModel, Payload as CorePayload,
-    Servos as CoreServos, Settings as CoreSettings,
+    Carried, Command as CoreCommand, Controller as CoreController, Payload as CorePayload, Settings as CoreSettings,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -39,17 +38,22 @@ pub(crate) struct Controller {
 }
 
 impl Controller {
-    /// Of parts that have been read, by one of the core's constructors.
+    /// Of parts that have been read; it goes on with what another one carried.
     pub(crate) fn made(
         py: Python<'_>,
         model: Py<Model>,
         settings: Py<Settings>,
         servos: Option<Py<Servos>>,
-        make: impl FnOnce(Arc<CoreModel>, CoreSettings, Option<CoreServos>) -> pliant_core::Result<CoreController> + Send,
+        carried: Option<&Carried>,
     ) -> PyResult<Self> {
         let arm = Arc::clone(&model.get().core);
         let (wanted, table) = (settings.get().0.clone(), servos.as_ref().map(|servos| servos.get().0.clone()));
-        let core = py.detach(|| make(arm, wanted, table)).or_raise()?;
+        let core = py
+            .detach(|| match carried {
+                Some(carried) => CoreController::resumed(arm, wanted, table, carried),
+                None => CoreController::new(arm, wanted, table),
+            })
+            .or_raise()?;
         let (n, position_only) = (core.model().n(), position_only(&settings.get().0));
         Ok(Self { core, n, position_only, pool: Pool::default(), model, settings, servos })
     }
@@ -93,7 +97,7 @@ readings! {
                 Some(servos) => Some(Py::new(py, Servos(servos.get().0.for_joints(model.get().core.n()).or_raise()?))?),
                 None => model.get().servos.as_ref().map(|servos| servos.clone_ref(py)),
             };
-            Self::made(py, model, settings, servos, CoreController::new)
+            Self::made(py, model, settings, servos, None)
         }
 
         #[pyo3(signature = (q, target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]

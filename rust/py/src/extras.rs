@@ -3,7 +3,8 @@
 use pliant_core::{AxisVec, JointVec, StepInput};
 use pyo3::prelude::*;
 
-use crate::read::{array_into, joints, real};
+use crate::error::wrong_type;
+use crate::read::{array_into, joints, number};
 
 /// What a time must be.
 pub(crate) const SECONDS: &str = "a number [s]";
@@ -29,7 +30,7 @@ impl Extras {
         gradient: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         if let Some(dt) = dt {
-            self.dt = Some(real("dt", SECONDS, dt)?);
+            self.dt = Some(number(dt).ok_or_else(|| wrong_type("dt", SECONDS, dt))?);
         }
         if let Some(dq) = dq {
             self.dq = Some(joints("dq", dq, n)?);

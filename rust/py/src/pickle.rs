@@ -1,6 +1,6 @@
 //! What a pickle holds of models and controllers, and how it is read.
 
-use pliant_core::{Carried, Controller as CoreController};
+use pliant_core::Carried;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
@@ -61,7 +61,5 @@ fn controller(
     let (payload, gravity, delay, captured, memory) = numbers;
     let memory = vector("memory", &memory)?;
     let carried = Carried { payload: payload.map(|payload| payload.0), gravity, delay, captured, memory };
-    Controller::made(py, model, settings, servos, |model, settings, servos| {
-        CoreController::resumed(model, settings, servos, &carried)
-    })
+    Controller::made(py, model, settings, servos, Some(&carried))
 }

@@ -186,6 +186,7 @@ fn from_numbers(name: &str, m: &[f64; 16]) -> PyResult<CorePose> {
 }
 
 /// A number by the argument's name; `expected` says what it is and its unit.
+#[inline(never)]
 pub(crate) fn real(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyResult<f64> {
     number(value).ok_or_else(|| wrong_type(name, expected, value))
 }
@@ -203,6 +204,7 @@ pub(crate) fn given<'py, T>(
 }
 
 /// A whole number, 0 or more.
+#[inline(never)]
 pub(crate) fn count(name: &str, value: &Bound<'_, PyAny>) -> PyResult<usize> {
     value.extract().map_err(|_| wrong_type(name, "a whole number, 0 or more", value))
 }

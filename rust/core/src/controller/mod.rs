@@ -104,6 +104,7 @@ impl Controller {
     }
 
     /// [`Controller::new`], with the gravity offset 1/k_g (n) of one that captured it.
+    #[inline(never)]
     fn made(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
         let mut surveyed = Surveyed::default();
         let mut plan = Plan::new(&model, &settings, servos.as_ref(), captured.is_some(), &mut surveyed)?;
