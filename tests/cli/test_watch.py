@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -91,6 +94,16 @@ def test_a_moved_joint_is_named_with_the_way_of_the_tool(arm, capsys):
 def test_torque_that_is_on_is_in_the_way(capsys):
     assert main(["doctor", "so101", "--backend", "sim", "--watch", "--seconds", "0.2"]) == 0
     assert "torque is on already" in capsys.readouterr().out
+
+
+def test_ctrl_c_is_how_it_ends():
+    words = [sys.executable, "-u", "-m", "pliant.cli", "doctor", "so101", "--backend", "sim"]
+    with subprocess.Popen([*words, "--watch"], stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        while "tool at" not in running.stdout.readline():
+            assert running.poll() is None
+        running.send_signal(signal.SIGINT)
+        assert running.wait(timeout=30) == 0
 
 
 @pytest.mark.parametrize("flags", [["--seconds", "1"], ["--watch", "--seconds", "0"]])
