@@ -38,7 +38,7 @@ export CARGO_INCREMENTAL := 0
 endif
 
 WHEELS := build/wheels
-RUST := $(shell find rust -name '*.rs') Cargo.toml $(wildcard Cargo.lock) $(wildcard rust/*/Cargo.toml) python/pliant/_core.pyi
+RUST := $(shell find rust -name '*.rs') Cargo.toml .cargo/config.toml $(wildcard Cargo.lock) $(wildcard rust/*/Cargo.toml) python/pliant/_core.pyi
 PY_SOURCES := $(shell find python -type f ! -name '*.so' ! -path '*/__pycache__/*')
 # An editable install keeps the compiled module beside the sources: `git clean` can take it away.
 MISSING_CORE := $(if $(wildcard python/pliant/_core*.so),,FORCE)
