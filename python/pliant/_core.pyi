@@ -517,6 +517,10 @@ class Model:
         """Distances between joint origins, summed out to the tool [m]."""
 
     @property
+    def reach_from(self) -> _Array:
+        """Where `reach` counts from: the first joint's origin at q = 0 (3,), in the base [m]."""
+
+    @property
     def gravity_vector(self) -> _Array:
         """Gravity (3,) in the base [m/s^2]; read-only."""
 

@@ -56,6 +56,11 @@ def test_bench_runs_as_the_docs_say(capsys):
     assert "so101_like: 5 joints" in capsys.readouterr().out
 
 
+def test_without_soft_an_axis_of_the_task_yields(capsys):
+    assert main(["bench", "--robot", "koch", "--axes", "x z", "--calls", "200"]) == 0
+    assert "5 joints" in capsys.readouterr().out
+
+
 def test_bench_moves_through_the_ranges():
     model = pliant.robots.arm7()
     path = np.array(bench.path(model))

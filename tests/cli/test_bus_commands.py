@@ -5,7 +5,7 @@ import pytest
 
 import pliant
 from pliant.cli import main
-from pliant.cli.targets import Target, open_targets, shoulder
+from pliant.cli.targets import Target, open_targets
 from pliant.servo.emulator import Device, Emulator
 
 rustypot = pytest.importorskip("rustypot")
@@ -176,7 +176,7 @@ def test_every_pose_of_an_arm_is_within_its_reach(name):
     q = np.random.default_rng(0).uniform(model.lower, model.upper, (2000, model.n))
     for pose in model.forward_kinematics_batch(q):
         Target(position=tuple(pose[:3, 3])).check_reach(model)
-    up = shoulder(model)
+    up = model.reach_from
     for distance, far in ((0.99, False), (1.01, True)):
         target = Target(position=(up[0], up[1], up[2] + distance * model.reach))
         if far:
@@ -184,6 +184,22 @@ def test_every_pose_of_an_arm_is_within_its_reach(name):
                 target.check_reach(model)
         else:
             target.check_reach(model)
+
+
+def test_reach_counts_from_the_first_joint_that_moves():
+    lift = """<robot name="lift">
+    <link name="base"/><link name="column"/><link name="arm"/><link name="tool"/>
+    <joint name="lift" type="prismatic"><parent link="base"/><child link="column"/>
+    <axis xyz="0 0 1"/><limit lower="0" upper="2" effort="9" velocity="1"/></joint>
+    <joint name="turn" type="revolute"><parent link="column"/><child link="arm"/>
+    <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="9" velocity="1"/></joint>
+    <joint name="end" type="fixed"><parent link="arm"/><child link="tool"/>
+    <origin xyz="0.4 0 0"/></joint></robot>"""
+    model = pliant.Model.from_urdf_str(lift, locked={"lift": 1.0})
+    assert np.allclose(model.reach_from, [0.0, 0.0, 1.0])
+    Target(position=(0.4, 0.0, 1.0)).check_reach(model)
+    with pytest.raises(pliant.ConfigError, match=r"0\.9 m from turn, and the arm reaches 0\.4 m"):
+        Target(position=(0.0, 0.0, 1.9)).check_reach(model)
 
 
 def test_datagrams_come_from_this_machine_only():

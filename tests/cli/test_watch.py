@@ -116,3 +116,17 @@ def test_ready_points_to_what_no_program_sees(monkeypatch, capsys):
     monkeypatch.setattr("pliant.cli.doctor.examine", lambda _: iter(()))
     assert main(["doctor", "so101", "--backend", "emulator"]) == 0
     assert "the same command with --watch" in " ".join(capsys.readouterr().out.split())
+
+
+def test_the_table_names_units_and_is_not_read_as_markup():
+    from rich.console import Console
+
+    from pliant.cli.watch import Watch, _table
+
+    read = config.load("so101")
+    model = read.model()
+    look = Watch(read, model, tuple(model.joint_names))
+    look.update(np.zeros(model.n), np.ones(model.n, dtype=bool))
+    console = Console(width=140, force_terminal=True, record=True)
+    console.print(_table(look))
+    assert "limits [rad]" in console.export_text()

@@ -271,3 +271,17 @@ def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
     assert np.all(sent[1] <= sent[0] + 1e-9)
     with pytest.raises(pliant.ConfigError, match="did you mean 'dead_host_max'"):
         config.parse(text + "dead_host_mx = 44.0\n").settings()
+
+
+def test_a_wrong_task_is_said_once_and_as_the_task():
+    with pytest.raises(pliant.ConfigError) as caught:
+        config.parse(SIM + "[settings]\ntask = { axes = 3 }\naxes.y = { frim = 1.0 }\n")
+    assert str(caught.value).count("settings: task.") == 1
+    assert "frim" in str(caught.value)
+
+
+def test_a_wrong_loop_does_not_hide_a_wrong_preset():
+    with pytest.raises(pliant.ConfigError) as caught:
+        config.parse('preset = "soft"\n' + SIM + "[loop]\nrate = -1\n")
+    assert "loop.rate = -1" in str(caught.value)
+    assert 'preset "soft" needs its axes' in str(caught.value)

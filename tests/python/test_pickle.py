@@ -123,3 +123,25 @@ def test_a_process_of_its_own_gives_the_same_bits(controller, q, target):
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         there = pool.apply(elsewhere, (controller, q, target))
     assert there == steps(controller, q, target)
+
+
+def test_what_a_model_was_made_of_cannot_be_changed_through_its_source():
+    arm = pliant.robots.arm7()
+    name = arm.joint_names[1]
+    model = pliant.Model.from_urdf_str(arm.source[0], tip="tool", limits={name: (-0.5, 0.5)})
+    model.source[1]["limits"][name] = (-0.1, 0.1)
+    again = pickle.loads(pickle.dumps(model))
+    assert np.array_equal(again.upper, model.upper)
+
+
+def test_a_controller_that_was_told_to_carry_its_weight_later_is_read_back():
+    # Made without gravity, it was never asked whether its servos hold the arm.
+    arm = pliant.robots.arm7()
+    weak = pliant.Servos(kp=50.0, torque=0.5, friction=0.01, kp_known=True)
+    q = 0.5 * (arm.lower + arm.upper)
+    controller = pliant.Controller(arm, pliant.Settings.paper(), weak)
+    target = arm.forward_kinematics(q)
+    controller.step(q, target)
+    controller.update(controller.settings.replace(gravity=True))
+    again = pickle.loads(pickle.dumps(controller))
+    assert bits(again.step(q, target)) == bits(controller.step(q, target))

@@ -39,7 +39,7 @@ def test_a_push_reaches_the_joints_as_its_frame_says(arm, grasp, at):
     force = np.array((2.0, -3.0, 1.0))
     plant = settled(arm, grasp, Push(force_vector=force, at=at, course=ALWAYS))
     link = {"tool": "tool", "wrist": "gripper_link"}.get(at, at)
-    text = pliant.robots.files("pliant.robots").joinpath("arm7.urdf").read_text(encoding="utf-8")
+    text = arm.source[0]
     part = pliant.Model.from_urdf_str(text, base="base", tip=link)
     pulled = np.zeros(7)
     pulled[: part.n] = part.jacobian(plant.q[: part.n])[:3].T @ force

@@ -15,7 +15,7 @@ from rich.table import Table
 
 import pliant
 from pliant import config
-from pliant.cli.flags import Axes, File, Frame, OtherArm
+from pliant.cli.flags import Axes, File, Frame, OtherArm, OtherAxes
 from pliant.cli.soft import check_soft
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def run(
     robot: OtherArm = None,
     law: Law | None = None,
     axes: Axes = "",
-    soft: Axes = "y",
+    soft: OtherAxes = None,
     calls: int = 1_000_000,
 ) -> None:
     """Time single steps on this machine, garbage collector on, beside calls that do nothing.
@@ -77,7 +77,7 @@ def run(
         law: cap, impedance or paper; default: as the arm's configuration has it.
         axes: Axes of the task, e.g. "xyz"; default: as the arm's configuration has it, and as many
             as the arm has joints for with --urdf.
-        soft: Axes that yield; "" for none.
+        soft: Axes that yield; "" for none. Default: y, or the first axis of a task without it.
         calls: How many steps are timed.
     """
     if calls < 100:
@@ -164,9 +164,13 @@ def _axes(model: pliant.Model) -> str:
     return " ".join(("x", "y", "z", "roll", "pitch", "yaw")[: model.n])
 
 
-def _wanted(settings: pliant.Settings, axes: str, law: Law | None, soft: str) -> pliant.Settings:
+def _wanted(
+    settings: pliant.Settings, axes: str, law: Law | None, soft: str | None
+) -> pliant.Settings:
     task = pliant.Task(axes=axes) if axes else settings.task
-    if soft:
+    if soft is None:
+        soft = "y" if "y" in task.names else task.names[0]
+    elif soft:
         check_soft(soft, task, 'another task: --axes "x y z yaw"')
     if law == "paper":
         settings = pliant.Settings.paper(task=task)

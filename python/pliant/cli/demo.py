@@ -182,7 +182,7 @@ def _close(console: Console, done: Demonstration) -> None:
     console.print(table)
     for chapter in done.chapters:
         for line in missed(chapter):
-            console.print(line, highlight=False, soft_wrap=True)
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
     console.print(facts)
     console.print(
         f"\n{len(done.pictures)} figures, every number in {done.results.name}, {done.seconds:.0f} s"

@@ -20,6 +20,7 @@ Backend = Annotated[str | None, tyro.conf.arg(metavar="bus|emulator|sim")]
 Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
 #: Names of task axes.
 Axes = Annotated[str, tyro.conf.arg(metavar="AXES")]
+OtherAxes = Annotated[str | None, tyro.conf.arg(metavar="AXES")]
 #: An arm in place of the usual one.
 OtherArm = Annotated[str | None, tyro.conf.arg(metavar="ARM")]
 #: A frame of a URDF.

@@ -76,7 +76,13 @@ def run(
                 own = [c for c in wanted if c.joint == spec.name and c.id == number]
                 apply(ports[spec.port], spec.row.family, own)
     console.print(f"{len(wanted)} registers written and read back")
-    console.print(f"before torque comes on, see its directions: pliant doctor {arm} --watch")
+    given = {"--port": port, "--urdf": urdf, "--calibration": calibration}
+    flags = "".join(f" {flag} {value}" for flag, value in given.items() if value is not None)
+    console.print(
+        f"before torque comes on, see its directions: pliant doctor {arm} --watch{flags}",
+        highlight=False,
+        soft_wrap=True,
+    )
     if undo is None:
         console.print(f"old values in {backup}; pliant setup {arm} --undo {backup} puts them back")
 

@@ -90,24 +90,13 @@ class Target:
         """
         if self.position is None:
             return
-        away = float(np.linalg.norm(np.array(self.position) - shoulder(model)))
+        away = float(np.linalg.norm(np.array(self.position) - model.reach_from))
         if away > model.reach:
             raise ConfigError(
                 f"position {list(self.position)} is {away:.3g} m from {model.joint_names[0]}, and "
                 f"the arm reaches {model.reach:.3g} m: is it in millimetres, or in other axes than "
                 f"those of {model.base}?"
             )
-
-
-def shoulder(model: Model) -> Array:
-    """Where the first joint of the chain is (3,) [m], in base axes: what `reach` counts from."""
-    above = {joint.child: joint for joint in model.joints}
-    joint = next(j for j in model.joints if j.name == model.joint_names[0])
-    pose = np.asarray(joint.origin)
-    while model.links[joint.parent].name != model.base:
-        joint = above[joint.parent]
-        pose = np.asarray(joint.origin) @ pose
-    return pose[:3, 3]
 
 
 class Targets(Protocol):

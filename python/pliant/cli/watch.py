@@ -161,7 +161,7 @@ def _begin(console: Console, on: list[str]) -> None:
 def _table(look: Watch) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False, caption=f"{look.tool}\n{look.said}")
     table.caption_justify = "left"
-    for name in ("joint", "angle", "limits [rad]", "as it grows the tool"):
+    for name in ("joint", "angle", r"limits \[rad]", "as it grows the tool"):
         table.add_column(name, justify="right" if name == "angle" else "left")
     for row in look.rows:
         table.add_row(*row)
@@ -178,4 +178,4 @@ def _lines(console: Console, look: Watch, *, first: bool, moved: bool) -> None:
     if moved:
         lines = [look.said]
     for line in [*lines, look.tool] if lines else []:
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line, highlight=False, markup=False, soft_wrap=True)

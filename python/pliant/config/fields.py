@@ -50,6 +50,12 @@ def resolve(
     left, wrong = dict(fields), list[str]()
     if "axes" in left:
         left["axes"] = _axes(left["axes"], wrong)
+    if isinstance(left.get("task"), dict):
+        try:
+            left["task"] = pliant.Task(**left["task"])
+        except (PliantError, TypeError) as error:
+            wrong.append(f"task.{str(error).removeprefix('task.')}")
+            del left["task"]
     while True:
         try:
             made = _make(left, preset, rate)
@@ -64,8 +70,6 @@ def resolve(
 def _make(fields: dict[str, Any], preset: str | dict[str, Any] | None, rate: float) -> Settings:
     """Settings of fields whose axes are made."""
     given = {"rate": rate, **fields}
-    if isinstance(given.get("task"), dict):
-        given["task"] = pliant.Task(**given["task"])
     name, arguments = _preset(preset)
     if name is None:
         return pliant.Settings(**given)

@@ -134,11 +134,15 @@ def parse(
 def _settings(table: dict[str, Any]) -> list[str]:
     """What is wrong with the settings of a table that may be wrong elsewhere too."""
     fields, preset, loop = table.get("settings", {}), table.get("preset"), table.get("loop", {})
+    # What is wrong with either is said already; the settings are then those without it.
     try:
         rate = Loop.model_validate(loop).rate
+    except ValueError:
+        rate = Loop().rate
+    try:
         check_preset(preset)
-    except ValueError:  # said already; the settings are then those without it
-        rate, preset = Loop().rate, None
+    except ValueError:
+        preset = None
     if not isinstance(fields, dict):
         return []
     return [f"settings: {said}" for said in resolve(fields, preset, rate)[1]]

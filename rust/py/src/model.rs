@@ -104,7 +104,10 @@ impl Model {
 
     #[getter]
     fn source<'py>(&self, py: Python<'py>) -> PyResult<(&str, Bound<'py, PyDict>)> {
-        let options = self.options.as_ref().map_or_else(|| Ok(PyDict::new(py)), |options| options.bind(py).copy())?;
+        let options = match &self.options {
+            Some(own) => py.import("copy")?.call_method1("deepcopy", (own,))?.cast_into()?,
+            None => PyDict::new(py),
+        };
         Ok((&self.text, options))
     }
 
@@ -185,6 +188,11 @@ impl Model {
     #[getter]
     fn reach(&self) -> f64 {
         self.core.reach()
+    }
+
+    #[getter]
+    fn reach_from<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        frozen(py, &self.core.reach_from())
     }
 
     #[getter]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::controller::Controller;
 use crate::controller::kept::width;
 use crate::error::{Error, Result};
-use crate::model::{Model, Payload};
+use crate::model::{Model, Payload, finite_vector};
 use crate::servos::Servos;
 use crate::settings::Settings;
 
@@ -39,31 +39,39 @@ impl Controller {
         }
     }
 
-    /// A controller whose next step is, to the last bit, that of the one that `carried` is from.
+    /// A controller whose next step is, to the last bit where both run on the same instructions, that of the one that `carried`
+    /// is from.
     ///
     /// What can be read of the last step is not carried.
     ///
     /// # Errors
-    /// As [`Controller::new`], [`Controller::set_gravity`] and [`Controller::set_delay`]; [`Error::Shape`] for what another
-    /// arm carried.
+    /// As [`Controller::new`], but for servos that cannot hold the arm, and [`Controller::set_delay`]; [`Error::Shape`] for what
+    /// another arm carried, [`Error::Limit`] for what none can have.
     pub fn resumed(model: Arc<Model>, settings: Settings, servos: Option<Servos>, carried: &Carried) -> Result<Self> {
         let n = model.n();
         let captured = carried.captured.as_deref();
         if let Some(other) = captured.filter(|values| values.len() != n) {
             return Err(Error::length("captured", other.len(), n));
         }
+        if let Some(&value) = captured.into_iter().flatten().find(|value| !(**value > 0.0 && value.is_finite())) {
+            return Err(Error::limit("captured [rad/(N·m)]", value, "(0, ∞)"));
+        }
+        finite_vector("gravity", "m/s²", &carried.gravity)?;
         let mut controller = Self::made(model, settings, servos, captured)?;
         if let Some(payload) = &carried.payload {
             payload.validate()?;
         }
-        // Whether the servos hold it was asked when it was set, with the gravity of that time.
+        // Whether the servos hold it was asked when it was set, with settings and gravity of that time.
         controller.payload = carried.payload;
         controller.masses = controller.model.chain().masses(carried.payload.as_ref());
-        controller.set_gravity(carried.gravity)?;
+        controller.gravity = carried.gravity;
         controller.set_delay(carried.delay)?;
         if !carried.memory.is_empty() {
             if carried.memory.len() != width(n) {
                 return Err(Error::length("memory", carried.memory.len(), width(n)));
+            }
+            if carried.memory.iter().any(|value| value.is_nan()) {
+                return Err(Error::limit("memory", f64::NAN, "numbers"));
             }
             controller.memory.recall(n, &carried.memory);
         }

@@ -22,7 +22,7 @@ use crate::number::Instructions;
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::servos::Servos;
-use crate::settings::{Law, Settings};
+use crate::settings::{GravityUse, Law, Settings};
 use crate::survey::{self, Surveyed};
 use crate::{JointVec, MAX_JOINTS};
 
@@ -100,19 +100,21 @@ impl Controller {
     /// # Errors
     /// [`Error::Limit`], [`Error::Shape`] or [`Error::Config`], naming the setting and the remedy.
     pub fn new(model: Arc<Model>, settings: Settings, servos: Option<Servos>) -> Result<Self> {
-        Self::made(model, settings, servos, None)
+        let controller = Self::made(model, settings, servos, None)?;
+        if controller.settings.gravity != GravityUse::Off {
+            let Self { model, plan, masses, gravity, .. } = &controller;
+            survey::check_holding(model, &plan.servos.torque, masses, *gravity)?;
+        }
+        Ok(controller)
     }
 
-    /// [`Controller::new`], with the gravity offset 1/k_g (n) of one that captured it.
+    /// [`Controller::new`], with the gravity offset 1/k_g (n) of one that captured it; not asked is whether the servos hold it.
     #[inline(never)]
     fn made(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
         let mut surveyed = Surveyed::default();
         let mut plan = Plan::new(&model, &settings, servos.as_ref(), captured.is_some(), &mut surveyed)?;
         plan.gravity_compliance.iter_mut().zip(captured.into_iter().flatten()).for_each(|(slot, &value)| *slot = value);
         let masses = model.chain().masses(model.payload());
-        if settings.gravity != crate::settings::GravityUse::Off {
-            survey::check_holding(&model, &plan.servos.torque, &masses, model.gravity_vector())?;
-        }
         let zero = [0.0; MAX_JOINTS];
         let controller = Self {
             payload: model.payload().copied(),

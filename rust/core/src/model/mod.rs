@@ -22,9 +22,12 @@ pub use chain::Chain;
 pub use options::{ModelOptions, Payload};
 pub use parts::{Inertial, Joint, JointKind, Link, Mimic};
 
+use crate::MAX_JOINTS;
 use crate::error::{Error, Position, Result};
+use crate::kinematics::Frames;
 use names::some;
-use options::{finite_vector, need_limits, override_limits};
+pub(crate) use options::finite_vector;
+use options::{need_limits, override_limits};
 use text::Source;
 use tree::Tree;
 
@@ -184,6 +187,13 @@ impl Model {
     /// sliding joints [m].
     pub const fn reach(&self) -> f64 {
         self.reach
+    }
+
+    /// Where [`Model::reach`] counts from: the first joint's origin at q = 0, in the base [m].
+    pub fn reach_from(&self) -> [f64; 3] {
+        let mut frames = Frames::default();
+        self.chain.forward(&[0.0; MAX_JOINTS], &mut frames);
+        frames.origin[0]
     }
 
     /// Independent joints that move a rigid group without any mass: their gravity torque is not known.

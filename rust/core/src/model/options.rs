@@ -61,7 +61,7 @@ impl Payload {
     }
 }
 
-pub(super) fn finite_vector(what: &str, unit: &str, vector: &[f64; 3]) -> Result<()> {
+pub(crate) fn finite_vector(what: &str, unit: &str, vector: &[f64; 3]) -> Result<()> {
     for (axis, &value) in ["x", "y", "z"].iter().zip(vector) {
         if !(value.abs() <= COORDINATE_BOUND) {
             return Err(Error::limit(format!("{what}.{axis} [{unit}]"), value, format!("±{COORDINATE_BOUND:e}")));
