@@ -19,35 +19,50 @@ from pliant.view.source import Simulated
 from pliant.view.world import World
 
 
-class Seen:
-    """A stage, the snapshots of a push, and a page that shows them."""
+class Told:
+    """What a push left behind: a stage and its snapshots."""
 
     def __init__(self, script):
         push = orders.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
         link = script({5: push, 90: orders.Stop()})
         link.every = 10
         Session(Simulated("arm7", "wall", paced=False), link).run(1)
-        self.stage, self.snapshots = link.stages[0], link.snapshots
-        self.running = link.running
+        self.stage, self.snapshots, self.running = link.stages[0], link.snapshots, link.running
+
+
+class Seen:
+    """A page that shows them."""
+
+    def __init__(self, server, told):
+        self.stage, self.snapshots, self.running = told.stage, told.snapshots, told.running
         self.said = []
-        self.server = viser.ViserServer(host="127.0.0.1", port=8250, verbose=False)
-        self.world = World(self.server, self.stage, self.said.append)
-        self.panel = Panel(self.server, self.stage, self.said.append)
+        self.server = server
+        self.world = World(server, self.stage, self.said.append)
+        self.panel = Panel(server, self.stage, self.said.append)
         for snapshot in self.running:
             self.world.show(snapshot)
             self.panel.show(snapshot)
+        self.said.clear()
 
 
 @pytest.fixture(scope="module")
-def seen(script):
-    made = Seen(script)
+def told(script):
+    return Told(script)
+
+
+@pytest.fixture(scope="module")
+def server():
+    made = viser.ViserServer(host="127.0.0.1", port=8250, verbose=False)
     yield made
-    made.server.stop()
+    made.stop()
 
 
-@pytest.fixture(autouse=True)
-def quiet(seen):
-    seen.said.clear()
+@pytest.fixture
+def seen(server, told):
+    """A page of its own for each test: workers take tests in any order, and tests move controls."""
+    server.scene.reset()
+    server.gui.reset()
+    return Seen(server, told)
 
 
 def click(handle):
@@ -69,10 +84,7 @@ def drag(callback, **event):
 
 def test_a_snapshot_between_a_click_and_its_being_heard_does_not_undo_it(seen):
     controls = seen.panel.controls
-    # Tests come in any order: what others have clicked has been heard.
-    last = replace(seen.running[-1], edit=controls._said)
-    controls.show(last)
-    assert not controls.firm.value
+    last = seen.running[-1]
     controls.firm._impl.value = True  # viser has the click, its callback is still to come
     controls.show(last)
     assert controls.firm.value
