@@ -97,13 +97,22 @@ def test_torque_that_is_on_is_in_the_way(capsys):
 
 
 def test_ctrl_c_is_how_it_ends():
-    words = [sys.executable, "-u", "-m", "pliant.cli", "doctor", "so101", "--backend", "sim"]
-    with subprocess.Popen([*words, "--watch"], stdout=subprocess.PIPE, text=True) as running:
-        assert running.stdout is not None
-        while "tool at" not in running.stdout.readline():
-            assert running.poll() is None
-        running.send_signal(signal.SIGINT)
-        assert running.wait(timeout=30) == 0
+    # A test run in the background is told to ignore Ctrl-C, and would hand that on.
+    program = (
+        "import signal, sys, pliant.cli as cli; "
+        "signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "sys.exit(cli.main(sys.argv[1:]))"
+    )
+    words = [sys.executable, "-u", "-c", program, "doctor", "so101", "--backend", "sim", "--watch"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as running:
+        try:
+            assert running.stdout is not None
+            while "tool at" not in running.stdout.readline():
+                assert running.poll() is None
+            running.send_signal(signal.SIGINT)
+            assert running.wait(timeout=30) == 0
+        finally:
+            running.kill()
 
 
 @pytest.mark.parametrize("flags", [["--seconds", "1"], ["--watch", "--seconds", "0"]])

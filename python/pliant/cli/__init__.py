@@ -79,7 +79,7 @@ def _run(given: list[str]) -> int:
             prog=f"pliant {first}",
             description=summary[0].upper() + summary[1:] + ".",
             args=given[1:],
-            config=(tyro.conf.FlagCreatePairsOff,),
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
         )
     except BrokenPipeError:
         raise

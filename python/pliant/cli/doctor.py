@@ -5,8 +5,8 @@ from __future__ import annotations
 from rich.console import Console
 from rich.markup import escape
 
-from pliant import ConfigError, config
-from pliant.cli.flags import ArmName, Backend, Device, File, Seconds
+from pliant import ConfigError
+from pliant.cli.flags import ArmName, Override, Seconds
 from pliant.cli.watch import watch as look
 from pliant.config.doctor import examine
 
@@ -20,10 +20,7 @@ READY = (
 def run(
     arm: ArmName,
     *,
-    port: Device = None,
-    backend: Backend = None,
-    urdf: File = None,
-    calibration: File = None,
+    override: Override,
     watch: bool = False,
     seconds: Seconds = None,
 ) -> None:
@@ -34,10 +31,7 @@ def run(
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        port: Device in place of the file's.
-        backend: bus, emulator or sim in place of the file's.
-        urdf: URDF in place of the file's, which must not be written for a built-in model.
-        calibration: LeRobot's calibration file in place of the file's.
+        override: What the command line says in place of the file.
         watch: Show the joints, torque off, until Ctrl-C: to check their directions by eye.
         seconds: With --watch: ends by itself [s].
     """
@@ -46,7 +40,7 @@ def run(
     if seconds is not None and not seconds > 0.0:
         raise ConfigError(f"--seconds must be above 0 s, got {seconds:g}")
     console, bad = Console(), 0
-    read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
+    read = override.load(arm)
     if watch:
         look(read, console, seconds)
         return

@@ -8,8 +8,8 @@ from typing import Literal
 
 from rich.console import Console
 
-from pliant import ConfigError, config
-from pliant.cli.flags import ArmName, File, Seconds
+from pliant import ConfigError
+from pliant.cli.flags import ArmName, Files, Seconds
 from pliant.servo.emulator import Faults, Timing
 
 
@@ -20,8 +20,7 @@ def run(
     lose: float = 0.0,
     seed: int = 0,
     duration: Seconds = None,
-    urdf: File = None,
-    calibration: File = None,
+    override: Files,
 ) -> None:
     """Emulate an arm's servos, with the simulated arm behind them, until Ctrl-C.
 
@@ -34,14 +33,13 @@ def run(
         lose: Share of the answers that get lost.
         seed: Of all chance.
         duration: Ends by itself [s].
-        urdf: URDF in place of the file's, which must not be written for a built-in model.
-        calibration: LeRobot's calibration file in place of the file's.
+        override: What the command line says in place of the file.
     """
     from pliant.config.emulation import emulated
 
     if not 0.0 <= lose <= 1.0:
         raise ConfigError(f"--lose is a share from 0 to 1, got {lose:g}")
-    read = config.load(arm, backend="emulator", urdf=urdf, calibration=calibration)
+    read = override.load(arm, backend="emulator")
     latency = 0.016 if timing == "usb" else 0.0
     chosen = Timing(wire=timing != "off", usb_latency=latency)
     console = Console()

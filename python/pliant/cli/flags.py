@@ -1,11 +1,15 @@
-"""Types of the flags that several commands share, so that their help calls them alike."""
+"""The flags that several commands share: they mean the same, and their help calls them alike."""
 
 from __future__ import annotations
 
+import shlex
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+
+from pliant import config
 
 #: A configuration file, or the name of a ready one.
 ArmName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ARM")]
@@ -25,3 +29,47 @@ OtherAxes = Annotated[str | None, tyro.conf.arg(metavar="AXES")]
 OtherArm = Annotated[str | None, tyro.conf.arg(metavar="ARM")]
 #: A frame of a URDF.
 Frame = Annotated[str | None, tyro.conf.arg(metavar="FRAME")]
+
+
+@dataclass(frozen=True)
+class Files:
+    """What a command takes in place of the files that a configuration names.
+
+    Attributes:
+        urdf: URDF in place of the file's, which must not be written for a built-in model.
+        calibration: LeRobot's calibration file in place of the file's.
+    """
+
+    urdf: File = None
+    calibration: File = None
+
+    def load(self, arm: str, backend: str | None = None) -> config.Config:
+        """The configuration with these in place of its own; see `pliant.config.load`."""
+        return config.load(arm, **({"backend": backend} | vars(self)))
+
+    def words(self) -> list[str]:
+        """Those that were given, each with its value, as one would type them again."""
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        return [f"--{name} {shlex.quote(str(value))}" for name, value in given.items()]
+
+
+@dataclass(frozen=True)
+class Wired(Files):
+    """What a command that talks to servos takes in place of what a configuration says.
+
+    Attributes:
+        port: Device in place of the file's.
+    """
+
+    port: Device = None
+
+
+@dataclass(frozen=True)
+class Override(Wired):
+    """What a command that may run without servos takes in place of what a configuration says.
+
+    Attributes:
+        backend: bus, emulator or sim in place of the file's.
+    """
+
+    backend: Backend = None

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 import pliant
-from pliant import config
-from pliant.cli.flags import ArmName, Axes, Backend, Device, File, MotionFile
+from pliant.cli.flags import ArmName, Axes, File, MotionFile, Override
 from pliant.cli.keys import Keys
 from pliant.cli.soft import check_soft
 
@@ -32,10 +31,7 @@ def run(
     stop: float | None = None,
     times: int = 1,
     log: File = None,
-    port: Device = None,
-    backend: Backend = None,
-    urdf: File = None,
-    calibration: File = None,
+    override: Override,
 ) -> None:
     """Go to where the motion begins, play it, and lower the arm.
 
@@ -52,12 +48,9 @@ def run(
         stop: Force [N] that stops the arm; Enter goes on. Nothing: never.
         times: How often.
         log: MCAP file to write (extra log).
-        port: Device in place of the file's.
-        backend: bus, emulator or sim in place of the file's.
-        urdf: URDF in place of the file's, which must not be written for a built-in model.
-        calibration: LeRobot's calibration file in place of the file's.
+        override: What the command line says in place of the file.
     """
-    read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
+    read = override.load(arm)
     settings = softened(read.settings(), soft)
     if times < 1:
         raise pliant.ConfigError(f"--times must be at least 1, got {times}")

@@ -12,8 +12,7 @@ from rich.live import Live
 from rich.table import Table
 
 import pliant
-from pliant import config
-from pliant.cli.flags import ArmName, Axes, Backend, Device, File, Seconds
+from pliant.cli.flags import ArmName, Axes, File, Override, Seconds
 from pliant.cli.soft import check_soft
 from pliant.cli.targets import Targets, open_targets
 
@@ -37,10 +36,7 @@ def run(
     soft: Axes = "",
     targets: Annotated[str, tyro.conf.arg(metavar="FILE|-|udp:PORT")] = "",
     duration: Seconds = None,
-    port: Device = None,
-    backend: Backend = None,
-    urdf: File = None,
-    calibration: File = None,
+    override: Override,
     log: File = None,
     quiet: bool = False,
 ) -> None:
@@ -55,14 +51,11 @@ def run(
         targets: Where targets come from: a file with one a line, played at the loop's rate; - for
             standard input; udp:PORT for datagrams on this machine. Nothing: the arm holds.
         duration: Ends by itself [s].
-        port: Device in place of the file's.
-        backend: bus, emulator or sim in place of the file's.
-        urdf: URDF in place of the file's, which must not be written for a built-in model.
-        calibration: LeRobot's calibration file in place of the file's.
+        override: What the command line says in place of the file.
         log: MCAP file to write (extra log).
         quiet: No table.
     """
-    read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
+    read = override.load(arm)
     settings = read.settings()
     if soft:
         check_soft(soft, settings.task, "task in [settings] of a file of your own")

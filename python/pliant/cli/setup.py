@@ -11,8 +11,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from pliant import ConfigError, ServoError, config
-from pliant.cli.flags import ArmName, Device, File
+from pliant import ConfigError, ServoError
+from pliant.cli.flags import ArmName, File, Wired
 from pliant.config import assemble
 from pliant.servo import RustypotTransport
 from pliant.servo.settle import Change, apply, changes, restore
@@ -31,9 +31,7 @@ def run(
     keep_overload: bool = False,
     undo: File = None,
     backup: Path = Path("pliant-setup.json"),
-    port: Device = None,
-    urdf: File = None,
-    calibration: File = None,
+    override: Wired,
 ) -> None:
     """Set the servos' EEPROM up for compliant control; LeRobot's own values stay as they are.
 
@@ -43,12 +41,10 @@ def run(
         keep_overload: Leave the servos' overload shutdown on: they may drop a compliant arm.
         undo: Backup of an earlier set-up whose values are to be put back.
         backup: Where the old values go.
-        port: Device in place of the file's.
-        urdf: URDF in place of the file's, which must not be written for a built-in model.
-        calibration: LeRobot's calibration file in place of the file's.
+        override: What the command line says in place of the file.
     """
     former = None if undo is None else restore(_load(undo))
-    read = config.load(arm, port=port, urdf=urdf, calibration=calibration)
+    read = override.load(arm)
     console = Console()
     specs = assemble.specs(read, assemble.paths(read))
     with _Ports(read, specs) as ports:
@@ -76,10 +72,9 @@ def run(
                 own = [c for c in wanted if c.joint == spec.name and c.id == number]
                 apply(ports[spec.port], spec.row.family, own)
     console.print(f"{len(wanted)} registers written and read back")
-    given = {"--port": port, "--urdf": urdf, "--calibration": calibration}
-    flags = "".join(f" {flag} {value}" for flag, value in given.items() if value is not None)
+    again = " ".join(["pliant doctor", arm, "--watch", *override.words()])
     console.print(
-        f"before torque comes on, see its directions: pliant doctor {arm} --watch{flags}",
+        f"before torque comes on, see its directions: {again}",
         highlight=False,
         soft_wrap=True,
     )

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Literal
 from rich.console import Console
 
 import pliant
-from pliant import config
-from pliant.cli.flags import ArmName, Backend, Device, File, MotionFile
+from pliant.cli.flags import ArmName, MotionFile, Override
 from pliant.cli.keys import Keys
 from pliant.teach.bounded import ready
 from pliant.teach.lead import lead
@@ -28,10 +27,7 @@ def run(
     hand: bool = False,
     bounds: tuple[float, float, float] | None = None,
     note: str = "",
-    port: Device = None,
-    backend: Backend = None,
-    urdf: File = None,
-    calibration: File = None,
+    override: Override,
 ) -> None:
     """Float the arm, record how it is led, trim and smooth it, and lower the arm.
 
@@ -47,10 +43,7 @@ def run(
         bounds: Speed [rad/s], acceleration [rad/s²] and jerk [rad/s³] that no joint of the motion
             may exceed (needs ruckig). Nothing: smoothed only.
         note: A line of your own.
-        port: Device in place of the file's.
-        backend: bus, emulator or sim in place of the file's.
-        urdf: URDF in place of the file's, which must not be written for a built-in model.
-        calibration: LeRobot's calibration file in place of the file's.
+        override: What the command line says in place of the file.
     """
     from dataclasses import replace
 
@@ -62,7 +55,7 @@ def run(
         raise pliant.ConfigError(f"--seconds must be above 0, got {seconds:g}")
     if bounds is not None:
         ready(bounds)
-    read = config.load(arm, port=port, backend=backend, urdf=urdf, calibration=calibration)
+    read = override.load(arm)
     if by == "gripper" and read.gripper is None:
         raise pliant.ConfigError(f"{arm} names no gripper: use --by enter or rest")
     if hand and read.backend == "bus":
@@ -90,6 +83,5 @@ def run(
     taken.save(motion)
     if bounds is not None:
         pliant.teach.bounded(taken, bounds).save(motion)
-    where = "" if backend is None else f" --backend {backend}"
-    again = f"{motion}: pliant replay {arm} {motion}{where}"
-    console.print(again, highlight=False, soft_wrap=True)
+    again = " ".join(["pliant replay", arm, str(motion), *override.words()])
+    console.print(f"{motion}: {again}", highlight=False, soft_wrap=True)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 
 from pliant import ConfigError, PliantError
-from pliant.cli.flags import ArmName, Backend, Device, File
+from pliant.cli.flags import ArmName, File, Override
 from pliant.extras import missing
 
 if TYPE_CHECKING:
@@ -24,10 +24,7 @@ def run(
     page: int = 8080,
     browser: bool = False,
     log: File = None,
-    port: Device = None,
-    backend: Backend = None,
-    urdf: File = None,
-    calibration: File = None,
+    override: Override,
 ) -> None:
     """Show an arm on a page, control it from there until Ctrl-C, and lower it.
 
@@ -44,18 +41,14 @@ def run(
         page: Port of the page; the next free one is taken.
         browser: Open the page in the browser.
         log: MCAP file to write (extra log).
-        port: Device in place of the file's.
-        backend: bus, emulator or sim in place of the file's.
-        urdf: URDF in place of the file's, which must not be written for a built-in model.
-        calibration: LeRobot's calibration file in place of the file's.
+        override: What the command line says in place of the file.
     """
     _needs()
     from pliant.view.gate import is_loopback
     from pliant.view.link import Link
     from pliant.view.session import Session
 
-    options = {"port": port, "backend": backend, "urdf": urdf, "calibration": calibration}
-    source = _configured(arm, options) if arm else _simulated(robot, scene, rate, options)
+    source = _configured(arm, override) if arm else _simulated(robot, scene, rate, override)
     console = Console()
     with Link(host, page) as link:
         console.print(f"{link.address}", highlight=False, soft_wrap=True)
@@ -72,25 +65,23 @@ def run(
         Session(source, link, log).run()
 
 
-def _simulated(robot: str, scene: str, rate: float, options: dict[str, Any]) -> Source:
+def _simulated(robot: str, scene: str, rate: float, override: Override) -> Source:
     """A built-in arm; what belongs to a configuration is refused."""
     from pliant.view.source import Simulated
 
-    odd = [name for name, value in options.items() if value is not None]
-    if odd:
-        given = f"--{odd[0]} {options[odd[0]]}"
-        raise ConfigError(f"--{odd[0]} belongs to a configuration: pliant view so101 {given}")
+    if given := override.words():
+        flag = given[0].split()[0]
+        raise ConfigError(f"{flag} belongs to a configuration: pliant view so101 {given[0]}")
     source = Simulated(robot, scene, rate)
     source.arm()  # a rate that it cannot have is said before there is a link
     return source
 
 
-def _configured(arm: str, options: dict[str, Any]) -> Source:
+def _configured(arm: str, override: Override) -> Source:
     """The arm of a configuration."""
-    from pliant import config
     from pliant.view.source import Configured
 
-    return Configured(config.load(arm, **options))
+    return Configured(override.load(arm))
 
 
 def _needs() -> None:
