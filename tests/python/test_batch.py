@@ -398,3 +398,28 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
     )
     assert float(done.stdout) < 10.0  # [MB]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems bound memory otherwise")
+def test_results_for_which_there_is_no_memory_are_a_memory_error():
+    code = """
+import resource
+import numpy as np, pliant
+model = pliant.robots.arm7()
+controller = pliant.Controller(model)
+q = np.tile(0.5 * (model.lower + model.upper), (100_000, 1))
+target = model.forward_kinematics(q[0])
+controller.step_batch(q[:10], target)
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 2_000_000, resource.RLIM_INFINITY))
+for call in (model.kinematics_batch, model.jacobian_batch, model.gravity_batch,
+             lambda q: controller.step_batch(q, target)):
+    try:
+        call(q)
+    except MemoryError as error:
+        print("Unable to allocate" in str(error))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.split() == ["True"] * 4, done.stderr

@@ -72,7 +72,7 @@ pub(crate) fn target<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let shape = shape_of(count, part);
     match out {
-        None => Ok(zeros(py, &shape)),
+        None => zeros(py, &shape),
         Some(out) if writable(out, &shape) => Ok(out.clone()),
         Some(out) => Err(unfit(name, out, &shape)),
     }

@@ -12,12 +12,12 @@ use numpy::npyffi::{
     NPY_ARRAY_ALIGNED, NPY_ARRAY_C_CONTIGUOUS, NPY_ARRAY_OWNDATA, NPY_ARRAY_WRITEABLE, NPY_TYPES, PyArrayObject,
     PyArrayObject_fields,
 };
-use numpy::{PyArrayDyn, PyArrayMethods};
+use numpy::{PyArray2, PyArrayDyn, PyArrayMethods};
 use pliant_core::MAX_JOINTS;
 use pyo3::ffi::Py_REFCNT;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
-use pyo3::types::PyType;
+use pyo3::types::{PyTuple, PyType};
 
 /// `numpy.ndarray`, held so that its address stays what it is.
 static ARRAY_TYPE: PyOnceLock<Py<PyType>> = PyOnceLock::new();
@@ -233,10 +233,21 @@ pub(crate) fn new_array<'py>(py: Python<'py>, shape: &[usize], values: &[f64]) -
     array.into_any()
 }
 
-/// A new array of zeros.
+/// A new matrix of the first `width` numbers of each row.
 #[inline(never)]
-pub(crate) fn zeros<'py>(py: Python<'py>, shape: &[usize]) -> Bound<'py, PyAny> {
-    PyArrayDyn::<f64>::zeros(py, shape, false).into_any()
+pub(crate) fn new_rows<'py, const R: usize, const C: usize>(
+    py: Python<'py>,
+    width: usize,
+    rows: &[[f64; C]; R],
+) -> Bound<'py, PyAny> {
+    let array = PyArray2::<f64>::zeros(py, [R, width], false).into_any();
+    write_rows(&array, width, rows);
+    array
+}
+
+/// A new array of zeros, of any size: `MemoryError` where there is no room for it.
+pub(crate) fn zeros<'py>(py: Python<'py>, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
+    py.import("numpy")?.call_method1("zeros", (PyTuple::new(py, shape)?,))
 }
 
 /// Makes an array read-only for Python.

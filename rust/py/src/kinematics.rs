@@ -5,7 +5,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
 use crate::batch::{Rows, disjoint, target, target_of, unfit};
-use crate::convert::{write, write_rows, zeros};
+use crate::convert::{new_rows, write, write_rows};
 use crate::error::{OrRaise, wrong_type};
 use crate::pose::matrix;
 use crate::read::joints;
@@ -33,9 +33,7 @@ pub(crate) fn both<'py>(
     let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
     let pose = at(core, q, reference, &mut rows)?;
     let Some(out) = out else {
-        let jacobian = zeros(py, &[6, n]);
-        write_rows(&jacobian, n, &rows);
-        return Ok(PyTuple::new(py, [matrix(py, &pose), jacobian])?.into_any());
+        return Ok(PyTuple::new(py, [matrix(py, &pose), new_rows(py, n, &rows)])?.into_any());
     };
     let (first, second) = pair(out)?;
     if !write(&first, &[4, 4], pose.to_rows().as_flattened()) {
@@ -63,9 +61,7 @@ pub(crate) fn jacobian<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
     at(core, q, reference, &mut rows)?;
-    let jacobian = zeros(q.py(), &[6, core.n()]);
-    write_rows(&jacobian, core.n(), &rows);
-    Ok(jacobian)
+    Ok(new_rows(q.py(), core.n(), &rows))
 }
 
 /// Poses (N, 4, 4) and Jacobians (N, 6, n).
