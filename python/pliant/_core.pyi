@@ -1709,7 +1709,8 @@ class Controller:
 
         Raises:
             ShapeError, LimitError, ConfigError, TypeError, ValueError: An argument or a row that
-                cannot be used, by name; `state` is then as before, `out` may hold anything.
+                cannot be used, by name; `state` is then as before, `out` may hold anything. Only a
+                command that comes out not finite is found underway: others have then been stepped.
         """
 
     def batch_state(self, count: int) -> BatchState:

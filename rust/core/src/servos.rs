@@ -3,6 +3,10 @@
 use crate::error::{Error, Result};
 use crate::{JointVec, MAX_JOINTS};
 
+/// Least size of what must be above zero, and most of anything: reciprocals and products stay finite.
+const LEAST: f64 = 1e-6;
+const MOST: f64 = 1e9;
+
 /// What a servo's torque limit really limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ServoKind {
@@ -74,11 +78,11 @@ impl Servos {
     /// # Errors
     /// [`Error::Limit`] names field, index and bound; [`Error::Config`] a missing or superfluous no-load speed.
     pub fn validate(&self) -> Result<()> {
-        for (name, values, positive) in self.fields() {
+        for (name, values, low) in self.fields() {
             for (i, &value) in values.iter().enumerate() {
-                if !value.is_finite() || value < 0.0 || (positive && value == 0.0) {
-                    let bound = if positive { "(0, ∞)" } else { "[0, ∞)" };
-                    return Err(Error::limit(format!("servos.{name}[{i}]"), value, bound));
+                if !(value >= low && value <= MOST) {
+                    let least = if low > 0.0 { format!("{low:e}") } else { "0".into() };
+                    return Err(Error::limit(format!("servos.{name}[{i}]"), value, format!("[{least}, {MOST:e}]")));
                 }
             }
         }
@@ -124,22 +128,23 @@ impl Servos {
         })
     }
 
-    fn fields(&self) -> Vec<(&'static str, &[f64], bool)> {
-        let mut fields: Vec<(&'static str, &[f64], bool)> = vec![
-            ("kp", &self.kp, true),
-            ("torque", &self.torque, true),
-            ("friction", &self.friction, false),
-            ("load_friction", &self.load_friction, false),
-            ("stribeck", &self.stribeck, false),
-            ("load_stribeck", &self.load_stribeck, false),
-            ("stribeck_speed", &self.stribeck_speed, true),
-            ("damping", &self.damping, false),
-            ("kv", &self.kv, false),
-            ("armature", &self.armature, false),
-            ("count", &self.count, false),
+    /// Every list of numbers, with its name and the least that its numbers may be.
+    fn fields(&self) -> Vec<(&'static str, &[f64], f64)> {
+        let mut fields: Vec<(&'static str, &[f64], f64)> = vec![
+            ("kp", &self.kp, LEAST),
+            ("torque", &self.torque, LEAST),
+            ("friction", &self.friction, 0.0),
+            ("load_friction", &self.load_friction, 0.0),
+            ("stribeck", &self.stribeck, 0.0),
+            ("load_stribeck", &self.load_stribeck, 0.0),
+            ("stribeck_speed", &self.stribeck_speed, LEAST),
+            ("damping", &self.damping, 0.0),
+            ("kv", &self.kv, 0.0),
+            ("armature", &self.armature, 0.0),
+            ("count", &self.count, 0.0),
         ];
         if let Some(speed) = &self.no_load_speed {
-            fields.push(("no_load_speed", speed, true));
+            fields.push(("no_load_speed", speed, LEAST));
         }
         fields
     }
@@ -240,7 +245,7 @@ mod tests {
     #[test]
     fn wrong_values_are_named() {
         let error = Servos::new(vec![100.0, 0.0], vec![5.0]).for_joints(2).unwrap_err().to_string();
-        assert_eq!(error, "servos.kp[1] = 0 is outside (0, ∞)");
+        assert_eq!(error, "servos.kp[1] = 0 is outside [1e-6, 1e9]");
         let error = Servos::new(vec![100.0; 3], vec![5.0]).for_joints(2).unwrap_err().to_string();
         assert_eq!(error, "servos.kp has shape (3,), expected (2,) or a single number");
         let duty = Servos { kind: ServoKind::Duty, ..Servos::new(vec![100.0], vec![5.0]) };

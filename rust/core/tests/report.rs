@@ -115,7 +115,7 @@ fn a_hand_meets_a_dead_arm_where_that_has_come_to_rest() {
     for _ in 0..200 {
         controller.step(&[0.0], &target, &StepInput::default()).unwrap();
     }
-    let (goal, report) = (controller.last_command().goal()[0], controller.report().unwrap());
+    let (goal, report) = (controller.last_command().unwrap().goal()[0], controller.report().unwrap());
     let rest = 0.5 * (goal - 0.2 / 100.0).sin();
     assert!(goal > 0.04 && rest > 0.02);
     let by_hand = slips(report.torque_limit[0], rest + 0.15);

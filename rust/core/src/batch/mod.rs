@@ -79,8 +79,10 @@ impl Controller {
     /// 1e-11 of a row's largest number at λ ≥ 0.02.
     ///
     /// # Errors
-    /// [`Error::Shape`] where lengths do not fit together. With [`Invalid::Refuse`] the error of [`Controller::step`] for the
-    /// first row that cannot be used; then `state` is as before and `out` may hold anything.
+    /// [`Error::Shape`] where lengths do not fit together; [`Error::Config`] for positions as targets of a task with rotations.
+    /// With [`Invalid::Refuse`] the error of [`Controller::step`] for the first row that cannot be used; then `state` is as
+    /// before and `out` may hold anything. Only what no look at the inputs can tell, a command that comes out not finite, is
+    /// found underway: that arm's state is as before, while others have taken their step.
     pub fn step_batch(
         &self,
         input: &BatchInput<'_>,
@@ -104,6 +106,10 @@ impl Controller {
         same("goal", out.goal.len(), n)?;
         same("torque_limit", out.torque_limit.len(), n)?;
         same("velocity", out.velocity.len(), n)?;
+        if matches!(input.targets, Targets::Positions(_)) && self.settings().task.axes[3..].contains(&true) {
+            let message = "positions alone say nothing of the rotations that this task has: give poses";
+            return Err(Error::config("targets", message));
+        }
         self.check_input(&StepInput { dt: input.dt, ..StepInput::default() })?;
         match state {
             None => {
@@ -181,7 +187,7 @@ impl Controller {
                 let kept = kept.as_deref_mut().map(|rows| &mut rows[i * width(n)..][..width(n)]);
                 match controller.row(input, row, kept, changed) {
                     Ok(()) => {
-                        let command = controller.last_command();
+                        let command = &controller.command;
                         goal.copy_from_slice(command.goal());
                         limit.copy_from_slice(command.torque_limit());
                         velocity.copy_from_slice(command.velocity());

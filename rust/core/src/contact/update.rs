@@ -59,6 +59,13 @@ impl Contact {
     /// [`Error::Shape`] or [`Error::Limit`] for an input that cannot be used, [`Error::Config`] for a current without
     /// torque constants; the estimate is then as before.
     pub fn update(&mut self, controller: &Controller, q: &[f64], input: &ContactInput<'_>) -> Result<&WrenchEstimate> {
+        if self.joints.n != controller.model().n() {
+            return Err(Error::Shape {
+                what: "controller".into(),
+                got: format!("an arm of {} joints", controller.model().n()),
+                expected: format!("the arm of {} joints that this Contact was made for", self.joints.n),
+            });
+        }
         let q = controller.positions("q", q)?;
         let dt = period(input.dt.unwrap_or(1.0 / controller.settings().rate))?;
         let dq = input.dq.map(|dq| controller.joints("dq", dq, SPEED_BOUND)).transpose()?;

@@ -7,8 +7,9 @@ use crate::pose::COORDINATE_BOUND;
 impl Controller {
     /// Takes the gravity offset from an arm that has been held still by an integrating goal.
     ///
-    /// `k_g,i = g_i / lead_i` with `lead = goal − q`, where |g_i| exceeds three times the friction, within 0.3…3 × the
-    /// believed `k_p`; elsewhere the believed one. Serves the gravity offset only. Returns k_g [N·m/rad].
+    /// `k_g,i = g_i / lead_i` with `lead = goal − q`, where |g_i| exceeds three times what friction and what one encoder count
+    /// of the lead can hide, within 0.3…3 × the believed `k_p`; elsewhere the believed one. Serves the gravity offset only.
+    /// Returns k_g [N·m/rad].
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::Limit`] for `q` or `goal`; [`Error::Config`] without `k_p`.
@@ -22,7 +23,7 @@ impl Controller {
         let servos = &self.plan.servos;
         let mut captured = servos.compliance;
         for i in 0..self.plan.n {
-            if holding[i].abs() > 3.0 * servos.friction[i] {
+            if holding[i].abs() > 3.0 * servos.friction[i].max(servos.kp[i] * servos.count[i]) {
                 let (compliance, believed) = ((goal[i] - q[i]) / holding[i], servos.compliance[i]);
                 captured[i] = compliance.clamp(believed / 3.0, believed / 0.3);
             }

@@ -89,7 +89,7 @@ pub struct Controller {
     delay: f64,
     pub(crate) memory: Memory,
     pub(crate) record: Record,
-    command: Command,
+    pub(crate) command: Command,
     instructions: Instructions,
     scratch: LookScratch,
 }
@@ -101,11 +101,16 @@ impl Controller {
     /// [`Error::Limit`], [`Error::Shape`] or [`Error::Config`], naming the setting and the remedy.
     pub fn new(model: Arc<Model>, settings: Settings, servos: Option<Servos>) -> Result<Self> {
         let controller = Self::made(model, settings, servos, None)?;
-        if controller.settings.gravity != GravityUse::Off {
-            let Self { model, plan, masses, gravity, .. } = &controller;
-            survey::check_holding(model, &plan.servos.torque, masses, *gravity)?;
-        }
+        controller.check_holding(controller.settings.gravity, &controller.masses)?;
         Ok(controller)
+    }
+
+    /// Servos that are to know the weight can hold it.
+    fn check_holding(&self, known: GravityUse, masses: &Masses) -> Result<()> {
+        match known {
+            GravityUse::Off => Ok(()),
+            _ => survey::check_holding(&self.model, &self.plan.servos.torque, masses, self.gravity),
+        }
     }
 
     /// [`Controller::new`], with the gravity offset 1/k_g (n) of one that captured it; not asked is whether the servos hold it.
@@ -206,9 +211,9 @@ impl Controller {
         self.instructions = instructions;
     }
 
-    /// The last command; zeros before the first step.
-    pub fn last_command(&self) -> &Command {
-        &self.command
+    /// The last command; `None` before the first step since the controller was made or reset.
+    pub fn last_command(&self) -> Option<&Command> {
+        self.memory.limit.map(|_| &self.command)
     }
 
     /// Activation matrix A of the last step, n × (k + 1), the null-space column last.
@@ -251,6 +256,9 @@ impl Controller {
         let mut plan =
             Plan::new(&self.model, &settings, self.servos.as_ref(), self.captured.is_some(), &mut self.surveyed)?;
         self.check_posture(&settings)?;
+        if self.settings.gravity == GravityUse::Off {
+            self.check_holding(settings.gravity, &self.masses)?;
+        }
         if let Some(compliance) = self.captured {
             plan.gravity_compliance = compliance;
         }
@@ -283,13 +291,14 @@ impl Controller {
     /// Takes another payload: mass [kg] and centre of mass in the tool frame [m]; `None` for none.
     ///
     /// # Errors
-    /// [`Error::Limit`] for a negative or non-finite value, and for a load that the servos cannot hold in any pose.
+    /// [`Error::Limit`] for a negative or non-finite value, and, where the weight is used, for a load that the servos cannot
+    /// hold in any pose.
     pub fn set_payload(&mut self, payload: Option<&Payload>) -> Result<()> {
         if let Some(payload) = payload {
             payload.validate()?;
         }
         let masses = self.model.chain().masses(payload);
-        survey::check_holding(&self.model, &self.plan.servos.torque, &masses, self.gravity)?;
+        self.check_holding(self.settings.gravity, &masses)?;
         (self.payload, self.masses) = (payload.copied(), masses);
         Ok(())
     }

@@ -7,6 +7,10 @@ use crate::law::nullspace::JointSquare;
 use crate::number::{Arithmetic, Axes, EveryJoint, Lanes};
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
+/// Least sum that shares are divided by: one over it is still finite times any strength, and an axis whose joints move the
+/// tool by less gets no torque.
+const LEAST_SUM: f64 = 1e-100;
+
 /// Size of `N∇g` [rad] below which the null column turns into the row norms of `N`.
 const GRADIENT_THRESHOLD: f64 = 1e-3;
 
@@ -33,8 +37,7 @@ impl<J: Lanes> Activation<J> {
         }
         let [a, b, c, d] = J::sums([sizes[0], sizes[1], sizes[2], sizes[3]]);
         let [e, f, ..] = J::sums([sizes[4], sizes[5], zero, zero]);
-        // One over a denormal sum is infinite, and infinity times a joint at rest is not a number.
-        let sums = J::Axes::at_least(J::Axes::of_axes(&[a, b, c, d, e, f]), J::Axes::splat(f64::MIN_POSITIVE));
+        let sums = J::Axes::at_least(J::Axes::of_axes(&[a, b, c, d, e, f]), J::Axes::splat(LEAST_SUM));
         let per_sum = J::Axes::splat(1.0) / sums;
         Self { sizes, per_sum, null }
     }
@@ -97,8 +100,7 @@ pub(crate) fn null_column<J: Lanes>(motion: J, projector: &impl RowLengths<J>) -
         return sizes * J::spread(one / sum);
     }
     let (blend, lengths) = (J::One::at_most(J::One::at_least(blend, zero), one), projector.row_lengths());
-    // One over a denormal sum would be infinite, and infinity times a joint at rest is not a number.
-    let least = J::One::splat(f64::MIN_POSITIVE);
+    let least = J::One::splat(LEAST_SUM);
     let (moved, still) = (J::One::at_least(sum, least), J::One::at_least(lengths.sum(), least));
     sizes * J::spread(blend / moved) + lengths * J::spread((one - blend) / still)
 }

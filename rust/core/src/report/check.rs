@@ -2,7 +2,7 @@
 
 use crate::command::statics::static_force;
 use crate::controller::Controller;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::kinematics::{Frames, IkOptions};
 use crate::pose::Pose as ToolPose;
 use crate::report::findings::{Near, Past, Worst};
@@ -62,8 +62,12 @@ impl Controller {
     /// Checks the settings against every posture (n) [rad] of a path, the arm at rest on its target. Changes nothing.
     ///
     /// # Errors
-    /// As [`Controller::step`].
+    /// As [`Controller::step`]; [`Error::Shape`] for a path without postures, of which nothing can be said.
     pub fn check(&self, path: &[Vec<f64>]) -> Result<Check> {
+        if path.is_empty() {
+            let expected = format!("(N, {}) with N of at least 1", self.plan.n);
+            return Err(Error::Shape { what: "path".into(), got: format!("(0, {})", self.plan.n), expected });
+        }
         let (k, n, torque) = (self.plan.k, self.plan.n, self.plan.servos.torque);
         let mut lack = vec![[Worst::NONE; 2]; k];
         let mut rub = vec![Worst::NONE; k];
@@ -82,7 +86,7 @@ impl Controller {
             let rubs = std::array::from_fn(|i| rest.plan.servos.friction_at_rest(i, record.gravity[i]));
             let way = rest.way(&frames, &rubs);
             if self.plan.dead_host_max.is_some() {
-                let goal = super::spread(rest.last_command().goal());
+                let goal = super::spread(rest.command.goal());
                 let (force, row, sign) = rest.dead(&frames, &goal, &limits, &rubs).worst(f64::INFINITY);
                 if force > dead.0.value {
                     dead = (Worst { value: force, pose: index }, row, sign);

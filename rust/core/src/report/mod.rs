@@ -201,7 +201,7 @@ impl Controller {
         let mut frames = Frames::default();
         self.model().chain().forward(&record.q, &mut frames);
         let way = self.way(&frames, &rubs);
-        let goal = spread(self.last_command().goal());
+        let goal = spread(self.command.goal());
         let dead = self.dead(&frames, &goal, &limit, &rubs);
         let rest = dead.settled();
         for row in 0..k {
@@ -260,7 +260,7 @@ impl Controller {
 
     /// Limits of the last command.
     fn limits_in_force(&self) -> JointVec {
-        spread(self.last_command().torque_limit())
+        spread(self.command.torque_limit())
     }
 }
 

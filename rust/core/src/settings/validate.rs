@@ -66,14 +66,14 @@ impl Settings {
         if let Some(lead) = self.lead_limit {
             within("lead_limit [rad]", lead, 1e-3, infinite)?;
         }
-        for (name, list, low) in [
-            ("posture_weights", &self.posture_weights, 0.0),
-            ("joint_speed [rad/s]", &self.joint_speed, 1e-6),
-            ("floor [N·m]", &self.floor, 0.0),
-            ("joint_weights", &self.joint_weights, 1e-6),
+        for (name, list, low, high) in [
+            ("posture_weights", &self.posture_weights, 0.0, 1e6),
+            ("joint_speed [rad/s]", &self.joint_speed, 1e-6, infinite),
+            ("floor [N·m]", &self.floor, 0.0, infinite),
+            ("joint_weights", &self.joint_weights, 1e-6, 1e6),
         ] {
             for value in list.iter().flatten() {
-                within(name, *value, low, infinite)?;
+                within(name, *value, low, high)?;
             }
         }
         for value in self.posture.iter().flatten() {

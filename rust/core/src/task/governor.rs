@@ -192,7 +192,8 @@ fn approach(d: [f64; 3], v: [f64; 3], own: [f64; 3], speed: f64, most: [f64; 2],
     let behind = along(&d, -dt, &own);
     let distance = norm(behind);
     // The speed from which `periods` of braking end exactly at the point: the discrete √(2 a d).
-    let step = most[0] * dt;
+    // An infinite acceleration is a very large one: nothing times infinity is not a number.
+    let step = (most[0] * dt).min(f64::MAX);
     let periods = (0.5 * ((1.0 + 8.0 * distance / (step * dt)).sqrt() - 1.0)).ceil().max(1.0);
     let braking = distance / (periods * dt) + 0.5 * step * (periods - 1.0);
     let closing = if distance > 0.0 { braking / distance } else { 0.0 };
@@ -350,6 +351,17 @@ mod tests {
                 speed.abs() < 1e-12 && way < 0.25 * 0.25 / (2.0 * BRAKE[0]) + 0.0025,
                 "{acceleration}: {speed} {way}"
             );
+        }
+    }
+
+    #[test]
+    fn an_infinite_acceleration_is_at_the_speed_at_once_and_stops_at_the_target() {
+        let target = Pose { position: [0.1, 0.0, 0.0], ..Pose::IDENTITY };
+        let mut governor = Governor::new(Pose::IDENTITY);
+        for tick in 1..60 {
+            let x = governor.follow::<Plain>(&target, [0.25, 1.0], [f64::INFINITY; 2], 0.01).position[0];
+            let expected = (0.0025 * f64::from(tick)).min(0.1);
+            assert!((x - expected).abs() < 1e-12, "tick {tick}: {x} instead of {expected}");
         }
     }
 

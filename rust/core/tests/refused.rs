@@ -1,0 +1,174 @@
+//! What cannot work is refused where it is said, by name, and what may be endless steps as it should.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
+
+use std::sync::Arc;
+
+use pliant_core::settings::{GravityUse, Law};
+use pliant_core::task::axes::{Axis, Task};
+use pliant_core::{
+    BatchCommand, BatchInput, Contact, ContactInput, ContactOptions, Controller, Error, Invalid, Model, ModelOptions,
+    Payload, Servos, Settings, StepInput, Targets,
+};
+
+#[path = "common/mod.rs"]
+mod common;
+
+const GRASP: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+
+/// Two joints in a plane: no joint moves the tool along z.
+const PLANAR: &str = r#"<robot name="planar"><link name="base"/>
+    <link name="upper"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+    <link name="lower"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+    <link name="tool"/>
+    <joint name="a" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/></joint>
+    <joint name="b" type="continuous"><origin xyz="0.3 0 0"/><parent link="upper"/><child link="lower"/><axis xyz="0 0 1"/></joint>
+    <joint name="c" type="fixed"><origin xyz="0.3 0 0"/><parent link="lower"/><child link="tool"/></joint></robot>"#;
+
+fn servos() -> Servos {
+    Servos::new(vec![150.0], vec![10.7])
+}
+
+fn made(settings: Settings, servos: Servos) -> pliant_core::Result<Controller> {
+    Controller::new(Arc::new(common::arm7()), settings, Some(servos))
+}
+
+fn message<T>(result: pliant_core::Result<T>) -> String {
+    result.map(|_| ()).unwrap_err().to_string()
+}
+
+#[test]
+fn what_has_no_bound_still_steps_toward_a_target_that_jumps() {
+    let endless = f64::INFINITY;
+    let all = [
+        Settings { max_tool_speed: [endless; 2], ..Settings::default() },
+        Settings { max_tool_acceleration: [endless; 2], ..Settings::default() },
+        Settings { max_tool_speed: [0.1, endless], max_tool_acceleration: [endless, 1.0], ..Settings::default() },
+        Settings { goal_slew: endless, ..Settings::default() },
+        Settings { null_speed: endless, ..Settings::default() },
+        Settings { dead_host_max: Some(endless), ..Settings::default() },
+        Settings { joint_speed: Some(vec![endless; 7]), ..Settings::default() },
+        Settings { floor: Some(vec![endless; 7]), ..Settings::default() },
+        Settings { lead_limit: Some(endless), ..Settings::paper() },
+    ];
+    for settings in all {
+        let mut controller = made(settings.clone(), servos()).unwrap();
+        let mut target = controller.model().forward_kinematics(&GRASP).unwrap();
+        for shift in [0.0, 0.1, -0.2, 0.0] {
+            target.position[1] += shift;
+            let command = controller.step(&GRASP, &target, &StepInput::default());
+            let command = command.unwrap_or_else(|error| panic!("{settings:?}: {error}"));
+            assert!(command.goal().iter().chain(command.torque_limit()).all(|value| value.is_finite()));
+        }
+    }
+}
+
+#[test]
+fn an_axis_along_which_no_joint_moves_the_tool_takes_no_torque() {
+    let model = Arc::new(Model::from_urdf_str(PLANAR, &ModelOptions::default()).unwrap());
+    let target = model.forward_kinematics(&[0.3, 0.5]).unwrap();
+    let limits = |hold: f64| {
+        let mut settings =
+            Settings { task: Task { length: Some(0.3), ..Task::of("xyz").unwrap() }, ..Settings::paper() };
+        settings.axes[..3].fill(Axis { hold: Some(hold), ..Axis::default() });
+        let mut controller = Controller::new(Arc::clone(&model), settings, None).unwrap();
+        controller.step(&[0.3, 0.5], &target, &StepInput::default()).unwrap().torque_limit().to_vec()
+    };
+    let (few, many) = (limits(3.0), limits(300.0));
+    for (few, many) in few.iter().zip(&many) {
+        assert!(*few > 0.0 && (many / few - 100.0).abs() < 1e-9, "{few} {many}");
+    }
+}
+
+#[test]
+fn numbers_that_no_step_could_use_are_refused_by_name() {
+    let cases = [
+        ("posture_weights", Settings { posture_weights: Some(vec![f64::INFINITY; 7]), ..Settings::default() }),
+        ("joint_weights", Settings { joint_weights: Some(vec![1e300; 7]), ..Settings::paper() }),
+    ];
+    for (name, settings) in cases {
+        assert!(message(made(settings, servos())).starts_with(name));
+    }
+    let cases = [
+        ("servos.kp[0]", Servos { kp: vec![1e-308], ..servos() }),
+        ("servos.torque[0]", Servos { torque: vec![1e308], ..servos() }),
+        ("servos.stribeck_speed[0]", Servos { stribeck: vec![0.1], stribeck_speed: vec![1e-320], ..servos() }),
+    ];
+    for (name, servos) in cases {
+        assert!(message(made(Settings::default(), servos)).starts_with(name));
+    }
+}
+
+#[test]
+fn servos_that_cannot_hold_the_arm_are_refused_wherever_its_weight_comes_into_use() {
+    let weak = Servos::new(vec![150.0], vec![0.5]);
+    let strength = Axis { soft: Some([0.1; 2]), firm: Some([0.1; 2]), hold: Some(0.2), ..Axis::default() };
+    let on = Settings { axes: std::array::from_fn(|_| strength), ..Settings::default() };
+    let off = Settings { gravity: GravityUse::Off, ..on.clone() };
+    let refusal = message(made(on.clone(), weak.clone()));
+    assert!(refusal.contains("torque that holds the arm"), "{refusal}");
+    let mut controller = made(off, weak).unwrap();
+    controller.set_payload(Some(&Payload { mass: 0.1, com: [0.0; 3] })).unwrap();
+    controller.set_payload(None).unwrap();
+    assert!(message(controller.update(on)).contains("torque that holds the arm"));
+    assert_eq!(controller.settings().gravity, GravityUse::Off);
+}
+
+#[test]
+fn a_joint_that_carries_less_than_an_encoder_count_hides_keeps_its_believed_stiffness() {
+    let believed = Servos { count: vec![1.5e-3], ..servos() };
+    let mut controller = made(Settings::default(), believed).unwrap();
+    let gravity = controller.model().gravity(&GRASP).unwrap();
+    // Half a count off, on a joint that carries next to nothing and on one that carries much.
+    let goal: Vec<f64> = (0..7).map(|i| GRASP[i] + gravity[i] / 150.0 + 7.5e-4).collect();
+    let captured = controller.capture_gravity(&GRASP, &goal).unwrap();
+    let mut kept = 0;
+    for i in 0..7 {
+        let off = (captured[i] / 150.0 - 1.0).abs();
+        assert!(off < 0.2, "joint {i} carries {}: {}", gravity[i], captured[i]);
+        kept += usize::from(off < 1e-12);
+    }
+    assert!((1..7).contains(&kept));
+}
+
+#[test]
+fn a_path_without_postures_is_no_path() {
+    let controller = made(Settings::default(), servos()).unwrap();
+    assert!(matches!(controller.check(&[]), Err(Error::Shape { .. })));
+}
+
+#[test]
+fn there_is_no_last_command_before_a_step() {
+    let mut controller = made(Settings::default(), servos()).unwrap();
+    assert!(controller.last_command().is_none());
+    let target = controller.model().forward_kinematics(&GRASP).unwrap();
+    let sent = *controller.step(&GRASP, &target, &StepInput::default()).unwrap();
+    assert_eq!(controller.last_command(), Some(&sent));
+    controller.reset(&GRASP).unwrap();
+    assert!(controller.last_command().is_none());
+}
+
+#[test]
+fn a_contact_is_not_asked_about_another_arm() {
+    let mut contact = Contact::new(&made(Settings::default(), servos()).unwrap(), ContactOptions::default()).unwrap();
+    let model = Arc::new(Model::from_urdf_str(PLANAR, &ModelOptions::default()).unwrap());
+    let settings = Settings { law: Law::Cap, task: Task::of("xy").unwrap(), ..Settings::default() };
+    let other = Controller::new(model, settings, Some(servos())).unwrap();
+    let error = message(contact.update(&other, &[0.3, 0.5], &ContactInput::default()));
+    assert!(error.contains("2 joints") && error.contains("7 joints"), "{error}");
+}
+
+#[test]
+fn positions_say_nothing_of_rotations() {
+    let controller = made(Settings::default(), servos()).unwrap();
+    let target = controller.model().forward_kinematics(&GRASP).unwrap();
+    let [mut goal, mut torque_limit, mut velocity] = [[0.0; 7]; 3];
+    let input = BatchInput {
+        q: &GRASP,
+        targets: Targets::Positions(&target.position),
+        dq: None,
+        dt: None,
+        invalid: Invalid::Refuse,
+    };
+    let out = BatchCommand { goal: &mut goal, torque_limit: &mut torque_limit, velocity: &mut velocity };
+    assert!(message(controller.step_batch(&input, None, out)).contains("give poses"));
+}
