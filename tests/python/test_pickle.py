@@ -134,14 +134,23 @@ def test_what_a_model_was_made_of_cannot_be_changed_through_its_source():
     assert np.array_equal(again.upper, model.upper)
 
 
-def test_a_controller_that_was_told_to_carry_its_weight_later_is_read_back():
-    # Made without gravity, it was never asked whether its servos hold the arm.
+def test_a_controller_that_can_no_longer_hold_its_arm_is_read_back():
+    # Whether its servos hold it was asked when it was made; where it stands now, all is heavier.
     arm = pliant.robots.arm7()
-    weak = pliant.Servos(kp=50.0, torque=0.5, friction=0.01, kp_known=True)
     q = 0.5 * (arm.lower + arm.upper)
-    controller = pliant.Controller(arm, pliant.Settings.paper(), weak)
+    controller = pliant.Controller(arm, pliant.Settings.soft("y"))
     target = arm.forward_kinematics(q)
     controller.step(q, target)
-    controller.update(controller.settings.replace(gravity=True))
+    controller.set_gravity((0.0, 0.0, -99.0))
     again = pickle.loads(pickle.dumps(controller))
     assert bits(again.step(q, target)) == bits(controller.step(q, target))
+
+
+def test_a_controller_is_not_told_to_carry_what_it_cannot():
+    arm = pliant.robots.arm7()
+    weak = pliant.Servos(kp=50.0, torque=0.5, friction=0.01, kp_known=True)
+    controller = pliant.Controller(arm, pliant.Settings.paper(), weak)
+    before = controller.settings
+    with pytest.raises(pliant.LimitError, match="torque that holds the arm"):
+        controller.update(before.replace(gravity=True))
+    assert controller.settings == before
