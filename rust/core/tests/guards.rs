@@ -84,6 +84,7 @@ fn guard_06_numbers_are_numbers() {
     refused("06_two_tokens", &["rpy of <origin> is \"0 1\"; expected 3 finite numbers, got 2 words"]);
     refused("06_infinite", &["xyz of <origin> is \"0 inf 0\"; 'inf' is not a finite number"]);
     refused("06_negative_mass", &["link 'arm': mass is -1 kg; it must be between 0 and 1e6"]);
+    refused("06_negative_inertia", &["link 'arm': ixx is -1 kg·m²; it must not be negative"]);
     refused("06_nan_inertia", &["link 'arm': iyz of <inertia> is \"nan\""]);
 }
 

@@ -82,6 +82,11 @@ impl Reader<'_> {
         let mut entries = [0.0; INERTIA.len()];
         for (entry, name) in entries.iter_mut().zip(INERTIA) {
             *entry = self.source.required(inertia, name, owner)?;
+            let moment = name == "ixx" || name == "iyy" || name == "izz";
+            if moment && *entry < 0.0 {
+                let message = format!("{owner}: {name} is {entry} kg·m²; it must not be negative");
+                return Err(self.source.error_at(inertia, message));
+            }
         }
         let [xx, xy, xz, yy, yz, zz] = entries;
         Ok(Inertial {
