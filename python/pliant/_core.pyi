@@ -1730,7 +1730,11 @@ class Controller:
         """Take new settings while running: goals go on from where they are."""
 
     def set_payload(self, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        """Take another payload: mass [kg], 0 for none; centre (3,) in the tool frame [m]."""
+        """Take another payload: mass [kg], 0 for none; centre (3,) in the tool frame [m].
+
+        Before the first step at once; in an arm that is controlled within half a second, so that
+        one that is told too early, too late or wrongly does not make it jump.
+        """
 
     def set_gravity(self, vector: ArrayLike) -> None:
         """Take another gravity vector (3,) [m/s^2], base axes: for a base that tilts."""

@@ -298,3 +298,41 @@ def test_kinematics_into_the_callers_arrays():
             model.kinematics(q, out=(out[0], wrong))
     with pytest.raises(TypeError, match="out must be a pair"):
         model.kinematics(q, out=[out[0], out[1]])
+
+
+class Meddler:
+    """A target whose reading makes another array of one that was given before it."""
+
+    def __init__(self, array, target):
+        self.array, self.target = array, target
+
+    @property
+    def matrix(self):
+        self.array.resize((4096,), refcheck=False)
+        self.array[:] = 1e9
+        return self.target
+
+
+def test_a_target_that_changes_q_while_it_is_read_is_seen_by_the_step(model):
+    controller = pliant.Controller(model)
+    q = 0.5 * (model.lower + model.upper)
+    target = model.forward_kinematics(q)
+    controller.step(q, target)
+    with pytest.raises(pliant.ShapeError, match="q has shape"):
+        controller.step(q, Meddler(q, target))
+
+
+class Reshaper(Meddler):
+    """The same as an array of targets."""
+
+    def __array__(self, dtype=None, copy=None):
+        self.array.resize((0, 7), refcheck=False)
+        return np.asarray(self.target)
+
+
+def test_a_batch_whose_q_changes_while_targets_are_read_is_refused(model):
+    controller = pliant.Controller(model)
+    q = np.array(np.tile(0.5 * (model.lower + model.upper), (200, 1)))
+    target = model.forward_kinematics(q[0])
+    with pytest.raises(ValueError, match="Q changed while the other arguments were read"):
+        controller.step_batch(q, Reshaper(q, target))

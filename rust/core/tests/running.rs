@@ -155,7 +155,9 @@ fn payload_gravity_and_delay_act_and_stay() {
     let want = loaded.gravity(&Q).unwrap();
     assert!(largest_difference(&controller.record().gravity[..7], want.as_slice()) < 1e-12);
     controller.set_payload(None).unwrap();
-    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    for _ in 0..=50 {
+        controller.step(&Q, &target, &StepInput::default()).unwrap();
+    }
     let want = seeded::arm(0, &ModelOptions { gravity: vector, ..ModelOptions::default() }).gravity(&Q).unwrap();
     assert!(largest_difference(&controller.record().gravity[..7], want.as_slice()) < 1e-12);
 
@@ -175,6 +177,44 @@ fn payload_gravity_and_delay_act_and_stay() {
 }
 
 /// For servos that resist nothing.
+#[test]
+fn a_payload_comes_into_force_in_half_a_second() {
+    let (_, mut controller, target) = make(Settings::default());
+    let payload = Payload { mass: 0.4, com: [0.0, 0.03, 0.05] };
+    let weight = |controller: &Controller| controller.record().gravity[1];
+    let tick = |controller: &mut Controller, count: usize| {
+        (0..count).for_each(|_| {
+            controller.step(&Q, &target, &StepInput::default()).unwrap();
+        });
+        weight(controller)
+    };
+    let without = tick(&mut controller, 1);
+    controller.set_payload(Some(&payload)).unwrap();
+    let loaded = seeded::arm(0, &ModelOptions { payload: Some(payload), ..ModelOptions::default() });
+    let more = loaded.gravity(&Q).unwrap()[1] - without;
+    assert!((tick(&mut controller, 1) - without).abs() < 1e-12, "the first step still reckons with what was");
+    // A tick of 10 ms is a fiftieth, also in a controller that goes on elsewhere.
+    let half = tick(&mut controller, 25) - without;
+    assert!((half / more - 0.5).abs() < 1e-9, "{half} of {more}");
+    let (model, settings) = (Arc::clone(controller.model()), controller.settings().clone());
+    let mut other = Controller::resumed(model, settings, Some(seeded::servos(0)), &controller.carried()).unwrap();
+    for count in [1, 10, 20] {
+        assert_eq!(tick(&mut controller, count).to_bits(), tick(&mut other, count).to_bits());
+    }
+    assert!(((tick(&mut controller, 1) - without) / more - 1.0).abs() < 1e-12);
+    // Taken away on the way: from where it is; a reset waits for nothing.
+    controller.set_payload(None).unwrap();
+    let before = tick(&mut controller, 11);
+    assert!(((before - without) / more - 0.8).abs() < 1e-9);
+    controller.set_payload(Some(&payload)).unwrap();
+    assert!(((tick(&mut controller, 26) - without) / more - 0.89).abs() < 1e-9);
+    controller.reset(&Q).unwrap();
+    assert!(((tick(&mut controller, 1) - without) / more - 1.0).abs() < 1e-12);
+    let mut wrong = controller.carried();
+    wrong.fading = Some([f64::NAN; 5]);
+    assert!(Controller::resumed(Arc::clone(controller.model()), Settings::default(), None, &wrong).is_err());
+}
+
 fn frictionless() -> Settings {
     Settings { friction_share: 0.0, damping_share: 0.0, posture: Some(Q.to_vec()), ..Settings::default() }
 }

@@ -1,7 +1,5 @@
 //! Arrays with one row per configuration: read in place where they are plain, copied otherwise, results into the caller's.
 
-use std::borrow::Cow;
-
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -9,29 +7,43 @@ use crate::convert::{memory, view, view_mut, writable, zeros};
 use crate::error::{shape, tuple, wrong_type};
 use crate::read::numbers;
 
-/// Rows (N, …) of a batch: the caller's memory if it is a plain array, a copy of anything else.
-pub(crate) struct Rows<'a> {
+/// Rows (N, `part`) of a batch: the caller's memory if it is a plain array, a copy of anything else.
+pub(crate) struct Rows<'a, 'py> {
     pub(crate) count: usize,
-    pub(crate) values: Cow<'a, [f64]>,
+    name: &'a str,
+    array: &'a Bound<'py, PyAny>,
+    part: &'a [usize],
+    copy: Option<Vec<f64>>,
 }
 
-impl<'a> Rows<'a> {
-    /// Of an array (N, `part`); copied where it shares memory with one of `outs`.
+impl<'a, 'py> Rows<'a, 'py> {
+    /// Of an array; copied where it shares memory with one of `outs`.
     pub(crate) fn read(
-        name: &str,
-        array: &'a Bound<'_, PyAny>,
-        part: &[usize],
+        name: &'a str,
+        array: &'a Bound<'py, PyAny>,
+        part: &'a [usize],
         outs: &[&Bound<'_, PyAny>],
     ) -> PyResult<Self> {
-        if let Some((count, values)) = view(array, part)
+        if let Some((count, _)) = view(array, part)
             && !outs.iter().any(|out| shared(array, out))
         {
-            return Ok(Self { count, values: Cow::Borrowed(values) });
+            return Ok(Self { count, name, array, part, copy: None });
         }
         let (got, values) = numbers(name, array)?;
         match got.split_first() {
-            Some((&count, rest)) if rest == part => Ok(Self { count, values: Cow::Owned(values) }),
+            Some((&count, rest)) if rest == part => Ok(Self { count, name, array, part, copy: Some(values) }),
             _ => Err(shape(name, &got, rows_of(part))),
+        }
+    }
+
+    /// The numbers. To be asked for last: reading another argument may run code that makes another array of this one.
+    pub(crate) fn values(&self) -> PyResult<&[f64]> {
+        if let Some(copy) = &self.copy {
+            return Ok(copy);
+        }
+        match view(self.array, self.part) {
+            Some((count, values)) if count == self.count => Ok(values),
+            _ => Err(PyValueError::new_err(format!("{} changed while the other arguments were read", self.name))),
         }
     }
 }

@@ -114,11 +114,12 @@ readings! {
             out: Option<&Bound<'_, PyAny>>,
         ) -> PyResult<Py<Command>> {
             let (n, mut slot) = (self.n, None);
-            let q = joints_in_place("q", q, n, &mut slot)?;
             let target = pose("target", target, self.position_only)?;
             let mut extras = Extras::default();
             extras.read(n, dt, dq, twist, gradient)?;
             let out = out.map(|out| Command::writable(out, n)).transpose()?;
+            // Last, and in place: reading the others may run code that makes another array of q.
+            let q = joints_in_place("q", q, n, &mut slot)?;
             let command = self.core.step(q, &target, &extras.input(n)).or_raise()?;
             hand_out(py, &mut self.pool, command, out)
         }

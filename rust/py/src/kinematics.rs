@@ -75,12 +75,13 @@ pub(crate) fn both_batch<'py>(
     let own = out.map(pair).transpose()?;
     let outs: Vec<_> = own.iter().flat_map(|(first, second)| [first, second]).collect();
     disjoint(&outs)?;
-    let batch = Rows::read("Q", q, &[n], &outs)?;
+    let part = [n];
+    let batch = Rows::read("Q", q, &part, &outs)?;
     let count = batch.count;
     let poses = target(py, "out[0]", own.as_ref().map(|own| &own.0), count, &[4, 4])?;
     let jacobians = target(py, "out[1]", own.as_ref().map(|own| &own.1), count, &[6, n])?;
     let (to_poses, to_jacobians) = (target_of(&poses, count, &[4, 4]), target_of(&jacobians, count, &[6, n]));
-    let values: &[f64] = &batch.values;
+    let values = batch.values()?;
     py.detach(|| core.kinematics_batch(values, reference, to_poses, to_jacobians)).or_raise()?;
     Ok((poses, jacobians))
 }
@@ -94,9 +95,10 @@ fn one_batch<'py>(
     fill: impl FnOnce(&[f64], &mut [f64]) -> pliant_core::Result<()> + Send,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = q.py();
-    let batch = Rows::read("Q", q, &[core.n()], &out.into_iter().collect::<Vec<_>>())?;
+    let width = [core.n()];
+    let batch = Rows::read("Q", q, &width, &out.into_iter().collect::<Vec<_>>())?;
     let array = target(py, "out", out, batch.count, part)?;
-    let (values, to): (&[f64], _) = (&batch.values, target_of(&array, batch.count, part));
+    let (values, to) = (batch.values()?, target_of(&array, batch.count, part));
     py.detach(|| fill(values, to)).or_raise()?;
     Ok(array)
 }

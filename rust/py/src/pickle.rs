@@ -18,8 +18,8 @@ pub(crate) type Reduced<'py> = (Bound<'py, PyAny>, Bound<'py, PyTuple>);
 /// Model, settings and servos of a controller.
 type Parts = (Py<Model>, Py<Settings>, Option<Py<Servos>>);
 
-/// The numbers of a [`Carried`]: payload, gravity, delay, captured stiffness, memory.
-type Numbers<'py> = (Option<Payload>, [f64; 3], f64, Option<Vec<f64>>, Bound<'py, PyAny>);
+/// The numbers of a [`Carried`]: payload, gravity, what it fades from, delay, captured stiffness, memory.
+type Numbers<'py> = (Option<Payload>, [f64; 3], Option<[f64; 5]>, f64, Option<Vec<f64>>, Bound<'py, PyAny>);
 
 /// Puts what pickles call into the module, not among the names that it offers.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -37,8 +37,14 @@ pub(crate) fn of_model<'py>(py: Python<'py>, text: &str, options: Bound<'py, PyD
 
 pub(crate) fn of_controller<'py>(py: Python<'py>, parts: Parts, carried: &Carried) -> PyResult<Reduced<'py>> {
     let memory = new_array(py, &[carried.memory.len()], &carried.memory);
-    let numbers: Numbers<'py> =
-        (carried.payload.map(Payload), carried.gravity, carried.delay, carried.captured.clone(), memory);
+    let numbers: Numbers<'py> = (
+        carried.payload.map(Payload),
+        carried.gravity,
+        carried.fading,
+        carried.delay,
+        carried.captured.clone(),
+        memory,
+    );
     let (model, settings, servos) = parts;
     Ok((function(py, "_controller")?, (model, settings, servos, numbers).into_pyobject(py)?))
 }
@@ -58,8 +64,8 @@ fn controller(
     servos: Option<Py<Servos>>,
     numbers: Numbers<'_>,
 ) -> PyResult<Controller> {
-    let (payload, gravity, delay, captured, memory) = numbers;
+    let (payload, gravity, fading, delay, captured, memory) = numbers;
     let memory = vector("memory", &memory)?;
-    let carried = Carried { payload: payload.map(|payload| payload.0), gravity, delay, captured, memory };
+    let carried = Carried { payload: payload.map(|payload| payload.0), gravity, fading, delay, captured, memory };
     Controller::made(py, model, settings, servos, Some(&carried))
 }

@@ -1,7 +1,5 @@
 //! `Controller.step_batch` and `BatchState`.
 
-use std::borrow::Cow;
-
 use pliant_core::{
     BatchCommand, BatchInput, BatchState as CoreState, Controller as CoreController, Invalid, Pose as CorePose, Targets,
 };
@@ -124,13 +122,13 @@ pub(crate) struct BatchCall<'a, 'py> {
 }
 
 /// Targets as the core takes them, in the caller's memory or in ours.
-enum Wanted<'a> {
+enum Wanted<'a, 'py> {
     One(CorePose),
-    Poses(Cow<'a, [f64]>),
-    Positions(Cow<'a, [f64]>),
+    Poses(Rows<'a, 'py>),
+    Positions(Rows<'a, 'py>),
 }
 
-impl BatchCall<'_, '_> {
+impl<'py> BatchCall<'_, 'py> {
     /// Steps the arms while other Python threads run.
     pub(crate) fn run(
         &self,
@@ -143,10 +141,11 @@ impl BatchCall<'_, '_> {
         let own = self.out.map(arrays_of).transpose()?;
         let outs: Vec<&Bound<'_, PyAny>> = own.iter().flatten().collect();
         disjoint(&outs)?;
-        let rows = Rows::read("Q", q, &[n], &outs)?;
+        let part = [n];
+        let rows = Rows::read("Q", q, &part, &outs)?;
         let count = rows.count;
         let wanted = self.wanted(count, &outs)?;
-        let dq = self.dq.map(|dq| Rows::read("dq", dq, &[n], &outs)).transpose()?;
+        let dq = self.dq.map(|dq| Rows::read("dq", dq, &part, &outs)).transpose()?;
         if let Some(dq) = &dq
             && dq.count != count
         {
@@ -160,14 +159,14 @@ impl BatchCall<'_, '_> {
         }
         let [goal, torque_limit, velocity] = [0, 1, 2].map(|i| target_of(&arrays[i], count, &[n]));
         let input = BatchInput {
-            q: &rows.values,
+            q: rows.values()?,
             targets: match &wanted {
                 Wanted::One(pose) => Targets::One(pose),
-                Wanted::Poses(values) => Targets::Poses(values),
-                Wanted::Positions(values) => Targets::Positions(values),
+                Wanted::Poses(rows) => Targets::Poses(rows.values()?),
+                Wanted::Positions(rows) => Targets::Positions(rows.values()?),
             },
             dt: self.dt,
-            dq: dq.as_ref().map(|dq| &*dq.values),
+            dq: dq.as_ref().map(Rows::values).transpose()?,
             invalid,
         };
         let out = BatchCommand { goal, torque_limit, velocity };
@@ -180,9 +179,9 @@ impl BatchCall<'_, '_> {
         }
     }
 
-    fn wanted(&self, count: usize, outs: &[&Bound<'_, PyAny>]) -> PyResult<Wanted<'_>> {
+    fn wanted(&self, count: usize, outs: &[&Bound<'_, PyAny>]) -> PyResult<Wanted<'_, 'py>> {
         let (name, targets) = ("targets", self.targets);
-        let parts: &[&[usize]] = if self.position_only { &[&[4, 4], &[3]] } else { &[&[4, 4]] };
+        let parts: &'static [&'static [usize]] = if self.position_only { &[&[4, 4], &[3]] } else { &[&[4, 4]] };
         let fits = |got: &[usize]| parts.iter().find(|part| got.split_first().is_some_and(|(_, rest)| rest == **part));
         let plain = parts.iter().find_map(|part| view(targets, part).map(|(rows, _)| (rows, *part)));
         let (got, part) = match plain {
@@ -202,8 +201,8 @@ impl BatchCall<'_, '_> {
             let expected = format!("{} with N = {count} as Q has, or one pose for all", rows_of(part));
             return Err(shape(name, &[&[got], part].concat(), expected));
         }
-        let values = Rows::read(name, targets, part, outs)?.values;
-        Ok(if part.len() == 2 { Wanted::Poses(values) } else { Wanted::Positions(values) })
+        let rows = Rows::read(name, targets, part, outs)?;
+        Ok(if part.len() == 2 { Wanted::Poses(rows) } else { Wanted::Positions(rows) })
     }
 }
 

@@ -176,7 +176,7 @@ impl Controller {
             if left == 0 {
                 return;
             }
-            let controller = own.get_or_insert_with(|| self.clone());
+            let controller = own.get_or_insert_with(|| self.settled());
             let [goals, limits, velocities] = outs;
             let outs = goals.chunks_exact_mut(n).zip(limits.chunks_exact_mut(n)).zip(velocities.chunks_exact_mut(n));
             for (i, ((goal, limit), velocity)) in outs.enumerate() {

@@ -6,6 +6,7 @@ use crate::controller::Controller;
 use crate::controller::kept::width;
 use crate::error::{Error, Result};
 use crate::model::{Model, Payload, finite_vector};
+use crate::pose::COORDINATE_BOUND;
 use crate::servos::Servos;
 use crate::settings::Settings;
 
@@ -16,6 +17,8 @@ pub struct Carried {
     pub payload: Option<Payload>,
     /// Gravity vector in force [m/s²], base axes.
     pub gravity: [f64; 3],
+    /// While another payload comes into force: mass [kg] and first moment (3) [kg·m] before it, time since then [s].
+    pub fading: Option<[f64; 5]>,
     /// Delay T_d in force [s].
     pub delay: f64,
     /// 1/k_g (n) [rad/(N·m)] where the gravity offset was captured.
@@ -33,6 +36,7 @@ impl Controller {
         Carried {
             payload: self.payload,
             gravity: self.gravity,
+            fading: self.fading(),
             delay: self.delay,
             captured: self.captured.map(|captured| captured[..n].to_vec()),
             memory,
@@ -74,6 +78,12 @@ impl Controller {
                 return Err(Error::limit("memory", f64::NAN, "numbers"));
             }
             controller.memory.recall(n, &carried.memory);
+        }
+        if let Some(fading) = carried.fading {
+            if let Some(&value) = fading.iter().find(|value| !(value.abs() <= COORDINATE_BOUND)) {
+                return Err(Error::limit("fading", value, format!("±{COORDINATE_BOUND:e}")));
+            }
+            controller.resume_fade(fading);
         }
         Ok(controller)
     }

@@ -2,6 +2,7 @@
 
 mod capture;
 mod carried;
+mod fade;
 pub(crate) mod floors;
 pub(crate) mod input;
 pub(crate) mod kept;
@@ -15,6 +16,7 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::controller::fade::Fade;
 use crate::error::{Error, Result};
 use crate::kinematics::{Frames, LookScratch, Masses};
 use crate::model::{Model, Payload};
@@ -83,6 +85,8 @@ pub struct Controller {
     pub(crate) plan: Plan,
     pub(crate) masses: Masses,
     payload: Option<Payload>,
+    /// While another payload comes into force.
+    fade: Option<Fade>,
     pub(crate) gravity: [f64; 3],
     /// 1/k_g where gravity was captured.
     captured: Option<JointVec>,
@@ -123,6 +127,7 @@ impl Controller {
         let zero = [0.0; MAX_JOINTS];
         let controller = Self {
             payload: model.payload().copied(),
+            fade: None,
             gravity: model.gravity_vector(),
             delay: settings.delay,
             memory: Memory::new(),
@@ -290,6 +295,9 @@ impl Controller {
 
     /// Takes another payload: mass [kg] and centre of mass in the tool frame [m]; `None` for none.
     ///
+    /// Before the first step at once; in an arm that is controlled within half a second, so that one that is told too
+    /// early, too late or wrongly does not make it jump.
+    ///
     /// # Errors
     /// [`Error::Limit`] for a negative or non-finite value, and, where the weight is used, for a load that the servos cannot
     /// hold in any pose.
@@ -299,7 +307,7 @@ impl Controller {
         }
         let masses = self.model.chain().masses(payload);
         self.check_holding(self.settings.gravity, &masses)?;
-        (self.payload, self.masses) = (payload.copied(), masses);
+        self.take(payload.copied(), &masses);
         Ok(())
     }
 

@@ -42,6 +42,7 @@ impl Controller {
         let mut frames = Frames::default();
         self.model.chain().forward(q, &mut frames);
         self.memory = Memory::at(q, frames.tool, true);
+        self.fade = None;
     }
 
     /// A step from positions as they come: it looks itself whether they can be, and the target with them.
@@ -57,6 +58,9 @@ impl Controller {
         self.read(asked, &mut input)?;
         let instructions = self.instructions;
         if instructions.run_single(self.cycle(q, target, &input)) {
+            if self.fade.is_some() {
+                self.fade_on(input.dt);
+            }
             return Ok(&self.command);
         }
         Err(self.refusal(q, target))
@@ -79,7 +83,10 @@ impl Controller {
             plan: &self.plan,
             settings: &self.settings,
             chain: self.model.chain(),
-            masses: &self.masses,
+            masses: match &self.fade {
+                Some(fade) => &fade.masses,
+                None => &self.masses,
+            },
             gravity: &self.gravity,
             delay: self.delay,
             q,
