@@ -28,7 +28,7 @@ pub enum Error {
         available: Vec<String>,
     },
     /// A number lies outside its bounds.
-    #[error("{what} = {value} is outside {bound}")]
+    #[error("{what} = {} is outside {bound}", Short(*value))]
     Limit {
         /// The quantity, e.g. `q[3] (elbow_pitch)`.
         what: String,
@@ -57,6 +57,18 @@ pub enum Error {
     },
 }
 
+/// A number as a message says it: one that nobody means, such as 1e300, must not fill the screen with its digits.
+struct Short(f64);
+
+impl fmt::Display for Short {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (value, size) = (self.0, self.0.abs());
+        // What is not finite has a name, and zero one digit.
+        let plain = size == 0.0 || (1e-4..=1e6).contains(&size) || !size.is_finite();
+        if plain { write!(f, "{value}") } else { write!(f, "{value:e}") }
+    }
+}
+
 /// Line and column in a text, when known; counted from one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Position(pub Option<(u32, u32)>);
@@ -71,7 +83,7 @@ impl fmt::Display for Position {
 }
 
 /// Result of everything in this crate that can fail.
-pub type Result<T> = std::result::Result<T, Error>;
+pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
     /// A [`Error::Limit`].
@@ -86,6 +98,14 @@ impl Error {
     #[inline(never)]
     pub(crate) fn length(what: impl Into<String>, got: usize, expected: usize) -> Self {
         Self::Shape { what: what.into(), got: format!("({got},)"), expected: format!("({expected},)") }
+    }
+
+    /// A [`Error::Shape`] of rows (`N` × `size`) that stand one behind the other in `got` numbers.
+    #[cold]
+    #[inline(never)]
+    pub(crate) fn rows(what: impl Into<String>, got: usize, size: usize) -> Self {
+        let expected = format!("(N, {size}) row by row, a multiple of {size} numbers");
+        Self::Shape { what: what.into(), got: format!("({got},)"), expected }
     }
 
     /// A [`Error::Config`].
@@ -103,6 +123,30 @@ impl Error {
             Self::Limit { what, value, bound } => Self::Limit { what: format!("{batch}[{row}]: {what}"), value, bound },
             Self::Config { key, message } => Self::Config { key: format!("{batch}[{row}]: {key}"), message },
             other => other,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_in_messages_stay_short() {
+        let said = |value| Error::limit("x", value, "[0, 1]").to_string();
+        for (value, text) in [
+            (0.0, "0"),
+            (-0.25, "-0.25"),
+            (1e6, "1000000"),
+            (1e-4, "0.0001"),
+            (1.5e-5, "1.5e-5"),
+            (-1.5e6, "-1.5e6"),
+            (1e300, "1e300"),
+            (f64::MIN_POSITIVE, "2.2250738585072014e-308"),
+            (f64::NAN, "NaN"),
+            (f64::NEG_INFINITY, "-inf"),
+        ] {
+            assert_eq!(said(value), format!("x = {text} is outside [0, 1]"));
         }
     }
 }

@@ -5,7 +5,7 @@
 //! * [`model`]: URDF text → immutable, validated robot;
 //! * [`kinematics`]: joint positions → pose, Jacobian, gravity;
 //! * [`task`]: poses → deviation, softness, strength per axis;
-//! * [`law`]: deviation and strength → what each joint exerts and where it goes;
+//! * `law`: deviation and strength → what each joint exerts and where it goes;
 //! * `command`: motion and force → goals and torque limits that a servo may be sent;
 //! * [`controller`]: calls each floor once per tick;
 //! * [`batch`]: the same for many arms at once;
@@ -16,11 +16,10 @@
 //!
 //! ```
 //! use std::sync::Arc;
-//! use pliant_core::task::axes::Axis;
-//! use pliant_core::{Controller, Model, ModelOptions, Servos, Settings, StepInput};
+//! use pliant_core::{Axis, Controller, Model, ModelOptions, Servos, Settings, StepInput};
 //!
 //! # fn main() -> pliant_core::Result<()> {
-//! # let urdf = include_str!("../../../python/pliant/robots/arm7.urdf");
+//! # let urdf = include_str!("../robots/arm7.urdf");
 //! let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
 //! let model = Arc::new(Model::from_urdf_str(urdf, &options)?);
 //! let servos = Servos::new(vec![150.0], vec![10.7]); // k_p [N·m/rad], usable torque [N·m], of every joint
@@ -38,7 +37,8 @@
 //! # }
 //! ```
 //!
-//! Conventions: SI units; 6-vectors linear first; quaternions `xyzw`; poses `base_from_tool`; Jacobians are geometric,
+//! Conventions: SI units; 6-vectors linear first; quaternions `wxyz` or `xyzw`, as the
+//! function's name says; poses `base_from_tool`; Jacobians are geometric,
 //! taken at the tool, in base axes unless said otherwise; gravity torques are those that *hold* the arm.
 #![deny(unsafe_code)]
 
@@ -50,7 +50,7 @@ pub mod error;
 pub mod functions;
 mod halton;
 pub mod kinematics;
-pub mod law;
+mod law;
 pub mod model;
 mod number;
 mod plan;
@@ -63,9 +63,13 @@ pub mod settings;
 mod survey;
 pub mod task;
 mod threads;
+mod words;
 
 pub use batch::{BatchCommand, BatchInput, BatchState, Invalid, Targets};
 pub use contact::{Contact, ContactInput, ContactOptions, WrenchEstimate};
+// Matrices and vectors of the public functions are of this version.
+pub use nalgebra;
+
 pub use controller::{Carried, Command, Controller, Record, StepInput};
 pub use error::{Error, Result};
 pub use functions::{
@@ -78,7 +82,8 @@ pub use number::Instructions;
 pub use pose::Pose;
 pub use report::{Check, Finding, Report};
 pub use servos::{ServoKind, Servos};
-pub use settings::Settings;
+pub use settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
+pub use task::axes::{Axis, Beyond, Frame, Profile, Task, Yields};
 
 /// Most independent joints of a chain, and most joints between base and tip, mimic followers included.
 ///

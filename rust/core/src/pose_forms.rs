@@ -25,6 +25,15 @@ impl Pose {
         Self::checked(position, &rotation)
     }
 
+    /// [`Pose::from_wxyz`] with the quaternion's w last: x, y, z, w, as ROS and SciPy have it.
+    ///
+    /// # Errors
+    /// As [`Pose::from_wxyz`].
+    pub fn from_xyzw(position: [f64; 3], xyzw: [f64; 4]) -> Result<Self> {
+        let [x, y, z, w] = xyzw;
+        Self::from_wxyz(position, [w, x, y, z])
+    }
+
     /// From a position [m] and a rotation vector [rad] (axis times angle).
     ///
     /// # Errors
@@ -56,6 +65,12 @@ impl Pose {
         let q = self.to_isometry().rotation;
         let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
         [q.w, q.i, q.j, q.k].map(|value| sign * value)
+    }
+
+    /// The rotation as a quaternion x, y, z, w with w ≥ 0.
+    pub fn xyzw(&self) -> [f64; 4] {
+        let [w, x, y, z] = self.wxyz();
+        [x, y, z, w]
     }
 
     /// The rotation as a vector [rad] of length at most π.
@@ -102,6 +117,8 @@ mod tests {
         close(&Pose::from_rotation_vector(p, [0.0, 0.0, 2.0 * half]).unwrap(), &turned);
         close(&Pose::from_rpy(p, [0.0, 0.0, 2.0 * half]).unwrap(), &turned);
         close(&Pose::from_wxyz(p, turned.wxyz()).unwrap(), &turned);
+        close(&Pose::from_xyzw(p, [0.0, 0.0, half.sin(), half.cos()]).unwrap(), &turned);
+        close(&Pose::from_xyzw(p, turned.xyzw()).unwrap(), &turned);
     }
 
     #[test]
@@ -116,6 +133,13 @@ mod tests {
     fn a_pose_times_its_inverse_is_nothing() {
         let pose = Pose::from_rpy([1.0, 2.0, 3.0], [0.3, 0.5, -0.7]).unwrap();
         close(&pose.compose(&pose.inverse()), &Pose::IDENTITY);
+    }
+
+    #[test]
+    fn the_order_of_a_quaternion_is_in_its_name() {
+        let pose = Pose::from_rpy([0.1, -0.2, 0.3], [0.3, 0.5, -0.7]).unwrap();
+        let ([w, x, y, z], xyzw) = (pose.wxyz(), pose.xyzw());
+        assert_eq!(xyzw.map(f64::to_bits), [x, y, z, w].map(f64::to_bits));
     }
 
     #[test]

@@ -76,7 +76,8 @@ impl Servos {
     /// Checks every value.
     ///
     /// # Errors
-    /// [`Error::Limit`] names field, index and bound; [`Error::Config`] a missing or superfluous no-load speed.
+    /// [`Error::Limit`] names field, index and bound; [`Error::Config`] a missing no-load speed. Under
+    /// [`ServoKind::Current`] one that is given is checked, and has no effect.
     pub fn validate(&self) -> Result<()> {
         for (name, values, low) in self.fields() {
             for (i, &value) in values.iter().enumerate() {

@@ -22,11 +22,7 @@ use crate::read::{count, given, real};
 use crate::servos::Servos;
 use crate::solution::{IkSolution, search};
 use crate::tree::{Joint, Link};
-use crate::words::{Word, Words};
-
-impl Words for Reference {
-    const WORDS: &'static [(&'static str, Self)] = &[("world_aligned", Self::WorldAligned), ("local", Self::Local)];
-}
+use crate::words::Word;
 
 #[pyclass(module = "pliant", frozen)]
 pub(crate) struct Model {

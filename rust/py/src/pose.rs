@@ -34,8 +34,8 @@ impl Pose {
 
     #[staticmethod]
     fn from_xyzw(position: &Bound<'_, PyAny>, quaternion: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let [x, y, z, w] = quaternion_of(quaternion)?;
-        CorePose::from_wxyz(vector3("position", position)?, [w, x, y, z]).or_raise().map(Self)
+        let xyzw = quaternion_of(quaternion)?;
+        CorePose::from_xyzw(vector3("position", position)?, xyzw).or_raise().map(Self)
     }
 
     #[staticmethod]
@@ -70,8 +70,7 @@ impl Pose {
 
     #[getter]
     fn xyzw<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        let [w, x, y, z] = self.0.wxyz();
-        new_array(py, &[4], &[x, y, z, w])
+        new_array(py, &[4], &self.0.xyzw())
     }
 
     #[getter]

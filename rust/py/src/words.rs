@@ -2,9 +2,7 @@
 
 use std::marker::PhantomData;
 
-use pliant_core::servos::ServoKind;
-use pliant_core::settings::{Follow, GravityUse, Law, LimitRule, Projector};
-use pliant_core::task::axes::{Beyond, Profile, Yields};
+use pliant_core::{Beyond, Follow, GravityUse, Law, LimitRule, Profile, Projector, Reference, ServoKind, Yields};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyString};
 
@@ -40,40 +38,16 @@ impl<E: Words> Kind for Word<E> {
     }
 }
 
-impl Words for Law {
-    const WORDS: &'static [(&'static str, Self)] =
-        &[("cap", Self::Cap), ("impedance", Self::Impedance), ("paper", Self::Paper)];
+/// Choices whose words stand in the core.
+macro_rules! words_of_core {
+    ($($choice:ty),*) => {
+        $(impl Words for $choice {
+            const WORDS: &'static [(&'static str, Self)] = <$choice>::WORDS;
+        })*
+    };
 }
 
-impl Words for Follow {
-    const WORDS: &'static [(&'static str, Self)] = &[("free", Self::Free), ("hold", Self::Hold)];
-}
-
-impl Words for LimitRule {
-    const WORDS: &'static [(&'static str, Self)] = &[("demand", Self::Demand), ("sum", Self::Sum)];
-}
-
-impl Words for Projector {
-    const WORDS: &'static [(&'static str, Self)] = &[("exact", Self::Exact), ("paper", Self::Paper)];
-}
-
-impl Words for Profile {
-    const WORDS: &'static [(&'static str, Self)] =
-        &[("firming", Self::Firming), ("constant", Self::Constant), ("yielding", Self::Yielding)];
-}
-
-impl Words for Beyond {
-    const WORDS: &'static [(&'static str, Self)] = &[("follow", Self::Follow), ("hold", Self::Hold)];
-}
-
-impl Words for Yields {
-    const WORDS: &'static [(&'static str, Self)] =
-        &[("both", Self::Both), ("+", Self::Plus), ("-", Self::Minus), ("none", Self::None)];
-}
-
-impl Words for ServoKind {
-    const WORDS: &'static [(&'static str, Self)] = &[("current", Self::Current), ("duty", Self::Duty)];
-}
+words_of_core!(Law, Follow, LimitRule, Projector, Profile, Beyond, Yields, ServoKind, Reference);
 
 /// True, False, `"goal"` or `"limits"`.
 pub(crate) struct Gravity;

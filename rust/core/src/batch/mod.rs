@@ -1,6 +1,7 @@
 //! Many arms at once: each row walks the staircase of the controller, pieces of them on every core.
 
 mod abreast;
+mod input;
 mod state;
 
 use std::sync::{Mutex, PoisonError};
@@ -83,6 +84,25 @@ impl Controller {
     /// With [`Invalid::Refuse`] the error of [`Controller::step`] for the first row that cannot be used; then `state` is as
     /// before and `out` may hold anything. Only what no look at the inputs can tell, a command that comes out not finite, is
     /// found underway: that arm's state is as before, while others have taken their step.
+    ///
+    /// ```
+    /// # use pliant_core::{BatchCommand, BatchInput, BatchState, Controller, Model, ModelOptions, Servos, Settings, Targets};
+    /// # fn main() -> pliant_core::Result<()> {
+    /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+    /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
+    /// # let servos = Servos::new(vec![150.0], vec![10.7]);
+    /// # let controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
+    ///
+    /// let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17].repeat(100); // [rad], row by row
+    /// let target = model.forward_kinematics(&q[..7])?;
+    /// let mut state = BatchState::new(7, 100)?;
+    /// let (mut goal, mut torque_limit, mut velocity) = (q.clone(), q.clone(), q.clone());
+    /// let out = BatchCommand { goal: &mut goal, torque_limit: &mut torque_limit, velocity: &mut velocity };
+    /// controller.step_batch(&BatchInput::new(&q, Targets::One(&target)), Some(&mut state), out)?;
+    /// assert!(torque_limit.iter().all(|limit| (0.0..=10.7).contains(limit))); // [N·m]
+    /// # Ok(())
+    /// # }
+    /// ```
     pub fn step_batch(
         &self,
         input: &BatchInput<'_>,
@@ -91,7 +111,7 @@ impl Controller {
     ) -> Result<()> {
         let n = self.model().n();
         if !input.q.len().is_multiple_of(n) {
-            return Err(Error::length("Q", input.q.len(), n));
+            return Err(Error::rows("Q", input.q.len(), n));
         }
         let count = input.q.len() / n;
         let same = |what: &str, got: usize, each: usize| {

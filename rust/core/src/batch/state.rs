@@ -43,7 +43,7 @@ impl BatchState {
     pub fn from_numbers(n: usize, numbers: Vec<f64>) -> Result<Self> {
         let empty = Self::new(n, 0)?;
         if !numbers.len().is_multiple_of(width(n)) {
-            return Err(Error::length("state", numbers.len(), width(n)));
+            return Err(Error::rows("state", numbers.len(), width(n)));
         }
         Ok(Self { rows: numbers, ..empty })
     }

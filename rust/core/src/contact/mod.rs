@@ -150,7 +150,29 @@ struct Memory {
     here: Tare,
 }
 
-/// Feels contacts of one arm; call once per tick, before the controller's step.
+/// Feels contacts of one arm; call [`update`](Contact::update) once per tick, before the controller's step.
+///
+/// ```
+/// # use pliant_core::{Contact, ContactInput, ContactOptions, Controller, Model, ModelOptions, Servos, Settings, StepInput};
+/// # fn main() -> pliant_core::Result<()> {
+/// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+/// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
+/// # let servos = Servos::new(vec![150.0], vec![10.7]);
+/// # let mut controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
+///
+/// let mut contact = Contact::new(&controller, ContactOptions::default())?;
+/// let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // measured [rad], here always the same
+/// let target = model.forward_kinematics(&q)?;
+/// for _ in 0..50 {
+///     let felt = contact.update(&controller, &q, &ContactInput::default())?;
+///     let _push = felt.force[1]; // along y [N], wrong by at most felt.uncertainty[1]
+///     controller.step(&q, &target, &StepInput::default())?;
+/// }
+/// let felt = contact.estimate();
+/// assert!(felt.force[1].abs() <= felt.uncertainty[1], "nothing pushes at this arm");
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct Contact {
     options: ContactOptions,

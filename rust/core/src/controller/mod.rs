@@ -2,6 +2,7 @@
 
 mod capture;
 mod carried;
+mod command;
 mod fade;
 pub(crate) mod floors;
 pub(crate) mod input;
@@ -29,36 +30,10 @@ use crate::survey::{self, Surveyed};
 use crate::{JointVec, MAX_JOINTS};
 
 pub use carried::Carried;
+pub use command::Command;
 pub use record::Record;
 
 use memory::Memory;
-
-/// What the servos get: one entry per joint.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Command {
-    n: usize,
-    goal: JointVec,
-    torque_limit: JointVec,
-    velocity: JointVec,
-}
-
-impl Command {
-    /// Goals of the position servos [rad].
-    pub fn goal(&self) -> &[f64] {
-        &self.goal[..self.n.min(MAX_JOINTS)]
-    }
-
-    /// Magnitude of the torque each servo may use [N·m].
-    pub fn torque_limit(&self) -> &[f64] {
-        &self.torque_limit[..self.n.min(MAX_JOINTS)]
-    }
-
-    /// Speed for a servo's speed register [rad/s]: the most that keeps the tool within its speed by this joint alone; ∞
-    /// where neither tool nor joint has a speed limit.
-    pub fn velocity(&self) -> &[f64] {
-        &self.velocity[..self.n.min(MAX_JOINTS)]
-    }
-}
 
 /// Optional inputs of one step.
 #[derive(Debug, Clone, Copy, Default)]
@@ -367,6 +342,26 @@ impl Controller {
     /// # Errors
     /// [`Error::Shape`], [`Error::Limit`] or [`Error::Config`] for an input that cannot be used; the controller and its
     /// last command are then as before.
+    ///
+    /// ```
+    /// # use pliant_core::{Controller, Model, ModelOptions, Servos, Settings, StepInput};
+    /// # fn main() -> pliant_core::Result<()> {
+    /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+    /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
+    /// # let servos = Servos::new(vec![150.0], vec![10.7]);
+    /// # let mut controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
+    ///
+    /// let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // measured [rad]
+    /// let target = model.forward_kinematics(&q)?;
+    /// let input = StepInput { dt: Some(0.01), ..StepInput::default() }; // [s]
+    /// let command = controller.step(&q, &target, &input)?;
+    /// assert!(command.goal().iter().zip(&q).all(|(goal, q)| (goal - q).abs() < 0.1)); // [rad]
+    ///
+    /// let error = controller.step(&q[..6], &target, &input).unwrap_err();
+    /// assert_eq!(error.to_string(), "q has shape (6,), expected (7,)");
+    /// # Ok(())
+    /// # }
+    /// ```
     pub fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
         self.advance(q, target, input)
     }

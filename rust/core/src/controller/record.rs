@@ -12,7 +12,7 @@ use crate::settings::Projector;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Intermediates of the last step; 6-vectors hold one entry per task axis, in the order of the task's axes.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Record {
     /// Predicted positions q̂ [rad].
     pub q: JointVec,

@@ -2,6 +2,20 @@
 //!
 //! Equation numbers are the paper's. Matrices are nalgebra's: `J` is k × n with at most six rows, one per task axis, and
 //! at most sixteen columns, one per joint; `J⁺` is n × k. Nothing here knows of a robot or keeps anything.
+//!
+//! ```
+//! use pliant_core::nalgebra::DMatrix;
+//! use pliant_core::{Projector, damped_pseudo_inverse, null_space_projector};
+//!
+//! # fn main() -> pliant_core::Result<()> {
+//! let jacobian = DMatrix::from_row_slice(1, 2, &[3.0, 4.0]); // one axis, two joints
+//! let inverse = damped_pseudo_inverse(&jacobian, 0.0)?;
+//! let projector = null_space_projector(&jacobian, 0.0, Projector::Exact)?;
+//! assert!(((&jacobian * inverse)[(0, 0)] - 1.0).abs() < 1e-12);
+//! assert!((&jacobian * projector).norm() < 1e-12, "no motion of the null space moves the axis");
+//! # Ok(())
+//! # }
+//! ```
 
 mod arrays;
 

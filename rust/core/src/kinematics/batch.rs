@@ -6,7 +6,7 @@ use super::jacobian::turn_to_tool;
 use super::{Frames, Masses, Reference};
 use crate::error::{Error, Result};
 use crate::model::{Chain, Model};
-use crate::number::{Arithmetic, Instructions, Kernel, LANES, Machine, Many, PAST_THE_CACHES, Packed, settle, stream};
+use crate::number::{Arithmetic, Instructions, Kernel, LANES, Machine, Many, PAST_THE_CACHES, Packed, Stream};
 use crate::pose::COORDINATE_BOUND;
 use crate::threads::on_every_core;
 use crate::{MAX_AXES, MAX_JOINTS};
@@ -53,11 +53,7 @@ impl Model {
     }
 
     fn count(&self, q: &[f64]) -> Result<usize> {
-        if q.len().is_multiple_of(self.n()) {
-            Ok(q.len() / self.n())
-        } else {
-            Err(Error::length("Q", q.len(), self.n()))
-        }
+        if q.len().is_multiple_of(self.n()) { Ok(q.len() / self.n()) } else { Err(Error::rows("Q", q.len(), self.n())) }
     }
 
     /// Checks and works through all configurations, piece by piece, each with its part of the results.
@@ -168,10 +164,14 @@ fn put<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
     }
 }
 
-/// Copies, past the caches where there is too much for them.
+/// Copies the first of `rows`, past the caches where there is too much for them.
 #[inline(always)]
-fn write(rows: &[f64], out: &mut [f64], past_the_caches: bool) {
-    if past_the_caches { stream(rows, out) } else { out.copy_from_slice(rows) }
+fn write<'a>(rows: &[f64], out: &'a mut [f64], past: Option<&Stream<'a>>) {
+    let rows = &rows[..out.len()];
+    match past {
+        Some(stream) => stream.copy(rows, out),
+        None => out.copy_from_slice(rows),
+    }
 }
 
 /// Configurations whose results are put together in a cache before they go to memory in one piece, a multiple of what any
@@ -198,6 +198,8 @@ impl Kernel for PosePiece<'_> {
         let mut rows = [[zero; MAX_JOINTS]; MAX_AXES];
         let mut flat = [zero; MAX_AXES * MAX_JOINTS];
         let (with_poses, with_jacobians) = (!self.poses.is_empty(), !self.jacobians.is_empty());
+        let past = self.past_the_caches.then(Stream::new);
+        let mut outs = (self.poses.chunks_mut(16 * STAGED), self.jacobians.chunks_mut(6 * n * STAGED));
         let (mut poses, mut jacobians) = ([0.0; 16 * STAGED + LANES], [0.0; MAX_AXES * MAX_JOINTS * STAGED + LANES]);
         let total = self.q.len() / n;
         for from in (0..total).step_by(STAGED) {
@@ -229,16 +231,12 @@ impl Kernel for PosePiece<'_> {
                     put::<M::Many>(&flat, 6 * n, &mut jacobians[6 * n * at..]);
                 }
             }
-            if with_poses {
-                write(&poses[..16 * here], &mut self.poses[16 * from..][..16 * here], self.past_the_caches);
+            if let Some(out) = outs.0.next() {
+                write(&poses, out, past.as_ref());
             }
-            if with_jacobians {
-                let (from, length) = (6 * n * from, 6 * n * here);
-                write(&jacobians[..length], &mut self.jacobians[from..][..length], self.past_the_caches);
+            if let Some(out) = outs.1.next() {
+                write(&jacobians, out, past.as_ref());
             }
-        }
-        if self.past_the_caches {
-            settle();
         }
     }
 }

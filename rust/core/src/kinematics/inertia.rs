@@ -105,7 +105,7 @@ mod tests {
     /// `M = Σ m J_cᵀ J_c` with Jacobians of the centres by differences.
     #[test]
     fn the_matrix_is_what_moving_centres_of_mass_say() {
-        let urdf = include_str!("../../../../python/pliant/robots/arm7.urdf");
+        let urdf = include_str!("../../robots/arm7.urdf");
         let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
         let model = Model::from_urdf_str(urdf, &options).unwrap();
         let (chain, masses) = (model.chain(), model.chain().masses(None));

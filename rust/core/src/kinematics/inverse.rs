@@ -96,6 +96,21 @@ impl Model {
     /// # Errors
     /// [`Error::Shape`] and [`Error::Limit`] for `q0`; as [`Pose::validate`] for `target`; [`Error::Config`] for options
     /// that cannot be met.
+    ///
+    /// ```
+    /// # use pliant_core::{IkOptions, Model, ModelOptions};
+    /// # fn main() -> pliant_core::Result<()> {
+    /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+    /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
+    ///
+    /// let q0 = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // [rad]
+    /// let mut target = model.forward_kinematics(&q0)?;
+    /// target.position[1] += 0.05; // [m]
+    /// let found = model.inverse_kinematics(&target, &q0, &IkOptions::default())?;
+    /// assert!(found.converged, "{}", found.reason);
+    /// # Ok(())
+    /// # }
+    /// ```
     pub fn inverse_kinematics(&self, target: &Pose, q0: &[f64], options: &IkOptions) -> Result<IkSolution> {
         let q0 = self.joint_vector(q0)?;
         target.validate()?;

@@ -1,6 +1,6 @@
 //! From deviation to motion and force: lines 7–10 of the control step, one file per law.
 
-pub mod activation;
+pub(crate) mod activation;
 pub(crate) mod cap;
 pub(crate) mod clearance;
 pub(crate) mod feedforward;

@@ -56,6 +56,17 @@ impl Model {
     /// # Errors
     /// [`Error::Urdf`] with file, line and column for everything wrong in the text; [`Error::FrameNotFound`],
     /// [`Error::Limit`] and [`Error::Config`] for options that do not fit it.
+    ///
+    /// ```
+    /// # use pliant_core::{Model, ModelOptions};
+    /// # fn main() -> pliant_core::Result<()> {
+    /// # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/arm7.urdf");
+    /// let options = ModelOptions { base: Some("base".into()), tip: Some("tool".into()), ..ModelOptions::default() };
+    /// let model = Model::from_urdf_file(path, &options)?;
+    /// assert_eq!(model.joint_names()[0], "shoulder_pitch");
+    /// # Ok(())
+    /// # }
+    /// ```
     pub fn from_urdf_file(path: impl AsRef<Path>, options: &ModelOptions) -> Result<Self> {
         let path = path.as_ref();
         let name = path.display().to_string();
@@ -74,6 +85,23 @@ impl Model {
     ///
     /// # Errors
     /// As [`Model::from_urdf_file`]; the source is named `<string>`.
+    ///
+    /// ```
+    /// # use pliant_core::{Model, ModelOptions};
+    /// # fn main() -> pliant_core::Result<()> {
+    /// let urdf = r#"<robot name="lever">
+    ///     <link name="base"/>
+    ///     <joint name="hinge" type="revolute">
+    ///         <parent link="base"/><child link="tool"/><axis xyz="0 0 1"/>
+    ///         <limit lower="-1" upper="1" effort="5" velocity="6"/>
+    ///     </joint>
+    ///     <link name="tool"/>
+    /// </robot>"#;
+    /// let model = Model::from_urdf_str(urdf, &ModelOptions::default())?;
+    /// assert_eq!((model.n(), model.lower()), (1, &[-1.0][..])); // [rad]
+    /// # Ok(())
+    /// # }
+    /// ```
     pub fn from_urdf_str(text: &str, options: &ModelOptions) -> Result<Self> {
         Self::read("<string>", text, options)
     }

@@ -63,6 +63,24 @@ impl Controller {
     ///
     /// # Errors
     /// As [`Controller::step`]; [`Error::Shape`] for a path without postures, of which nothing can be said.
+    ///
+    /// ```
+    /// # use pliant_core::{Axis, Controller, Model, ModelOptions, Servos, Settings};
+    /// # fn main() -> pliant_core::Result<()> {
+    /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+    /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
+    /// let mut settings = Settings::default();
+    /// settings.set_axes("z", Axis { hold: Some(500.0), ..Axis::default() })?; // [N]
+    /// let servos = Servos::new(vec![150.0], vec![10.7]);
+    /// let controller = Controller::new(model.clone(), settings, Some(servos))?;
+    ///
+    /// let check = controller.check(&[vec![-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]])?;
+    /// assert!(!check.achievable);
+    /// let finding = &check.findings[0];
+    /// assert_eq!(finding.setting.as_deref(), Some("axes.z.hold"));
+    /// # Ok(())
+    /// # }
+    /// ```
     pub fn check(&self, path: &[Vec<f64>]) -> Result<Check> {
         if path.is_empty() {
             let expected = format!("(N, {}) with N of at least 1", self.plan.n);

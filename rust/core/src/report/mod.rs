@@ -125,6 +125,22 @@ impl Controller {
     ///
     /// # Errors
     /// As [`Controller::step`].
+    ///
+    /// ```
+    /// # use pliant_core::{Controller, Model, ModelOptions, Servos, Settings};
+    /// # fn main() -> pliant_core::Result<()> {
+    /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+    /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
+    /// # let servos = Servos::new(vec![150.0], vec![10.7]);
+    /// # let controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
+    ///
+    /// let report = controller.report_at(&[-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17])?; // [rad]
+    /// assert_eq!(report.axes[1], "y");
+    /// assert!(report.capacity[1][0] > 0.0); // [N], all that the servos can answer to a push toward −y
+    /// assert!(report.to_string().contains("gives way"));
+    /// # Ok(())
+    /// # }
+    /// ```
     pub fn report_at(&self, q: &[f64]) -> Result<Report> {
         Ok(self.at_rest(q)?.compose())
     }

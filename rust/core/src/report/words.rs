@@ -4,7 +4,7 @@ use std::fmt;
 
 use crate::command::dead_host::TRAVEL;
 use crate::report::Report;
-use crate::report::check::{Check, NEAR_SINGULAR};
+use crate::report::check::{Check, Finding, NEAR_SINGULAR};
 use crate::settings::Law;
 use crate::task::axes::Beyond;
 
@@ -265,15 +265,21 @@ impl fmt::Display for Check {
         let verdict = if self.achievable { "achievable" } else { "not achievable" };
         write!(f, "{verdict} in {} {}", self.poses, if self.poses == 1 { "pose" } else { "poses" })?;
         for finding in &self.findings {
-            let weight = if finding.required { "" } else { "note: " };
-            write!(f, "\n{weight}{} at pose {}: {}", finding.about, finding.pose, finding.reason)?;
-            match (&finding.setting, finding.value) {
-                (Some(setting), Some(value)) => write!(f, "; nearest that works: {setting}={value}")?,
-                (Some(setting), None) => write!(f, "; change {setting}")?,
-                _ => {}
-            }
+            write!(f, "\n{finding}")?;
         }
         Ok(())
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let weight = if self.required { "" } else { "note: " };
+        write!(f, "{weight}{} at pose {}: {}", self.about, self.pose, self.reason)?;
+        match (&self.setting, self.value) {
+            (Some(setting), Some(value)) => write!(f, "; nearest that works: {setting}={value}"),
+            (Some(setting), None) => write!(f, "; change {setting}"),
+            _ => Ok(()),
+        }
     }
 }
 

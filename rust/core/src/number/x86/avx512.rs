@@ -31,9 +31,10 @@ many! { Avx512, each row an Avx512: 0 1 2 3 4 5 6 7 }
 /// The first of `count` numbers, 0 behind the last.
 #[inline(always)]
 unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
-    let mask = Mask::MAX >> (LANES - count.min(LANES));
+    // A shift by all of its bits is none that a mask has.
+    let mask = if count == 0 { 0 } else { Mask::MAX >> (LANES - count.min(LANES)) };
     // SAFETY: as above; `numbers` has `count`, and the mask is set for no more.
-    unsafe { _mm512_maskz_loadu_pd(if count == 0 { 0 } else { mask }, numbers) }
+    unsafe { _mm512_maskz_loadu_pd(mask, numbers) }
 }
 
 #[inline(always)]

@@ -1,0 +1,48 @@
+//! The force at the tool without a sensor: from what was commanded and where the joints are.
+//!
+//! `cargo run --release -p pliant-core --example feel_a_touch`
+#![expect(clippy::print_stdout, reason = "an example says what it does")]
+
+mod arm;
+
+use pliant_core::nalgebra::Vector6;
+use pliant_core::{Contact, ContactInput, ContactOptions, Controller, Result, Settings, StepInput};
+
+/// Index of z in every 6-vector.
+const Z: usize = 2;
+
+fn main() -> Result<()> {
+    let model = arm::model()?;
+    let mut controller = Controller::new(model.clone(), Settings::default(), Some(arm::servos()))?;
+    let mut options = ContactOptions::default();
+    options.touch[Z] = Some(10.0); // [N]
+    let mut contact = Contact::new(&controller, options)?;
+
+    let mut q = arm::START;
+    let target = model.forward_kinematics(&q)?;
+    let mut touched = false;
+    for tick in 0..300 {
+        let time = 0.01 * f64::from(tick); // [s]
+        // A hand that leans on the tool from 1 s to 2 s.
+        let hand = -20.0 * (5.0 * (time - 1.0).min(2.0 - time)).clamp(0.0, 1.0); // [N]
+        // Before the step, so that the servos still follow its last command.
+        let felt = *contact.update(&controller, &q, &ContactInput::default())?;
+        if felt.touch[Z] != touched {
+            touched = felt.touch[Z];
+            println!("{time:.2} s: {}", if touched { "touched" } else { "let go" });
+        }
+        if tick % 50 == 25 {
+            let (force, uncertainty) = (felt.force[Z], felt.uncertainty[Z]);
+            println!("{time:.2} s: {hand:.0} N along z, felt {force:.1} ± {uncertainty:.1} N");
+        }
+        let command = *controller.step(&q, &target, &StepInput::default())?;
+        arm::advance(
+            &model,
+            &mut q,
+            command.goal(),
+            command.torque_limit(),
+            &Vector6::new(0.0, 0.0, hand, 0.0, 0.0, 0.0),
+        )?;
+    }
+    Ok(())
+}

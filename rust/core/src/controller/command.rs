@@ -1,0 +1,56 @@
+//! What a step hands out.
+
+use std::fmt;
+
+use crate::{JointVec, MAX_JOINTS};
+
+/// What the servos get: one entry per joint.
+#[derive(Clone, Copy, PartialEq)]
+pub struct Command {
+    pub(super) n: usize,
+    pub(super) goal: JointVec,
+    pub(super) torque_limit: JointVec,
+    pub(super) velocity: JointVec,
+}
+
+impl Command {
+    /// Goals of the position servos (n) [rad].
+    pub fn goal(&self) -> &[f64] {
+        &self.goal[..self.n.min(MAX_JOINTS)]
+    }
+
+    /// Magnitude of the torque each servo may use (n) [N·m].
+    pub fn torque_limit(&self) -> &[f64] {
+        &self.torque_limit[..self.n.min(MAX_JOINTS)]
+    }
+
+    /// Speed for a servo's speed register (n) [rad/s]: the most that keeps the tool within its speed by this joint alone; ∞
+    /// where neither tool nor joint has a speed limit.
+    pub fn velocity(&self) -> &[f64] {
+        &self.velocity[..self.n.min(MAX_JOINTS)]
+    }
+}
+
+/// The arm's own joints: the spare ones are nobody's business.
+impl fmt::Debug for Command {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Command")
+            .field("goal", &self.goal())
+            .field("torque_limit", &self.torque_limit())
+            .field("velocity", &self.velocity())
+            .finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_joints_of_the_arm_are_printed() {
+        let numbers = std::array::from_fn(|i| i as f64);
+        let command = Command { n: 2, goal: numbers, torque_limit: numbers, velocity: numbers };
+        let said = "Command { goal: [0.0, 1.0], torque_limit: [0.0, 1.0], velocity: [0.0, 1.0] }";
+        assert_eq!(format!("{command:?}"), said);
+    }
+}

@@ -1,0 +1,79 @@
+//! Choices that have words: the same in Rust, Python, configurations and logs.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::error::Error;
+use crate::kinematics::Reference;
+use crate::servos::ServoKind;
+use crate::settings::{Follow, Law, LimitRule, Projector};
+use crate::task::axes::{Beyond, Profile, Yields};
+
+/// Writes and reads a choice by its word; `$key` is the setting's name for the message.
+macro_rules! words {
+    ($($choice:ident of $key:literal: $($word:literal is $variant:ident),+;)+) => { $(
+        impl $choice {
+            /// Every choice, with its word.
+            pub const WORDS: &'static [(&'static str, Self)] = &[$(($word, Self::$variant)),+];
+        }
+
+        impl fmt::Display for $choice {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.pad(match self { $(Self::$variant => $word),+ })
+            }
+        }
+
+        impl FromStr for $choice {
+            type Err = Error;
+
+            /// The choice of that word.
+            ///
+            /// # Errors
+            /// [`Error::Config`] with the words that there are.
+            fn from_str(word: &str) -> Result<Self, Error> {
+                let found = Self::WORDS.iter().find(|(known, _)| *known == word);
+                found.map(|(_, choice)| *choice).ok_or_else(|| unknown($key, &[$($word),+], word))
+            }
+        }
+    )+ };
+}
+
+words! {
+    Law of "law": "cap" is Cap, "impedance" is Impedance, "paper" is Paper;
+    Follow of "follow": "free" is Free, "hold" is Hold;
+    LimitRule of "limits": "demand" is Demand, "sum" is Sum;
+    Projector of "projector": "exact" is Exact, "paper" is Paper;
+    Profile of "profile": "firming" is Firming, "constant" is Constant, "yielding" is Yielding;
+    Beyond of "beyond": "follow" is Follow, "hold" is Hold;
+    Yields of "yields": "both" is Both, "+" is Plus, "-" is Minus, "none" is None;
+    ServoKind of "kind": "current" is Current, "duty" is Duty;
+    Reference of "reference": "world_aligned" is WorldAligned, "local" is Local;
+}
+
+#[cold]
+fn unknown(key: &str, words: &[&str], got: &str) -> Error {
+    let list = words.iter().map(|word| format!("'{word}'")).collect::<Vec<_>>().join(", ");
+    Error::config(key, format!("must be one of {list}, got '{got}'"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_word_is_read_as_it_is_written() {
+        for (word, law) in Law::WORDS {
+            assert_eq!((law.to_string().as_str(), word.parse()), (*word, Ok(*law)));
+        }
+        for (word, yields) in Yields::WORDS {
+            assert_eq!((yields.to_string().as_str(), word.parse()), (*word, Ok(*yields)));
+        }
+        assert_eq!(format!("{:>8}|{:<6}|", ServoKind::Duty, Law::Cap), "    duty|cap   |");
+    }
+
+    #[test]
+    fn a_word_that_is_none_is_answered_with_those_there_are() {
+        let message = "Cap".parse::<Law>().unwrap_err().to_string();
+        assert_eq!(message, "law: must be one of 'cap', 'impedance', 'paper', got 'Cap'");
+    }
+}
