@@ -95,6 +95,10 @@ test-rust: setup ## Tests of the Rust core, its doc tests and its pages
 	  $(call skip,cargo-nextest is not installed: using cargo test); \
 	  cargo test $(LOCKED) --quiet --no-fail-fast --all-targets; \
 	fi
+	$(call say,programs of the Rust core)
+	@cargo build $(LOCKED) --quiet --profile test --examples -p pliant-core
+	@for program in rust/core/examples/*.rs; do \
+	  "$${CARGO_TARGET_DIR:-target}/debug/examples/$$(basename "$$program" .rs)" >/dev/null; done
 	$(call say,doc tests)
 	@cargo test $(LOCKED) --quiet --doc
 	$(call say,pages of the Rust core)

@@ -88,6 +88,17 @@ def test_python_in_documents_runs(document, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize("document", ["docs/rust.md", "rust/core/README.md"])
+def test_rust_in_documents_is_the_program_that_is_tested(document):
+    """Line by line the example of lib.rs, which `cargo test --doc` runs."""
+    crate = (ROOT / "rust" / "core" / "src" / "lib.rs").read_text(encoding="utf-8").split("```")[1]
+    shown = [line[4:] for line in crate.splitlines()[1:] if not line.startswith("//! #")]
+    text = (ROOT / document).read_text(encoding="utf-8").split("```rust\n")[1].split("```")[0]
+    told = iter([line.strip() for line in text.splitlines()])
+    missing = [line for line in shown if line.strip() and line.strip() not in told]
+    assert not missing, f"not in {document}, in this order: {missing}"
+
+
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 

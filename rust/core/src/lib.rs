@@ -19,9 +19,9 @@
 //! use pliant_core::{Axis, Controller, Model, ModelOptions, Servos, Settings, StepInput};
 //!
 //! # fn main() -> pliant_core::Result<()> {
-//! # let urdf = include_str!("../robots/arm7.urdf");
+//! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/arm7.urdf");
 //! let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
-//! let model = Arc::new(Model::from_urdf_str(urdf, &options)?);
+//! let model = Arc::new(Model::from_urdf_file(path, &options)?);
 //! let servos = Servos::new(vec![150.0], vec![10.7]); // k_p [N·m/rad], usable torque [N·m], of every joint
 //!
 //! let mut settings = Settings::default();

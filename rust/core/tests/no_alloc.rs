@@ -150,7 +150,7 @@ fn ten_thousand_steps_ask_for_nothing() {
 fn feeling_a_contact_asks_for_nothing_either() {
     let model = std::sync::Arc::new(
         pliant_core::Model::from_urdf_str(
-            include_str!("../../../python/pliant/robots/arm7.urdf"),
+            include_str!("../robots/arm7.urdf"),
             &ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() },
         )
         .unwrap(),
