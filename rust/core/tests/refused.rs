@@ -39,7 +39,7 @@ fn message<T>(result: pliant_core::Result<T>) -> String {
 #[test]
 fn what_has_no_bound_still_steps_toward_a_target_that_jumps() {
     let endless = f64::INFINITY;
-    let all = [
+    let all = vec![
         Settings { max_tool_speed: [endless; 2], ..Settings::default() },
         Settings { max_tool_acceleration: [endless; 2], ..Settings::default() },
         Settings { max_tool_speed: [0.1, endless], max_tool_acceleration: [endless, 1.0], ..Settings::default() },

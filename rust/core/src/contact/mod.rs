@@ -159,7 +159,6 @@ struct Memory {
 /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
 /// # let servos = Servos::new(vec![150.0], vec![10.7]);
 /// # let mut controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
-///
 /// let mut contact = Contact::new(&controller, ContactOptions::default())?;
 /// let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // measured [rad], here always the same
 /// let target = model.forward_kinematics(&q)?;

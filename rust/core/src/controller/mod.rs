@@ -350,7 +350,6 @@ impl Controller {
     /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
     /// # let servos = Servos::new(vec![150.0], vec![10.7]);
     /// # let mut controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
-    ///
     /// let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // measured [rad]
     /// let target = model.forward_kinematics(&q)?;
     /// let input = StepInput { dt: Some(0.01), ..StepInput::default() }; // [s]

@@ -102,7 +102,6 @@ impl Model {
     /// # fn main() -> pliant_core::Result<()> {
     /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
     /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
-    ///
     /// let q0 = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // [rad]
     /// let mut target = model.forward_kinematics(&q0)?;
     /// target.position[1] += 0.05; // [m]

@@ -133,7 +133,6 @@ impl Controller {
     /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
     /// # let servos = Servos::new(vec![150.0], vec![10.7]);
     /// # let controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
-    ///
     /// let report = controller.report_at(&[-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17])?; // [rad]
     /// assert_eq!(report.axes[1], "y");
     /// assert!(report.capacity[1][0] > 0.0); // [N], all that the servos can answer to a push toward −y
