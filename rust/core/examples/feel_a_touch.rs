@@ -24,7 +24,7 @@ fn main() -> Result<()> {
     for tick in 0..300 {
         let time = 0.01 * f64::from(tick); // [s]
         // A hand that leans on the tool from 1 s to 2 s.
-        let hand = -20.0 * (5.0 * (time - 1.0).min(2.0 - time)).clamp(0.0, 1.0); // [N]
+        let hand = 20.0 * (5.0 * (time - 1.0).min(2.0 - time)).clamp(0.0, 1.0); // [N]
         // Before the step, so that the servos still follow its last command.
         let felt = *contact.update(&controller, &q, &ContactInput::default())?;
         if felt.touch[Z] != touched {
@@ -33,7 +33,9 @@ fn main() -> Result<()> {
         }
         if tick % 50 == 25 {
             let (force, uncertainty) = (felt.force[Z], felt.uncertainty[Z]);
-            println!("{time:.2} s: {hand:.0} N along z, felt {force:.1} ± {uncertainty:.1} N");
+            println!(
+                "{time:.2} s: a hand leans on the tool with {hand:.0} N, felt along z {force:.1} ± {uncertainty:.1} N"
+            );
         }
         let command = *controller.step(&q, &target, &StepInput::default())?;
         arm::advance(
@@ -41,7 +43,7 @@ fn main() -> Result<()> {
             &mut q,
             command.goal(),
             command.torque_limit(),
-            &Vector6::new(0.0, 0.0, hand, 0.0, 0.0, 0.0),
+            &Vector6::new(0.0, 0.0, -hand, 0.0, 0.0, 0.0),
         )?;
     }
     Ok(())
