@@ -15,6 +15,7 @@ from pliant.cli.soft import check_soft
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from pliant.arm import Arm
     from pliant.log import Recorder
@@ -54,7 +55,7 @@ def run(
     settings = softened(read.settings(), soft)
     if times < 1:
         raise pliant.ConfigError(f"--times must be at least 1, got {times}")
-    loaded = pliant.teach.Motion.load(motion)
+    loaded = _load(motion)
     loaded.fits(read.model())
     options: dict[str, Any] = {"speed": speed, "wait": wait, "stop": stop}
     made = read.arm()
@@ -70,6 +71,26 @@ def run(
 
         with Recorder(log, live, controller, config=read, note=f"replay of {motion}") as recorder:
             _play(live, recorder.controller, replay, times, recorder)
+
+
+def _load(path: Path) -> pliant.teach.Motion:
+    """The motion, with a word if it is of a log that ends early."""
+    if path.suffix != ".mcap":
+        return pliant.teach.Motion.load(path)
+    from pliant.log import read
+
+    log = read(path)
+    try:
+        made = pliant.teach.Motion.logged(log)
+    except pliant.ConfigError as error:
+        raise pliant.ConfigError(f"{path}: {error}") from error
+    if not log.whole:
+        Console().print(
+            f"{path} was cut short: it is played up to {made.duration:.2f} s, where it ends",
+            highlight=False,
+            soft_wrap=True,
+        )
+    return made
 
 
 def _play(

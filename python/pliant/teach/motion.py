@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pliant import Model
+    from pliant.log import Log
 
     Array = NDArray[np.float64]
 
@@ -217,21 +218,31 @@ class Motion:
         Path(path).write_text(f'{text},\n "samples": [\n  {samples}\n ]\n}}\n', encoding="utf-8")
 
     @classmethod
+    def logged(cls, log: Log) -> Motion:
+        """The joint positions of a log, as far as it goes.
+
+        Raises:
+            ConfigError: It is damaged, or too short.
+        """
+        if log.damage:
+            raise ConfigError(f"the log is damaged and is not played: {log.damage}")
+        extra = dict(zip(log.run["extra"], log.extra.T, strict=True))
+        made = cls(tuple(log.run["joints"]), log.time, log.q, extra, log.run["note"])
+        return made.of(log.model())
+
+    @classmethod
     def load(cls, path: str | Path) -> Motion:
         """Read a motion file, or the joint positions of a log (`.mcap`).
 
         Raises:
-            ConfigError: It is none.
+            ConfigError: It is none, or a log that is damaged.
             OSError: It cannot be read.
         """
         path = Path(path)
         if path.suffix == ".mcap":
             from pliant.log import read
 
-            log = read(path)
-            extra = dict(zip(log.run["extra"], log.extra.T, strict=True))
-            made = cls(tuple(log.run["joints"]), log.time, log.q, extra, log.run["note"])
-            return made.of(log.model())
+            return cls.logged(read(path))
         try:
             data: Any = json.loads(path.read_text(encoding="utf-8"))
             if data["format"] != FORMAT:
