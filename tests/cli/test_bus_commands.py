@@ -60,6 +60,9 @@ def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
     assert {(i, 9) for i in range(1, 7)} <= written, "return delay of every servo"
     assert {(i, 11) for i in (1, 2, 3)} <= written, "operating mode of the current-limited"
     old = json.loads(backup.read_text())
+    assert old["arm"] == str(file)
+    old = old["changes"]
+    assert {c["model"] for c in old} == set(MODELS)
     shutdown = next(c for c in old if c["register"] == "shutdown")
     assert shutdown["old"] & 32
     assert not shutdown["new"] & 32

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
@@ -83,5 +84,6 @@ def run(
     taken.save(motion)
     if bounds is not None:
         pliant.teach.bounded(taken, bounds).save(motion)
-    again = " ".join(["pliant replay", arm, str(motion), *override.words()])
-    console.print(f"{motion}: {again}", highlight=False, soft_wrap=True)
+    files = map(shlex.quote, (arm, str(motion)))
+    again = " ".join(["pliant replay", *files, *override.words()])
+    console.print(f"{motion}: {again}", highlight=False, soft_wrap=True, markup=False)
