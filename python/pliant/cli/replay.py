@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 import pliant
+from pliant.cli.files import check_log
 from pliant.cli.flags import ArmName, Axes, File, MotionFile, Override
 from pliant.cli.keys import Keys
 from pliant.cli.soft import check_soft
@@ -51,6 +52,7 @@ def run(
         log: MCAP file to write (extra log).
         override: What the command line says in place of the file.
     """
+    check_log(log)
     read = override.load(arm)
     settings = softened(read.settings(), soft)
     if times < 1:

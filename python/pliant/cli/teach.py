@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from rich.console import Console
 
 import pliant
+from pliant.cli.files import check_writable
 from pliant.cli.flags import ArmName, MotionFile, Override
 from pliant.cli.keys import Keys
 from pliant.teach.bounded import ready
@@ -50,8 +51,7 @@ def run(
 
     if motion.suffix != ".json":
         raise pliant.ConfigError(f"a motion file ends with .json, got {motion}")
-    if not motion.absolute().parent.is_dir():
-        raise pliant.ConfigError(f"there is no folder {motion.absolute().parent}")
+    check_writable(motion)
     if not seconds > 0.0:
         raise pliant.ConfigError(f"--seconds must be above 0, got {seconds:g}")
     if bounds is not None:

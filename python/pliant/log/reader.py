@@ -125,7 +125,9 @@ def _read(path: Path) -> Log:
             whole = True
         except (CutShortError, DamagedError) as error:
             if run is None:
-                raise ConfigError(f"{path} is no log of pliant: {error}") from error
+                short = "it ends before its first record"
+                why = short if isinstance(error, CutShortError) else error
+                raise ConfigError(f"{path} is no log of pliant: {why}") from error
             damage = str(error) if isinstance(error, DamagedError) else ""
     if run is None:
         raise ConfigError(f"{path} is no log of pliant: it has no attachment {layout.RUN!r}")
