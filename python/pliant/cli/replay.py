@@ -144,6 +144,8 @@ def softened(settings: pliant.Settings, soft: str) -> pliant.Settings:
             ) from None
         if cap is not None and not 0.0 <= cap < math.inf:
             raise pliant.ConfigError(f"--soft {word}: a cap is a number from 0 up, got {cap:g}")
+        if name in axes:
+            raise pliant.ConfigError(f"--soft {soft!r} names {name} twice: one cap an axis")
         axes[name] = (
             pliant.Axis(yields="both") if cap is None else pliant.Axis(soft=cap, profile="constant")
         )
