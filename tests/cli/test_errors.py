@@ -136,6 +136,18 @@ def test_a_rate_that_cannot_be_is_said_before_there_is_a_link(rate, capsys):
     assert rate.lstrip("-") in both.err
 
 
+@pytest.mark.parametrize("page", ["0", "-1", "99999999"])
+def test_a_page_on_no_port_is_refused(page, capsys):
+    assert main(["view", "--page", page]) == 2
+    assert f"--page is a port from 1 to 65535, got {page}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("duration", ["nan", "-1", "0"])
+def test_an_emulator_without_a_duration_that_can_be_is_refused(duration, capsys):
+    assert main(["emulate", "so101", "--duration", duration]) == 2
+    assert f"--duration must be above 0 s, got {duration}" in capsys.readouterr().err
+
+
 def test_an_emulator_that_is_ended_leaves_nothing(tmp_path):
     words = [sys.executable, "-m", "pliant.cli", "emulate", "so101"]
     place = {**os.environ, "TMPDIR": str(tmp_path)}

@@ -3,7 +3,7 @@ import json
 import pytest
 
 import pliant
-from pliant.config import read_calibration
+from pliant.config import build, read_calibration
 
 MOTOR = {"id": 1, "drive_mode": 0, "homing_offset": -12, "range_min": 900, "range_max": 3100}
 
@@ -40,3 +40,28 @@ def test_files_that_are_no_calibration(tmp_path):
         (tmp_path / "bad.json").write_text(text)
         with pytest.raises(pliant.ConfigError, match="no calibration file"):
             read_calibration(tmp_path / "bad.json")
+    for text in ("[" * 100_000, '{"shoulder_pan": ' + "1" * 5000 + "}"):
+        (tmp_path / "bad.json").write_text(text)
+        with pytest.raises(pliant.ConfigError, match="no calibration file"):
+            read_calibration(tmp_path / "bad.json")
+
+
+@pytest.mark.parametrize("key", ["id", "homing_offset", "range_max"])
+def test_a_number_that_no_register_holds_is_refused(tmp_path, key):
+    file = tmp_path / "arm.json"
+    file.write_text(json.dumps({"shoulder_pan": {**MOTOR, key: 10**400}}))
+    with pytest.raises(pliant.ConfigError, match=rf"{key} is larger than any register.*401 digits"):
+        read_calibration(file)
+
+
+@pytest.mark.parametrize(("key", "count"), [("range_min", -1), ("range_max", 4096)])
+def test_a_range_that_the_encoder_has_not_is_refused(tmp_path, key, count):
+    (tmp_path / "cal.json").write_text(json.dumps({"shoulder_pan": {**MOTOR, key: count}}))
+    text = (
+        'robot.builtin = "so101"\ncalibration = "cal.json"\n[[port]]\npath = "/dev/x"\n[servo]\n'
+        'shoulder_pan = { model = "STS3215-7.4V", id = 1 }\n'
+    )
+    read = pliant.config.parse(text, folder=tmp_path)
+    said = rf"shoulder_pan\.{key} is {count}, and positions of STS3215-7\.4V run from 0 to 4095"
+    with pytest.raises(pliant.ConfigError, match=said):
+        build.zeros(read)

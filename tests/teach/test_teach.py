@@ -228,6 +228,7 @@ def test_a_missing_file_is_named_with_those_that_are_there(tmp_path, capsys):
     [
         (["--soft", "y=-2"], "--soft y=-2: a cap is a number from 0 up"),
         (["--soft", "y=nan"], "got nan"),
+        (["--soft", "y=1 y=2"], "--soft 'y=1 y=2' names y twice"),
         (["--stop", "0.1"], "stop: touch.x [N] = 0.1 is outside"),
         (["--speed", "50"], "speed must be in [0.05, 3]"),
     ],

@@ -39,6 +39,8 @@ def run(
 
     if not 0.0 <= lose <= 1.0:
         raise ConfigError(f"--lose is a share from 0 to 1, got {lose:g}")
+    if duration is not None and not duration > 0.0:
+        raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
     read = override.load(arm, backend="emulator")
     latency = 0.016 if timing == "usb" else 0.0
     chosen = Timing(wire=timing != "off", usb_latency=latency)

@@ -106,7 +106,9 @@ def _info(console: Console, path: Path, log: Log, again: bool) -> None:
         f"axes: {' '.join(axes)}" if axes else "no controller (hand guiding)",
         f"made by pliant {run['pliant']}" + (f": {run['note']}" if run["note"] else ""),
     ]
-    if not log.whole:
+    if log.damage:
+        lines.append(f"damaged: {log.damage}; what stands before that is here")
+    elif not log.whole:
         lines.append("not completed: program and writer died; what they wrote is here")
     if log.missing:
         lines.append(f"{log.missing} calls of the controller were dropped")

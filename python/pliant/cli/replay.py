@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 import pliant
+from pliant.cli.files import check_log
 from pliant.cli.flags import ArmName, Axes, File, MotionFile, Override
 from pliant.cli.keys import Keys
 from pliant.cli.soft import check_soft
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from pliant.arm import Arm
     from pliant.log import Recorder
@@ -50,11 +52,12 @@ def run(
         log: MCAP file to write (extra log).
         override: What the command line says in place of the file.
     """
+    check_log(log)
     read = override.load(arm)
     settings = softened(read.settings(), soft)
     if times < 1:
         raise pliant.ConfigError(f"--times must be at least 1, got {times}")
-    loaded = pliant.teach.Motion.load(motion)
+    loaded = _load(motion)
     loaded.fits(read.model())
     options: dict[str, Any] = {"speed": speed, "wait": wait, "stop": stop}
     made = read.arm()
@@ -70,6 +73,26 @@ def run(
 
         with Recorder(log, live, controller, config=read, note=f"replay of {motion}") as recorder:
             _play(live, recorder.controller, replay, times, recorder)
+
+
+def _load(path: Path) -> pliant.teach.Motion:
+    """The motion, with a word if it is of a log that ends early."""
+    if path.suffix != ".mcap":
+        return pliant.teach.Motion.load(path)
+    from pliant.log import read
+
+    log = read(path)
+    try:
+        made = pliant.teach.Motion.logged(log)
+    except pliant.ConfigError as error:
+        raise pliant.ConfigError(f"{path}: {error}") from error
+    if not log.whole:
+        Console().print(
+            f"{path} was cut short: it is played up to {made.duration:.2f} s, where it ends",
+            highlight=False,
+            soft_wrap=True,
+        )
+    return made
 
 
 def _play(
@@ -121,6 +144,8 @@ def softened(settings: pliant.Settings, soft: str) -> pliant.Settings:
             ) from None
         if cap is not None and not 0.0 <= cap < math.inf:
             raise pliant.ConfigError(f"--soft {word}: a cap is a number from 0 up, got {cap:g}")
+        if name in axes:
+            raise pliant.ConfigError(f"--soft {soft!r} names {name} twice: one cap an axis")
         axes[name] = (
             pliant.Axis(yields="both") if cap is None else pliant.Axis(soft=cap, profile="constant")
         )

@@ -12,6 +12,7 @@ from rich.live import Live
 from rich.table import Table
 
 import pliant
+from pliant.cli.files import check_log
 from pliant.cli.flags import ArmName, Axes, File, Override, Seconds
 from pliant.cli.soft import check_soft
 from pliant.cli.targets import Targets, open_targets
@@ -55,6 +56,7 @@ def run(
         log: MCAP file to write (extra log).
         quiet: No table.
     """
+    check_log(log)
     read = override.load(arm)
     settings = read.settings()
     if soft:

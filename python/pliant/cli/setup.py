@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from pliant import ConfigError, ServoError
+from pliant import ConfigError
+from pliant.cli import backup as kept
 from pliant.cli.flags import ArmName, File, Wired
 from pliant.config import assemble
 from pliant.servo import RustypotTransport
@@ -43,43 +43,55 @@ def run(
         backup: Where the old values go.
         override: What the command line says in place of the file.
     """
-    former = None if undo is None else restore(_load(undo))
+    former = None if undo is None else kept.load(undo, arm)
     read = override.load(arm)
     console = Console()
     specs = assemble.specs(read, assemble.paths(read))
+    if undo is not None and former is not None:
+        kept.check(undo, former, specs)
     with _Ports(read, specs) as ports:
-        if former is None:
-            wanted = [
-                change
-                for spec in specs
-                for number, _ in spec.servos
-                for change in changes(
-                    ports[spec.port], spec.name, number, spec.row, overload=not keep_overload
+        wanted: list[Change] = []
+        for spec in specs:
+            for number, _ in spec.servos:
+                servo = ports[spec.port], spec.name, number, spec.row
+                wanted += (
+                    changes(*servo, overload=not keep_overload)
+                    if former is None
+                    else restore(*servo, former)
                 )
-            ]
-        else:
-            wanted = former
         if not wanted:
             console.print("nothing to change" + ("; no backup is written" if undo is None else ""))
             return
         _show(console, wanted)
-        if not yes and console.input("write this? [y/N] ").strip().lower() not in {"y", "yes"}:
+        if not (yes or _agreed(console)):
             raise ConfigError("nothing was written")
         if undo is None:
-            _save(backup, wanted)
+            kept.save(backup, arm, wanted)
         for spec in specs:
             for number, _ in spec.servos:
                 own = [c for c in wanted if c.joint == spec.name and c.id == number]
                 apply(ports[spec.port], spec.row.family, own)
     console.print(f"{len(wanted)} registers written and read back")
-    again = " ".join(["pliant doctor", arm, "--watch", *override.words()])
-    console.print(
-        f"before torque comes on, see its directions: {again}",
-        highlight=False,
-        soft_wrap=True,
-    )
+    name = shlex.quote(arm)
+    again = " ".join(["pliant doctor", name, "--watch", *override.words()])
+    _say(console, f"before torque comes on, see its directions: {again}")
     if undo is None:
-        console.print(f"old values in {backup}; pliant setup {arm} --undo {backup} puts them back")
+        file = shlex.quote(str(backup))
+        back = " ".join(["pliant setup", name, "--undo", file, *override.words()])
+        _say(console, f"old values in {backup}; this puts them back: {back}")
+
+
+def _agreed(console: Console) -> bool:
+    """Whether the user says yes; nobody there is no."""
+    try:
+        return console.input("write this? [y/N] ").strip().lower() in {"y", "yes"}
+    except EOFError:
+        return False
+
+
+def _say(console: Console, line: str) -> None:
+    """A line with a command to be typed again: not broken, not coloured, brackets as they are."""
+    console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 class _Ports:
@@ -116,20 +128,3 @@ def _show(console: Console, wanted: list[Change]) -> None:
         cells = (change.joint, change.id, change.register, change.old, change.new, change.why)
         table.add_row(*map(str, cells))
     console.print(table)
-
-
-def _save(path: Path, wanted: list[Change]) -> None:
-    """Old values first: what is not saved is not written."""
-    if path.exists():
-        raise ConfigError(f"{path} exists: old values would be lost; give another --backup")
-    path.write_text(json.dumps([asdict(change) for change in wanted], indent=1), encoding="utf-8")
-
-
-def _load(path: Path) -> list[Change]:
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        return [Change(**entry) for entry in data]
-    except FileNotFoundError:
-        raise  # the command line says which files there are
-    except (OSError, ValueError, TypeError) as error:
-        raise ServoError(f"{path} is no backup of pliant setup: {error}") from error

@@ -2,101 +2,31 @@
 
 from __future__ import annotations
 
-import json
-import queue
-import select
+import math
+import os
 import socket
 import sys
 import threading
-from dataclasses import dataclass
+import time
+from collections import deque
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
-import numpy as np
-
-import pliant
-from pliant import ConfigError, PliantError
+from pliant import ConfigError
+from pliant.cli.target import Target
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from pliant import Model
 
-    Array = NDArray[np.float64]
-
-KEYS = ("position", "wxyz", "xyzw", "q")
-#: Largest datagram [bytes].
-DATAGRAM = 4096
-
-
-@dataclass(frozen=True)
-class Target:
-    """What one line says.
-
-    Attributes:
-        position: (3,) [m], base axes; None: as it is.
-        rotation: Quaternion and its order; None: as it is.
-        q: Joint positions (n,) [rad] whose tool pose is the target.
-    """
-
-    position: tuple[float, ...] | None = None
-    rotation: tuple[str, tuple[float, ...]] | None = None
-    q: tuple[float, ...] | None = None
-
-    @classmethod
-    def parse(cls, line: str, model: Model) -> Target:
-        """Read a line for an arm.
-
-        Raises:
-            ConfigError: It is no JSON object of the known keys with finite numbers, or no target of
-                this arm.
-        """
-        try:
-            data: Any = json.loads(line)
-        except json.JSONDecodeError as error:
-            raise ConfigError(f"target {_short(line)} is no JSON: {error}") from error
-        if not isinstance(data, dict) or not data or set(data) - set(KEYS):
-            raise ConfigError(f"a target is an object of {', '.join(KEYS)}; got {_short(line)}")
-        numbers = {key: _numbers(key, value) for key, value in data.items()}
-        if len({"wxyz", "xyzw"} & set(numbers)) == 2 or ("q" in numbers and len(numbers) > 1):
-            raise ConfigError(f"a target is q, or position with one quaternion; got {_short(line)}")
-        order = next((key for key in ("wxyz", "xyzw") if key in numbers), None)
-        rotation = None if order is None else (order, numbers[order])
-        target = cls(numbers.get("position"), rotation, numbers.get("q"))
-        try:
-            target.pose(model, np.eye(4))
-        except PliantError as error:
-            raise ConfigError(f"target {_short(line)}: {error}") from error
-        return target
-
-    def pose(self, model: Model, before: Array) -> Array:
-        """Pose (4, 4); what the line leaves out stays as it was."""
-        if self.q is not None:
-            return model.forward_kinematics(np.array(self.q))
-        pose = before.copy()
-        if self.position is not None:
-            pose[:3, 3] = self.position
-        if self.rotation is not None:
-            order, quaternion = self.rotation
-            make = pliant.Pose.from_wxyz if order == "wxyz" else pliant.Pose.from_xyzw
-            pose[:3, :3] = make(pose[:3, 3], quaternion).rotation
-        return pose
-
-    def check_reach(self, model: Model) -> None:
-        """See that the arm could get there, stretched.
-
-        Raises:
-            ConfigError: It is farther from the first joint than the arm is long.
-        """
-        if self.position is None:
-            return
-        away = float(np.linalg.norm(np.array(self.position) - model.reach_from))
-        if away > model.reach:
-            raise ConfigError(
-                f"position {list(self.position)} is {away:.3g} m from {model.joint_names[0]}, and "
-                f"the arm reaches {model.reach:.3g} m: is it in millimetres, or in other axes than "
-                f"those of {model.base}?"
-            )
+#: Longest line and largest datagram [bytes].
+LONGEST = 4096
+#: What is read of a pipe at once [bytes], and the pause after it [s].
+CHUNK, PAUSE = 65536, 0.001
+#: Datagrams that are read a tick.
+MOST = 256
+#: Time between two refusals that are said [s].
+QUIET = 0.5
 
 
 class Targets(Protocol):
@@ -148,9 +78,7 @@ class Lines(Nothing):
         for number, line in enumerate(text, 1):
             if line.strip():
                 try:
-                    target = Target.parse(line, model)
-                    target.check_reach(model)
-                    self._targets.append(target)
+                    self._targets.append(Target.parse(line, model))
                 except ConfigError as error:
                     raise ConfigError(f"{path}, line {number}: {error}") from error
         if not self._targets:
@@ -166,29 +94,82 @@ class Lines(Nothing):
         return self._targets[self._next - 1]
 
 
+class Refusals:
+    """What is wrong while the arm moves must be said, must not stop the loop nor flood the eye."""
+
+    def __init__(self) -> None:
+        self._next = -math.inf
+        self._more = 0
+
+    def parse(self, line: bytes, model: Model) -> Target | None:
+        """The target of a line; None, and said, if it is none."""
+        try:
+            if len(line) > LONGEST:
+                raise ConfigError(f"a target is longer than {LONGEST} bytes")
+            return Target.parse(line.decode("utf-8", errors="replace"), model)
+        except ConfigError as error:
+            self._say(error)
+            return None
+
+    def _say(self, error: ConfigError) -> None:
+        now = time.monotonic()
+        if now < self._next:
+            self._more += 1
+            return
+        more = f" ({self._more} more since the last that was said)" if self._more else ""
+        print(f"target refused: {error}{more}", file=sys.stderr)
+        self._next, self._more = now + QUIET, 0
+
+    def close(self) -> None:
+        """Say how many were not said."""
+        if self._more:
+            print(f"{self._more} more targets were refused", file=sys.stderr)
+
+
 class Stream(Nothing):
-    """Standard input, read by a thread; a line that is wrong is said and skipped."""
+    """Lines of a pipe, such as standard input, drained by a thread; only the newest counts.
 
-    def __init__(self, model: Model) -> None:
+    A line that is wrong is said and skipped.
+
+    Args:
+        pipe: File descriptor. It is read without a buffer of Python's, whose lock a thread that
+            waits would keep from the end of the program.
+        model: The arm.
+    """
+
+    def __init__(self, pipe: int, model: Model) -> None:
         self._model = model
-        self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
-        threading.Thread(target=self._read, daemon=True, name="pliant-targets").start()
+        self._refusals = Refusals()
+        self._newest: deque[bytes] = deque(maxlen=1)
+        self._ended = False
+        threading.Thread(
+            target=self._read, args=(pipe,), daemon=True, name="pliant-targets"
+        ).start()
 
-    def _read(self) -> None:
-        for line in sys.stdin:
-            self._lines.put(line)
-        self._lines.put(None)
+    def _read(self, pipe: int) -> None:
+        rest = b""
+        try:
+            while data := os.read(pipe, CHUNK):
+                *lines, rest = (rest + data).split(b"\n")
+                # Of a line without an end as much as shows that it is too long.
+                rest = rest[: LONGEST + 1]
+                self._newest.extend(line for line in lines if line.strip())
+                # Who writes more than can be read must not take the loop's time.
+                time.sleep(PAUSE)
+            if rest.strip():
+                self._newest.append(rest)
+        except OSError as error:
+            print(f"targets ended: standard input: {error}", file=sys.stderr)
+        finally:
+            self._ended = True
 
     def latest(self) -> Target | None:
-        """The newest good line."""
-        found = None
-        while not self._lines.empty():
-            line = self._lines.get()
-            if line is None:
-                self.done = True
-            elif line.strip():
-                found = _lenient(line, self._model) or found
-        return found
+        """The newest line, if it is good."""
+        self.done = self._ended  # asked first: what came before the end is then there
+        return self._refusals.parse(self._newest.pop(), self._model) if self._newest else None
+
+    def __exit__(self, *_: object) -> None:
+        self._refusals.close()
 
 
 class Datagrams(Nothing):
@@ -196,7 +177,9 @@ class Datagrams(Nothing):
 
     def __init__(self, port: int, model: Model) -> None:
         self._model = model
+        self._refusals = Refusals()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
         try:
             self._socket.bind(("127.0.0.1", port))
         except OSError as error:
@@ -204,15 +187,16 @@ class Datagrams(Nothing):
             raise ConfigError(f"cannot listen on UDP port {port}: {error}") from error
 
     def latest(self) -> Target | None:
-        """The newest good datagram."""
-        found = None
-        while select.select([self._socket], [], [], 0.0)[0]:
-            data = self._socket.recv(DATAGRAM)
-            found = _lenient(data.decode("utf-8", errors="replace"), self._model) or found
-        return found
+        """The newest datagram, if it is good."""
+        newest = b""
+        with suppress(BlockingIOError):
+            for _ in range(MOST):
+                newest = self._socket.recv(LONGEST + 1)
+        return self._refusals.parse(newest, self._model) if newest.strip() else None
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()
+        self._refusals.close()
 
 
 def open_targets(source: str, model: Model) -> Targets:
@@ -225,34 +209,12 @@ def open_targets(source: str, model: Model) -> Targets:
     if not source:
         return Nothing()
     if source == "-":
-        return Stream(model)
+        if sys.stdin is None:
+            raise ConfigError("--targets - reads standard input, and it is closed")
+        return Stream(sys.stdin.fileno(), model)
     if source.startswith("udp:"):
         number = source.removeprefix("udp:")
         if not (number.isdecimal() and 1024 <= int(number) <= 65535):
             raise ConfigError(f"--targets udp:PORT needs a port from 1024 to 65535, got {number!r}")
         return Datagrams(int(number), model)
     return Lines(Path(source), model)
-
-
-def _lenient(line: str, model: Model) -> Target | None:
-    """A line that came while the arm moves: what is wrong with it must not stop the loop."""
-    try:
-        return Target.parse(line, model)
-    except PliantError as error:
-        print(f"target refused: {error}", file=sys.stderr)
-        return None
-
-
-def _numbers(key: str, value: object) -> tuple[float, ...]:
-    size = {"position": 3, "wxyz": 4, "xyzw": 4}.get(key)
-    good = isinstance(value, list) and all(type(v) in (int, float) for v in value)
-    if not (good and isinstance(value, list) and (size is None or len(value) == size)):
-        raise ConfigError(f"{key} is a list of {size or 'n'} numbers, got {value!r}")
-    if not np.isfinite(value).all():
-        raise ConfigError(f"{key} is not finite: {value}")
-    return tuple(float(v) for v in value)
-
-
-def _short(text: str) -> str:
-    text = text.strip()
-    return repr(text if len(text) < 60 else f"{text[:57]}...")

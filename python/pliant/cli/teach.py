@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 
 import pliant
+from pliant.cli.files import check_writable
 from pliant.cli.flags import ArmName, MotionFile, Override
 from pliant.cli.keys import Keys
 from pliant.teach.bounded import ready
@@ -49,8 +51,7 @@ def run(
 
     if motion.suffix != ".json":
         raise pliant.ConfigError(f"a motion file ends with .json, got {motion}")
-    if not motion.absolute().parent.is_dir():
-        raise pliant.ConfigError(f"there is no folder {motion.absolute().parent}")
+    check_writable(motion)
     if not seconds > 0.0:
         raise pliant.ConfigError(f"--seconds must be above 0, got {seconds:g}")
     if bounds is not None:
@@ -83,5 +84,6 @@ def run(
     taken.save(motion)
     if bounds is not None:
         pliant.teach.bounded(taken, bounds).save(motion)
-    again = " ".join(["pliant replay", arm, str(motion), *override.words()])
-    console.print(f"{motion}: {again}", highlight=False, soft_wrap=True)
+    files = map(shlex.quote, (arm, str(motion)))
+    again = " ".join(["pliant replay", *files, *override.words()])
+    console.print(f"{motion}: {again}", highlight=False, soft_wrap=True, markup=False)

@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING, Literal
 from rich.console import Console
 
 from pliant import ConfigError, PliantError
+from pliant.cli.files import check_log
 from pliant.cli.flags import ArmName, File, Override
 from pliant.extras import missing
 
 if TYPE_CHECKING:
     from pliant.view.source import Source
+
+#: Highest port that there is.
+HIGHEST = 65535
 
 
 def run(
@@ -43,6 +47,9 @@ def run(
         log: MCAP file to write (extra log).
         override: What the command line says in place of the file.
     """
+    if not 1 <= page <= HIGHEST:
+        raise ConfigError(f"--page is a port from 1 to {HIGHEST}, got {page}")
+    check_log(log)
     _needs()
     from pliant.view.gate import is_loopback
     from pliant.view.link import Link

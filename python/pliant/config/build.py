@@ -9,6 +9,7 @@ from pliant import ConfigError
 from pliant.config import fields
 from pliant.config.lerobot import Calibration, read_calibration
 from pliant.config.messages import suggest
+from pliant.servo.models import find
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -122,7 +123,8 @@ def zeros(config: Config) -> dict[str, float | None]:
     """Count at which each joint's angle is 0, `gripper` included; None: the middle of the servo.
 
     Raises:
-        ConfigError: The calibration file cannot be read, or does not know a joint or its id.
+        ConfigError: The calibration file cannot be read, does not know a joint or its id, or has a
+            range that its servo cannot have.
     """
     table: Mapping[str, Calibration] = {}
     if config.calibration is not None:
@@ -142,6 +144,10 @@ def zeros(config: Config) -> dict[str, float | None]:
                 f"{config.calibration} says {joint} has id {entry.id}, the configuration says "
                 f"{servo.id}: one of them is of another arm"
             )
+        try:
+            entry.check_range(joint, find(servo.model))
+        except ConfigError as error:
+            raise ConfigError(f"{config.calibration}: {error}") from error
         out[joint] = entry.middle
     return out
 

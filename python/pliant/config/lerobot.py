@@ -10,13 +10,18 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pliant import ConfigError
 from pliant.config.messages import suggest
 
+if TYPE_CHECKING:
+    from pliant.servo.models import ServoModel
+
 #: Keys that are named of a file of another kind.
 SHOWN = 6
+#: Largest number of a servo's register, of four bytes with a sign.
+LARGEST = 2**31 - 1
 _FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
@@ -43,6 +48,22 @@ class Calibration:
         """Count of LeRobot's zero degrees."""
         return (self.range_min + self.range_max) / 2.0
 
+    def check_range(self, joint: str, row: ServoModel) -> None:
+        """See that the ends of the travel are positions of the joint's servo.
+
+        Raises:
+            ConfigError: One is no count of its encoder; goals of a multi-turn servo may be a turn
+                beyond either end.
+        """
+        beyond = row.counts + 1 if row.family.multi_turn else 0
+        low, high = -beyond, row.counts + beyond
+        for key in ("range_min", "range_max"):
+            if not low <= getattr(self, key) <= high:
+                raise ConfigError(
+                    f"{joint}.{key} is {getattr(self, key)}, and positions of {row.name} run from "
+                    f"{low} to {high}: the calibration is of another servo, or was changed by hand"
+                )
+
 
 def read_calibration(path: str | Path) -> dict[str, Calibration]:
     """Read a calibration file.
@@ -64,7 +85,9 @@ def read_calibration(path: str | Path) -> dict[str, Calibration]:
             f"there is no calibration file {file}; it is what lerobot-calibrate writes, or leave "
             "`calibration` out and give every servo its `zero`"
         ) from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except RecursionError as error:
+        raise ConfigError(f"{file} is no calibration file: it is nested too deeply") from error
+    except (OSError, ValueError) as error:  # also an integer of more digits than Python reads
         raise ConfigError(f"{file} is no calibration file: {error}") from error
     if not isinstance(data, dict) or not data:
         raise ConfigError(f"{file} is no calibration file: it holds no table of motors")
@@ -91,6 +114,12 @@ def _motor(file: Path, name: str, entry: object) -> Calibration:
     if wrong:
         key, value = next(iter(wrong.items()))
         raise ConfigError(f"{file}: {name}.{key} is a whole number, got {value!r}")
+    for key in _FIELDS:
+        if abs(entry[key]) > LARGEST:
+            raise ConfigError(
+                f"{file}: {name}.{key} is larger than any register, which end at {LARGEST}: "
+                f"{str(entry[key])[:SHOWN]}… of {len(str(abs(entry[key])))} digits"
+            )
     out = Calibration(**{key: entry[key] for key in _FIELDS})
     if out.range_min >= out.range_max:
         raise ConfigError(

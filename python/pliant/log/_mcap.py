@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 try:
+    from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
-    from mcap.records import Attachment, Channel, Footer, Message, Schema
-    from mcap.stream_reader import StreamReader
+    from mcap.opcode import Opcode
+    from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Schema, Statistics
+    from mcap.stream_reader import breakup_chunk
     from mcap_ros2.decoder import DecoderFactory
     from mcap_ros2.writer import Writer
+    from zstandard import ZstdError
 except ImportError as error:
     from pliant.extras import missing
 
@@ -16,11 +19,16 @@ except ImportError as error:
 __all__ = [
     "Attachment",
     "Channel",
+    "Chunk",
     "DecoderFactory",
-    "Footer",
     "McapError",
+    "McapRecord",
     "Message",
+    "Opcode",
+    "ReadDataStream",
     "Schema",
-    "StreamReader",
+    "Statistics",
     "Writer",
+    "ZstdError",
+    "breakup_chunk",
 ]

@@ -5,23 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from struct import error as StructError
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pliant import ConfigError
 from pliant.log import layout, words
-from pliant.log._mcap import (
-    Attachment,
-    Channel,
-    DecoderFactory,
-    Footer,
-    McapError,
-    Message,
-    Schema,
-    StreamReader,
-)
+from pliant.log._mcap import Attachment, Channel, DecoderFactory, Message, Schema
+from pliant.log.records import CutShortError, DamagedError, records
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,8 +21,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: First bytes of an MCAP file.
-MAGIC = b"\x89MCAP0\r\n"
+#: What a file that is no log of ours, but says so, makes Python raise.
+FOREIGN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 @dataclass
@@ -46,7 +37,9 @@ class Log:
         run: What was recorded: joints, axes, rate, settings, servos, version, note.
         columns: Arrays by name.
         calls: What the controller was told, in order: messages with the fields of a call.
-        whole: Whether the file was completed; else the program or the machine died.
+        whole: Whether the file was completed and is as it was written; else the program or the
+            machine died, or see `damage`.
+        damage: What is not as it was written; what stands before it is here. Empty if nothing.
         end: What was counted until the recorder was closed: `counters` of the bus and records
             `dropped`; empty where the program died before.
     """
@@ -56,6 +49,7 @@ class Log:
     calls: list[Any] = field(repr=False)
     whole: bool
     end: dict[str, Any] = field(default_factory=dict, repr=False)
+    damage: str = ""
 
     def __getattr__(self, name: str) -> Array:
         columns: dict[str, Array] = self.__dict__.get("columns", {})
@@ -93,21 +87,29 @@ class Log:
 
 
 def read(path: str | Path) -> Log:
-    """Read a log of `Recorder`.
+    """Read a log of `Recorder`, up to where it was cut short or is damaged.
 
     Raises:
         ConfigError: The file is none, or has not got as far as a first record.
         OSError: It cannot be read.
     """
+    try:
+        return _read(Path(path))
+    except FOREIGN as error:
+        kind = type(error).__name__
+        raise ConfigError(f"{path} is no log of pliant: {kind}: {error}") from error
+
+
+def _read(path: Path) -> Log:
     run: dict[str, Any] | None = None
     ticks: list[Any] = []
     calls: list[Any] = []
     rows = {"/pliant/tick": ticks, "/pliant/call": calls}
-    whole, end = False, {}
+    whole, damage, end = False, "", {}
     decode = _Decoder()
-    with Path(path).open("rb") as stream:
+    with path.open("rb") as stream:
         try:
-            for record in StreamReader(stream).records:
+            for record in records(stream, path.stat().st_size):
                 if isinstance(record, Attachment) and record.name == layout.RUN:
                     run = words.read(record.data.decode())
                 elif isinstance(record, Attachment) and record.name == layout.END:
@@ -120,16 +122,13 @@ def read(path: str | Path) -> Log:
                     wanted = rows.get(decode.channels[record.channel_id].topic)
                     if wanted is not None:
                         wanted.append(decode(record))
-                elif isinstance(record, Footer):
-                    whole = True
-        except (McapError, StructError, EOFError, ValueError) as error:
+            whole = True
+        except (CutShortError, DamagedError) as error:
             if run is None:
-                stream.seek(0)
-                mcap = stream.read(len(MAGIC)) == MAGIC
-                why = (
-                    "it ends before its first record" if mcap else "it does not begin as MCAP does"
-                )
+                short = "it ends before its first record"
+                why = short if isinstance(error, CutShortError) else error
                 raise ConfigError(f"{path} is no log of pliant: {why}") from error
+            damage = str(error) if isinstance(error, DamagedError) else ""
     if run is None:
         raise ConfigError(f"{path} is no log of pliant: it has no attachment {layout.RUN!r}")
     if run["version"] != layout.VERSION:
@@ -137,7 +136,7 @@ def read(path: str | Path) -> Log:
             f"{path} has layout {run['version']}, this pliant reads {layout.VERSION}: read it with "
             f"pliant {run['pliant']}"
         )
-    return Log(run, _columns(run, ticks), calls, whole, end)
+    return Log(run, _columns(run, ticks), calls, whole, end, damage)
 
 
 class _Decoder:

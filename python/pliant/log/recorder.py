@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,17 +13,19 @@ import numpy as np
 
 import pliant
 from pliant import ConfigError
+from pliant.arguments import given, instance, positive
+from pliant.arm import Arm
 from pliant.log import frames, layout, words
 from pliant.log.journal import Journal
+from pliant.loop import Tick
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
     from pliant import Controller
-    from pliant.arm import Arm
     from pliant.config import Config
-    from pliant.loop import Commanded, Tick
+    from pliant.loop import Commanded
 
 #: How long `close` waits for the writer to take the rest, and then to finish [s]: an arm may be
 #: held meanwhile.
@@ -49,7 +52,9 @@ class Recorder:
         ticks: Ticks so far.
 
     Raises:
-        ConfigError: The controller has made steps already, or belongs to another arm.
+        ConfigError: The controller has made steps already, or belongs to another arm; the rate is
+            not above 0.
+        TypeError: An argument is of another kind.
         OSError: The file cannot be written.
         ImportError: The extra is missing.
     """
@@ -64,6 +69,16 @@ class Recorder:
         rate: float | None = None,
         note: str = "",
     ) -> None:
+        instance(arm, Arm, "arm", "as pliant.connect makes one")
+        instance(note, str, "note")
+        if not isinstance(path, str | PathLike):
+            raise TypeError(f"path must be that of a file, got {given(path)}")
+        if controller is not None:
+            instance(controller, pliant.Controller, "controller", "or None without one")
+        if config is not None and not hasattr(config, "model_dump_json"):
+            raise TypeError(f"config must be what pliant.config.load gives, got {given(config)}")
+        if rate is not None:
+            positive(rate, "rate", "Hz")
         if controller is not None and controller.commands_made:
             raise ConfigError(
                 "the controller has made steps that the log would lack: make the recorder before "
@@ -104,6 +119,7 @@ class Recorder:
         assert self._process.stdin is not None
         self._sender = frames.Sender(self._process.stdin.fileno())
         self._sender.send(frames.RUN, words.write(run).encode())
+        self._closed = False
         self._journal = None if controller is None else Journal(controller, self._sender)
 
     @property
@@ -120,8 +136,12 @@ class Recorder:
         """Record a tick and what was commanded in it; never waits, never raises for the writer.
 
         Raises:
-            ConfigError: The command is not one of `recorder.controller`.
+            ConfigError: The command is not one of `recorder.controller`, or the recorder is closed.
+            TypeError: The tick is none of `pliant.Loop`.
         """
+        if self._closed:
+            raise ConfigError(f"{self.path} is closed: add ticks within `with Recorder(…)`")
+        instance(tick, Tick, "tick", "as pliant.Loop yields them")
         slots, state = self._slots, tick.state
         self._row.fill(np.nan)
         slots["time"][0] = state.time
@@ -171,8 +191,9 @@ class Recorder:
                 read.
         """
         process = self._process
-        if process.stdin is None or process.stdin.closed:
+        if self._closed or process.stdin is None:
             return
+        self._closed = True
         counted = {"counters": self._counters(), "dropped": self.dropped}
         self._sender.send(frames.END, words.write(counted).encode())
         self._sender.finish(PATIENCE)

@@ -102,7 +102,9 @@ def _about(log: Log) -> str:
 def _notes(log: Log) -> list[str]:
     """What a reader has to know first."""
     notes = []
-    if not log.whole:
+    if log.damage:
+        notes.append(f"The log is damaged: {log.damage}; this is what stands before that.")
+    elif not log.whole:
         notes.append("The log was not completed: program and writer died; this is what they wrote.")
     if log.missing:
         notes.append(f"{log.missing} calls of the controller are missing from the log.")

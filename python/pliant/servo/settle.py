@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from pliant.servo.models import Family, ServoModel
     from pliant.servo.transport import Transport
 
+#: Registers that a set-up writes.
+SETS = ("return_delay", "return_level", "shutdown", "mode", "drive_mode", "shadow")
 OVERLOAD_BIT = 5
 #: Operating modes: current-based position, position.
 CURRENT_POSITION, POSITION = 5, 3
@@ -38,6 +40,7 @@ class Change:
         register: Field name.
         old, new: Its value, and what it should be.
         why: In a sentence.
+        model: Servo model; empty where it is not known.
     """
 
     joint: str
@@ -46,6 +49,7 @@ class Change:
     old: int
     new: int
     why: str
+    model: str = ""
 
 
 def changes(
@@ -63,17 +67,51 @@ def changes(
     Raises:
         ServoError: It does not answer, or is another model.
     """
-    family = row.family
-    number = read(io, id, family, "model")
+    _is(io, joint, id, row)
+    wanted = _wanted(io, id, row, overload)
+    return _differing(io, joint, id, row, wanted)
+
+
+def restore(
+    io: Transport, joint: str, id: int, row: ServoModel, former: Iterable[Change]
+) -> list[Change]:
+    """What should change on one servo so that it is again as it was.
+
+    Args:
+        io: The open port.
+        joint: Its joint.
+        id: Its id.
+        row: Its model.
+        former: What was changed, also on other servos.
+
+    Raises:
+        ServoError: It does not answer, or is another model.
+    """
+    own = [change for change in former if (change.joint, change.id) == (joint, id)]
+    if not own:
+        return []
+    _is(io, joint, id, row)
+    wanted = {change.register: (change.old, "is as it was before") for change in own}
+    return _differing(io, joint, id, row, wanted)
+
+
+def _is(io: Transport, joint: str, id: int, row: ServoModel) -> None:
+    """See that a servo is the model that the configuration says."""
+    number = read(io, id, row.family, "model")
     if number != row.number:
         known = " or ".join(r.name for r in by_number(number)) or f"model number {number}"
         raise ServoError(f"{joint} (id {id}) is {known}, the configuration says {row.name}")
-    wanted = _wanted(io, id, row, overload)
+
+
+def _differing(
+    io: Transport, joint: str, id: int, row: ServoModel, wanted: Mapping[str, tuple[int, str]]
+) -> list[Change]:
+    """Those of the wanted values, with reasons, that the servo has not got."""
     out = []
     for register, (new, why) in wanted.items():
-        old = read(io, id, family, register)
+        old = read(io, id, row.family, register)
         if old != new:
-            out.append(Change(joint, id, register, old, new, why))
+            out.append(Change(joint, id, register, old, new, why, row.name))
     return out
 
 
@@ -124,11 +162,6 @@ def apply(io: Transport, family: Family, wanted: Sequence[Change]) -> None:
                 )
     finally:
         _lock(io, first.id, family, locked=True)
-
-
-def restore(changes: Iterable[Change]) -> list[Change]:
-    """The changes that undo these."""
-    return [Change(c.joint, c.id, c.register, c.new, c.old, "as it was before") for c in changes]
 
 
 def rename(io: Transport, row: ServoModel, old: int, new: int, taken: Mapping[int, str]) -> None:

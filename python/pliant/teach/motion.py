@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pliant import Model
+    from pliant.log import Log
 
     Array = NDArray[np.float64]
 
@@ -29,8 +30,10 @@ RATE, DIGITS = 50.0, 5
 STILL, KEEP = 0.02, 0.2
 #: Distance of the tool from where it was taught at which an arm is another one [m].
 ELSEWHERE = 0.03
-#: Samples of a motion that is none.
-LEAST = 2
+#: Samples that a motion has at least, and at most after smoothing.
+LEAST, MOST = 2, 10_000_000
+#: Shortest time between two samples and longest motion [s].
+SHORTEST, LONGEST = 1e-6, 1e5
 
 
 @dataclass(frozen=True)
@@ -76,11 +79,24 @@ class Motion:
                 raise ConfigError(
                     f"{name} of sample {at + 1} of {time.size} is {column[at]}, not a finite number"
                 )
-        if not (np.diff(time) > 0.0).all():
-            at = int(np.flatnonzero(np.diff(time) <= 0.0)[0])
+        with np.errstate(over="ignore"):
+            steps, duration = np.diff(time), float(time[-1] - time[0])
+        if not (steps > 0.0).all():
+            at = int(np.flatnonzero(steps <= 0.0)[0])
             raise ConfigError(
                 f"the times of a motion must rise: sample {at + 2} is at {time[at + 1]:g} s, the "
                 f"one before it at {time[at]:g} s"
+            )
+        if steps.min() < SHORTEST or duration > LONGEST:
+            raise ConfigError(
+                f"a motion takes {LONGEST:g} s at most and {SHORTEST:g} s from sample to sample at "
+                f"least, got {duration:g} s and {steps.min():g} s: its times are in seconds"
+            )
+        if self.start is not None and not (
+            len(self.start) == 3 and np.isfinite(np.asarray(self.start, dtype=np.float64)).all()
+        ):
+            raise ConfigError(
+                f"start is where the tool began, three finite numbers [m], got {self.start!r}"
             )
         parts = {"joints": tuple(self.joints), "time": time - time[0], "q": q, "extra": extra}
         for name, value in parts.items():
@@ -137,7 +153,6 @@ class Motion:
             raise ConfigError(
                 f"the motion takes {self.joints[worst]} {beyond[worst]:.3f} rad beyond its limits"
             )
-
         if self.start is not None:
             tool = model.forward_kinematics(np.clip(self.q[0], model.lower, model.upper))[:3, 3]
             off = float(np.linalg.norm(tool - self.start))
@@ -178,13 +193,27 @@ class Motion:
         """Even in time, and without tremor: a Gaussian of `width` [s], standard deviation.
 
         Symmetric, so that nothing comes late; ends stay where they are.
+
+        Args:
+            width: Standard deviation [s].
+            rate: Samples per second of the result [Hz].
+
+        Raises:
+            ConfigError: A value is out of range, or the result would have too many samples.
         """
-        if not (width >= 0.0 and rate > 0.0):
-            raise ConfigError(f"width must be at least 0 s, rate above 0; got {width!r}, {rate!r}")
+        if not (0.0 <= width < np.inf and 0.0 < rate < np.inf):
+            raise ConfigError(
+                f"width must be at least 0 s, rate above 0 Hz, both finite; got {width!r}, {rate!r}"
+            )
+        if self.duration * rate > MOST:
+            raise ConfigError(
+                f"{self.duration:g} s at a rate of {rate:g} Hz are {self.duration * rate:.3g} "
+                f"samples, at most {MOST:.0e} are made: lower the rate"
+            )
         count = max(round(self.duration * rate), 1) + 1
         time = np.linspace(0.0, self.duration, count)
         step = self.duration / (count - 1)
-        reach = min(round(3.0 * width / step), count - 1)
+        reach = round(min(3.0 * width / step, count - 1))
         kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / max(width, 1e-9)) ** 2)
 
         def smooth(row: Array) -> Array:
@@ -217,21 +246,31 @@ class Motion:
         Path(path).write_text(f'{text},\n "samples": [\n  {samples}\n ]\n}}\n', encoding="utf-8")
 
     @classmethod
+    def logged(cls, log: Log) -> Motion:
+        """The joint positions of a log, as far as it goes.
+
+        Raises:
+            ConfigError: It is damaged, or too short.
+        """
+        if log.damage:
+            raise ConfigError(f"the log is damaged and is not played: {log.damage}")
+        extra = dict(zip(log.run["extra"], log.extra.T, strict=True))
+        made = cls(tuple(log.run["joints"]), log.time, log.q, extra, log.run["note"])
+        return made.of(log.model())
+
+    @classmethod
     def load(cls, path: str | Path) -> Motion:
         """Read a motion file, or the joint positions of a log (`.mcap`).
 
         Raises:
-            ConfigError: It is none.
+            ConfigError: It is none, or a log that is damaged.
             OSError: It cannot be read.
         """
         path = Path(path)
         if path.suffix == ".mcap":
             from pliant.log import read
 
-            log = read(path)
-            extra = dict(zip(log.run["extra"], log.extra.T, strict=True))
-            made = cls(tuple(log.run["joints"]), log.time, log.q, extra, log.run["note"])
-            return made.of(log.model())
+            return cls.logged(read(path))
         try:
             data: Any = json.loads(path.read_text(encoding="utf-8"))
             if data["format"] != FORMAT:
@@ -249,7 +288,9 @@ class Motion:
             return cls(joints, rows[:, 0], rows[:, 1 : 1 + n], beside, note, start)
         except KeyError as error:
             raise ConfigError(f"{path} is no motion file: it has no {error}") from error
-        except (ValueError, TypeError) as error:
+        except RecursionError as error:
+            raise ConfigError(f"{path} is no motion file: it is nested too deeply") from error
+        except (ValueError, TypeError, OverflowError) as error:
             raise ConfigError(f"{path} is no motion file: {error}") from error
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error

@@ -1,0 +1,126 @@
+"""The old values that `pliant setup` keeps: whose they are, and whether they may be put back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pliant import ConfigError, ServoError
+from pliant.servo.models import find
+from pliant.servo.settle import SETS, Change
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pliant.servo import ServoSpec
+
+#: What a file says it is; before, it was the bare list of changes without models.
+FORMAT = "pliant setup 2"
+_KINDS = {"joint": str, "id": int, "register": str, "old": int, "new": int, "why": str}
+
+
+def save(path: Path, arm: str, wanted: Sequence[Change]) -> None:
+    """Write what will be changed.
+
+    Args:
+        path: The file, which must not be there: old values would be lost.
+        arm: What the command was given as its arm.
+        wanted: The changes.
+
+    Raises:
+        ConfigError: The file is there.
+        OSError: It cannot be written.
+    """
+    if path.exists():
+        raise ConfigError(f"{path} exists: old values would be lost; give another --backup")
+    data = {"format": FORMAT, "arm": arm, "changes": [asdict(change) for change in wanted]}
+    path.write_text(json.dumps(data, indent=1), encoding="utf-8")
+
+
+def load(path: Path, arm: str) -> list[Change]:
+    """Read what was changed.
+
+    Args:
+        path: The file.
+        arm: What the command was given as its arm.
+
+    Raises:
+        ConfigError: It is another arm's.
+        FileNotFoundError: It is not there.
+        ServoError: It is no backup.
+    """
+    try:
+        data: Any = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(data, dict):
+            if data["format"] != FORMAT:
+                raise ServoError(f"{path} is {data['format']!r}, this pliant reads {FORMAT!r}")
+            if Path(str(data["arm"])).name != Path(arm).name:
+                raise ConfigError(
+                    f"{path} holds the old values of {data['arm']}, not of {arm}: give that arm, "
+                    'or change "arm" in the file if it is the same one'
+                )
+            data = data["changes"]
+        return [_change(entry) for entry in data]
+    except FileNotFoundError:
+        raise  # the command line says which files there are
+    except (OSError, LookupError, RecursionError, TypeError, ValueError) as error:
+        why = f"it has no {error}" if isinstance(error, KeyError) else error
+        raise ServoError(f"{path} is no backup of pliant setup: {why}") from error
+
+
+def check(path: Path, former: Sequence[Change], specs: Sequence[ServoSpec]) -> None:
+    """See that every old value belongs to a servo of the arm, and could be written to it.
+
+    Args:
+        path: The file, for the words.
+        former: What was changed.
+        specs: Servos of the configuration.
+
+    Raises:
+        ConfigError: A servo is not configured or is another model, a register is none that setup
+            writes or comes twice, or a value does not fit it.
+    """
+    rows = {(spec.name, number): spec.row for spec in specs for number, _ in spec.servos}
+    strange = dict.fromkeys(f"{c.joint} (id {c.id})" for c in former if (c.joint, c.id) not in rows)
+    if strange:
+        there = ", ".join(f"{joint} (id {number})" for joint, number in rows)
+        raise ConfigError(
+            f"{path} has values of {', '.join(strange)}, which the configuration does not have; "
+            f"it has {there}. Nothing was written"
+        )
+    seen = set()
+    for change in former:
+        row, where = rows[change.joint, change.id], f"{path}: {change.joint} (id {change.id})"
+        if change.model and find(change.model).number != row.number:
+            raise ConfigError(
+                f"{where} was {change.model}, the configuration says {row.name}: its registers "
+                "mean something else. Nothing was written"
+            )
+        known = [name for name in SETS if name in row.family.registers]
+        if change.register not in known:
+            raise ConfigError(
+                f"{where}: {change.register!r} is no register that setup writes on {row.name}; "
+                f"those are {', '.join(known)}. Nothing was written"
+            )
+        most = 256 ** row.family.registers[change.register].size - 1
+        if not 0 <= change.old <= most:
+            raise ConfigError(
+                f"{where}: {change.register} takes 0 to {most}, got {change.old}. Nothing was "
+                "written"
+            )
+        if (change.joint, change.id, change.register) in seen:
+            raise ConfigError(f"{where}: {change.register} comes twice. Nothing was written")
+        seen.add((change.joint, change.id, change.register))
+
+
+def _change(entry: Any) -> Change:
+    """One entry, with every field of its kind."""
+    kinds = {**_KINDS, "model": str}
+    if not isinstance(entry, dict) or not set(_KINDS) <= set(entry) <= set(kinds):
+        raise TypeError(f"an entry has {', '.join(f.name for f in fields(Change))}")
+    for name, value in entry.items():
+        if type(value) is not kinds[name]:
+            raise TypeError(f"{name} is {'text' if kinds[name] is str else 'a whole number'}")
+    return Change(**entry)

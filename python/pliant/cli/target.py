@@ -1,0 +1,137 @@
+"""One target from outside: what a line says, and whether an arm could do it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import pliant
+from pliant import ConfigError, PliantError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pliant import Model
+
+    Array = NDArray[np.float64]
+
+KEYS = ("position", "wxyz", "xyzw", "q")
+#: A joint that is led by hand gives a little beyond its limits [rad].
+GIVE = 0.02
+
+
+@dataclass(frozen=True)
+class Target:
+    """What one line says.
+
+    Attributes:
+        position: (3,) [m], base axes; None: as it is.
+        rotation: Quaternion and its order; None: as it is.
+        q: Joint positions (n,) [rad] whose tool pose is the target.
+    """
+
+    position: tuple[float, ...] | None = None
+    rotation: tuple[str, tuple[float, ...]] | None = None
+    q: tuple[float, ...] | None = None
+
+    @classmethod
+    def parse(cls, line: str, model: Model) -> Target:
+        """Read a line for an arm.
+
+        Raises:
+            ConfigError: It is no JSON object of the known keys with finite numbers, or no target of
+                this arm: out of its reach, or beyond its limits.
+        """
+        try:
+            data: Any = json.loads(line)
+        except RecursionError:
+            raise ConfigError(f"target {_short(line)} is nested too deeply") from None
+        except ValueError as error:  # also an integer of more digits than Python reads
+            raise ConfigError(f"target {_short(line)} is no JSON: {error}") from error
+        if not isinstance(data, dict) or not data or set(data) - set(KEYS):
+            raise ConfigError(f"a target is an object of {', '.join(KEYS)}; got {_short(line)}")
+        numbers = {key: _numbers(key, value, line) for key, value in data.items()}
+        if len({"wxyz", "xyzw"} & set(numbers)) == 2 or ("q" in numbers and len(numbers) > 1):
+            raise ConfigError(f"a target is q, or position with one quaternion; got {_short(line)}")
+        order = next((key for key in ("wxyz", "xyzw") if key in numbers), None)
+        rotation = None if order is None else (order, numbers[order])
+        target = cls(numbers.get("position"), rotation, numbers.get("q"))
+        try:
+            target.pose(model, np.eye(4))
+            target.check_reach(model)
+            target.check_limits(model)
+        except PliantError as error:
+            raise ConfigError(f"target {_short(line)}: {error}") from error
+        return target
+
+    def pose(self, model: Model, before: Array) -> Array:
+        """Pose (4, 4); what the line leaves out stays as it was."""
+        if self.q is not None:
+            return model.forward_kinematics(np.array(self.q))
+        pose = before.copy()
+        if self.position is not None:
+            pose[:3, 3] = self.position
+        if self.rotation is not None:
+            order, quaternion = self.rotation
+            make = pliant.Pose.from_wxyz if order == "wxyz" else pliant.Pose.from_xyzw
+            pose[:3, :3] = make(pose[:3, 3], quaternion).rotation
+        return pose
+
+    def check_reach(self, model: Model) -> None:
+        """See that the arm could get there, stretched.
+
+        Raises:
+            ConfigError: It is farther from the first joint than the arm is long.
+        """
+        if self.position is None:
+            return
+        away = math.dist(self.position, model.reach_from)
+        if away > model.reach:
+            raise ConfigError(
+                f"position {list(self.position)} is {away:.3g} m from {model.joint_names[0]}, and "
+                f"the arm reaches {model.reach:.3g} m: is it in millimetres, or in other axes than "
+                f"those of {model.base}?"
+            )
+
+    def check_limits(self, model: Model) -> None:
+        """See that the joints may be there.
+
+        Raises:
+            ConfigError: One is beyond its limits, by more than a hand leads it there.
+        """
+        if self.q is None:
+            return
+        for name, q, low, high in zip(
+            model.joint_names, self.q, model.lower, model.upper, strict=True
+        ):
+            if not low - GIVE <= q <= high + GIVE:
+                raise ConfigError(
+                    f"q takes {name} to {q:.4g} rad, and its limits are {low:.4g} and {high:.4g} "
+                    "rad: is it in degrees?"
+                )
+
+
+def _numbers(key: str, value: object, line: str) -> tuple[float, ...]:
+    size = {"position": 3, "wxyz": 4, "xyzw": 4}.get(key)
+    if not (
+        isinstance(value, list)
+        and all(type(v) in (int, float) for v in value)
+        and (size is None or len(value) == size)
+    ):
+        raise ConfigError(f"{key} is a list of {size or 'n'} numbers, got {_short(line)}")
+    try:
+        numbers = tuple(map(float, value))
+    except OverflowError:
+        raise ConfigError(f"{key} is larger than any number: {_short(line)}") from None
+    if not all(map(math.isfinite, numbers)):
+        raise ConfigError(f"{key} is not finite: {_short(line)}")
+    return numbers
+
+
+def _short(text: str) -> str:
+    text = text.strip()
+    return repr(text if len(text) < 60 else f"{text[:57]}...")

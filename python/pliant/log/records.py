@@ -1,0 +1,107 @@
+"""The records of an MCAP file, with every check that the format offers: lengths, CRCs, counts.
+
+MCAP's own reader trusts lengths, skips what it does not know and leaves the CRCs of attachments
+unread: a damaged byte would be another number, or an error of a library.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from io import BytesIO
+from typing import TYPE_CHECKING, BinaryIO
+
+from pliant.log._mcap import (
+    Attachment,
+    Chunk,
+    McapError,
+    McapRecord,
+    Message,
+    Opcode,
+    ReadDataStream,
+    Statistics,
+    ZstdError,
+    breakup_chunk,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+#: First and last bytes of an MCAP file.
+MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")
+_CRC = struct.Struct("<I")
+_KINDS = frozenset(map(int, Opcode))
+
+
+class CutShortError(Exception):
+    """The file ends before it was completed: what came before is good."""
+
+
+class DamagedError(Exception):
+    """Something in the file is not what was written: what came before is good."""
+
+
+def records(stream: BinaryIO, size: int) -> Iterator[McapRecord]:
+    """Attachments, and what the chunks hold, as they were written.
+
+    Args:
+        stream: The file, at its beginning.
+        size: Its length [bytes].
+
+    Raises:
+        CutShortError: It ends early.
+        DamagedError: A record is not as it was written, or one is missing.
+    """
+    if stream.read(len(MAGIC)) != MAGIC:
+        raise DamagedError("it does not begin as MCAP does")
+    messages = attachments = 0
+    counted: Statistics | None = None
+    for place, opcode, body in _bodies(stream, size):
+        try:
+            if opcode == Opcode.CHUNK:
+                for record in breakup_chunk(Chunk.read(_stream(body)), validate_crc=True):
+                    if isinstance(record, Message):
+                        if record.sequence != messages:
+                            raise DamagedError(f"message {messages} is missing")
+                        messages += 1
+                    yield record
+            elif opcode == Opcode.ATTACHMENT:
+                if _CRC.unpack(body[-_CRC.size :])[0] != zlib.crc32(body[: -_CRC.size]):
+                    raise DamagedError(f"the attachment at byte {place} has another checksum")
+                attachments += 1
+                yield Attachment.read(_stream(body))
+            elif opcode == Opcode.STATISTICS:
+                counted = Statistics.read(_stream(body))
+        except (McapError, ValueError, struct.error, MemoryError, ZstdError) as error:
+            raise DamagedError(f"the record at byte {place}: {error}") from error
+    if counted is None or (counted.message_count, counted.attachment_count) != (
+        messages,
+        attachments,
+    ):
+        raise DamagedError("it holds other records than were counted when it was written")
+
+
+def _bodies(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
+    """Place, kind and bytes of every record up to the footer."""
+    stream.seek(max(size - len(MAGIC), 0))
+    complete = size >= 2 * len(MAGIC) and stream.read(len(MAGIC)) == MAGIC
+    stream.seek(len(MAGIC))
+    opcode = None
+    while opcode != Opcode.FOOTER:
+        place = stream.tell()
+        head = stream.read(_HEAD.size)
+        length = 0
+        if len(head) == _HEAD.size:
+            opcode, length = _HEAD.unpack(head)
+        if len(head) < _HEAD.size or place + _HEAD.size + length > size:
+            if complete:
+                raise DamagedError(f"the record at byte {place} is longer than the file")
+            raise CutShortError(f"it ends within the record at byte {place}")
+        if opcode not in _KINDS:
+            raise DamagedError(f"the record at byte {place} is of no kind, {opcode}")
+        yield place, opcode, stream.read(length)
+
+
+def _stream(body: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(body))

@@ -1,0 +1,222 @@
+"""Targets from outside: what is none is said, and a stream neither ends nor delays the loop."""
+
+import os
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant.cli import main
+from pliant.cli.target import GIVE, Target
+from pliant.cli.targets import LONGEST, Stream, open_targets
+
+MODEL = pliant.robots.so101()
+GOOD = b'{"position": [0.2, 0.0, 0.2]}\n'
+TARGET = Target(position=(0.2, 0.0, 0.2))
+PORT = 20177
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("{", "is no JSON"),
+        ("[1]", "an object of"),
+        ('{"pos": [1, 2, 3]}', "an object of"),
+        ('{"position": [1, 2]}', "3 numbers"),
+        ('{"position": [1, 2, NaN]}', "not finite"),
+        ('{"position": [1, 2, true]}', "3 numbers"),
+        ('{"q": [1], "position": [1, 2, 3]}', "q, or position"),
+        ('{"q": [0, 0, 0]}', "expected (5,)"),
+        ('{"wxyz": [0, 0, 0, 0]}', "quaternion"),
+        ('{"position": [5, 0, 0.2]}', "5 m from shoulder_pan, and the arm reaches 0.478 m"),
+        ('{"position": [200, 0, 150]}', "in millimetres"),
+        ('{"position": [1e300, 0, 0]}', "1e+300 m from shoulder_pan"),
+        ('{"position": [1' + "0" * 400 + ", 0, 0]}", "position is larger than any number"),
+        ('{"position": [1' + "0" * 5000 + ", 0, 0]}", "is no JSON"),
+        ("[" * 100_000, "is nested too deeply"),
+        ('{"q": [50, 0, 0, 0, 0]}', "q takes shoulder_pan to 50 rad, and its limits are -1.9"),
+        ('{"wxyz": [1, 0, 0, 0], "xyzw": [0, 0, 0, 1]}', "one quaternion"),
+    ],
+)
+def test_targets_that_are_none(line, said, tmp_path, capsys):
+    file = tmp_path / "bad.jsonl"
+    file.write_text(f'{{"position": [0.2, 0, 0.2]}}\n{line}\n')
+    assert main(["run", "so101", "--backend", "sim", "--targets", str(file)]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "line 2" in error
+
+
+@pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
+def test_every_pose_of_an_arm_is_within_its_reach(name):
+    model = getattr(pliant.robots, name)()
+    q = np.random.default_rng(0).uniform(model.lower, model.upper, (2000, model.n))
+    for pose in model.forward_kinematics_batch(q):
+        Target(position=tuple(pose[:3, 3])).check_reach(model)
+    up = model.reach_from
+    for distance, far in ((0.99, False), (1.01, True)):
+        target = Target(position=(up[0], up[1], up[2] + distance * model.reach))
+        if far:
+            with pytest.raises(pliant.ConfigError, match="reaches"):
+                target.check_reach(model)
+        else:
+            target.check_reach(model)
+
+
+def test_reach_counts_from_the_first_joint_that_moves():
+    lift = """<robot name="lift">
+    <link name="base"/><link name="column"/><link name="arm"/><link name="tool"/>
+    <joint name="lift" type="prismatic"><parent link="base"/><child link="column"/>
+    <axis xyz="0 0 1"/><limit lower="0" upper="2" effort="9" velocity="1"/></joint>
+    <joint name="turn" type="revolute"><parent link="column"/><child link="arm"/>
+    <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="9" velocity="1"/></joint>
+    <joint name="end" type="fixed"><parent link="arm"/><child link="tool"/>
+    <origin xyz="0.4 0 0"/></joint></robot>"""
+    model = pliant.Model.from_urdf_str(lift, locked={"lift": 1.0})
+    assert np.allclose(model.reach_from, [0.0, 0.0, 1.0])
+    Target(position=(0.4, 0.0, 1.0)).check_reach(model)
+    with pytest.raises(pliant.ConfigError, match=r"0\.9 m from turn, and the arm reaches 0\.4 m"):
+        Target(position=(0.0, 0.0, 1.9)).check_reach(model)
+
+
+def test_joints_may_be_a_little_beyond_their_limits():
+    for given in (MODEL.upper + 0.5 * GIVE, MODEL.lower - 0.5 * GIVE):
+        Target(q=tuple(given)).check_limits(MODEL)
+    with pytest.raises(pliant.ConfigError, match="q takes wrist_roll to"):
+        Target(q=(0.0, 0.0, 0.0, 0.0, MODEL.upper[4] + 2.0 * GIVE)).check_limits(MODEL)
+
+
+@pytest.fixture
+def pipe():
+    """A stream, and what writes to it and waits until it was read."""
+    ends = os.pipe()
+    source = Stream(ends[0], MODEL)
+
+    def write(*lines):
+        for line in lines:
+            os.write(ends[1], line)
+        time.sleep(0.1)
+
+    yield source, write, lambda: os.close(ends[1])
+    source.__exit__()
+
+
+WRONG = [
+    b'{"position": [200, 0, 200]}\n',
+    b'{"position": [1e300, 0, 0]}\n',
+    b'{"position": [' + b"1" * 400 + b", 0, 0]}\n",
+    b'{"position": [' + b"1" * 5000 + b", 0, 0]}\n",
+    b"[" * 3000 + b"\n",
+    b"[" * 30_000 + b"\n",
+    b'\xff\xfe{"position": [0.2, 0, 0.2]}\n',
+    b'{"q": [50, 0, 0, 0, 0]}\n',
+]
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_a_wrong_line_of_a_stream_is_said_and_skipped(line, pipe, capsys):
+    source, write, end = pipe
+    write(line)
+    assert source.latest() is None
+    said = capsys.readouterr().err
+    assert said.startswith("target refused: ")
+    assert len(said) < 400
+    write(b"\n", GOOD)
+    assert source.latest() == TARGET
+    assert not source.done
+    write(GOOD.strip())
+    end()
+    time.sleep(0.1)
+    assert source.latest() == TARGET, "also a last line without an end"
+    assert source.done
+
+
+def test_of_many_lines_the_newest_counts(pipe):
+    source, write, _ = pipe
+    write(b'{"position": [0.1, 0.0, 0.2]}\n' * 50 + GOOD)
+    assert source.latest() == TARGET
+    assert source.latest() is None
+
+
+def test_refusals_are_said_a_few_times_a_second(pipe, capsys):
+    source, write, _ = pipe
+    for _ in range(6):
+        write(b"nonsense\n")
+        source.latest()
+    source.__exit__()
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) < 4
+    told = sum("target refused" in line for line in said)
+    left = sum(int(count) for count in re.findall(r"(\d+) more", "\n".join(said)))
+    assert told + left == 6
+
+
+def test_a_flood_on_standard_input_does_not_hold_the_loop():
+    words = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "2"]
+    with subprocess.Popen(["yes", GOOD.decode().strip()], stdout=subprocess.PIPE) as flood:
+        done = subprocess.run(
+            [sys.executable, "-m", "pliant.cli", *words],
+            stdin=flood.stdout,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        flood.terminate()
+    assert done.returncode == 0, done.stderr
+    assert "200 ticks" in done.stdout
+    assert not done.stderr
+
+
+def test_a_run_ends_while_standard_input_is_open():
+    words = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "0.5"]
+    command = [sys.executable, "-m", "pliant.cli", *words]
+    piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **piped) as running:
+        assert running.wait(timeout=60) == 0
+        assert not running.stderr.read()
+
+
+def test_datagrams_come_from_this_machine_only(capsys):
+    with (
+        open_targets(f"udp:{PORT}", MODEL) as source,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+    ):
+        assert source.latest() is None
+        for text in (b"nonsense", b'{"q": [0, 0]}', GOOD):
+            sender.sendto(text, ("127.0.0.1", PORT))
+        time.sleep(0.1)
+        assert source.latest() == TARGET
+        for line in (*WRONG[:3], b" " * LONGEST + GOOD):
+            sender.sendto(line, ("127.0.0.1", PORT))
+            time.sleep(0.1)
+            assert source.latest() is None
+        assert "target refused" in capsys.readouterr().err
+
+
+def test_a_flood_of_datagrams_does_not_hold_a_tick():
+    over = threading.Event()
+
+    def flood():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not over.is_set():
+                sender.sendto(GOOD, ("127.0.0.1", PORT + 1))
+
+    with open_targets(f"udp:{PORT + 1}", MODEL) as source:
+        thread = threading.Thread(target=flood)
+        thread.start()
+        try:
+            time.sleep(0.1)
+            begun = time.monotonic()
+            found = [source.latest() for _ in range(5)]
+            assert time.monotonic() - begun < 10.0
+            assert TARGET in found
+        finally:
+            over.set()
+            thread.join()

@@ -1,0 +1,136 @@
+"""`pliant setup --undo`: what does not belong to the arm is refused before anything is written."""
+
+import io
+import json
+import shlex
+
+import pytest
+
+from pliant.cli import main
+from pliant.servo.emulator import Device, Emulator
+
+pytest.importorskip("rustypot", reason="the bus needs the extra servo")
+
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """Servos as they came, the file of their arm in a folder with a blank, and a backup's path."""
+    folder = tmp_path / "my arms"
+    folder.mkdir()
+    file = folder / "arm.toml"
+    with Emulator([Device("XL430-W250", id=i) for i in range(1, 6)]) as bus:
+        servos = "".join(
+            f'{name} = {{ model = "XL430-W250", id = {i} }}\n' for i, name in enumerate(JOINTS, 1)
+        )
+        file.write_text(
+            f'robot.builtin = "so101"\n[[port]]\npath = "{bus.port}"\n[servo]\n{servos}'
+        )
+        yield bus, file, folder / "old.json"
+
+
+@pytest.fixture
+def done(arm, capsys):
+    """The same after a set-up, with what was said."""
+    bus, file, backup = arm
+    assert main(["setup", str(file), "--port", bus.port, "--yes", "--backup", str(backup)]) == 0
+    said = capsys.readouterr().out
+    bus.log.clear()
+    return bus, file, backup, said
+
+
+def test_the_printed_command_puts_the_values_back(done, capsys, monkeypatch):
+    bus, file, backup, said = done
+    old = json.loads(backup.read_text())
+    assert f"{len(old['changes'])} registers written" in said
+    (line,) = [line for line in said.splitlines() if "puts them back" in line]
+    name, *words = shlex.split(line.partition("back: ")[2])
+    assert (name, words[:2]) == ("pliant", ["setup", str(file)])
+    assert words[-2:] == ["--port", bus.port]
+    assert main([*words, "--yes"]) == 0
+    assert f"{len(old['changes'])} registers written" in capsys.readouterr().out
+    assert len(bus.log.eeprom_writes()) == len(old["changes"])
+    # A second time there is nothing left: what is there is read, not believed.
+    assert main([*words, "--yes"]) == 0
+    assert "nothing to change" in capsys.readouterr().out
+
+
+def test_the_column_is_shows_what_the_servo_has(done, capsys, monkeypatch):
+    bus, file, backup, _ = done
+    data = json.loads(backup.read_text())
+    change = next(c for c in data["changes"] if c["register"] == "return_delay" and c["id"] == 2)
+    change["new"] = 77  # what the file believes
+    backup.write_text(json.dumps(data))
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert main(["setup", str(file), "--undo", str(backup)]) == 2
+    both = capsys.readouterr()
+    assert "77" not in both.out
+    assert both.err.strip() == "error: nothing was written", "an end of input is no"
+    assert not bus.log.eeprom_writes()
+
+
+def test_a_backup_from_before_is_still_read(done, capsys):
+    bus, file, backup, _ = done
+    entries = json.loads(backup.read_text())["changes"]
+    for entry in entries:
+        del entry["model"]
+    backup.write_text(json.dumps(entries))
+    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 0
+    assert f"{len(entries)} registers written" in capsys.readouterr().out
+    assert len(bus.log.eeprom_writes()) == len(entries)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"joint": "nope"}, "has values of nope (id 1), which the configuration does not have"),
+        ({"id": 77}, "shoulder_pan (id 77), which the configuration does not have; it has"),
+        ({"model": "MX-28"}, "was MX-28, the configuration says XL430-W250"),
+        ({"model": "nope"}, "no servo model 'nope'"),
+        ({"register": "nope"}, "'nope' is no register that setup writes on XL430-W250; those are"),
+        ({"register": "id", "old": 1}, "'id' is no register that setup writes"),
+        ({"old": -1}, "takes 0 to 255, got -1"),
+        ({"old": 256}, "takes 0 to 255, got 256"),
+        ({"old": 10**30}, "takes 0 to 255"),
+        ({"old": "x"}, "is no backup of pliant setup: old is a whole number"),
+        ({"old": True}, "old is a whole number"),
+        ({"old": None}, "old is a whole number"),
+        ({"joint": [1]}, "joint is text"),
+        ({"foo": 1}, "an entry has joint, id, register"),
+    ],
+)
+def test_what_does_not_belong_is_refused_before_the_first_write(change, said, done, capsys):
+    bus, file, backup, _ = done
+    data = json.loads(backup.read_text())
+    data["changes"][0].update(change)
+    # Whatever came first was written before.
+    data["changes"].append(data["changes"].pop(0))
+    backup.write_text(json.dumps(data))
+    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 2
+    assert said in capsys.readouterr().err
+    assert not bus.log.eeprom_writes()
+
+
+@pytest.mark.parametrize(
+    "text", ["{}", "null", "5", '"abc"', "[1, 2]", "[" * 100_000, "1" * 5000, '{"format": 3}']
+)
+def test_what_is_no_backup(text, done, capsys):
+    _, file, backup, _ = done
+    backup.write_text(text)
+    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 2
+    error = capsys.readouterr().err
+    assert "is no backup of pliant setup" in error or "is 3, this pliant reads" in error
+
+
+def test_a_backup_of_another_arm_or_a_register_twice(done, capsys):
+    bus, file, backup, _ = done
+    data = json.loads(backup.read_text())
+    data["changes"].append(data["changes"][0])
+    backup.write_text(json.dumps(data))
+    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 2
+    assert "comes twice" in capsys.readouterr().err
+    backup.write_text(json.dumps({**data, "arm": "left.toml"}))
+    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 2
+    assert "holds the old values of left.toml, not of" in capsys.readouterr().err
+    assert not bus.log.eeprom_writes()

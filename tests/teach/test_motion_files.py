@@ -1,0 +1,119 @@
+"""Motions whose numbers cannot be, and files that cannot be written: said, by name, in time."""
+
+import json
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant.cli import main
+from pliant.teach import Motion
+
+NAMES = tuple(pliant.robots.so101().joint_names)
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """A good motion file and its data."""
+    path = tmp_path / "m.json"
+    time = np.linspace(0.0, 1.0, 11)
+    Motion(NAMES, time, 0.1 * np.tile(time[:, None], 5), start=(0.1, 0.0, 0.2)).save(path)
+    return path, json.loads(path.read_text())
+
+
+@pytest.mark.parametrize(
+    "start",
+    ["[NaN, NaN, NaN]", "[0.1, Infinity, 0]", "[1, 2]", "[1" + "0" * 400 + ", 0, 0]", '"abc"', "3"],
+)
+def test_a_place_of_start_that_is_none_is_refused(saved, start):
+    path, data = saved
+    path.write_text(json.dumps({**data, "start": "HERE"}).replace('"HERE"', start))
+    with pytest.raises(pliant.ConfigError, match=r"m\.json"):
+        Motion.load(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[" * 100_000, "is no motion file: it is nested too deeply"),
+        ('{"format": ' + "1" * 5000 + "}", "is no motion file"),
+        (None, "is no motion file: int too"),
+    ],
+)
+def test_numbers_and_nests_that_are_too_large(saved, text, said, capsys):
+    path, data = saved
+    if text is None:
+        data["samples"][3][1] = 10**400
+        text = json.dumps(data)
+    path.write_text(text)
+    with pytest.raises(pliant.ConfigError, match=said):
+        Motion.load(path)
+    assert main(["replay", "so101", str(path), "--backend", "sim"]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("factor", [1e-300, 1e-6, 1e6, 1e300])
+def test_times_that_are_no_seconds_are_refused(saved, factor):
+    path, data = saved
+    for row in data["samples"]:
+        row[0] *= factor
+    path.write_text(json.dumps(data))
+    with pytest.raises(pliant.ConfigError, match="its times are in seconds"):
+        Motion.load(path)
+
+
+def test_a_motion_as_long_as_floats_is_refused():
+    with pytest.raises(pliant.ConfigError, match="its times are in seconds"):
+        Motion(("a",), [-1.7e308, 1.7e308], [[0.0], [1.0]])
+
+
+def test_smoothing_names_what_it_cannot_do(saved):
+    motion = Motion.load(saved[0])
+    for width in (np.inf, np.nan, -1.0):
+        with pytest.raises(pliant.ConfigError, match="width must be at least 0 s"):
+            motion.smoothed(width)
+    with pytest.raises(pliant.ConfigError, match="both finite"):
+        motion.smoothed(rate=np.inf)
+    with pytest.raises(pliant.ConfigError, match=r"1e\+12 samples, at most 1e\+07 are made"):
+        motion.smoothed(rate=1e12)
+    assert motion.smoothed(1e308).duration == motion.duration
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["teach", "so101", "FILE.json"],
+        ["run", "so101", "--log", "FILE.mcap"],
+        ["replay", "so101", "m.json", "--log", "FILE.mcap"],
+    ],
+)
+@pytest.mark.parametrize("place", ["folder", "/proc", "none"])
+def test_a_file_that_cannot_be_written_is_said_before_torque_comes_on(
+    saved, words, place, capsys, monkeypatch
+):
+    pytest.importorskip("mcap", reason="logs need the extra log")
+    path, _ = saved
+    monkeypatch.chdir(path.parent)
+    switched = []
+    monkeypatch.setattr(pliant.arm.Arm, "enable", lambda *_: switched.append(1))
+    *others, file = words
+    for suffix in (".json", ".mcap"):
+        (path.parent / f"folder{suffix}").mkdir()
+    names = {"folder": "folder", "/proc": "/proc/pliant", "none": "none/x"}
+    file = file.replace("FILE", names[place])
+    assert main([*others, file, "--backend", "sim"]) == 2
+    error = capsys.readouterr().err
+    assert ("there is no folder" if place == "none" else f"{file} cannot be written") in error
+    assert error.count("\n") == 1
+    assert not switched
+
+
+def test_looking_whether_a_file_can_be_written_changes_nothing(tmp_path):
+    from pliant.cli.files import check_writable
+
+    new, old = tmp_path / "new.json", tmp_path / "old.json"
+    old.write_text("kept")
+    check_writable(new)
+    check_writable(old)
+    assert not new.exists()
+    assert old.read_text() == "kept"
