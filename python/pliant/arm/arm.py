@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import os
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -14,7 +15,7 @@ from pliant.arm.checks import posture
 from pliant.arm.cycle import Cycle
 from pliant.arm.entry import hear_all, take_up
 from pliant.arm.exits import descend, settle
-from pliant.arm.gripper import Gripper, Jaw
+from pliant.arm.gripper import Gripper, grippers
 from pliant.arm.keeper import Keeper
 from pliant.arm.lowering import SUPPORT
 from pliant.arm.points import Points
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from pliant import Model
     from pliant.arm.drive import Clock, Drive
+    from pliant.arm.gripper import Jaw
     from pliant.arm.state import State
 
     Array = NDArray[np.float64]
@@ -41,7 +43,9 @@ LEAD = 0.1
 class Arm:
     """An arm over any drive, with its life cycle.
 
-    `with` opens, identifies and enables it, and lowers it at the end, whatever the reason.
+    `with` opens, identifies and enables it, and lowers it at the end, whatever the reason. With
+    torque on it belongs to the process that switched it on: in one forked from that, exits do
+    nothing, and `read` and `write` raise.
 
     Args:
         model: The robot; its joint names are looked up among the drive's.
@@ -62,7 +66,7 @@ class Arm:
         drive, rate, rest, hold_for: As given.
         servos: The chain's servos, n entries, as the drive has them; better known once open.
         grippers: The joints off the chain by name; made anew when the drive opens.
-        enabled: Whether torque is on.
+        enabled: Whether torque is on, and this process switched it on.
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
@@ -98,7 +102,7 @@ class Arm:
         self._keeper = Keeper(self._leave)
         self._meet()
         self.rest = None if rest is None else posture(self.model, rest, "rest")
-        self.enabled = self._opened = False
+        self._opened = False
 
     def _meet(self) -> None:
         """Make all that depends on what the servos are: a drive that is open knows it better."""
@@ -107,30 +111,14 @@ class Arm:
         # What is made from the model alone must not believe the table that it came with.
         self.model = self.model.with_servos(self.servos)
         self._points = Points(self.model, self.servos.armature)
-        self.grippers = self._make_grippers(self._jaws)
-
-    def _make_grippers(self, jaws: dict[str, Jaw]) -> dict[str, Gripper]:
-        """One gripper per joint beside the chain."""
-        roster, drive = self._cycle.roster, self.drive
-        unknown = sorted(set(jaws) - set(roster.extra))
-        if unknown:
-            there = ", ".join(roster.extra) or "none"
-            raise ConfigError(f"no joint {unknown[0]!r} off the chain; there are: {there}")
-        overload = np.broadcast_to(getattr(drive, "overload", 1.0), len(roster.names))
-        return {
-            name: Gripper(
-                name,
-                jaws.get(name, Jaw()),
-                self.model,
-                largest=float(np.broadcast_to(drive.servos.torque, len(roster.names))[i]),
-                overload=float(overload[i]),
-                order=self._order,
-                measure=lambda name: float(self._cycle.belief.position[roster.index(name)]),
-            )
-            for name, i in zip(roster.extra, roster.beside.tolist(), strict=True)
-        }
+        self.grippers = grippers(self._cycle, self._jaws, self._order)
 
     # Life.
+
+    @property
+    def enabled(self) -> bool:
+        """Whether torque is on, and this process switched it on."""
+        return self._keeper.owner == os.getpid()
 
     def open(self) -> None:
         """Connect and identify; torque stays as it is.
@@ -175,7 +163,7 @@ class Arm:
         if self._signals is not None:
             self._signals.install()
         atexit.register(self._at_exit)
-        self.enabled = True
+        self._keeper.owner = os.getpid()
         try:
             cycle.begin(start, weight)
         except ServoError:
@@ -224,6 +212,8 @@ class Arm:
 
     def close(self) -> None:
         """Leave as `exit` says where torque is on, then let go of the bus."""
+        if self._keeper.elsewhere:
+            return
         try:
             if self.enabled:
                 self.lower() if self._exit == "lower" else self.hold()
@@ -262,11 +252,11 @@ class Arm:
             if self.enabled:
                 self._bring_down(self.rest) if self._exit == "lower" else settle(self._cycle)
         finally:
-            self.enabled = False
+            self._keeper.owner = None
 
     def _forget(self) -> None:
         """Nothing is left to be brought down."""
-        self.enabled = False
+        self._keeper.owner = None
         atexit.unregister(self._at_exit)
         if self._signals is not None:
             self._signals.restore()
@@ -312,7 +302,7 @@ class Arm:
 
         Raises:
             ServoTimeout: The program was away for too long, and the arm has been lowered meanwhile.
-            ServoError: The connection is gone.
+            ServoError: The connection is gone, or another process switched torque on.
         """
         with self._keeper:
             return self._cycle.state(self._cycle.sample())
@@ -341,7 +331,8 @@ class Arm:
         Raises:
             ShapeError, LimitError, ConfigError: What cannot be sent; nothing was.
             ServoTimeout: As `read`.
-            ServoError: Torque is off, or the connection is gone.
+            ServoError: Torque is off, or was switched on by another process, or the connection is
+                gone.
         """
         with self._keeper:
             self._on()

@@ -6,13 +6,16 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pliant import ConfigError
 from pliant.arguments import real
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from pliant import Model
+    from pliant.arm.cycle import Cycle
 
 #: Default limit as a share of the largest torque, and of the servo's overload threshold.
 DEFAULT_SHARE, OVERLOAD_SHARE = 0.3, 0.9
@@ -138,3 +141,31 @@ class Gripper:
                 f"gripper {self.name!r} has no limit in the model: give Jaw({which}=...) [rad]"
             )
         return float(value)
+
+
+def grippers(
+    cycle: Cycle, jaws: Mapping[str, Jaw], order: Callable[[str, float, float], None]
+) -> dict[str, Gripper]:
+    """One gripper per joint beside the chain.
+
+    Raises:
+        ConfigError: A jaw is for no such joint, or a gripper lacks its ends.
+    """
+    roster, drive = cycle.roster, cycle.drive
+    unknown = sorted(set(jaws) - set(roster.extra))
+    if unknown:
+        there = ", ".join(roster.extra) or "none"
+        raise ConfigError(f"no joint {unknown[0]!r} off the chain; there are: {there}")
+    overload = np.broadcast_to(getattr(drive, "overload", 1.0), len(roster.names))
+    return {
+        name: Gripper(
+            name,
+            jaws.get(name, Jaw()),
+            cycle.model,
+            largest=float(np.broadcast_to(drive.servos.torque, len(roster.names))[i]),
+            overload=float(overload[i]),
+            order=order,
+            measure=lambda name: float(cycle.belief.position[roster.index(name)]),
+        )
+        for name, i in zip(roster.extra, roster.beside.tolist(), strict=True)
+    }
