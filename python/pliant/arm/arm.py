@@ -13,7 +13,7 @@ from pliant import ConfigError, ServoError
 from pliant.arm.budget import Budget
 from pliant.arm.checks import posture
 from pliant.arm.cycle import Cycle
-from pliant.arm.entry import hear_all, take_up
+from pliant.arm.entry import hear_all, stand_within, take_up
 from pliant.arm.exits import descend, settle
 from pliant.arm.gripper import Gripper, grippers
 from pliant.arm.keeper import Keeper
@@ -139,7 +139,8 @@ class Arm:
 
         Raises:
             ServoTimeout: Joints do not answer; names them.
-            ServoError: Joints moved or did not obey when torque came on.
+            ServoError: A joint is believed to be outside its limits, and nothing was sent; or
+                joints moved or did not obey when torque came on.
         """
         with self._keeper.alone():
             if not self.enabled:
@@ -151,9 +152,10 @@ class Arm:
         self._keeper.reason = None
         cycle, kp = self._cycle, np.asarray(self.servos.kp)
         hear_all(cycle, self.rate)
-        gravity = cycle.gravity()
         names = cycle.roster.names
         on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[cycle.roster.chain]
+        stand_within(cycle, on)
+        gravity = cycle.gravity()
         # A joint that carries weight already would dip if its goal went to where it is.
         stood = cycle.q
         start = stood + np.where(on, np.clip(gravity / kp, -LEAD, LEAD), 0.0)

@@ -9,13 +9,16 @@ import numpy as np
 from pliant import LimitError, ShapeError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import ArrayLike, NDArray
 
     from pliant import Model
 
     Array = NDArray[np.float64]
 
-#: How far outside of the limits a pose may be that is brought inside [rad].
+#: How far outside of the limits a pose may be that is brought inside, and a joint that lies beyond
+#: its stop [rad].
 SLACK = 0.1
 
 
@@ -40,11 +43,21 @@ def posture(model: Model, value: ArrayLike, name: str) -> Array:
         ShapeError, LimitError: It is none.
     """
     pose = vector(model, value, name)
-    low, high = np.asarray(model.lower), np.asarray(model.upper)
-    for joint, q, least, most in zip(model.joint_names, pose, low, high, strict=True):
-        if not least - SLACK <= q <= most + SLACK:
-            raise LimitError(
-                f"{name}: {joint} = {q:g} rad is outside of {least:.3g} to {most:.3g} rad"
-                + (": are these degrees?" if abs(q) > 2.0 * np.pi else "")
-            )
-    return np.clip(pose, low, high)
+    for joint, q, least, most in outside(model, pose):
+        raise LimitError(
+            f"{name}: {joint} = {q:g} rad is outside of {least:.3g} to {most:.3g} rad"
+            + (": are these degrees?" if abs(q) > 2.0 * np.pi else "")
+        )
+    return np.clip(pose, model.lower, model.upper)
+
+
+def outside(model: Model, q: Array) -> Iterator[tuple[str, float, float, float]]:
+    """Joints of q (n,) [rad] that are beyond their limits by more than `SLACK`.
+
+    Yields:
+        Name, position and limits of each [rad].
+    """
+    for row in zip(model.joint_names, q.tolist(), model.lower, model.upper, strict=True):
+        _, here, low, high = row
+        if not low - SLACK <= here <= high + SLACK:
+            yield row
