@@ -270,6 +270,23 @@ def test_an_arm_says_what_does_not_fit(make):
         _ = make().gripper
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("hold_for", np.inf, "hold_for must be above 0 s and at most 60 s, got inf"),
+        ("hold_for", 1e9, "at most 60 s, got 1e[+]09"),
+        ("hold_for", np.nan, "at most 60 s, got nan"),
+        ("hold_for", True, "hold_for must be a number, got True"),
+        ("rate", "100", "rate must be a number, got '100'"),
+        ("rate", np.inf, "rate must be above 0 Hz and finite, got inf"),
+        ("watchdog", np.inf, "watchdog must be 0 s .*got inf"),
+    ],
+)
+def test_times_that_would_keep_an_arm_up_for_ever_are_refused(make, option, value, said):
+    with pytest.raises(pliant.ConfigError, match=said):
+        make(**{option: value})
+
+
 def test_connect_by_name_and_by_parts():
     arm = pliant.connect("sim:so101", rate=200.0, rest=np.zeros(5))
     assert (arm.model.n, arm.rate, arm.clock.period) == (5, 200.0, 0.005)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pliant import ConfigError, ServoError
 from pliant.arm.budget import Budget
-from pliant.arm.checks import posture
+from pliant.arm.checks import posture, times
 from pliant.arm.cycle import Cycle
 from pliant.arm.entry import hear_all, stand_within, take_up
 from pliant.arm.exits import descend, settle
@@ -53,7 +53,8 @@ class Arm:
         rest: Joint positions (n,) [rad] where `lower` goes first; None: straight down.
         exit: What leaving does: `lower`, or `hold`.
         rate: Of the arm's own loops, enabling and leaving [Hz].
-        hold_for: How long a silent bus or program is waited for before the arm is lowered [s].
+        hold_for: How long a silent bus or program is waited for before the arm is lowered [s], at
+            most 60.
         budget: What servos and supply give for long; None: the default.
         grippers: How joints off the chain open and close, by name; others take the model's limits.
         watchdog: Silence after which servos that can stop by themselves do [s]; 0: never. One that
@@ -88,15 +89,10 @@ class Arm:
         signals: bool = True,
     ) -> None:
         """Sort the joints; nothing is opened or moved yet."""
-        if not (rate > 0.0 and hold_for > 0.0 and watchdog >= 0.0):
-            raise ConfigError(
-                "rate and hold_for must be above 0, watchdog at least 0; got "
-                f"{rate!r} Hz, {hold_for!r} s, {watchdog!r} s"
-            )
         if exit not in {"lower", "hold"}:
             raise ConfigError(f"exit must be 'lower' or 'hold', got {exit!r}")
         self.model, self.drive = model, drive
-        self.rate, self.hold_for, self._watchdog = float(rate), float(hold_for), float(watchdog)
+        self.rate, self.hold_for, self._watchdog = times(rate, hold_for, watchdog)
         self._exit, self._signals = exit, Signals() if signals else None
         self._budget, self._jaws = budget or Budget(), dict(grippers or {})
         self._keeper = Keeper(self._leave)

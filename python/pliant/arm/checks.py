@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import LimitError, ShapeError
+from pliant import ConfigError, LimitError, ShapeError
+from pliant.arguments import real
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 #: How far outside of the limits a pose may be that is brought inside, and a joint that lies beyond
 #: its stop [rad].
 SLACK = 0.1
+#: Longest time that a silent bus or program may be waited for [s].
+LONGEST_HOLD = 60.0
 
 
 def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) -> Array:
@@ -34,6 +37,26 @@ def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) ->
     if finite and not np.isfinite(array).all():
         raise LimitError(f"{name} is not finite, nothing was sent: {array.tolist()}")
     return array
+
+
+def times(rate: float, hold_for: float, watchdog: float) -> tuple[float, float, float]:
+    """Rate [Hz], `hold_for` and watchdog [s] that an arm can keep; see `Arm`.
+
+    Raises:
+        ConfigError: One is no number or out of range.
+    """
+    rate, hold_for = real(rate, "rate"), real(hold_for, "hold_for")
+    watchdog = real(watchdog, "watchdog")
+    if not 0.0 < rate < np.inf:
+        raise ConfigError(f"rate must be above 0 Hz and finite, got {rate:g}")
+    if not 0.0 < hold_for <= LONGEST_HOLD:
+        raise ConfigError(
+            f"hold_for must be above 0 s and at most {LONGEST_HOLD:g} s, got {hold_for:g}: an arm "
+            "whose bus is silent is lowered after that"
+        )
+    if not 0.0 <= watchdog < np.inf:
+        raise ConfigError(f"watchdog must be 0 s (never) or more and finite, got {watchdog:g}")
+    return rate, hold_for, watchdog
 
 
 def posture(model: Model, value: ArrayLike, name: str) -> Array:

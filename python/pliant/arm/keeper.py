@@ -124,7 +124,8 @@ class Keeper:
 
     def _watch(self, patience: float, done: threading.Event) -> None:
         """Sleep until the program would be late, look, sleep again."""
-        while not done.wait(max(self._seen + patience - time.perf_counter(), 1e-3)):
+        most = threading.TIMEOUT_MAX
+        while not done.wait(min(max(self._seen + patience - time.perf_counter(), 1e-3), most)):
             if time.perf_counter() - self._seen < patience:
                 continue
             with self.lock:
