@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pliant import ConfigError, ServoError
+from pliant.arguments import instance
 from pliant.arm.budget import Budget
 from pliant.arm.checks import posture, times
 from pliant.arm.cycle import Cycle
 from pliant.arm.entry import hear_all, stand_within, take_up
 from pliant.arm.exits import descend, settle
-from pliant.arm.gripper import Gripper, grippers
+from pliant.arm.gripper import Gripper, check_jaws, make_grippers
 from pliant.arm.keeper import Keeper
 from pliant.arm.lowering import SUPPORT
 from pliant.arm.points import Points
@@ -71,6 +72,7 @@ class Arm:
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
+        TypeError: A budget or gripper of another kind.
         ShapeError, LimitError: The rest pose is none.
     """
 
@@ -94,7 +96,8 @@ class Arm:
         self.model, self.drive = model, drive
         self.rate, self.hold_for, self._watchdog = times(rate, hold_for, watchdog)
         self._exit, self._signals = exit, Signals() if signals else None
-        self._budget, self._jaws = budget or Budget(), dict(grippers or {})
+        self._budget = Budget() if budget is None else instance(budget, Budget, "budget")
+        self._jaws = check_jaws(grippers)
         self._keeper = Keeper(self._leave)
         self._meet()
         self.rest = None if rest is None else posture(self.model, rest, "rest")
@@ -107,7 +110,7 @@ class Arm:
         # What is made from the model alone must not believe the table that it came with.
         self.model = self.model.with_servos(self.servos)
         self._points = Points(self.model, self.servos.armature)
-        self.grippers = grippers(self._cycle, self._jaws, self._order)
+        self.grippers = make_grippers(self._cycle, self._jaws, self._order)
 
     # Life.
 
@@ -327,7 +330,7 @@ class Arm:
                 None, or inf: as fast as they can.
 
         Raises:
-            ShapeError, LimitError, ConfigError: What cannot be sent; nothing was.
+            ShapeError, LimitError, ConfigError, TypeError: What cannot be sent; nothing was.
             ServoTimeout: As `read`.
             ServoError: Torque is off, or was switched on by another process, or the connection is
                 gone.

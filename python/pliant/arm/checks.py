@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import ConfigError, LimitError, ShapeError
-from pliant.arguments import real
+from pliant.arguments import given, real
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,9 +29,16 @@ def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) ->
     """A joint vector (n,) that can be sent.
 
     Raises:
-        ShapeError: Another shape. LimitError: Not finite, where it has to be.
+        ShapeError: Another shape, or no real numbers. LimitError: Not finite, where it has to be.
     """
-    array = np.array(value, dtype=np.float64)
+    try:
+        raw = np.asarray(value)
+        # Truth, complex numbers and text would become real numbers without a word.
+        array = None if raw.dtype.kind in "bcUS" else np.array(raw, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = None
+    if array is None:
+        raise ShapeError(f"{name} must be {model.n} real numbers, got {given(value)}")
     if array.shape != (model.n,):
         raise ShapeError(f"{name} has shape {array.shape}, expected ({model.n},)")
     if finite and not np.isfinite(array).all():

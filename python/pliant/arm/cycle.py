@@ -164,7 +164,7 @@ class Cycle:
             velocity = vector(self.model, velocity, "velocity", finite=False)
             if not velocity.min() >= 0.0:
                 raise LimitError(f"velocity must be at least 0 rad/s, got {velocity.tolist()}")
-        orders = self.roster.check(extra or {})
+        orders = {} if extra is None else self.roster.check(extra)
         gravity, model, chain = self.gravity(), self.model, self.roster.chain
         need, most = gravity / self._kp[chain], self._usable[chain] / self._kp[chain]
         far = np.maximum(model.lower - goal, goal - model.upper)

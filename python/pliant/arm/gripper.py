@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import ConfigError
-from pliant.arguments import real
+from pliant.arguments import instance, mapping, real
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -143,7 +143,18 @@ class Gripper:
         return float(value)
 
 
-def grippers(
+def check_jaws(jaws: Mapping[str, Jaw] | None) -> dict[str, Jaw]:
+    """What each gripper is, by joint; none of them for None.
+
+    Raises:
+        TypeError: No mapping, or one of them is no `Jaw`.
+    """
+    hint = "as {'gripper': pliant.arm.Jaw(lever=0.05)}"
+    named = {} if jaws is None else mapping(jaws, "grippers", hint)
+    return {name: instance(jaw, Jaw, f"grippers[{name!r}]", hint) for name, jaw in named.items()}
+
+
+def make_grippers(
     cycle: Cycle, jaws: Mapping[str, Jaw], order: Callable[[str, float, float], None]
 ) -> dict[str, Gripper]:
     """One gripper per joint beside the chain.
