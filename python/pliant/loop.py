@@ -74,7 +74,8 @@ class Tick:
         counted and not sent.
 
         Args:
-            command: Goals and limits; a `pliant.Command`.
+            command: Goals and limits; a `pliant.Command`. Limits of another making are sent however
+                low they are, and an arm that they do not carry sinks or falls: see `Arm.write`.
             extra: Goal [rad] and limit [N·m] of joints off the chain by name.
 
         Returns:

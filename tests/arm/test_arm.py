@@ -1,7 +1,5 @@
 """The life of an arm: order of what is sent, exits, joints off the chain, errors."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -270,70 +268,6 @@ def test_an_arm_says_what_does_not_fit(make):
         make(exit="limp")
     with pytest.raises(pliant.ConfigError, match="needs one joint off the chain"):
         _ = make().gripper
-
-
-@pytest.mark.parametrize(
-    ("option", "value", "said"),
-    [
-        ("hold_for", np.inf, "hold_for must be above 0 s and at most 60 s, got inf"),
-        ("hold_for", 1e9, "at most 60 s, got 1e[+]09"),
-        ("hold_for", np.nan, "at most 60 s, got nan"),
-        ("hold_for", True, "hold_for must be a number, got True"),
-        ("rate", "100", "rate must be a number, got '100'"),
-        ("rate", np.inf, "rate must be above 0 Hz and finite, got inf"),
-        ("watchdog", np.inf, "watchdog must be 0 s .*got inf"),
-    ],
-)
-def test_times_that_would_keep_an_arm_up_for_ever_are_refused(make, option, value, said):
-    with pytest.raises(pliant.ConfigError, match=said):
-        make(**{option: value})
-
-
-def test_an_argument_of_another_kind_is_named(make, grasp):
-    for wrong, error, said in (
-        (lambda: make(budget=5), TypeError, r"budget must be a Budget.*got 5 \(int\)"),
-        (lambda: make(budget=0), TypeError, r"budget must be a Budget.*got 0 \(int\)"),
-        (lambda: make(grippers=5), TypeError, r"grippers must be a mapping, as .*got 5 \(int\)"),
-        (lambda: make(grippers={"a": 5}), TypeError, r"grippers\['a'\] must be a Jaw, .*got 5"),
-        (lambda: pliant.Loop(make(), 5), TypeError, r"controller must be .*got 5 \(int\)"),
-    ):
-        with pytest.raises(error, match=said):
-            wrong()
-    with make(q=None, robot="so101") as arm:
-        q = arm.read().q
-        for arguments, error, said in (
-            ((q, None, 5), TypeError, r"extra must be a mapping, as \{'gripper': .*got 5 \(int\)"),
-            ((q, None, 0), TypeError, r"extra must be a mapping, as \{'gripper': .*got 0 \(int\)"),
-            (
-                (q, None, {"gripper": 5}),
-                pliant.ConfigError,
-                "extra must be .*got 5 .int. for gripper",
-            ),
-            ((q, None, {"gripper": ("1", 1)}), pliant.ConfigError, "goal of gripper must be a num"),
-            (
-                (q, None, {"gripper": (0, True)}),
-                pliant.ConfigError,
-                "limit of gripper must be a num",
-            ),
-            ((q, None, {"gripper": (0, -1)}), pliant.LimitError, "limit >= 0, got 0 and -1"),
-            (([True] * 5,), pliant.ShapeError, "goal must be 5 real numbers, got .*True"),
-            ((q + 0j,), pliant.ShapeError, "goal must be 5 real numbers, got .*complex|j"),
-            (([0j] * 5,), pliant.ShapeError, "goal must be 5 real numbers, got .*0j"),
-            ((["1"] * 5,), pliant.ShapeError, "goal must be 5 real numbers, got .*'1'"),
-            (([[1.0], 2.0],), pliant.ShapeError, "goal must be 5 real numbers"),
-            ((q, q < 9.0), pliant.ShapeError, "limit must be 5 real numbers"),
-        ):
-            before = len(arm.drive.diary)
-            with pytest.raises(error, match=said):
-                arm.write(*arguments)
-            assert len(arm.drive.diary) == before
-        for tick in pliant.Loop(arm):
-            with pytest.raises(TypeError, match=r"command must be a Command.*got 5 \(int\)"):
-                tick.write(5)
-            with pytest.raises(pliant.ShapeError, match="goal must be 5 real numbers"):
-                tick.write(SimpleNamespace(goal=q < 9.0, torque_limit=q))
-            break
-        arm.limp()
 
 
 def test_connect_by_name_and_by_parts():

@@ -319,6 +319,10 @@ class Arm:
     ) -> None:
         """Send goals and torque limits, within position limits and budgets.
 
+        Limits are sent however low they are: with less than the weight of a pose the arm sinks,
+        with 0 it falls. A `RuntimeWarning` says so once where a limit has been below half of the
+        weight for 0.2 s, but not of a `Controller`'s commands in `Tick.write`.
+
         Args:
             goal: Joint goals (n,) [rad], cut at the position limits and what the weight needs
                 beyond them.
