@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -37,6 +38,13 @@ def instance(value: Any, kind: type[T], name: str, hint: str = "") -> T:
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         wanted = f"{name} must be {article} {kind.__name__}" + (f", {hint}" if hint else "")
         raise TypeError(f"{wanted}, got {given(value)}")
+    return value
+
+
+def mapping(value: Any, name: str, hint: str) -> Mapping[Any, Any]:
+    """Return a mapping; errors as `instance`."""
+    if not isinstance(value, Mapping):
+        raise TypeError(f"{name} must be a mapping, {hint}, got {given(value)}")
     return value
 
 

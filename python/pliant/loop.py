@@ -9,6 +9,7 @@ import numpy as np
 
 from pliant import Command, ConfigError, ServoError, ServoFault, ServoTimeout
 from pliant.arguments import given, real
+from pliant.arm.checks import vector
 from pliant.arm.lateness import Lateness
 
 if TYPE_CHECKING:
@@ -73,7 +74,8 @@ class Tick:
         counted and not sent.
 
         Args:
-            command: Goals and limits; a `pliant.Command`.
+            command: Goals and limits; a `pliant.Command`. Limits of another making are sent however
+                low they are, and an arm that they do not carry sinks or falls: see `Arm.write`.
             extra: Goal [rad] and limit [N·m] of joints off the chain by name.
 
         Returns:
@@ -81,6 +83,7 @@ class Tick:
 
         Raises:
             ShapeError, ConfigError, LimitError: A command of another arm, or a negative limit.
+            TypeError: No command.
             ServoError: Torque is off, or the connection is gone.
         """
         self.answered = self._loop._write(self, command, extra)
@@ -119,7 +122,7 @@ class Loop:
         delay: Measured, from positions to the arrival of the goal [s].
 
     Raises:
-        TypeError: `arm` is no arm.
+        TypeError: `arm` is no arm, or `controller` nothing that can be reset.
         ConfigError: The rate does not fit, or a time is negative or no number.
         ServoTimeout: While looping: positions, commands or the program did not come.
         ServoFault: While looping: a servo reports a fault, or is too hot.
@@ -144,6 +147,11 @@ class Loop:
         if not hasattr(arm, "clock"):
             raise TypeError(
                 f"arm must be an Arm, as pliant.connect(...) makes one, got {given(arm)}"
+            )
+        if controller is not None and not callable(getattr(controller, "reset", None)):
+            raise TypeError(
+                f"controller must be a Controller, or have reset(q), or be None, got "
+                f"{given(controller)}"
             )
         wanted = getattr(getattr(controller, "settings", None), "rate", arm.rate)
         rate = real(wanted if rate is None else rate, "rate")
@@ -257,7 +265,14 @@ class Loop:
         """Send a command, or count it."""
         self._check()
         clock = self._arm.clock
-        goal, limit = np.asarray(command.goal), np.asarray(command.torque_limit)
+        if not (hasattr(command, "goal") and hasattr(command, "torque_limit")):
+            raise TypeError(
+                "command must be a Command, as Controller.step makes one, or have goal and "
+                f"torque_limit, got {given(command)}; arm.write(goal, limit) takes bare numbers"
+            )
+        model = self._arm.model
+        goal = vector(model, command.goal, "goal", finite=False)
+        limit = vector(model, command.torque_limit, "limit", finite=False)
         old = clock.now() - tick.time > max(STALE_PERIODS * self.period, STALE)
         if old or not (np.isfinite(goal).all() and np.isfinite(limit).all()):
             self.refused += 1

@@ -177,6 +177,44 @@ def test_joints_that_do_not_answer_are_named_before_torque_goes_on(make):
     assert not arm.enabled
 
 
+@pytest.mark.parametrize(("way", "starts"), [(0.05, True), (-0.05, True), (0.5, False)])
+def test_a_joint_that_is_believed_outside_its_limits_gets_no_torque(make, grasp, way, starts):
+    arm = make()
+    read, model = arm.drive.read, arm.model
+    low, high = model.lower[3], model.upper[3]
+
+    def misplaced():
+        sample = read()
+        sample.position[3] = high + way if way > 0.0 else low + way
+        return sample
+
+    arm.drive.read = misplaced
+    if starts:  # one that lies on its stop
+        arm.enable()
+        arm.limp()
+        return
+    said = (
+        rf"elbow_pitch stands at {high + way:.2f} rad, outside its {low:.2f} to {high:.2f}.*doctor"
+    )
+    with pytest.raises(pliant.ServoError, match=said):
+        arm.enable()
+    assert arm.drive.diary == []
+    assert not arm.enabled
+
+
+@pytest.mark.parametrize("robot", ["arm7", "so101", "koch"])
+def test_an_arm_that_was_dropped_starts_from_where_it_lies(make, robot):
+    arm = make(q=None, robot=robot)
+    upper = np.asarray(arm.model.upper)
+    arm.drive.plant.reset(np.where(np.isfinite(upper), 0.9 * upper, 0.0))
+    arm.enable()
+    arm.limp()
+    arm.clock.wait_until(arm.clock.now() + 2.0)
+    arm.enable()
+    assert arm.enabled
+    arm.limp()
+
+
 def test_readings_that_cannot_be_true_grow_old(make):
     arm = make()
     arm.enable()

@@ -36,7 +36,7 @@ class Steps:
 
 
 @contextmanager
-def arm_over_bytes(family, q, clock="steps", plant=None, **options):
+def arm_over_bytes(family, q, clock="steps", plant=None, zero=None, **options):
     robot, device, model, registers = FAMILIES[family]
     chain_model = pliant.robots.load(robot)
     names = [*chain_model.joint_names, "gripper"]
@@ -46,11 +46,25 @@ def arm_over_bytes(family, q, clock="steps", plant=None, **options):
     held = plant is not None
     with emulate(chain_model, mounts, q=np.array(q), clock=clock, plant=plant, held=held) as bus:
         specs = [
-            ServoSpec(name=n, model=model or device, id=k, port=bus.port)
+            ServoSpec(name=n, model=model or device, id=k, port=bus.port, zero=(zero or {}).get(n))
             for k, n in enumerate(names, 1)
         ]
         chain = ServoChain(specs, patience=0.1, clock=Steps(bus) if clock == "steps" else None)
         yield bus, Arm(chain_model, chain, signals=False, **options)
+
+
+@pytest.mark.parametrize(("counts", "starts"), [(1500, False), (40, True)])
+def test_a_joint_whose_zero_is_far_off_gets_no_torque(counts, starts):
+    zero = {"elbow_flex": 2048 + counts}
+    with arm_over_bytes("sts", [0.0] * 5, zero=zero) as (bus, arm):
+        if starts:
+            arm.enable()
+            arm.limp()
+        else:
+            with pytest.raises(pliant.ServoError, match=r"elbow_flex stands at -2\.3.*by hand"):
+                arm.enable()
+            assert not any(bus.log.order(k) for k in range(1, 7))
+        arm.close()
 
 
 @pytest.mark.parametrize("family", FAMILIES)

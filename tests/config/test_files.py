@@ -81,6 +81,9 @@ def test_urdf_and_file_that_disagree_on_joints():
             "same angle",
         ),
         (SIM + "[[port]]\n[[port]]\n", "'main' is there twice"),
+        (SIM + "[loop]\nhold_for = inf", r"loop\.hold_for = inf: .* 60"),
+        (SIM + "[loop]\nhold_for = 61", r"loop\.hold_for = 61: .* 60"),
+        (SIM + "[loop]\npatience = 1e9", r"loop\.patience = 1000000000\.0: .* 1"),
     ],
 )
 def test_mistakes_are_named_with_what_would_be_right(text, said):

@@ -224,6 +224,13 @@ def test_names_and_ids_are_unique():
         ServoChain([])
 
 
+@pytest.mark.parametrize("patience", [0.0, 1.5, np.inf, np.nan])
+def test_a_patience_that_a_silent_bus_would_outlast_is_refused(patience):
+    spec = ServoSpec(name="pan", model="MX-64", id=1, port="/dev/null")
+    with pytest.raises(ConfigError, match=f"patience must .* 1 s, got {patience:g}"):
+        ServoChain([spec], patience=patience)
+
+
 def test_a_chain_that_is_not_open_says_so():
     chain = ServoChain([ServoSpec(name="pan", model="MX-64", id=1, port="p")])
     for call in (chain.read, chain.slow, chain.identify, chain.disable):

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import os
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from pliant import ConfigError, ServoError
+from pliant.arguments import instance
 from pliant.arm.budget import Budget
-from pliant.arm.checks import posture
+from pliant.arm.checks import posture, times
 from pliant.arm.cycle import Cycle
-from pliant.arm.entry import hear_all, take_up
+from pliant.arm.entry import hear_all, stand_within, take_up
 from pliant.arm.exits import descend, settle
-from pliant.arm.gripper import Gripper, Jaw
+from pliant.arm.gripper import Gripper, check_jaws, make_grippers
 from pliant.arm.keeper import Keeper
 from pliant.arm.lowering import SUPPORT
 from pliant.arm.points import Points
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
     from pliant import Model
     from pliant.arm.drive import Clock, Drive
+    from pliant.arm.gripper import Jaw
     from pliant.arm.state import State
 
     Array = NDArray[np.float64]
@@ -41,7 +44,9 @@ LEAD = 0.1
 class Arm:
     """An arm over any drive, with its life cycle.
 
-    `with` opens, identifies and enables it, and lowers it at the end, whatever the reason.
+    `with` opens, identifies and enables it, and lowers it at the end, whatever the reason. With
+    torque on it belongs to the process that switched it on: in one forked from that, exits do
+    nothing, and `read` and `write` raise.
 
     Args:
         model: The robot; its joint names are looked up among the drive's.
@@ -49,7 +54,8 @@ class Arm:
         rest: Joint positions (n,) [rad] where `lower` goes first; None: straight down.
         exit: What leaving does: `lower`, or `hold`.
         rate: Of the arm's own loops, enabling and leaving [Hz].
-        hold_for: How long a silent bus or program is waited for before the arm is lowered [s].
+        hold_for: How long a silent bus or program is waited for before the arm is lowered [s], at
+            most 60.
         budget: What servos and supply give for long; None: the default.
         grippers: How joints off the chain open and close, by name; others take the model's limits.
         watchdog: Silence after which servos that can stop by themselves do [s]; 0: never. One that
@@ -62,10 +68,11 @@ class Arm:
         drive, rate, rest, hold_for: As given.
         servos: The chain's servos, n entries, as the drive has them; better known once open.
         grippers: The joints off the chain by name; made anew when the drive opens.
-        enabled: Whether torque is on.
+        enabled: Whether torque is on, and this process switched it on.
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
+        TypeError: A budget or gripper of another kind.
         ShapeError, LimitError: The rest pose is none.
     """
 
@@ -84,21 +91,17 @@ class Arm:
         signals: bool = True,
     ) -> None:
         """Sort the joints; nothing is opened or moved yet."""
-        if not (rate > 0.0 and hold_for > 0.0 and watchdog >= 0.0):
-            raise ConfigError(
-                "rate and hold_for must be above 0, watchdog at least 0; got "
-                f"{rate!r} Hz, {hold_for!r} s, {watchdog!r} s"
-            )
         if exit not in {"lower", "hold"}:
             raise ConfigError(f"exit must be 'lower' or 'hold', got {exit!r}")
         self.model, self.drive = model, drive
-        self.rate, self.hold_for, self._watchdog = float(rate), float(hold_for), float(watchdog)
+        self.rate, self.hold_for, self._watchdog = times(rate, hold_for, watchdog)
         self._exit, self._signals = exit, Signals() if signals else None
-        self._budget, self._jaws = budget or Budget(), dict(grippers or {})
+        self._budget = Budget() if budget is None else instance(budget, Budget, "budget")
+        self._jaws = check_jaws(grippers)
         self._keeper = Keeper(self._leave)
         self._meet()
         self.rest = None if rest is None else posture(self.model, rest, "rest")
-        self.enabled = self._opened = False
+        self._opened = False
 
     def _meet(self) -> None:
         """Make all that depends on what the servos are: a drive that is open knows it better."""
@@ -107,30 +110,14 @@ class Arm:
         # What is made from the model alone must not believe the table that it came with.
         self.model = self.model.with_servos(self.servos)
         self._points = Points(self.model, self.servos.armature)
-        self.grippers = self._make_grippers(self._jaws)
-
-    def _make_grippers(self, jaws: dict[str, Jaw]) -> dict[str, Gripper]:
-        """One gripper per joint beside the chain."""
-        roster, drive = self._cycle.roster, self.drive
-        unknown = sorted(set(jaws) - set(roster.extra))
-        if unknown:
-            there = ", ".join(roster.extra) or "none"
-            raise ConfigError(f"no joint {unknown[0]!r} off the chain; there are: {there}")
-        overload = np.broadcast_to(getattr(drive, "overload", 1.0), len(roster.names))
-        return {
-            name: Gripper(
-                name,
-                jaws.get(name, Jaw()),
-                self.model,
-                largest=float(np.broadcast_to(drive.servos.torque, len(roster.names))[i]),
-                overload=float(overload[i]),
-                order=self._order,
-                measure=lambda name: float(self._cycle.belief.position[roster.index(name)]),
-            )
-            for name, i in zip(roster.extra, roster.beside.tolist(), strict=True)
-        }
+        self.grippers = make_grippers(self._cycle, self._jaws, self._order)
 
     # Life.
+
+    @property
+    def enabled(self) -> bool:
+        """Whether torque is on, and this process switched it on."""
+        return self._keeper.owner == os.getpid()
 
     def open(self) -> None:
         """Connect and identify; torque stays as it is.
@@ -151,7 +138,8 @@ class Arm:
 
         Raises:
             ServoTimeout: Joints do not answer; names them.
-            ServoError: Joints moved or did not obey when torque came on.
+            ServoError: A joint is believed to be outside its limits, and nothing was sent; or
+                joints moved or did not obey when torque came on.
         """
         with self._keeper.alone():
             if not self.enabled:
@@ -163,9 +151,10 @@ class Arm:
         self._keeper.reason = None
         cycle, kp = self._cycle, np.asarray(self.servos.kp)
         hear_all(cycle, self.rate)
-        gravity = cycle.gravity()
         names = cycle.roster.names
         on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[cycle.roster.chain]
+        stand_within(cycle, on)
+        gravity = cycle.gravity()
         # A joint that carries weight already would dip if its goal went to where it is.
         stood = cycle.q
         start = stood + np.where(on, np.clip(gravity / kp, -LEAD, LEAD), 0.0)
@@ -175,7 +164,7 @@ class Arm:
         if self._signals is not None:
             self._signals.install()
         atexit.register(self._at_exit)
-        self.enabled = True
+        self._keeper.owner = os.getpid()
         try:
             cycle.begin(start, weight)
         except ServoError:
@@ -224,6 +213,8 @@ class Arm:
 
     def close(self) -> None:
         """Leave as `exit` says where torque is on, then let go of the bus."""
+        if self._keeper.elsewhere:
+            return
         try:
             if self.enabled:
                 self.lower() if self._exit == "lower" else self.hold()
@@ -262,11 +253,11 @@ class Arm:
             if self.enabled:
                 self._bring_down(self.rest) if self._exit == "lower" else settle(self._cycle)
         finally:
-            self.enabled = False
+            self._keeper.owner = None
 
     def _forget(self) -> None:
         """Nothing is left to be brought down."""
-        self.enabled = False
+        self._keeper.owner = None
         atexit.unregister(self._at_exit)
         if self._signals is not None:
             self._signals.restore()
@@ -312,7 +303,7 @@ class Arm:
 
         Raises:
             ServoTimeout: The program was away for too long, and the arm has been lowered meanwhile.
-            ServoError: The connection is gone.
+            ServoError: The connection is gone, or another process switched torque on.
         """
         with self._keeper:
             return self._cycle.state(self._cycle.sample())
@@ -328,6 +319,10 @@ class Arm:
     ) -> None:
         """Send goals and torque limits, within position limits and budgets.
 
+        Limits are sent however low they are: with less than the weight of a pose the arm sinks,
+        with 0 it falls. A `RuntimeWarning` says so once where a limit has been below half of the
+        weight for 0.2 s, but not of a `Controller`'s commands in `Tick.write`.
+
         Args:
             goal: Joint goals (n,) [rad], cut at the position limits and what the weight needs
                 beyond them.
@@ -339,9 +334,10 @@ class Arm:
                 None, or inf: as fast as they can.
 
         Raises:
-            ShapeError, LimitError, ConfigError: What cannot be sent; nothing was.
+            ShapeError, LimitError, ConfigError, TypeError: What cannot be sent; nothing was.
             ServoTimeout: As `read`.
-            ServoError: Torque is off, or the connection is gone.
+            ServoError: Torque is off, or was switched on by another process, or the connection is
+                gone.
         """
         with self._keeper:
             self._on()

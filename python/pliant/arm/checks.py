@@ -6,31 +6,64 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import LimitError, ShapeError
+from pliant import ConfigError, LimitError, ShapeError
+from pliant.arguments import given, real
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import ArrayLike, NDArray
 
     from pliant import Model
 
     Array = NDArray[np.float64]
 
-#: How far outside of the limits a pose may be that is brought inside [rad].
+#: How far outside of the limits a pose may be that is brought inside, and a joint that lies beyond
+#: its stop [rad].
 SLACK = 0.1
+#: Longest time that a silent bus or program may be waited for [s].
+LONGEST_HOLD = 60.0
 
 
 def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) -> Array:
     """A joint vector (n,) that can be sent.
 
     Raises:
-        ShapeError: Another shape. LimitError: Not finite, where it has to be.
+        ShapeError: Another shape, or no real numbers. LimitError: Not finite, where it has to be.
     """
-    array = np.array(value, dtype=np.float64)
+    try:
+        raw = np.asarray(value)
+        # Truth, complex numbers and text would become real numbers without a word.
+        array = None if raw.dtype.kind in "bcUS" else np.array(raw, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = None
+    if array is None:
+        raise ShapeError(f"{name} must be {model.n} real numbers, got {given(value)}")
     if array.shape != (model.n,):
         raise ShapeError(f"{name} has shape {array.shape}, expected ({model.n},)")
     if finite and not np.isfinite(array).all():
         raise LimitError(f"{name} is not finite, nothing was sent: {array.tolist()}")
     return array
+
+
+def times(rate: float, hold_for: float, watchdog: float) -> tuple[float, float, float]:
+    """Rate [Hz], `hold_for` and watchdog [s] that an arm can keep; see `Arm`.
+
+    Raises:
+        ConfigError: One is no number or out of range.
+    """
+    rate, hold_for = real(rate, "rate"), real(hold_for, "hold_for")
+    watchdog = real(watchdog, "watchdog")
+    if not 0.0 < rate < np.inf:
+        raise ConfigError(f"rate must be above 0 Hz and finite, got {rate:g}")
+    if not 0.0 < hold_for <= LONGEST_HOLD:
+        raise ConfigError(
+            f"hold_for must be above 0 s and at most {LONGEST_HOLD:g} s, got {hold_for:g}: an arm "
+            "whose bus is silent is lowered after that"
+        )
+    if not 0.0 <= watchdog < np.inf:
+        raise ConfigError(f"watchdog must be 0 s (never) or more and finite, got {watchdog:g}")
+    return rate, hold_for, watchdog
 
 
 def posture(model: Model, value: ArrayLike, name: str) -> Array:
@@ -40,11 +73,21 @@ def posture(model: Model, value: ArrayLike, name: str) -> Array:
         ShapeError, LimitError: It is none.
     """
     pose = vector(model, value, name)
-    low, high = np.asarray(model.lower), np.asarray(model.upper)
-    for joint, q, least, most in zip(model.joint_names, pose, low, high, strict=True):
-        if not least - SLACK <= q <= most + SLACK:
-            raise LimitError(
-                f"{name}: {joint} = {q:g} rad is outside of {least:.3g} to {most:.3g} rad"
-                + (": are these degrees?" if abs(q) > 2.0 * np.pi else "")
-            )
-    return np.clip(pose, low, high)
+    for joint, q, least, most in outside(model, pose):
+        raise LimitError(
+            f"{name}: {joint} = {q:g} rad is outside of {least:.3g} to {most:.3g} rad"
+            + (": are these degrees?" if abs(q) > 2.0 * np.pi else "")
+        )
+    return np.clip(pose, model.lower, model.upper)
+
+
+def outside(model: Model, q: Array) -> Iterator[tuple[str, float, float, float]]:
+    """Joints of q (n,) [rad] that are beyond their limits by more than `SLACK`.
+
+    Yields:
+        Name, position and limits of each [rad].
+    """
+    for row in zip(model.joint_names, q.tolist(), model.lower, model.upper, strict=True):
+        _, here, low, high = row
+        if not low - SLACK <= here <= high + SLACK:
+            yield row

@@ -13,6 +13,7 @@ from pliant.arm.checks import vector
 from pliant.arm.drive import MonotonicClock
 from pliant.arm.lowering import SUPPORT, margin
 from pliant.arm.roster import Roster
+from pliant.arm.shortfall import Shortfall
 from pliant.arm.state import State
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ class Cycle:
         self._kp, self._usable = _row(drive.servos.kp, size), _row(drive.servos.torque, size)
         self.meter = Meter(budget, self._usable, getattr(drive, "stall_current", None))
         self.belief = Belief(self.roster.fastest(model))
+        self._shortfall = Shortfall(model, self.servos)
         self.goal, self.limit = np.zeros(model.n), np.zeros(model.n)
         self.orders: dict[str, tuple[float, float]] = {}
         self._eased: float = -np.inf
@@ -164,7 +166,7 @@ class Cycle:
             velocity = vector(self.model, velocity, "velocity", finite=False)
             if not velocity.min() >= 0.0:
                 raise LimitError(f"velocity must be at least 0 rad/s, got {velocity.tolist()}")
-        orders = self.roster.check(extra or {})
+        orders = {} if extra is None else self.roster.check(extra)
         gravity, model, chain = self.gravity(), self.model, self.roster.chain
         need, most = gravity / self._kp[chain], self._usable[chain] / self._kp[chain]
         far = np.maximum(model.lower - goal, goal - model.upper)
@@ -179,6 +181,10 @@ class Cycle:
         out = (most, most) if lead else (np.maximum(-need, 0.0), np.maximum(need, 0.0))
         goal = np.clip(goal, model.lower - out[0], model.upper + out[1])
         self.send(goal, self._cut(goal, limit, gravity), velocity)
+        if lead:
+            self._shortfall.none()
+        else:
+            self._shortfall.look(limit, gravity, self.clock.now())
 
     def _cut(self, goal: Array, limit: Array, gravity: Array) -> Array:
         """Limits (n,) [N·m] within heat, supply, and the rise after a silence."""

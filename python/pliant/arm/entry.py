@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ServoTimeout
+from pliant import ServoError, ServoTimeout
+from pliant.arm.checks import outside
 from pliant.arm.cycle import EASE
 from pliant.arm.lowering import SUPPORT, margin
 
@@ -48,6 +49,32 @@ def hear_all(cycle: Cycle, rate: float) -> None:
     raise ServoTimeout(
         f"no answer from {', '.join(silent)}: torque stays off; check their power, cable and id"
     )
+
+
+def stand_within(cycle: Cycle, on: NDArray[np.bool_]) -> None:
+    """See that every joint of the chain is where it can be, before torque goes on.
+
+    A joint that is far outside of its limits is not there: its zero is wrong, and so are the
+    weights and ways that follow from it.
+
+    Args:
+        cycle: The arm, heard.
+        on: Which joints of the chain have torque already (n,).
+
+    Raises:
+        ServoError: Joints are believed to be outside; names each, and what to do.
+    """
+    found = [
+        f"{name} stands at {q:.2f} rad, outside its {low:.2f} to {high:.2f}"
+        for name, q, low, high in outside(cycle.model, cycle.q)
+    ]
+    if found:
+        raise ServoError(
+            f"{'; '.join(found)}: torque stays as it is. Either its zero, sign, gear or "
+            "calibration is wrong: `pliant doctor ARM --watch` shows the angles while a hand moves "
+            "the joints; or it was pushed there: move it by hand into its range"
+            + (" (joints have torque: support the arm, switch its supply off)" if on.any() else "")
+        )
 
 
 def take_up(cycle: Cycle, start: Array, stood: Array, rate: float) -> None:

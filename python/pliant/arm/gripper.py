@@ -6,13 +6,16 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pliant import ConfigError
-from pliant.arguments import real
+from pliant.arguments import instance, mapping, real
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from pliant import Model
+    from pliant.arm.cycle import Cycle
 
 #: Default limit as a share of the largest torque, and of the servo's overload threshold.
 DEFAULT_SHARE, OVERLOAD_SHARE = 0.3, 0.9
@@ -138,3 +141,42 @@ class Gripper:
                 f"gripper {self.name!r} has no limit in the model: give Jaw({which}=...) [rad]"
             )
         return float(value)
+
+
+def check_jaws(jaws: Mapping[str, Jaw] | None) -> dict[str, Jaw]:
+    """What each gripper is, by joint; none of them for None.
+
+    Raises:
+        TypeError: No mapping, or one of them is no `Jaw`.
+    """
+    hint = "as {'gripper': pliant.arm.Jaw(lever=0.05)}"
+    named = {} if jaws is None else mapping(jaws, "grippers", hint)
+    return {name: instance(jaw, Jaw, f"grippers[{name!r}]", hint) for name, jaw in named.items()}
+
+
+def make_grippers(
+    cycle: Cycle, jaws: Mapping[str, Jaw], order: Callable[[str, float, float], None]
+) -> dict[str, Gripper]:
+    """One gripper per joint beside the chain.
+
+    Raises:
+        ConfigError: A jaw is for no such joint, or a gripper lacks its ends.
+    """
+    roster, drive = cycle.roster, cycle.drive
+    unknown = sorted(set(jaws) - set(roster.extra))
+    if unknown:
+        there = ", ".join(roster.extra) or "none"
+        raise ConfigError(f"no joint {unknown[0]!r} off the chain; there are: {there}")
+    overload = np.broadcast_to(getattr(drive, "overload", 1.0), len(roster.names))
+    return {
+        name: Gripper(
+            name,
+            jaws.get(name, Jaw()),
+            cycle.model,
+            largest=float(np.broadcast_to(drive.servos.torque, len(roster.names))[i]),
+            overload=float(overload[i]),
+            order=order,
+            measure=lambda name: float(cycle.belief.position[roster.index(name)]),
+        )
+        for name, i in zip(roster.extra, roster.beside.tolist(), strict=True)
+    }

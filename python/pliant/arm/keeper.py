@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import threading
 import time
@@ -21,9 +22,12 @@ SWITCH = 1e-4
 class Keeper:
     """The one lock of an arm, and a thread that brings the arm down when nobody calls any more.
 
-    Every call of the program is a `with keeper`. The thread exists only inside `watched`.
+    Every call of the program is a `with keeper`. The thread exists only inside `watched`. An arm
+    with torque belongs to one process: one forked from it has the same port and other threads, and
+    none of it is for it to use.
 
     Attributes:
+        owner: Process that switched torque on; None while it is off.
         lock: Held by whoever uses the drive.
         reason: Why the arm was taken over, None while it was not.
         unwanted: Set to end a descent before it is over, wherever it runs.
@@ -34,13 +38,14 @@ class Keeper:
         self.lock = threading.RLock()
         self.unwanted = threading.Event()
         self.reason: str | None = None
+        self.owner: int | None = None
         self._leave, self._seen = leave, 0.0
 
     def __enter__(self) -> None:
         """One call of the program.
 
         Raises:
-            ServoTimeout: As `check`.
+            ServoError: As `check`.
         """
         self.check()
         self.lock.acquire()
@@ -52,12 +57,24 @@ class Keeper:
         self._seen = time.perf_counter()
         self.lock.release()
 
+    @property
+    def elsewhere(self) -> bool:
+        """Whether the arm has torque and belongs to another process."""
+        return self.owner is not None and self.owner != os.getpid()
+
     def check(self) -> None:
-        """Tell a program that comes back.
+        """Tell a program that comes back, and one that never had the arm.
 
         Raises:
             ServoTimeout: The arm has been taken over: at once, also while it is being lowered.
+            ServoError: Another process switched its torque on.
         """
+        if self.elsewhere:
+            raise ServoError(
+                f"this arm belongs to process {self.owner}, which switched its torque on; this is "
+                f"process {os.getpid()}, forked from it: read and write there, and pass on what "
+                "this one needs"
+            )
         if self.reason is not None:
             raise ServoTimeout(f"{self.reason}; arm.enable() starts anew")
 
@@ -67,7 +84,12 @@ class Keeper:
 
         A descent that another thread has begun is waited for, unless `at_once`, or an exception
         comes meanwhile: it then ends where it is, torque on.
+
+        Raises:
+            ServoError: Another process switched torque on.
         """
+        if self.elsewhere:
+            self.check()
         if at_once:
             self.unwanted.set()
         try:
@@ -102,7 +124,8 @@ class Keeper:
 
     def _watch(self, patience: float, done: threading.Event) -> None:
         """Sleep until the program would be late, look, sleep again."""
-        while not done.wait(max(self._seen + patience - time.perf_counter(), 1e-3)):
+        most = threading.TIMEOUT_MAX
+        while not done.wait(min(max(self._seen + patience - time.perf_counter(), 1e-3), most)):
             if time.perf_counter() - self._seen < patience:
                 continue
             with self.lock:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import ConfigError, LimitError, Servos
+from pliant.arguments import given, mapping, real
 from pliant.arm.belief import FASTEST
 
 if TYPE_CHECKING:
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Orders = Mapping[str, tuple[float, float]]
+
+#: What orders of joints beside the chain look like.
+EXTRA = "as {'gripper': (goal [rad], limit [N·m])}"
 
 
 class Roster:
@@ -96,16 +100,25 @@ class Roster:
         """Goals [rad] and limits [N·m] of joints beside the chain, as numbers that can be sent.
 
         Raises:
-            ConfigError: No such joint. LimitError: Not finite, or a negative limit.
+            TypeError: No mapping. ConfigError: No such joint, or no two numbers. LimitError: Not
+                finite, or a negative limit.
         """
         checked = {}
-        for name, (goal, limit) in orders.items():
+        for name, order in mapping(orders, "extra", EXTRA).items():
             if name not in self.extra:
                 there = ", ".join(self.extra) or "none"
                 raise ConfigError(
                     f"no joint {name!r} off the chain to write to; there are: {there}"
                 )
+            try:
+                goal, limit = order
+            except (TypeError, ValueError):
+                raise ConfigError(f"extra must be {EXTRA}, got {given(order)} for {name}") from None
+            goal, limit = real(goal, f"goal of {name}"), real(limit, f"limit of {name}")
             if not (math.isfinite(goal) and math.isfinite(limit) and limit >= 0.0):
-                raise LimitError(f"extra[{name!r}] must be a finite goal and a limit >= 0")
-            checked[name] = (float(goal), float(limit))
+                raise LimitError(
+                    f"extra[{name!r}] must be a finite goal and a limit >= 0, got {goal:g} and "
+                    f"{limit:g}"
+                )
+            checked[name] = (goal, limit)
         return checked

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
 import threading
@@ -20,7 +21,8 @@ class Signals:
 
     The first signal raises `KeyboardInterrupt` (SIGINT) or `SystemExit` (SIGTERM), on which the arm
     is lowered. One more while the arm is being lowered raises `SystemExit` at once. A signal that
-    comes first while the arm is being lowered anyway waits until it is down.
+    comes first while the arm is being lowered anyway waits until it is down. A process that was
+    forked meanwhile has no arm: what comes there goes to the former handler.
 
     Attributes:
         leaving: Whether the arm is being lowered.
@@ -31,7 +33,7 @@ class Signals:
         """Nothing is caught yet."""
         self.leaving = self.installed = False
         self._before: dict[int, Any] = {}
-        self._count = 0
+        self._count = self._process = 0
         self._waiting: int | None = None
 
     def install(self) -> None:
@@ -49,7 +51,7 @@ class Signals:
         for number in CAUGHT:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 self._before[number] = signal.signal(number, self._catch)
-        self.installed = True
+        self.installed, self._process = True, os.getpid()
         self._count, self._waiting = 0, None
 
     def restore(self) -> None:
@@ -72,6 +74,9 @@ class Signals:
 
     def _catch(self, number: int, frame: FrameType | None) -> None:
         """Act on a signal."""
+        if self._process != os.getpid():
+            self._pass_on(number, frame)
+            return
         first = self._count == 0
         self._count += 1
         if self.leaving and first:
@@ -80,6 +85,15 @@ class Signals:
             return
         self._waiting = None
         raise SystemExit(128 + number) if self.leaving else _exception(number)
+
+    def _pass_on(self, number: int, frame: FrameType | None) -> None:
+        """Do what would have been done without the arm."""
+        former = self._before.get(number)
+        if callable(former):
+            former(number, frame)
+        else:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
 
 
 def _exception(number: int) -> BaseException:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pliant import PliantError, ServoError
+from pliant.arm.checks import outside
 from pliant.arm.drive import MonotonicClock
 from pliant.arm.lateness import Lateness
 from pliant.config import assemble, build
@@ -167,15 +168,13 @@ def _servos(found: tuple[Found, ...]) -> Iterator[Diagnosis]:
 def _sense(chain: ServoChain, model: Model) -> Iterator[Diagnosis]:
     """Whether where the joints say they are is possible."""
     position = dict(zip(chain.names, chain.read().position.tolist(), strict=True))
-    for name, low, high in zip(model.joint_names, model.lower, model.upper, strict=True):
-        q = position[name]
-        if not low - 0.1 <= q <= high + 0.1:
-            yield Diagnosis(
-                "bad",
-                name,
-                f"stands at {q:.2f} rad, outside its {low:.2f} to {high:.2f}: its zero, sign or "
-                "gear in the file is wrong, or it is not calibrated",
-            )
+    for name, q, low, high in outside(model, np.array([position[j] for j in model.joint_names])):
+        yield Diagnosis(
+            "bad",
+            name,
+            f"stands at {q:.2f} rad, outside its {low:.2f} to {high:.2f}: its zero, sign or "
+            "gear in the file is wrong, or it is not calibrated",
+        )
 
 
 def _cycle(chain: ServoChain, config: Config) -> Diagnosis:

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from pliant import ConfigError
+from pliant.arm.checks import LONGEST_HOLD
 from pliant.config import build
 from pliant.config.fields import check_preset
 from pliant.servo.models import find
+from pliant.servo.wire import LONGEST_PATIENCE
 
 if TYPE_CHECKING:
     from pliant import Model, Settings
@@ -176,14 +178,15 @@ class Loop(Table):
 
     Attributes:
         rate: [Hz]
-        hold_for: How long a silent bus or program is waited for before the arm is lowered [s].
-        patience: Least time to wait for a servo's answer [s]; more on a computer that is busy
-            elsewhere.
+        hold_for: How long a silent bus or program is waited for before the arm is lowered [s], at
+            most 60.
+        patience: Least time to wait for a servo's answer [s], at most 1; more than the default on a
+            computer that is busy elsewhere.
     """
 
     rate: Annotated[float, Field(gt=0.0, le=2000.0, strict=True)] = 100.0
-    hold_for: Positive = 0.5
-    patience: Positive = 0.01
+    hold_for: Annotated[float, Field(gt=0.0, le=LONGEST_HOLD, strict=True)] = 0.5
+    patience: Annotated[float, Field(gt=0.0, le=LONGEST_PATIENCE, strict=True)] = 0.01
 
 
 class Life(Table):

@@ -20,6 +20,7 @@ from pliant.servo.sample import align_twins, gather
 from pliant.servo.spec import ServoSpec, check_specs
 from pliant.servo.table import servos
 from pliant.servo.transport import BusError, RustypotTransport
+from pliant.servo.wire import patient
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -48,7 +49,7 @@ class ServoChain:
         specs: One per joint, grippers included; vectors have their order.
         baudrate: Bits per second, for all ports or by port.
         rate: Control rate [Hz], from which timeouts and the time for retries follow.
-        patience: Least time to wait for an answer [s]; more on a computer that is busy elsewhere.
+        patience: Least time to wait for an answer [s], at most 1; more where the computer is busy.
         speed: Fastest motion of every joint [rad/s] as the servo's own cap; None for the no-load
             speed.
         transport: ``(port, baudrate, protocol) -> Transport`` instead of rustypot.
@@ -92,7 +93,7 @@ class ServoChain:
         if missing := ports.keys() - rates.keys():
             raise ConfigError(f"no baud rate for {', '.join(sorted(missing))}")
         self._baudrate, self._cycle, self._speed = rates, 1.0 / rate, speed
-        self._patience = float(patience)
+        self._patience = patient(patience)
         self._budget = max(BUDGET * self._cycle, BUDGET * self._patience)
         self._transport, self.clock = transport, clock
         self._start()

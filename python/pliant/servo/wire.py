@@ -8,12 +8,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
+from pliant import ConfigError
+from pliant.arguments import real
+
 if TYPE_CHECKING:
     from pliant.servo.models.row import Protocol
 
 BITS = 10
 #: A servo's own time to answer with Return Delay 0 [s].
 TURN = 30e-6
+#: Longest that an answer may be waited for at least [s].
+LONGEST_PATIENCE = 1.0
 #: Bytes of a packet without its data: instruction and status.
 OVERHEAD = {"p1": (6, 6), "p2": (10, 11)}
 Kind = Literal["ping", "read", "write", "sync_read", "sync_write"]
@@ -75,3 +80,17 @@ def reply_timeout(wire: float, latency: float, cycle: float, patience: float = 0
     control cycles; but at least `patience`, whatever the cycle.
     """
     return max(patience, min(2.0 * wire + 2.0 * latency + 0.005, 3.0 * cycle))
+
+
+def patient(patience: float) -> float:
+    """Return a least time to wait for an answer [s] with which a silent bus is soon found out.
+
+    Raises:
+        ConfigError: It is no number, or not in (0, 1] s.
+    """
+    if not 0.0 < real(patience, "patience") <= LONGEST_PATIENCE:
+        raise ConfigError(
+            f"patience must be above 0 s and at most {LONGEST_PATIENCE:g} s, got {patience:g}: "
+            "nothing else is sent while an answer is waited for"
+        )
+    return float(patience)

@@ -1,0 +1,84 @@
+"""A process that forks while its arm has torque: the child leaves port, arm and signals alone."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extra sim")
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+
+PROGRAM = """
+import atexit, os, signal, sys, time, pliant
+
+arm, asked, parent = pliant.connect("sim:koch"), [], os.getpid()
+
+def noted(verb, call):
+    return lambda *args: (asked.append(verb), call(*args))[1]
+
+@atexit.register  # before the arm's own, so that it runs after it
+def report():
+    who = "parent" if os.getpid() == parent else "child"
+    print(who, len(asked), flush=True)
+
+for verb in ("read", "write", "disable", "close"):
+    setattr(arm.drive, verb, noted(verb, getattr(arm.drive, verb)))
+with arm:
+    for tick in pliant.Loop(arm):
+        tick.hold()
+        if tick.index == 5:
+            child = os.fork()
+            if child == 0:
+                asked.clear()
+                {action}
+            print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), arm.enabled, flush=True)
+        if tick.index == 10:
+            break
+print(arm.enabled, arm.drive.enabled.any(), flush=True)
+"""
+
+
+def run(action):
+    program = PROGRAM.replace("{action}", textwrap.indent(action, 16 * " ").lstrip())
+    return subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=100, check=False
+    )
+
+
+@pytest.mark.parametrize(
+    ("action", "code"),
+    [
+        ("sys.exit(7)", 7),
+        ("raise KeyError('policy')", 1),
+        ("arm.lower(); arm.park([0.0] * 5); arm.close(); sys.exit(3)", 3),
+        ("os.kill(os.getpid(), signal.SIGINT)\ntime.sleep(9.0)", -signal.SIGINT),
+        ("os.kill(os.getpid(), signal.SIGTERM)\ntime.sleep(9.0)", -signal.SIGTERM),
+    ],
+)
+def test_a_child_that_ends_sends_nothing_and_the_arm_goes_on(action, code):
+    done = run(action)
+    said = done.stdout.splitlines()
+    assert done.returncode == 0, done.stderr
+    if code != -signal.SIGTERM:  # of which nobody is told
+        assert said.pop(0) == "child 0", done.stderr
+    assert said[:2] == [f"{code} True", "False False"], done.stderr
+    assert said[2].startswith("parent ")
+
+
+def test_a_child_that_uses_the_arm_is_told_whose_it_is():
+    done = run("""
+uses = arm.read, arm.gripper.open, arm.hold, arm.limp, arm.enable, lambda: arm.write([0.0] * 5)
+for use in uses:
+    try:
+        use()
+    except pliant.ServoError as error:
+        assert f"belongs to process {parent}" in str(error), error
+    else:
+        raise AssertionError(use)
+sys.exit(0)
+""")
+    assert done.stdout.splitlines()[:3] == ["child 0", "0 True", "False False"], done.stderr

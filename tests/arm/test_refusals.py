@@ -1,0 +1,111 @@
+"""What a program may not give an arm, and what it may give but is told of."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import pliant
+
+
+def write_for(arm, limit, seconds=0.5):
+    """Write a limit at every tick, as a program without a controller does."""
+    q = arm.read().q
+    for tick in pliant.Loop(arm, duration=seconds):
+        tick.write(SimpleNamespace(goal=q, torque_limit=limit))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_limits_below_the_weight_are_sent_and_said_once(make, grasp, share):
+    arm = make()
+    weight = np.abs(arm.model.gravity(grasp))
+    with arm:
+        write_for(arm, share * weight, 0.15)
+        with pytest.warns(RuntimeWarning, match=r"may exert .* N·m, and this pose needs .*limp"):
+            write_for(arm, share * weight, 0.4)
+        assert arm.drive.diary[-1][2] == pytest.approx(share * weight)
+        write_for(arm, share * weight)
+        arm.limp()
+
+
+def test_limits_that_carry_the_weight_and_a_controllers_are_not_warned_of(make, grasp):
+    with make() as arm:
+        weight = np.abs(arm.model.gravity(grasp))
+        write_for(arm, 0.6 * weight, 0.1)
+        write_for(arm, 1.1 * weight)
+        # Without gravity in its limits the arm sags, and is meant to.
+        controller = pliant.Controller(
+            arm.model, pliant.Settings.soft("x y z", gravity=False), arm.servos
+        )
+        target = arm.model.forward_kinematics(arm.read().q)
+        low = []
+        for tick in pliant.Loop(arm, controller, duration=0.5):
+            command = controller.step(tick.q, target, dt=tick.dt)
+            tick.write(command)
+            low.append((command.torque_limit < 0.5 * weight).any())
+        assert any(low)
+        arm.limp()
+
+
+def test_an_argument_of_another_kind_is_named(make, grasp):
+    for wrong, error, said in (
+        (lambda: make(budget=5), TypeError, r"budget must be a Budget.*got 5 \(int\)"),
+        (lambda: make(budget=0), TypeError, r"budget must be a Budget.*got 0 \(int\)"),
+        (lambda: make(grippers=5), TypeError, r"grippers must be a mapping, as .*got 5 \(int\)"),
+        (lambda: make(grippers={"a": 5}), TypeError, r"grippers\['a'\] must be a Jaw, .*got 5"),
+        (lambda: pliant.Loop(make(), 5), TypeError, r"controller must be .*got 5 \(int\)"),
+    ):
+        with pytest.raises(error, match=said):
+            wrong()
+    with make(q=None, robot="so101") as arm:
+        q = arm.read().q
+        for arguments, error, said in (
+            ((q, None, 5), TypeError, r"extra must be a mapping, as \{'gripper': .*got 5 \(int\)"),
+            ((q, None, 0), TypeError, r"extra must be a mapping, as \{'gripper': .*got 0 \(int\)"),
+            (
+                (q, None, {"gripper": 5}),
+                pliant.ConfigError,
+                "extra must be .*got 5 .int. for gripper",
+            ),
+            ((q, None, {"gripper": ("1", 1)}), pliant.ConfigError, "goal of gripper must be a num"),
+            (
+                (q, None, {"gripper": (0, True)}),
+                pliant.ConfigError,
+                "limit of gripper must be a num",
+            ),
+            ((q, None, {"gripper": (0, -1)}), pliant.LimitError, "limit >= 0, got 0 and -1"),
+            (([True] * 5,), pliant.ShapeError, "goal must be 5 real numbers, got .*True"),
+            ((q + 0j,), pliant.ShapeError, "goal must be 5 real numbers, got .*complex|j"),
+            (([0j] * 5,), pliant.ShapeError, "goal must be 5 real numbers, got .*0j"),
+            ((["1"] * 5,), pliant.ShapeError, "goal must be 5 real numbers, got .*'1'"),
+            (([[1.0], 2.0],), pliant.ShapeError, "goal must be 5 real numbers"),
+            ((q, q < 9.0), pliant.ShapeError, "limit must be 5 real numbers"),
+        ):
+            before = len(arm.drive.diary)
+            with pytest.raises(error, match=said):
+                arm.write(*arguments)
+            assert len(arm.drive.diary) == before
+        for tick in pliant.Loop(arm):
+            with pytest.raises(TypeError, match=r"command must be a Command.*got 5 \(int\)"):
+                tick.write(5)
+            with pytest.raises(pliant.ShapeError, match="goal must be 5 real numbers"):
+                tick.write(SimpleNamespace(goal=q < 9.0, torque_limit=q))
+            break
+        arm.limp()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("hold_for", np.inf, "hold_for must be above 0 s and at most 60 s, got inf"),
+        ("hold_for", 1e9, "at most 60 s, got 1e[+]09"),
+        ("hold_for", np.nan, "at most 60 s, got nan"),
+        ("hold_for", True, "hold_for must be a number, got True"),
+        ("rate", "100", "rate must be a number, got '100'"),
+        ("rate", np.inf, "rate must be above 0 Hz and finite, got inf"),
+        ("watchdog", np.inf, "watchdog must be 0 s .*got inf"),
+    ],
+)
+def test_times_that_would_keep_an_arm_up_for_ever_are_refused(make, option, value, said):
+    with pytest.raises(pliant.ConfigError, match=said):
+        make(**{option: value})
