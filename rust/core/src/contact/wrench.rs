@@ -1,7 +1,7 @@
 //! From residual joint torques to a wrench and its bound.
 
 use crate::kinematics::JointMatrix;
-use crate::law::inverse::{Factor, damped, load_rows, rows_array, weighted_gram};
+use crate::law::inverse::{factor_of, load_rows, rows_array};
 use crate::number::{EveryJoint, Lanes, Plain};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -30,7 +30,7 @@ impl Estimator {
             prior[r] = 1.0 / (most[r] * most[r]);
         }
         let (rows, weight) = (load_rows(rows), EveryJoint::load(&weight));
-        let factor = Factor::new::<Plain>(&damped(weighted_gram(&rows, weight), &prior));
+        let factor = factor_of(&rows, weight, &prior);
         let gain = rows_array(&factor.weighted_rows(&rows, weight));
         let mut blind = [0.0; MAX_AXES];
         for c in 0..k {

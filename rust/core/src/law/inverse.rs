@@ -46,9 +46,38 @@ const LOWER_HALF: [[(usize, usize); 4]; 6] = [
     [(5, 5), (6, 6), (6, 6), (6, 6)],
 ];
 
-/// `J diag(d) Jᵀ`.
+/// A formula of [`Lanes`] that is inlined, or where they are [`Lanes::CALLED`] a call.
+macro_rules! perhaps_called {
+    ($(#[$about:meta])* fn $name:ident<$j:ident>($($argument:ident: $type:ty),*) -> $output:ty as $body:ident) => {
+        $(#[$about])*
+        #[inline(always)]
+        pub(crate) fn $name<$j: Lanes>($($argument: $type),*) -> $output {
+            #[inline(never)]
+            fn called<$j: Lanes>($($argument: $type),*) -> $output {
+                $body($($argument),*)
+            }
+            if $j::CALLED { called($($argument),*) } else { $body($($argument),*) }
+        }
+    };
+}
+
+perhaps_called! {
+    /// `J diag(d) Jᵀ`.
+    fn weighted_gram<J>(rows: &[J; MAX_AXES], d: J) -> Square<Scalar<J>> as gram
+}
+
+perhaps_called! {
+    /// Factor of `J diag(d) Jᵀ` with more on its diagonal.
+    fn factor_of<J>(rows: &[J; MAX_AXES], d: J, added: &[Scalar<J>; MAX_AXES]) -> Factor<Scalar<J>> as factored
+}
+
 #[inline(always)]
-pub(crate) fn weighted_gram<J: Lanes>(rows: &[J; MAX_AXES], d: J) -> Square<Scalar<J>> {
+fn factored<J: Lanes>(rows: &[J; MAX_AXES], d: J, added: &[Scalar<J>; MAX_AXES]) -> Factor<Scalar<J>> {
+    Factor::new::<J::One>(&damped(weighted_gram(rows, d), added))
+}
+
+#[inline(always)]
+fn gram<J: Lanes>(rows: &[J; MAX_AXES], d: J) -> Square<Scalar<J>> {
     let (zero, nothing) = (J::splat(0.0), J::One::splat(0.0));
     let mut scaled = *rows;
     for row in &mut scaled {
@@ -193,6 +222,16 @@ impl<R: Number> Factor<R> {
         rows: &[J; MAX_AXES],
         joint_weight: J,
     ) -> [J; MAX_AXES] {
+        if J::CALLED { self.called_rows(rows, joint_weight) } else { self.inlined_rows(rows, joint_weight) }
+    }
+
+    #[inline(never)]
+    fn called_rows<J: Lanes<Group: Spread<R>>>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
+        self.inlined_rows(rows, joint_weight)
+    }
+
+    #[inline(always)]
+    fn inlined_rows<J: Lanes<Group: Spread<R>>>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
         let mut out = *rows;
         // Joint by joint where each has a register: six numbers then stay in registers, and not six rows of them.
         for i in 0..J::GROUPS {
@@ -239,9 +278,8 @@ pub(crate) fn damped<R: Number>(mut m: Square<R>, damping: &[R; MAX_AXES]) -> Sq
 /// `joint_weight` holds the diagonal of `D` (1 where joints count alike), `damping` the diagonal of `Λ` (λ², in the
 /// squared units of its row).
 pub(crate) fn pseudo_inverse(rows: &Rows, joint_weight: &JointVec, damping: &AxisVec) -> Rows {
-    type One = <EveryJoint as Lanes>::One;
     let (rows, weight) = (load_rows::<EveryJoint>(rows), EveryJoint::load(joint_weight));
-    let factor = Factor::new::<One>(&damped(weighted_gram(&rows, weight), damping));
+    let factor = factor_of(&rows, weight, damping);
     rows_array(&factor.weighted_rows(&rows, weight))
 }
 

@@ -1,7 +1,7 @@
 //! Redundancy: the projector of (4) and the cost that is descended in it, line 9.
 
 use crate::law::activation::RowLengths;
-use crate::law::inverse::{Factor, damped, load_rows, times, transpose_times, weighted_gram};
+use crate::law::inverse::{Factor, factor_of, load_rows, times, transpose_times};
 use crate::number::{Arithmetic, EveryJoint, Lanes, Scalar};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -42,7 +42,7 @@ impl<'a, J: Lanes> NullSpace<'a, J> {
         added: &[Scalar<J>; MAX_AXES],
         (task, joints): (usize, usize),
     ) -> Self {
-        let factor = Factor::new::<J::One>(&damped(weighted_gram(rows, weight), added));
+        let factor = factor_of(rows, weight, added);
         Self::of(rows, weight, &factor, (task, joints))
     }
 

@@ -5,7 +5,7 @@
 
 use crate::command::goal::{Locks, scale_to_fit};
 use crate::law::cap::Demand;
-use crate::law::inverse::{Factor, damped, transpose_times, weighted_gram, wide};
+use crate::law::inverse::{factor_of, transpose_times, weighted_gram, wide};
 use crate::number::{Arithmetic, Joints, Packed};
 use crate::plan::Plan;
 use crate::settings::{Follow, Law};
@@ -48,7 +48,7 @@ impl<J: Joints> Takeover<'_, J> {
         let (mut lead, mut wrench) = if plan.law == Law::Paper && plan.follow == Follow::Hold {
             // The damped pseudo-inverse of (3), of which one product is wanted and not the whole.
             let weight = J::load(&plan.inverse_weight) * self.free;
-            let factor = Factor::new::<J::One>(&damped(weighted_gram(self.rows, weight), squared));
+            let factor = factor_of(self.rows, weight, squared);
             (weight * transpose_times(self.rows, &factor.solve::<J::One>(self.lost)), nothing)
         } else {
             let compliance = J::load(&plan.servos.compliance) * self.free;

@@ -122,6 +122,7 @@ impl Lanes for EveryJoint {
     type Group = Self;
 
     const GROUPS: usize = 1;
+    const CALLED: bool = true;
 
     #[inline(always)]
     fn group(&self, _: usize) -> Self {

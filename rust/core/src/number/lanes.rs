@@ -26,6 +26,9 @@ pub(crate) trait Lanes: Arithmetic<Real = Self> + Number + Spread<Scalar<Self>> 
     /// How many groups there are.
     const GROUPS: usize;
 
+    /// Whether whole formulas are calls, as each operation is: of numbers that no register holds, for the plainest machine.
+    const CALLED: bool = false;
+
     /// Group `i`.
     fn group(&self, i: usize) -> <Self::Group as Arithmetic>::Real;
 
