@@ -68,7 +68,6 @@ class Arm:
         drive, rate, rest, hold_for: As given.
         servos: The chain's servos, n entries, as the drive has them; better known once open.
         grippers: The joints off the chain by name; made anew when the drive opens.
-        enabled: Whether torque is on, and this process switched it on.
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
