@@ -12,9 +12,11 @@ pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extr
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 
+# A test run in the background is told to ignore Ctrl-C, and would hand that on.
 PROGRAM = """
 import atexit, os, signal, sys, time, pliant
 
+signal.signal(signal.SIGINT, signal.default_int_handler)
 arm, asked, parent = pliant.connect("sim:koch"), [], os.getpid()
 
 def noted(verb, call):
