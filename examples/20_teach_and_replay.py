@@ -20,6 +20,7 @@ import pliant.teach
 HELD = 2.0 if os.environ.get("PLIANT_SHORT") else 5.0  # [s]
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
 folder = Path(tempfile.mkdtemp())
+print(f"files: {folder}")
 
 
 def grip(axis, distance, start, rise, end):

@@ -49,4 +49,4 @@ for k in range(3):
 for span in findings.spans(log)[:3]:
     took = span.end - span.start
     print(f"{span.joint} at its bound from {span.start:.2f} s for {took:.2f} s, by {span.axis}")
-print(f"the page: {report(log, folder / 'report', title='two pulls').name}")
+print(f"the page: {report(log, folder / 'report', title='two pulls')}")

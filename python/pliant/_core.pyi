@@ -606,6 +606,29 @@ class Model:
             ShapeError, LimitError, ConfigError: An argument that cannot be used.
         """
 
+    def check_target(self, target: _PoseLike) -> None:
+        """Check that a pose may be a target: one that is far out of reach is in other units.
+
+        `Controller.step` checks the same for tasks with translations.
+
+        Args:
+            target: Pose of the tool in the base, or a position (3,) [m].
+
+        Raises:
+            LimitError: It is farther from the first joint than 2 times `reach` and 0.1 m.
+            ShapeError, ConfigError, TypeError: It is no pose.
+        """
+
+    def check_joint_target(self, q: ArrayLike) -> None:
+        """Check that joint positions (n,) [rad or m] may be a target: degrees are refused.
+
+        `Controller.step_joints` checks the same.
+
+        Raises:
+            LimitError: A joint is beyond its limits by more than 0.2 rad, or a tenth of its travel.
+            ShapeError, TypeError: They are not n numbers.
+        """
+
     def kinematics_batch(
         self,
         Q: ArrayLike,
@@ -1643,8 +1666,9 @@ class Controller:
         Args:
             q: Measured joint positions (n,) [rad].
             target: Pose `base_from_tool`: (4, 4), `Pose`, any object with a 4x4 accessor; (3,) for
-                a task without rotations. Within 100 m along each axis; toward one out of reach
-                the arm stretches, and `check` says that it is.
+                a task without rotations. Toward one out of reach the arm stretches, and `check`
+                says that it is; farther from the first joint than 2 times `Model.reach` and
+                0.1 m is an error.
             dt: Time since the last step [s], at most 1; None: 1 / settings.rate.
             dq: Joint velocity (n,) [rad/s] in place of the filtered one.
             twist: Velocity of the target (6,) [m/s, rad/s], base axes.
@@ -1668,7 +1692,12 @@ class Controller:
         gradient: ArrayLike | None = None,
         out: Command | None = None,
     ) -> Command:
-        """One control step toward joint positions (n,): target and rest posture; else as `step`."""
+        """One control step toward joint positions (n,): target and rest posture; else as `step`.
+
+        Raises:
+            LimitError: As `step`, and for a target beyond a joint's limits by more than 0.2 rad, or
+                a tenth of its travel; within that the goals end at the limits.
+        """
 
     def step_batch(
         self,

@@ -54,16 +54,20 @@ class Tick:
         q: Joint positions (n,) [rad], new in this tick.
         dt: Time since the positions of the last tick were sampled [s].
         state: All that was read.
-        time: When the tick began, on the arm's clock [s].
+        time: When the tick began [s]; 0 at the first tick of the loop, on every backend.
         index: Count of ticks before it.
+        began: `time` on the arm's clock, which `state.time` and `arm.time` are read from [s].
     """
 
-    __slots__ = ("_loop", "answered", "dt", "index", "q", "state", "time")
+    __slots__ = ("_loop", "answered", "began", "dt", "index", "q", "state", "time")
 
-    def __init__(self, loop: Loop, state: State, dt: float, time: float, index: int) -> None:
-        """Made by `Loop`."""
+    def __init__(
+        self, loop: Loop, state: State, dt: float, times: tuple[float, float], index: int
+    ) -> None:
+        """Made by `Loop`; times: of this tick and of the first, on the arm's clock."""
+        began, first = times
         self._loop, self.state, self.q, self.dt = loop, state, state.q, dt
-        self.time, self.index, self.answered = time, index, False
+        self.began, self.time, self.index, self.answered = began, began - first, index, False
 
     def write(
         self, command: Commanded, extra: Mapping[str, tuple[float, float]] | None = None
@@ -189,6 +193,7 @@ class Loop:
         arm, clock = self._arm, self._arm.clock
         begin = deadline = clock.now()
         last: float | None = None
+        first: float | None = None
         commanded, before, index = begin, begin, 0
         while self._duration is None or deadline - begin < self._duration - 1e-9:
             clock.wait_until(deadline)
@@ -203,7 +208,8 @@ class Loop:
                     last = None
                 dt = self.period if last is None else max(state.time - last, 0.1 * self.period)
                 last = state.time
-                tick = Tick(self, state, dt, now, index)
+                first = now if first is None else first
+                tick = Tick(self, state, dt, (now, first), index)
                 yield tick
                 self._check()
                 index += 1
@@ -254,10 +260,22 @@ class Loop:
             self._arm.ease()
         if controller is None:
             return
+        if first:
+            self._capture(q)
+        # Capturing is bumpless: only the reset lets the goals carry the weight by what it found.
         controller.reset(q)
         if hasattr(controller, "model"):
             # Goals slew from q: one long step in place takes up the weight before anything is sent.
             controller.step(q, controller.model.forward_kinematics(q), dt=PRIME)
+
+    def _capture(self, q: Array) -> None:
+        """Tell the controller by which leads joints of unknown stiffness are carried at q (n,)."""
+        arm, capture = self._arm, getattr(self._controller, "capture_gravity", None)
+        leads = getattr(arm, "leads", None)
+        if capture is None or leads is None or arm.servos.kp_known:
+            return
+        believed = np.asarray(arm.model.gravity(q)) / np.asarray(arm.servos.kp)
+        capture(q, q + np.where(np.isfinite(leads), leads, believed))
 
     def _write(
         self, tick: Tick, command: Commanded, extra: Mapping[str, tuple[float, float]] | None
@@ -273,7 +291,7 @@ class Loop:
         model = self._arm.model
         goal = vector(model, command.goal, "goal", finite=False)
         limit = vector(model, command.torque_limit, "limit", finite=False)
-        old = clock.now() - tick.time > max(STALE_PERIODS * self.period, STALE)
+        old = clock.now() - tick.began > max(STALE_PERIODS * self.period, STALE)
         if old or not (np.isfinite(goal).all() and np.isfinite(limit).all()):
             self.refused += 1
             return False

@@ -296,7 +296,7 @@ def test_a_misspelt_option_is_named_before_a_port_is_looked_for():
         (lambda: pliant.connect(pliant.config.load("so101"), exti="hold"), "did you mean 'exit'"),
         (lambda: pliant.config.load("so101").arm(exti="hold"), "did you mean 'exit'"),
         (lambda: pliant.connect(model, object(), exti="hold"), "did you mean 'exit'"),
-        (lambda: pliant.connect("so101", backend="sim", q=[0.0] * 5), "no option 'q' here"),
+        (lambda: pliant.connect("so101", q=[0.0] * 5), "'q' is an option of a simulated arm"),
     ):
         with pytest.raises(pliant.ConfigError, match=near):
             wrong()
@@ -316,9 +316,14 @@ def test_degrees_are_refused_before_anything_is_sent():
 
 
 def test_what_is_made_from_the_model_believes_the_arms_servos():
-    arm = pliant.connect("sim:so101", kp_scale=2.0)
+    model = pliant.robots.so101()
+    plant = pliant.sim.Plant(model)
+    arm = pliant.connect(model, SimDrive(plant, servos=plant.table.replace(kp=[9.0] * 5)))
     assert arm.model.servos.kp.tolist() == arm.servos.kp.tolist()
     assert arm.model.servos.kp.tolist() != pliant.robots.so101().servos.kp.tolist()
+    # What is true of the simulated servos is not told to the arm.
+    arm = pliant.connect("sim:so101", kp_scale=2.0)
+    assert arm.servos.kp.tolist()[:5] == model.servos.kp.tolist()
 
 
 def test_what_cannot_be_connected_is_named():

@@ -9,6 +9,7 @@ import pytest
 
 import pliant
 from pliant.arm.keeper import Keeper
+from pliant.arm.speaker import SPEAKER
 
 
 def until(condition):
@@ -39,6 +40,7 @@ def test_silence_is_noticed_once_and_told_at_the_next_call():
 
 
 def test_nobody_is_watched_outside_a_loop_or_in_simulated_time(make, grasp):
+    SPEAKER.start()
     before = threading.active_count()
     with make() as arm:
         for tick in pliant.Loop(arm, duration=0.05):
@@ -59,6 +61,31 @@ def test_errors_of_the_bus_are_kept_for_the_program():
         until(lambda: keeper.reason is not None and "unplugged" in keeper.reason)
     with pytest.raises(pliant.ServoTimeout, match="unplugged"), keeper:
         pass
+
+
+def test_any_exception_is_kept_for_the_program():
+    def leave():
+        raise ZeroDivisionError("a bug")
+
+    keeper = Keeper(leave)
+    with keeper.watched(0.02):
+        until(lambda: keeper.reason is not None and "a bug" in keeper.reason)
+    with pytest.raises(pliant.ServoTimeout, match="a bug"), keeper:
+        pass
+
+
+def test_an_exception_does_not_end_the_watch_and_dismissal_does():
+    left = []
+    keeper = Keeper(lambda: left.append(1))
+    with pytest.raises(KeyError), keeper.watched(0.02):
+        raise KeyError("policy")
+    until(lambda: left)
+    keeper.reason = None
+    with pytest.raises(KeyError), keeper.watched(0.05):
+        raise KeyError("policy")
+    keeper.dismiss()
+    time.sleep(0.2)
+    assert left == [1]
 
 
 def test_an_exit_waits_for_a_descent_and_limp_ends_it():

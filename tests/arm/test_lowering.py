@@ -87,12 +87,12 @@ def test_positions_that_never_come_lead_down_the_path_of_the_model(model, grasp)
 
 def test_positions_that_come_again_are_where_the_descent_goes_on(model, grasp):
     def reading(tick):
-        return np.full(7, np.nan) if tick < 150 else grasp
+        return np.full(7, np.nan) if tick < 250 else grasp
 
-    _, orders = descend(model, grasp, reading, ticks=152)
+    _, orders = descend(model, grasp, reading, ticks=252)
     need = grasp + model.gravity(grasp) / np.asarray(model.servos.kp)
-    assert np.abs(orders[149][1] - need).max() > 0.1
-    assert np.abs(orders[150][1] - need).max() < 0.01
+    assert np.abs(orders[249][1] - need).max() > 0.1
+    assert np.abs(orders[250][1] - need).max() < 0.01
 
 
 @pytest.mark.parametrize("options", [{}, {"load": LOAD}])
@@ -155,29 +155,35 @@ def test_an_arm_that_stands_on_something_is_left_soon_though_its_encoders_flicke
 
 
 def test_a_leaning_arm_keeps_its_torque_until_it_has_come_down():
-    """Weight is given up behind a reference: an arm that follows it is never at its limits."""
+    """What an arm leaned on goes away while its limits fall: it is caught, and goes on slowly."""
     model = pliant.robots.arm7()
     q, kp, points = STRETCHED.copy(), np.asarray(model.servos.kp), Points(model)
     lowering = Lowering(model, model.servos, q)
-    # It leans for the first three seconds, so that its weight begins to be given up ...
-    for _ in range(300):
-        lowering.step(q, 0.01)
-    assert lowering.phase == "ramp"
-    assert lowering.share < 0.6
-    # ... then what it leaned on is gone: it sinks into its servos' springs, and goes on slowly.
+    limits = []
+    while len(limits) < 100:
+        _, limit = lowering.step(q, 0.01)
+        if lowering.phase == "ramp":
+            limits.append(limit)
+        if len(limits) == 40:
+            break
+    assert np.all(limits[-1] < 0.7 * limits[0] + 1e-9)
+    most = 0.0
     for tick in range(6000):
         order = lowering.step(q, 0.01)
         if order is None:
             break
         goal, limit = order
         weight = np.asarray(model.gravity(q))
-        assert np.all(np.abs(kp * (goal - q)) <= limit + 1e-9)
-        new = q + 0.2 * (goal - weight / kp - q)
-        moved = np.linalg.norm(points(new) - points(q), axis=1).max()
-        assert tick < 50 or moved < 0.0015
+        # Without inertia: gears that turn as slowly as their damping lets them.
+        torque = np.clip(kp * (goal - q), -limit, limit) - weight
+        new = q + 0.01 * torque / (np.asarray(model.servos.damping) + 0.1 * kp)
+        moved = np.linalg.norm(points(new).position - points(q).position, axis=1).max()
+        # It sinks into its servos' springs at first.
+        most = max(most, moved if tick > 50 else 0.0)
         q = new
     assert order is None
-    assert np.all(np.abs(model.gravity(q)) < 1.6 * np.asarray(model.servos.friction))
+    assert most < 0.0025
+    assert np.all(np.abs(model.gravity(q)) < 2.1 * np.asarray(model.servos.friction))
 
 
 def test_a_stall_of_the_lowering_itself_moves_the_goal_no_further_than_a_tick(model, grasp):

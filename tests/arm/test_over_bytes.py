@@ -19,6 +19,10 @@ from pliant.servo.emulator import Mount, emulate
 STEP, RPM = 2.0 * np.pi / 4096, 0.229 * np.pi / 30.0
 #: Robot and servo of each family.
 FAMILIES = {"sts": ("so101", "STS3215", "STS3215-7.4V", {}), "x": ("koch", "XL430-W250", None, {})}
+MORE = {
+    "mx": ("so101", "MX-64", None, {"return_delay_time": 0}),
+    "xm": ("koch", "XM430-W350", None, {"operating_mode": 5, "return_delay_time": 0}),
+}
 
 
 class Steps:
@@ -36,8 +40,8 @@ class Steps:
 
 
 @contextmanager
-def arm_over_bytes(family, q, clock="steps", plant=None, zero=None, **options):
-    robot, device, model, registers = FAMILIES[family]
+def arm_over_bytes(family, q, clock="steps", plant=None, *, zero=None, patience=0.1, **options):
+    robot, device, model, registers = (FAMILIES | MORE)[family]
     chain_model = pliant.robots.load(robot)
     names = [*chain_model.joint_names, "gripper"]
     mounts = [
@@ -49,8 +53,13 @@ def arm_over_bytes(family, q, clock="steps", plant=None, zero=None, **options):
             ServoSpec(name=n, model=model or device, id=k, port=bus.port, zero=(zero or {}).get(n))
             for k, n in enumerate(names, 1)
         ]
-        chain = ServoChain(specs, patience=0.1, clock=Steps(bus) if clock == "steps" else None)
+        chain = ServoChain(specs, patience=patience, clock=Steps(bus) if clock == "steps" else None)
         yield bus, Arm(chain_model, chain, signals=False, **options)
+
+
+def switches(bus, id):
+    """Torque on and off of a servo, in order."""
+    return [step for step in bus.log.order(id) if step.startswith("torque")]
 
 
 @pytest.mark.parametrize(("counts", "starts"), [(1500, False), (40, True)])
@@ -116,11 +125,98 @@ def test_lowered_after_the_program_stalled(family):
         assert not arm.enabled
         assert not [w for w in bus.log.writes(refused=True) if w.time > stalled]
         assert not arm.drive.enabled.any()
-        assert all(bus.log.order(k)[-1] == "torque off" for k in range(1, 7))
+        assert all(switches(bus, k)[-1] == "torque off" for k in range(1, 7))
         wait(arm.clock.now() + 0.5)
         assert bus.plant.tool[2, 3] < height - 0.02
         arm.close()
     assert max(speeds) < 0.18
+
+
+def enabled_with_old_goals(family, lost=0):
+    """Enable an arm whose servos have goals of before, the lost-th request unheard.
+
+    Returns:
+        How far the tool went [m], and the number of each request that carried goals.
+    """
+    q = [0.1, 0.4, 0.2, 0.1, 0.0]
+    with arm_over_bytes(family, q, plant={}, patience=0.01) as (bus, arm):
+        for servo in bus.servos:
+            servo.put("goal_position", servo.position - 500)
+        count, start, ways = 0, bus.plant.tool[:3, 3].copy(), []
+        step = bus.world.physics.step
+
+        def chance():
+            nonlocal count
+            count += 1
+            return "deaf" if count == lost else None
+
+        def watched(steps):
+            step(steps)
+            ways.append(np.linalg.norm(bus.plant.tool[:3, 3] - start))
+
+        bus.lines["main"].faults.chance = chance
+        bus.world.physics.step = watched
+        arm.enable()
+        arm.limp()
+        arm.close()
+        goals = [
+            number
+            for number, transaction in enumerate(bus.log, 1)
+            if any("goal_position" in write.values for write in transaction.writes)
+        ]
+        return max(ways), goals
+
+
+@pytest.mark.parametrize("family", [*FAMILIES, *MORE])
+def test_a_lost_packet_of_goals_does_not_let_an_old_goal_move_the_arm(family):
+    way, goals = enabled_with_old_goals(family)
+    assert way < 0.005
+    # Before, the tool went 40 mm (sts), 10 mm (x), 2 mm (mx), 33 mm (xm).
+    lost, _ = enabled_with_old_goals(family, goals[0])
+    assert lost < min(way + 0.0005, 0.005)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("family", [*FAMILIES, *MORE])
+def test_no_lost_packet_of_enabling_lets_an_old_goal_move_the_arm(family):
+    _, goals = enabled_with_old_goals(family)
+    for lost in range(goals[0] - 60, goals[1]):
+        way, _ = enabled_with_old_goals(family, lost)
+        assert way < 0.005, lost
+
+
+@pytest.mark.parametrize("cleared", [True, False])
+def test_torque_does_not_go_off_where_servos_refuse_the_way_down(cleared, monkeypatch):
+    """The line is dead for longer than the watchdog, then the arm is lowered."""
+    if not cleared:
+        # As if the watchdog could not be cleared by any means.
+        monkeypatch.setattr("pliant.servo.port.Port.revive", lambda *_: None)
+        monkeypatch.setattr("pliant.servo.port.Port.set_watchdog", lambda *_: [])
+    with arm_over_bytes("x", [0.0, 0.2, 0.0, 0.2, 0.0], watchdog=0.1) as (bus, arm):
+        arm.enable()
+        if not cleared:
+            for servo in bus.servos:
+                servo.put("bus_watchdog", 5)
+        start = bus.plant.tool[2, 3]
+        bus.short()
+        for _ in range(5):
+            arm.read()
+            arm.clock.wait_until(arm.clock.now() + 0.05)
+        assert all(servo.get("bus_watchdog") == -1 for servo in bus.servos)
+        bus.short(False)
+        if cleared:
+            arm.lower()
+            assert all(switches(bus, k)[-1] == "torque off" for k in range(1, 7))
+            off = [w for w in bus.log.writes("torque_enable") if w.values["torque_enable"] == 0]
+            goals = [w for w in bus.log.writes("goal_position", refused=False)]
+            assert goals[-1].time < off[0].time
+            arm.clock.wait_until(arm.clock.now() + 0.5)
+            assert bus.plant.tool[2, 3] < start - 0.02
+        else:
+            with pytest.raises(pliant.ServoError, match="do not take the goals"):
+                arm.lower()
+            assert all(switches(bus, k)[-1] == "torque on" for k in range(1, 7))
+        arm.close()
 
 
 @pytest.mark.full
@@ -140,14 +236,14 @@ def test_lowered_in_the_place_of_a_program_that_computes_for_ever():
             run()
         assert rounds > 0
         assert not arm.drive.enabled.any()
-        assert all(bus.log.order(k)[-1] == "torque off" for k in range(1, 7))
+        assert all(switches(bus, k)[-1] == "torque off" for k in range(1, 7))
         assert bus.plant.tool[2, 3] < height - 0.02
         arm.close()
 
 
 def test_a_load_that_nobody_told_of_sinks_and_is_brought_back_slowly(monkeypatch):
     q, tools = [0.0, 0.5, 0.2, 0.2, 0.0], []
-    with arm_over_bytes("sts", q, plant={"payload": (0.1, (0.0, 0.0, 0.0))}) as (bus, arm):
+    with arm_over_bytes("sts", q, plant={"payload": (0.2, (0.0, 0.0, 0.0))}) as (bus, arm):
         step = bus.world.physics.step
 
         def watched(count):

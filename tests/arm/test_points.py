@@ -15,10 +15,10 @@ def test_tool_and_its_speed_are_the_cores(name):
     points = Points(model)
     for _ in range(20):
         q, u = rng.uniform(-2, 2, model.n), rng.normal(size=model.n)
-        place, speed, _ = points.walk(q, u)
+        here = points(q)
         pose, jacobian = model.kinematics(q)
-        np.testing.assert_allclose(place[-1], pose[:3, 3], atol=1e-12)
-        np.testing.assert_allclose(speed[-1], jacobian[:3] @ u, atol=1e-11)
+        np.testing.assert_allclose(here.position[-1], pose[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(here.velocity(u)[-1], jacobian[:3] @ u, atol=1e-11)
 
 
 def test_speeds_are_differences_of_positions():
@@ -26,12 +26,12 @@ def test_speeds_are_differences_of_positions():
     rng = np.random.default_rng(1)
     points = Points(model)
     q, u = rng.uniform(-2, 2, 7), rng.normal(size=7)
-    difference = (points(q + 1e-6 * u) - points(q - 1e-6 * u)) / 2e-6
-    np.testing.assert_allclose(points.walk(q, u)[1], difference, atol=1e-8)
+    difference = (points(q + 1e-6 * u).position - points(q - 1e-6 * u).position) / 2e-6
+    np.testing.assert_allclose(points(q).velocity(u), difference, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", pliant.robots.names())
-def test_kinetic_energy_is_that_of_the_simulated_arm(name):
+def test_inertia_is_that_of_the_simulated_arm(name):
     mujoco = pytest.importorskip("mujoco")
     model = pliant.robots.load(name, payload=(0.2, (0.01, 0.0, 0.03)))
     plant = Plant(model, off_chain="welded")
@@ -40,9 +40,23 @@ def test_kinetic_energy_is_that_of_the_simulated_arm(name):
     dofs = [plant.mj_model.joint(name).dofadr[0] for name in model.joint_names]
     full = np.zeros((plant.mj_model.nv, plant.mj_model.nv))
     for _ in range(5):
-        q, u = rng.uniform(-1, 1, model.n), rng.normal(size=model.n)
+        q = rng.uniform(-1, 1, model.n)
         plant.reset(np.clip(q, model.lower, model.upper))
         mujoco.mj_forward(plant.mj_model, plant.mj_data)
         mujoco.mj_fullM(plant.mj_model, plant.mj_data, full)
-        energy = 0.5 * u @ full[np.ix_(dofs, dofs)] @ u
-        assert points.walk(plant.q, u)[2] == pytest.approx(energy, rel=1e-6)
+        own = full[np.ix_(dofs, dofs)]
+        here = points(plant.q)
+        np.testing.assert_allclose(here.inertia, own, atol=1e-6 * np.abs(own).max())
+
+
+def test_effective_mass_is_what_an_impulse_at_the_point_meets():
+    model = pliant.robots.arm7()
+    points = Points(model, model.servos.armature)
+    rng = np.random.default_rng(3)
+    q, u = rng.uniform(-1, 1, 7), rng.normal(size=7)
+    here = points(q)
+    speed = here.velocity(u)
+    push = speed[-1] / np.linalg.norm(speed[-1])
+    gained = here.velocity(np.linalg.solve(here.inertia, here.jacobian[-1].T @ push))[-1]
+    assert here.effective_mass(speed)[-1] == pytest.approx(1.0 / (push @ gained), rel=1e-9)
+    assert here.effective_mass(np.zeros_like(speed)).max() == 0.0

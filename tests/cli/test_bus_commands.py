@@ -134,11 +134,88 @@ def test_run_on_the_simulator_lowers_the_arm(capsys):
 def test_soft_axes_that_the_task_has_not_are_answered_with_its_own(capsys):
     assert main(["run", "so101", "--backend", "sim", "--soft", "y yaw"]) == 2
     said = capsys.readouterr().err
-    assert "--soft 'y yaw': yaw is no axis of the task, which has x, y, z; task in" in said
+    assert "--soft 'yaw': yaw is no axis of the task, which has x, y, z; task in" in said
 
 
 def test_run_follows_a_file(tmp_path, capsys):
     file = tmp_path / "targets.jsonl"
     file.write_text('{"q": [0.1, 0, 0, 0, 0]}\n' * 50)
     assert main(["run", "so101", "--backend", "sim", "--targets", str(file), "--quiet"]) == 0
-    assert "251 ticks" in capsys.readouterr().out
+    assert "250 ticks" in capsys.readouterr().out
+
+
+#: What opening refuses and names `pliant setup` for: model, EEPROM values.
+MENDABLE = [
+    ("XM430-W350", {"operating_mode": 3}),
+    ("XM430-W350", {"operating_mode": 5, "drive_mode": 0b10}),
+    ("XM430-W350", {"operating_mode": 5, "drive_mode": 0b100}),
+    ("XM430-W350", {"operating_mode": 5, "drive_mode": 0b1000}),
+    ("XM430-W350", {"operating_mode": 5, "secondary_id": 9}),
+    ("XL430-W250", {"operating_mode": 1}),
+    ("STS3215", {"operating_mode": 1}),
+    ("STS3215", {"response_level": 0}),
+    ("RX-64", {"ccw_angle_limit": 0}),
+    ("MX-64", {"cw_angle_limit": 4095}),
+    ("MX-64", {"status_return_level": 1}),
+    ("EX-106+", {"drive_mode": 2}),
+]
+
+
+@pytest.mark.parametrize(("model", "registers"), MENDABLE)
+def test_what_opening_names_setup_for_setup_mends_and_undoes(model, registers, tmp_path, capsys):
+    from pliant import ServoError
+    from pliant.servo import ServoChain, ServoSpec
+
+    table = {"STS3215": "STS3215-7.4V"}.get(model, model)
+    file, backup = tmp_path / "arm.toml", tmp_path / "old.json"
+    with Emulator([Device(model, id=i, **registers) for i in range(1, 6)]) as bus:
+        joints = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+        servos = "".join(
+            f'{name} = {{ model = "{table}", id = {i} }}\n' for i, name in enumerate(joints, 1)
+        )
+        file.write_text(
+            f'robot.builtin = "so101"\n[[port]]\npath = "{bus.port}"\n[servo]\n{servos}'
+        )
+        before = [bytes(servo.stored) for servo in bus.servos]
+        chain = ServoChain(
+            [ServoSpec(name=n, model=table, id=i, port=bus.port) for i, n in enumerate(joints, 1)]
+        )
+        with pytest.raises(ServoError, match="`pliant setup`"):
+            chain.open()
+        assert main(["setup", str(file), "--yes", "--backup", str(backup)]) == 0
+        chain.open()
+        chain.close()
+        assert main(["setup", str(file), "--yes", "--undo", str(backup)]) == 0
+        assert [bytes(servo.stored) for servo in bus.servos] == before
+
+
+@pytest.mark.parametrize("model", ["STS3215", "XL430-W250", "MX-64"])
+def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
+    table = {"STS3215": "STS3215-7.4V"}.get(model, model)
+    file = tmp_path / "arm.toml"
+    with Emulator([Device(model, id=1), Device(model, id=2)]) as bus:
+        joints = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+        servos = "".join(
+            f'{name} = {{ model = "{table}", id = {i} }}\n' for i, name in enumerate(joints, 1)
+        )
+        file.write_text(
+            f'robot.builtin = "so101"\n[[port]]\npath = "{bus.port}"\n[servo]\n{servos}'
+        )
+        setup = ["setup", str(file), "--set-id"]
+        for pair, said in [
+            ("1", "OLD:NEW"),
+            ("1:1", "the same"),
+            ("1:77", "id 77 is not that of one joint"),
+            ("1:2", "answers to id 2 already"),
+            ("9:5", "no answer"),
+        ]:
+            assert main([*setup, pair, "--yes"]) == 2
+            assert said in capsys.readouterr().err
+        monkeypatch.setattr("builtins.input", lambda *_: "n")
+        assert main([*setup, "1:5"]) == 2
+        assert not bus.log.eeprom_writes()
+        assert main([*setup, "1:5", "--yes"]) == 0
+        assert "wrist_roll answers to id 5 now" in capsys.readouterr().out
+        assert [servo.id for servo in bus.servos] == [5, 2]
+        bus.reboot(5)
+        assert bus.servos[0].id == 5, "it survives the loss of power"

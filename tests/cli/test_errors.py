@@ -94,7 +94,7 @@ def test_new_servos_that_all_have_one_id_are_seen_by_scan(capsys):
         assert main(["scan", "--port", bus.port, "--baud", "1000000"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "two servos on this id?" in said
-    assert "`pliant setup`" in said
+    assert "`pliant setup ARM --set-id OLD:NEW`" in said
 
 
 def test_a_low_voltage_servo_on_12_volts(said):

@@ -112,7 +112,7 @@ def test_a_cut_log_is_replayed_up_to_there_and_a_damaged_one_is_not(
     assert main(words) == 0
     out = capsys.readouterr().out
     assert "was cut short: it is played up to" in out
-    assert "played 1 times" in out
+    assert "played 1 time in" in out
     broken = bytearray(content)
     broken[3 * len(content) // 4] ^= 255
     path = damaged(broken)

@@ -32,13 +32,16 @@ def test_a_place_in_millimetres_is_no_place(model, q, target, axis):
     controller = pliant.Controller(model, pliant.Settings(task="xyz"))
     lone = target[:3, 3].copy()
     lone[axis] = target[axis, 3] = -250.0
-    said = f"position {'xyz'[axis]} [m] = -250 is outside ±100; is it in millimetres?"
-    assert refused(controller.step, q, target) == f"target: {said}"
-    assert refused(controller.step, q, lone) == f"target: {said}"
-    assert refused(controller.step_batch, q[None], target) == f"targets: {said}"
+    said = refused(model.check_target, lone).removeprefix("target")
+    assert said.startswith(": distance of position [")
+    assert "outside [0, 1.520]: the arm reaches 0.710 m; is it in millimetres?" in said
+    assert refused(controller.step, q, target) == f"target{said}"
+    assert refused(controller.step, q, lone) == f"target{said}"
+    assert refused(controller.step_batch, q[None], target) == f"targets{said}"
     assert refused(controller.step_batch, q[None], lone[None]).endswith(said)
-    assert refused(model.inverse_kinematics, target, q).endswith(said)
-    lone[axis] = 99.0
+    far = f"position {'xyz'[axis]} [m] = -250 is outside ±100; is it in millimetres?"
+    assert refused(model.inverse_kinematics, target, q).endswith(far)
+    lone[axis] = 1.2
     goals = controller.step_batch(np.stack([q, q]), lone).goal
     assert np.isfinite(goals).all()
     assert np.isfinite(controller.step(q, lone).goal).all()

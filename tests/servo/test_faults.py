@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from tests.servo.conftest import devices
 
 from pliant import ServoError, ServoFault
-from pliant.servo import BusError
+from pliant.servo import BusError, ServoChain, ServoSpec
+from pliant.servo.emulator import Emulator, StepClock
 
 PROTOCOLS = ["sts", "xm", "mx"]
 
@@ -100,6 +102,61 @@ def test_a_servo_that_lost_its_torque_is_noticed(emulated, enabled):
             assert not any("joint1" in text for text in found)
 
 
+@pytest.mark.parametrize("kind", PROTOCOLS)
+def test_torque_that_went_off_is_noticed_within_a_few_ticks(emulated, enabled, kind):
+    with emulated(kind, 6, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        for place in (6, 3):
+            for k in range(12 + place):
+                chain.read()
+                chain.write(np.full(6, 0.001 * k), limit)
+                chain.slow()
+                bus.advance(0.01)
+            bus.servo(place).put("torque_enable", 0)
+            bus.log.clear()
+            said = ""
+            # Protocol 1.0 and Feetech go round all servos in six ticks.
+            for _ in range(4 if kind == "xm" else 6):
+                chain.read()
+                said += str(chain.slow())
+                bus.advance(0.01)
+            assert f"joint{place - 1}: its torque went off" in said
+            bus.servo(place).put("torque_enable", 1)
+            enabled(chain)
+
+
+def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
+    parts = [*devices("sts", 1), *devices("sts", 3, port="b")[1:]]
+    with Emulator(parts, clock="steps") as bus:
+        ports = [bus.ports["main"], bus.ports["b"], bus.ports["b"]]
+        specs = [
+            ServoSpec(
+                name=f"joint{i}", model="STS3215-7.4V", id=i + 1, port=port, lower=-1.0, upper=1.0
+            )
+            for i, port in enumerate(ports)
+        ]
+        with ServoChain(specs, patience=0.1, clock=StepClock(bus)) as chain:
+            limit = enabled(chain)
+            bus.pull("b")
+            found = []
+            for k in range(20):
+                sample = chain.read()
+                assert sample.ok.tolist() == [True, False, False]
+                chain.write(np.full(3, 0.01 * k), limit)
+                found += getattr(chain.slow(), "faults", ())
+                bus.advance(0.01)
+            assert "joint1: its port" in str(found[:2])
+            moved = bus.servo(1).get("goal_position") - 2048
+            assert moved == round(0.19 / bus.servo(1).model.count)
+            with pytest.raises(ServoError, match=r"torque may still be on: .*is gone"):
+                chain.disable()
+            assert not bus.servo(1).enabled
+            bus.pull("main")
+            for call in (chain.read, chain.slow):
+                with pytest.raises(BusError, match="is gone"):
+                    call()
+
+
 def test_overload_comes_as_a_sentence(emulated, enabled):
     for kind in PROTOCOLS:
         with emulated(kind, 2, clock="steps") as (bus, chain):
@@ -140,14 +197,51 @@ def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
         limit = enabled(chain)
         bus.stick(1, "torque_limit", 1000)
         found = []
-        for _ in range(8):
+        for _ in range(70):
             chain.read()
             chain.write([0.0, 0.0], limit / 2)
             found += getattr(chain.slow(), "faults", ())
-        assert any("torque limit reads 1.91 N·m, written was 0.48 N·m" in text for text in found)
+            bus.advance(0.01)
+        said = "torque limit reads 1000 (1.91 N·m), written was 250 (0.478 N·m)"
+        assert any(said in text for text in found)
         assert chain.counters["mismatches"] >= 2
+        # Its goals arrive: the way down is not in question.
+        assert not chain.refusing.any()
         with pytest.raises(ServoError, match="did not take the torque limit"):
             enabled(chain)
+
+
+@pytest.mark.parametrize("kind", ["sts", "xm", "xl430", "mx"])
+def test_lost_writes_are_waited_for_as_long_as_lost_answers(emulated, enabled, kind):
+    with emulated(kind, 2, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        guard, deaf = chain._ports[0].guard, False
+        write = guard.sync_write
+        guard.sync_write = lambda *packet: None if deaf else write(*packet)
+
+        def run(ticks):
+            found = []
+            for k in range(ticks):
+                chain.read()
+                chain.write([0.003 * k, 0.003 * k], limit * (1.0 - 0.004 * k))
+                found = getattr(chain.slow(), "faults", found)
+                bus.advance(0.01)
+                yield found
+
+        assert not any(run(30))
+        deaf = True
+        assert not any(run(30)), "300 ms of silence in this direction too"
+        deaf = False
+        assert not any(run(60))
+        assert not chain.refusing.any()
+        deaf = True
+        said = str(list(run(140)))
+        assert "goal reads" in said
+        assert "limit reads" in said
+        assert chain.refusing.all()
+        deaf = False
+        assert not list(run(60))[-1]
+        assert not chain.refusing.any()
 
 
 def test_a_lost_packet_is_no_limit_refused(emulated, enabled):
@@ -227,29 +321,58 @@ def test_a_joint_that_would_jump_is_not_believed(emulated, enabled):
         assert not sample.ok[0]
         assert sample.position[0] == before
         assert chain.counters["stale"] == 1
-        # If it stays there, it is there.
+        # Where nothing was read for long enough, it may have come there.
         bus.advance(2.0)
         assert chain.read().ok[0]
 
 
-def test_the_watchdog_trips_is_reported_and_cleared(emulated, enabled):
+@pytest.mark.parametrize("step", [0.35, 0.6, 1.5])
+@pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
+def test_an_encoder_that_steps_is_a_fault_and_never_believed(emulated, enabled, kind, step):
+    with emulated(kind, 2, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        for _ in sweep(bus, chain, limit, 5, speed=0.0):
+            pass
+        before = chain.read().position[0]
+        place = bus.servos[0].position + round(step / bus.servos[0].model.count)
+        bus.stick(1, "present_position", place)
+        said = []
+        for _ in range(300):
+            sample = chain.read()
+            assert not sample.ok[0]
+            assert sample.position[0] == before
+            chain.write([0.0, 0.0], limit)
+            said.append(getattr(chain.slow(), "faults", ()))
+            bus.advance(0.01)
+        assert "joint0: its position jumped by" in str(said[:10])
+        # Once torque is off the joint may be anywhere.
+        chain.disable()
+        assert chain.read().ok.all()
+
+
+@pytest.mark.parametrize("dead", [False, True])
+def test_a_watchdog_that_trips_is_cleared_as_soon_as_it_is_seen(emulated, enabled, dead):
     with emulated("xm", 2, clock="steps") as (bus, chain):
         limit = enabled(chain)
         chain.watchdog(0.1)
         for _ in sweep(bus, chain, limit, 5):
             pass
-        bus.advance(0.5)
-        found = []
-        for _ in range(12):
+        bus.short(dead)  # in both directions, or the host is silent
+        for _ in range(5 if dead else 1):
             chain.read()
-            found += getattr(chain.slow(), "faults", ())
-        assert any("watchdog has tripped" in text for text in found)
-        enabled(chain)
-        chain.write([0.1, 0.1], limit)
-        bus.advance(0.05)
-        chain.read()
-        assert bus.servos[0].get("bus_watchdog") == 5
+            chain.write([0.0, 0.0], limit)
+            bus.advance(0.1 if dead else 0.3)
+        assert [servo.get("bus_watchdog") for servo in bus.servos] == [-1, -1]
+        bus.short(False)
+        for _ in range(15):
+            chain.read()
+            chain.write([0.1, 0.1], limit)
+            assert not getattr(chain.slow(), "faults", ())
+            bus.advance(0.01)
+        assert [servo.get("bus_watchdog") for servo in bus.servos] == [5, 5]
         assert bus.servos[0].get("goal_position") > 2048
+        assert chain.counters["trips"] == 2
+        assert not chain.refusing.any()
 
 
 def test_disable_reaches_all_although_one_is_silent(emulated, enabled):

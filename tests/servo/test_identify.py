@@ -1,10 +1,12 @@
 """What is wrong is said when the chain opens, with what to do about it."""
 
+import time
+
 import pytest
 
 from pliant import ServoError
 from pliant.servo import ServoChain, ServoSpec
-from pliant.servo.emulator import Device, Emulator
+from pliant.servo.emulator import Device, Emulator, Timing
 
 
 def opened(bus, *specs, **options):
@@ -119,6 +121,24 @@ def test_notes_say_what_setup_would_change():
     assert "500 µs" in notes
 
 
+@pytest.mark.parametrize("model", ["STS3215", "XM430-W350", "MX-64"])
+def test_an_adapter_that_holds_answers_back_is_measured_and_said(model):
+    parts = [
+        Device(model, id=i, return_delay_time=0, **({"operating_mode": 5} if "XM" in model else {}))
+        for i in range(1, 4)
+    ]
+    with Emulator(parts, timing=Timing(wire=True, usb_latency=0.016)) as bus:
+        specs = [ServoSpec(name=f"joint{i}", model=model, id=i, port=bus.port) for i in range(1, 4)]
+        with ServoChain(specs) as chain:
+            assert any("ms later than the wire takes" in note for note in chain.found[0].notes)
+            ok = [chain.read().ok.all() for _ in range(20)]
+    # Where it is not known, every answer is given up before it comes.
+    assert sum(ok) > 12
+    with Emulator(parts, timing=Timing(wire=True)) as bus:
+        chain = opened(bus, *({"name": s.name, "model": model, "id": s.id} for s in specs))
+        assert not any("later than the wire" in note for note in chain.found[0].notes)
+
+
 def test_a_speed_unit_that_is_not_ours_is_noted():
     with Emulator([Device("STS3215", id=1, phase=0b1000)], clock="steps") as bus:
         assert "speed caps are void" in opened(bus, PAN).found[0].notes[0]
@@ -136,9 +156,15 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch):
 def test_another_transport_can_be_passed_in(fake_bus):
     opened_with = []
 
+    class Patient(fake_bus):
+        def ping(self, id):
+            # The chain waits by the machine's clock.
+            time.sleep(0.0 if id in self.memory else self.timeout)
+            return super().ping(id)
+
     def fake(port, baudrate, protocol):
         opened_with.append((port, baudrate, protocol))
-        return fake_bus([1])
+        return Patient([1])
 
     chain = ServoChain([ServoSpec(port="p", **PAN)], transport=fake, baudrate=57_600)
     with pytest.raises(ServoError, match="model number 0"):

@@ -22,6 +22,7 @@ from pliant.servo.emulator import Remote
 PROGRAM = """
 import os, signal, sys, pliant
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 with pliant.connect("so101", port=sys.argv[1], hold_for=20.0) as arm:
     print("torque", flush=True)
     for tick in pliant.Loop(arm, stall=20.0):

@@ -109,11 +109,11 @@ def test_a_file_that_cannot_be_written_is_said_before_torque_comes_on(
 
 
 def test_looking_whether_a_file_can_be_written_changes_nothing(tmp_path):
-    from pliant.cli.files import check_writable
+    from pliant.outputs import check_output
 
     new, old = tmp_path / "new.json", tmp_path / "old.json"
-    old.write_text("kept")
-    check_writable(new)
-    check_writable(old)
+    old.write_text('{"format": "pliant motion 1"}')
+    assert not check_output(new, "motion")
+    assert check_output(old, "motion")
     assert not new.exists()
-    assert old.read_text() == "kept"
+    assert old.read_text() == '{"format": "pliant motion 1"}'

@@ -36,7 +36,7 @@ def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **opt
             plant = arm.drive.plant
             force = float(np.linalg.norm(plant.hands[0].force)) if scene else 0.0
             want = MODEL.forward_kinematics(motion.at(replay.time))[:3, 3]
-            rows.append((tick.time, replay.time, force, *plant.tool[:3, 3], *want))
+            rows.append((tick.began, replay.time, force, *plant.tool[:3, 3], *want))
             during(replay, tick)
             if replay.done:
                 break
@@ -92,7 +92,7 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
 
     def note(replay, tick):
         states.append(replay.state)
-        if replay.state == "stopped" and tick.time > 6.5:
+        if replay.state == "stopped" and tick.began > 6.5:
             replay.resume()
 
     settled = wave(5.0, 0.4)
@@ -251,8 +251,8 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     arm = tmp_path / "arm.toml"
     # Left held, not lowered: an emulated arm comes down as slowly as a real one. The machine that
     # tests may be busy elsewhere.
-    life = '\n[life]\nexit = "hold"\n[loop]\npatience = 0.2\nhold_for = 10.0\n'
-    arm.write_text(pliant.config.ready.text("so101") + life)
+    life = '[loop]\npatience = 0.2\nhold_for = 10.0\n\n[life]\nexit = "hold"\n'
+    arm.write_text(pliant.config.ready.text("so101").replace("[life]\n", life))
     flags = [
         "replay",
         str(arm),
@@ -277,8 +277,8 @@ def test_the_command_teaches_with_a_scripted_hand(tmp_path, backend, capsys, mon
     pytest.importorskip("rustypot")
     monkeypatch.setattr("sys.stdin", io.StringIO())
     file, arm = tmp_path / "m.json", tmp_path / "arm.toml"
-    life = '\n[life]\nexit = "hold"\n[loop]\npatience = 0.2\nhold_for = 10.0\n'
-    arm.write_text(pliant.config.ready.text("so101") + life)
+    life = '[loop]\npatience = 0.2\nhold_for = 10.0\n\n[life]\nexit = "hold"\n'
+    arm.write_text(pliant.config.ready.text("so101").replace("[life]\n", life))
     assert main(["teach", str(arm), str(file), "--backend", backend, "--hand"]) == 0
     assert "pliant replay" in capsys.readouterr().out
     motion = Motion.load(file)

@@ -13,7 +13,9 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
+from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
 import pytest
@@ -203,7 +205,7 @@ def tab(shared, context):
 
 
 def test_page_loads_with_all_its_parts_and_nothing_from_elsewhere(tab):
-    for words in ("STOP", "Scene", "Softness", "Push", "deviation", "torque limit", "100 Hz"):
+    for words in ("STOP", "Scene", "Softness", "Push", "off target", "torque limit", "100 Hz"):
         tab.sees(words)
     assert tab.foreign == []
 
@@ -286,9 +288,40 @@ def test_stop_lowers_and_torque_comes_on_again(tab):
 @pytest.mark.full
 def test_without_the_token_there_is_no_page(shared, context):
     page = context.new_page()
-    answer = page.goto(shared.link.partition("?")[0])
-    assert answer.status == 403
+    page.goto(shared.link.partition("#")[0])
+    page.wait_for_url("**/refused")
     assert "This page moves a robot" in page.inner_text("body")
+
+
+@pytest.mark.full
+def test_two_pages_in_one_browser_leave_each_other_alone(shared, view, context):
+    one, two = Tab(context, shared.link), Tab(context, view.link)
+    for tab in (one, two):
+        tab.page.reload()
+        tab.sees("under control")
+    assert context.cookies() == []
+
+
+@pytest.mark.full
+def test_no_other_server_on_this_machine_hears_the_token(shared, context):
+    tab, token = Tab(context, shared.link), shared.link.partition("token=")[2]
+    heard = []
+
+    class Other(BaseHTTPRequestHandler):
+        def do_GET(self):
+            heard.append(f"{self.path} {self.headers}")
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Other) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        tab.page.evaluate(f"() => {{ location.href = 'http://127.0.0.1:{server.server_port}/' }}")
+        tab.wait(lambda _: heard, "the other server")
+        server.shutdown()
+    assert token not in "".join(heard)
 
 
 @pytest.mark.full

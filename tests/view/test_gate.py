@@ -1,27 +1,32 @@
-"""Who gets in: the token, then the cookie, and only the page's own origin."""
+"""Access to the page: the token in the address of the socket, the page's own origin, no cookie."""
 
 from __future__ import annotations
 
 import http
+import socket
 
 import pytest
 from websockets.datastructures import Headers
+from websockets.exceptions import InvalidStatus
 from websockets.http11 import Request, Response
+from websockets.sync.client import connect
 
-from pliant.view.gate import COOKIE, Gate, is_loopback
+from pliant.view.gate import Gate, is_loopback
+from pliant.view.link import Link
 
 HOST = "127.0.0.1:8080"
+OWN = f"http://{HOST}"
 
 
-def ask(gate, path="/", **headers):
-    given = Headers({"Host": HOST})
-    for name, value in headers.items():
-        given[name.replace("_", "-")] = value
-    return gate.judge(Request(path, given))
+def ask(gate, path="/", *more, **headers):
+    sent = Headers({"Host": HOST})
+    for name, value in (*headers.items(), *more):
+        sent[name.replace("_", "-")] = value
+    return gate.judge(Request(path, sent))
 
 
-def socket(gate, **headers):
-    return ask(gate, Upgrade="websocket", **headers)
+def open_socket(gate, path, *more, **headers):
+    return ask(gate, path, *more, Upgrade="websocket", **headers)
 
 
 def refused(answer):
@@ -33,37 +38,69 @@ def gate():
     return Gate()
 
 
-def test_without_the_token_nobody_gets_in(gate):
-    assert refused(ask(gate))
-    assert refused(ask(gate, "/?token="))
-    assert refused(ask(gate, f"/?token={gate.token[:-1]}"))
-    assert refused(ask(gate, "/index.html", Cookie=f"{COOKIE}=wrong"))
-    assert refused(ask(gate, "/", Cookie="gibberish;;=;"))
+def test_socket_with_the_token_and_its_own_origin_gets_in(gate):
+    assert open_socket(gate, f"/?token={gate.token}", Origin=OWN) is None
 
 
-def test_token_becomes_a_cookie_that_scripts_and_other_sites_cannot_use(gate):
-    cookie = ask(gate, f"/?token={gate.token}")
-    assert isinstance(cookie, str)
-    assert cookie.startswith(f"{COOKIE}={gate.token};")
-    assert "HttpOnly" in cookie
-    assert "SameSite=Strict" in cookie
-    assert ask(gate, Cookie=f"other=1; {COOKIE}={gate.token}") is None
+@pytest.mark.parametrize("sent", ["", "wrong", "{}x", "é", "{0}&token={0}", "{0}&token=wrong"])
+def test_socket_without_the_token_is_refused(gate, sent):
+    assert refused(open_socket(gate, f"/?token={sent.format(gate.token)}", Origin=OWN))
+    assert refused(open_socket(gate, "/", Origin=OWN))
+    assert refused(open_socket(gate, "/", Origin=OWN, Cookie=f"pliant-view={gate.token}"))
 
 
-def test_socket_wants_cookie_and_its_own_origin(gate):
-    cookie = f"{COOKIE}={gate.token}"
-    own = f"http://{HOST}"
-    assert socket(gate, Cookie=cookie, Origin=own) is None
-    assert refused(socket(gate, Origin=own))
-    assert refused(socket(gate, Cookie=cookie))
-    assert refused(socket(gate, Cookie=cookie, Origin="http://127.0.0.1:9999"))
-    assert refused(socket(gate, Cookie=cookie, Origin="http://example.org"))
-    assert refused(socket(gate, Cookie=cookie, Origin="null"))
+@pytest.mark.parametrize(
+    "origin", ["null", "", "http://127.0.0.1:9999", "http://example.org", f"{OWN}.example.org"]
+)
+def test_socket_of_another_origin_is_refused(gate, origin):
+    path = f"/?token={gate.token}"
+    assert refused(open_socket(gate, path))
+    assert refused(open_socket(gate, path, Origin=origin))
+    assert refused(open_socket(gate, path, ("Origin", OWN), Origin=origin))
 
 
-def test_token_in_the_address_opens_no_socket(gate):
-    answer = ask(gate, f"/?token={gate.token}", Upgrade="websocket", Origin=f"http://{HOST}")
-    assert refused(answer)
+def test_doubled_headers_are_no_error(gate):
+    twice = ("Upgrade", "websocket")
+    assert refused(open_socket(gate, f"/?token={gate.token}", ("Host", HOST), Origin=OWN))
+    assert isinstance(open_socket(gate, f"/?token={gate.token}", twice, Origin=OWN), Response)
+
+
+@pytest.mark.parametrize("path", ["/", "/index.html", "/?token=anything", "/?websocket=ws://a"])
+def test_page_itself_holds_no_token_and_sets_no_cookie(gate, path):
+    answer = ask(gate, path)
+    assert answer.status_code == http.HTTPStatus.OK
+    assert "Set-Cookie" not in answer.headers
+    assert gate.token.encode() not in answer.body
+    assert answer.headers["Referrer-Policy"] == "no-referrer"
+    assert answer.headers["X-Frame-Options"] == "DENY"
+
+
+@pytest.mark.parametrize("path", ["/../etc/passwd", "/%2e%2e/x", "/" + "a" * 8000, "/\0", "//"])
+def test_there_is_one_page_and_nothing_else(gate, path):
+    assert ask(gate, path).status_code == http.HTTPStatus.NOT_FOUND
+
+
+def test_two_pages_on_one_machine_are_open_at_once():
+    with Link(port=8230) as one, Link(port=8230) as two:
+        opened = []
+        for link in (one, two, one):
+            page, _, token = link.address.partition("/#token=")
+            address = f"{page.replace('http', 'ws')}/?token={token}"
+            with connect(address, origin=page, subprotocols=["viser-v1"]) as made:
+                opened.append(made.response.status_code)
+        assert opened == [101, 101, 101]
+        page, token = one.address.partition("/#")[0], two.address.partition("token=")[2]
+        with pytest.raises(InvalidStatus):
+            connect(f"{page.replace('http', 'ws')}/?token={token}", origin=page)
+
+
+def test_bytes_that_are_no_request_are_not_an_error_on_the_terminal(capfd):
+    with Link(port=8230) as link:
+        port = int(link.address.partition("/#")[0].rpartition(":")[2])
+        with socket.create_connection(("127.0.0.1", port)) as made:
+            made.sendall(b"\x16\x03\x01 nothing that is HTTP\r\n\r\n")
+            made.recv(100)
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_tokens_are_long_and_differ():

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import time
 import urllib.error
 import urllib.request
+from multiprocessing.connection import Connection
 
 import numpy as np
 import pytest
 
 from pliant import PliantError
-from pliant.view.link import Link, PageGone
+from pliant.view import orders
+from pliant.view.link import Ear, Link, PageGone
 from pliant.view.orders import Scene
 from pliant.view.session import Session
 from pliant.view.source import Simulated
@@ -32,13 +35,13 @@ def get(address):
         return error.code, error.headers, error.read()
 
 
-def test_page_asks_for_its_token(link):
-    bare, _, token = link.address.partition("?token=")
-    assert get(bare)[0] == 403
-    assert get(f"{bare}?token=wrong")[0] == 403
+def test_page_comes_without_the_token_and_keeps_it_to_itself(link):
+    _, _, token = link.address.partition("/#token=")
     status, headers, body = get(link.address)
     assert status == 200
-    assert token in headers["Set-Cookie"]
+    assert len(token) >= 32
+    assert "Set-Cookie" not in headers
+    assert token.encode() not in body
     assert b"<html" in body.lower()
 
 
@@ -88,6 +91,58 @@ def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
             assert time.perf_counter() < until
             time.sleep(0.005)
         link.send(np.zeros(10))
+
+
+def flooded():
+    """A page's end in this process that has asked for far more than a tick may take."""
+    ours, theirs = socket.socketpair()
+    ear = Ear(theirs.detach())
+    for number in range(20_000):
+        ear.ask(orders.Change(number, f"axis {number}", {"hold": 1.0}))
+        ear.ask(orders.Push((1.0, 0.0, 0.0)))
+    ear.ask(orders.Stop())
+    made = Link.__new__(Link)
+    made._pipe, made._waiting = Connection(ours.detach()), orders.Queue()
+    made._free, made._due, made._edit_due = True, 0.0, 0.0
+    return made, ear
+
+
+def test_flood_reaches_the_loop_in_small_parts_and_the_stop_at_once():
+    link, _ = flooded()
+    heard, calls = [], 0
+    until = time.perf_counter() + 20.0
+    while orders.Stop() not in heard:
+        assert time.perf_counter() < until
+        took = link.orders()
+        assert len(took) <= orders.PER_TICK
+        heard += took
+        calls += bool(took)
+        time.sleep(0.001)
+    assert calls <= 4
+    assert len(link._waiting) <= orders.MOST
+
+
+def test_edits_are_not_taken_faster_than_they_cost(monkeypatch):
+    monkeypatch.setattr("pliant.view.link.EDITS", 1e9)
+    link, _ = flooded()
+    until, heard = time.perf_counter() + 20.0, []
+    while orders.Stop() not in heard:
+        assert time.perf_counter() < until
+        heard += link.orders()
+    for _ in range(100):
+        heard += link.orders()
+    assert sum(isinstance(order, orders.Edit) for order in heard) == 1
+
+
+def test_page_that_floods_still_takes_snapshots():
+    link, ear = flooded()
+    until = time.perf_counter() + 20.0
+    for number in range(3):
+        while not link.due():
+            assert time.perf_counter() < until
+            time.sleep(0.005)
+        link.send(np.full(3, number))
+        np.testing.assert_array_equal(ear.listen(), np.full(3, number))
 
 
 def test_death_of_the_page_is_noticed(link):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,13 +11,14 @@ import mujoco
 import numpy as np
 import pytest
 import viser
+import viser.transforms as tf
 
 from pliant.view import meters, orders
 from pliant.view.page import Page
 from pliant.view.panel import Panel
 from pliant.view.session import Session
 from pliant.view.source import Simulated
-from pliant.view.world import World
+from pliant.view.world import LONGEST, World
 
 
 class Told:
@@ -98,8 +100,23 @@ def test_a_snapshot_between_a_click_and_its_being_heard_does_not_undo_it(seen):
 
 def test_scene_has_arm_wall_target_and_floor(seen):
     names = set(seen.server.scene._handle_from_node_name)
-    assert {"/target", "/walls/0", "/floor", "/hand", "/hinges"} <= names
-    assert any(name.startswith("/bodies/body:") for name in names)
+    assert {"/target", "/walls/0", "/floor", "/hand"} <= names
+    assert {"/axes/x", "/axes/y", "/axes/z"} <= names
+    for joint in seen.stage.joints:
+        assert any(re.fullmatch(rf"/arm/\d+/{joint}", name) for name in names)
+
+
+def test_drums_stand_on_the_axes_of_their_joints(seen):
+    last = seen.running[-1]
+    seen.world.show(last)
+    data, figure = seen.world._data, seen.stage.figure
+    for drum, name in zip(seen.world._hinges._drums, seen.stage.joints, strict=True):
+        joint = figure.joint(name).id
+        node = seen.world._nodes[int(figure.jnt_bodyid[joint])]
+        place = tf.SO3(np.asarray(node.wxyz)).apply(np.asarray(drum.position)) + node.position
+        np.testing.assert_allclose(place, data.xanchor[joint], atol=1e-5)
+        turn = tf.SO3(np.asarray(node.wxyz)) @ tf.SO3(np.asarray(drum.wxyz))
+        np.testing.assert_allclose(turn.apply(np.eye(3)[2]), data.xaxis[joint], atol=1e-5)
 
 
 def test_drawn_tool_is_where_the_simulation_has_it(seen):
@@ -116,7 +133,7 @@ def test_arrow_shows_the_push_and_hides_without_one(seen):
     assert seen.world._arrow.visible
     start, end = seen.world._arrow.points[0]
     np.testing.assert_allclose(end, pushed.pull[0], atol=1e-5)
-    assert (end - start)[1] == pytest.approx(0.25 * 6.0 / 40.0, rel=0.1)
+    assert (end - start)[1] == pytest.approx(LONGEST * 6.0 / 40.0, rel=0.1)
     seen.world.show(replace(pushed, pull=None))
     assert not seen.world._arrow.visible
 
@@ -129,6 +146,50 @@ def test_meters_say_what_the_step_knew(seen):
     assert "100 Hz" in seen.panel._health.content
     assert "gives way at" in seen.panel._sentences.content
     assert seen.panel._matrix.content.count("<tr>") == 8
+
+
+def row(seen, now, shown=None, full=None):
+    """The rows of the table of axes, by axis."""
+    stage, shown = seen.stage, shown or now.shown
+    full = full or meters.ranges(stage, shown, now.step, {})
+    rows = meters.axes(stage, shown, now.step, full).split("<tr>")[2:]
+    return dict(zip(stage.axes, rows, strict=True)), full
+
+
+def widths(rows):
+    found = {name: re.search(r"width:([\d.]+)%;height", text) for name, text in rows.items()}
+    return {name: float(match[1]) for name, match in found.items()}
+
+
+def test_bars_of_one_unit_have_one_scale(seen):
+    now = seen.running[-1]
+    off = np.array((0.016, -0.071, 0.033, 0.02, -0.1, 0.3))
+    rows, full = row(seen, replace(now, step=replace(now.step, deviation=off)))
+    drawn = widths(rows)
+    for names, unit, scale in (("xyz", "mm", 1e3), (("roll", "pitch", "yaw"), "°", 57.2958)):
+        for name in names:
+            size = abs(off[seen.stage.axes.index(name)]) * scale / full[unit]
+            assert drawn[name] == pytest.approx(50.0 * size, abs=0.06)
+    assert "-16 mm" in rows["x"]
+    assert "+71 mm" in rows["y"]
+    assert "left:50.0%" in rows["y"]
+
+
+def test_scale_holds_thresholds_and_does_not_flicker(seen):
+    now = seen.running[-1]
+
+    def scale(size, before):
+        off = np.full(6, size)
+        step = replace(now.step, deviation=off)
+        return meters.ranges(seen.stage, now.shown, step, before)
+
+    soft = now.shown.thresholds[seen.stage.axes.index("x"), 0]
+    first = scale(0.0, {})
+    assert first["mm"] >= 1e3 * soft
+    grown = scale(0.3, first)
+    assert grown["mm"] >= 300.0
+    assert scale(0.25, grown) == grown
+    assert scale(0.0, grown)["mm"] < grown["mm"]
 
 
 def test_text_from_errors_is_no_markup(seen):
@@ -230,6 +291,10 @@ def test_dragging_the_arm_grabs_pulls_and_lets_go(seen):
 def test_every_part_of_the_arm_can_be_dragged(seen):
     for group in seen.world._figure._mesh_groups:
         assert group.handle._impl.drag_cb
+    shaped = {visual.body for visual in seen.stage.visuals}
+    assert shaped
+    for body in shaped:
+        assert seen.world._nodes[body]._impl.drag_cb
 
 
 def test_only_the_tab_that_holds_the_arm_lets_go_when_it_closes(seen):

@@ -57,7 +57,7 @@ def test_target_moves_the_tool(script):
             pose[:3, 3] += (0.0, 0.0, 0.05)
             moved["to"] = pose
             return [orders.Target(pose)]
-        return [END] if number == 250 else []
+        return [END] if number == 400 else []
 
     link.orders = counted(link, heard)
     session.run(1)
@@ -148,6 +148,91 @@ def test_bad_settings_are_said_and_the_old_ones_stay(script, order, words):
     assert after.edit == 1
     assert after.shown.axes == before.shown.axes
     assert (after.shown.law, after.shown.preset) == (before.shown.law, before.shown.preset)
+
+
+def moved(pose, *offset):
+    out = pose.copy()
+    out[:3, 3] += offset
+    return out
+
+
+@pytest.mark.parametrize("far", [(0.0, 0.0, 150.0), (50.0, 0.0, 0.0), (0.0, np.nan, 0.0)])
+def test_target_out_of_reach_is_said_and_the_old_one_stays(script, far):
+    link = script({})
+    session = Session(Simulated("so101", paced=False), link)
+    near = (0.0, 0.0, -0.02)
+    asked = {10: near, 40: far, 80: (0.0, 0.0, 0.01)}
+
+    def heard(number):
+        if number in asked:
+            return [orders.Target(moved(session.home, *asked[number]))]
+        return [END] if number == 120 else []
+
+    link.orders = counted(link, heard)
+    session.run(1)
+    told = [s for s in link.running if s.said[1]]
+    assert told
+    assert "target" in told[0].said[1]
+    assert told[0].said[2]
+    for snapshot in told:
+        np.testing.assert_allclose(snapshot.step.target, moved(session.home, *near))
+    # A good target takes the message away.
+    assert link.running[-1].said[1:] == ("", False)
+
+
+def test_target_that_only_the_core_refuses_does_not_end_the_life(script, monkeypatch):
+    link = script({})
+    session = Session(Simulated("so101", paced=False), link)
+    monkeypatch.setattr("pliant.view.checks.target", lambda order, _: order.pose)
+
+    def heard(number):
+        if number == 20:
+            return [orders.Target(moved(session.home, 150.0, 0.0, 0.0))]
+        return [END] if number == 60 else []
+
+    link.orders = counted(link, heard)
+    session.run(1)
+    assert "target" in link.running[-1].said[1]
+    np.testing.assert_array_equal(link.running[-1].step.target, session.home)
+
+
+def test_refused_setting_is_forgotten_after_a_good_one(script):
+    bad, good = orders.Eta(1, 1.5), orders.Eta(2, 0.5)
+    _, link = live(script, {4: bad, 16: good, 30: END})
+    assert any("eta = 1.5" in s.said[1] for s in link.running)
+    assert link.running[-1].said[1:] == ("", False)
+
+
+def test_refused_setting_is_forgotten_by_and_by(script, monkeypatch):
+    monkeypatch.setattr("pliant.view.look.REFUSED", 0.0)
+    _, link = live(script, {4: orders.Eta(1, 1.5), 16: END})
+    assert link.running[-1].said == (2, "", False)
+
+
+def test_stop_is_not_undone_by_what_comes_with_it(script):
+    together = [orders.Stop(), orders.Scene("door"), orders.Start(), orders.Play()]
+    _, link = live(script, {21: together})
+    assert len(link.stages) == 1
+    assert link.snapshots[-1].phase == "lowering"
+
+
+def test_torque_on_while_it_is_on_changes_nothing(script):
+    _, link = live(script, {10: orders.Start(), 40: END})
+    assert link.calls == 40
+
+
+def test_all_firm_and_laws_on_a_small_arm(script):
+    asked = {
+        5: orders.Firm(1, True),
+        15: orders.Firm(2, False),
+        20: orders.Law(3, "impedance"),
+        30: orders.Law(4, "paper"),
+        40: END,
+    }
+    _, link = live(script, asked, robot="koch")
+    assert {s.said[1] for s in link.running} == {""}
+    assert {s.shown.law for s in link.running} == {"cap", "impedance", "paper"}
+    assert {s.shown.firm for s in link.running} == {True, False}
 
 
 @pytest.mark.parametrize("law", ["impedance", "paper", "cap"])
@@ -248,6 +333,8 @@ def test_trouble_on_the_bus_is_said_and_torque_can_come_back(script):
     session.run(2)
     said = [s for s in link.snapshots if s.said[1] == "shoulder: it is too hot"]
     assert said
+    assert said[-1].phase == "down"
+    assert link.running[-1].said[1] == ""
     assert said[0].said[2]
     assert len(link.stages) == 2
 

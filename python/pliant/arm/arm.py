@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import logging
 import os
+import sys
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from pliant import ConfigError, ServoError
-from pliant.arguments import instance
+from pliant.arguments import instance, real
 from pliant.arm.budget import Budget
 from pliant.arm.checks import posture, times
 from pliant.arm.cycle import Cycle
-from pliant.arm.entry import hear_all, stand_within, take_up
+from pliant.arm.ending import Ending, cause_of
+from pliant.arm.entry import first_orders, hear_all, stand_within, strange_leads, take_up
 from pliant.arm.exits import descend, settle
 from pliant.arm.gripper import Gripper, check_jaws, make_grippers
 from pliant.arm.keeper import Keeper
-from pliant.arm.lowering import SUPPORT
 from pliant.arm.points import Points
-from pliant.arm.signals import Signals
+from pliant.arm.rest import check_rest, obstacle
+from pliant.arm.signals import Signals, is_interrupted
+from pliant.arm.speaker import SPEAKER
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -35,10 +39,7 @@ if TYPE_CHECKING:
     from pliant.arm.state import State
 
     Array = NDArray[np.float64]
-    Exit = Literal["lower", "park", "hold"]
-
-#: Largest distance of a first goal from where its joint is [rad].
-LEAD = 0.1
+    Exit = Literal["lower", "hold"]
 
 
 class Arm:
@@ -51,7 +52,8 @@ class Arm:
     Args:
         model: The robot; its joint names are looked up among the drive's.
         drive: What moves the joints.
-        rest: Joint positions (n,) [rad] where `lower` goes first; None: straight down.
+        rest: Joint positions (n,) [rad] where `lower` goes first, where the way is free of the
+            table; None: straight down.
         exit: What leaving does: `lower`, or `hold`.
         rate: Of the arm's own loops, enabling and leaving [Hz].
         hold_for: How long a silent bus or program is waited for before the arm is lowered [s], at
@@ -61,13 +63,18 @@ class Arm:
         watchdog: Silence after which servos that can stop by themselves do [s]; 0: never. One that
             stops holds the position where it is then and loses the lead that carries the weight:
             the arm sinks by ``g/k_p``.
-        signals: Whether SIGINT and SIGTERM lower the arm.
+        signals: Whether SIGINT, SIGTERM, SIGHUP and SIGQUIT lower the arm.
+        table: Height of the table that it stands on, in base axes [m]; None: there is none, or it
+            is not known.
 
     Attributes:
         model: As given, driven by `servos`.
-        drive, rate, rest, hold_for: As given.
+        drive, rate, rest, hold_for, table: As given.
+        detour: Why the last descent left the rest pose out; None where it did not.
         servos: The chain's servos, n entries, as the drive has them; better known once open.
         grippers: The joints off the chain by name; made anew when the drive opens.
+        leads: Goal minus position that carried each joint when torque came on (n,) [rad], NaN
+            where that is not known: a joint that rested on something, or torque was never on.
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
@@ -88,19 +95,27 @@ class Arm:
         grippers: Mapping[str, Jaw] | None = None,
         watchdog: float = 0.0,
         signals: bool = True,
+        table: float | None = None,
     ) -> None:
         """Sort the joints; nothing is opened or moved yet."""
         if exit not in {"lower", "hold"}:
             raise ConfigError(f"exit must be 'lower' or 'hold', got {exit!r}")
         self.model, self.drive = model, drive
         self.rate, self.hold_for, self._watchdog = times(rate, hold_for, watchdog)
-        self._exit, self._signals = exit, Signals() if signals else None
+        self._exit = exit
         self._budget = Budget() if budget is None else instance(budget, Budget, "budget")
         self._jaws = check_jaws(grippers)
         self._keeper = Keeper(self._leave)
+        self._signals = Signals(self._keeper.unwanted.set) if signals else None
+        self._left: str | None = None
         self._meet()
+        self.table = None if table is None else real(table, "table [m]")
+        self.detour: str | None = None
         self.rest = None if rest is None else posture(self.model, rest, "rest")
+        if self.rest is not None:
+            check_rest(self.model, self._points, self.rest, self.table)
         self._opened = False
+        self.leads: Array = np.full(model.n, np.nan)
 
     def _meet(self) -> None:
         """Make all that depends on what the servos are: a drive that is open knows it better."""
@@ -148,28 +163,33 @@ class Arm:
         """With the lock held."""
         self.open()
         self._keeper.reason = None
-        cycle, kp = self._cycle, np.asarray(self.servos.kp)
+        cycle = self._cycle
         hear_all(cycle, self.rate)
         names = cycle.roster.names
         on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[cycle.roster.chain]
         stand_within(cycle, on)
-        gravity = cycle.gravity()
-        # A joint that carries weight already would dip if its goal went to where it is.
         stood = cycle.q
-        start = stood + np.where(on, np.clip(gravity / kp, -LEAD, LEAD), 0.0)
-        weight = SUPPORT * np.abs(gravity) + 2.0 * np.asarray(self.servos.friction)
+        start, limit, taken = first_orders(cycle, on)
         for name, gripper in self.grippers.items():
             cycle.orders[name] = (gripper.position, gripper.limit)
-        if self._signals is not None:
-            self._signals.install()
-        atexit.register(self._at_exit)
-        self._keeper.owner = os.getpid()
+        SPEAKER.start()
         try:
-            cycle.begin(start, weight)
+            if self._signals is not None:
+                self._signals.install()
+            atexit.register(self._at_exit)
+            self._keeper.owner = os.getpid()
+            cycle.begin(start, limit)
         except ServoError:
             self._forget()
             raise
-        take_up(cycle, start, stood, self.rate)
+        except BaseException:
+            # A signal before torque could come on leaves no handler behind; later ones lower.
+            if not self.enabled:
+                self._forget()
+            raise
+        self.leads = take_up(cycle, stood, taken, self.rate)
+        if text := strange_leads(cycle, self.leads):
+            SPEAKER.say(text, logging.WARNING)
         cycle.guard(self._watchdog)
 
     def lower(self) -> None:
@@ -184,18 +204,25 @@ class Arm:
         """To a pose (n,) [rad], by default the rest pose, straight through joint space; then lower.
 
         Raises:
-            ConfigError, ShapeError, LimitError: No pose of this arm; nothing has moved.
+            ConfigError, ShapeError, LimitError: No pose of this arm, or it is inside the table;
+                nothing has moved.
             ServoError: As `lower`.
         """
         if pose is None and self.rest is None:
             raise ConfigError("no pose to park in: arm.park([...]) or connect(..., rest=[...])")
-        self._descend(self.rest if pose is None else posture(self.model, pose, "pose"))
+        if pose is None:
+            self._descend(self.rest)
+            return
+        target = posture(self.model, pose, "pose")
+        check_rest(self.model, self._points, target, self.table)
+        self._descend(target)
 
     def hold(self) -> None:
         """Stay here with torque on, also when the program ends. Servos that hold get hot."""
         with self._keeper.alone():
             if self.enabled:
                 settle(self._cycle)
+                self._left = self._ending(cause_of(sys.exception())).stays()
                 self._forget()
 
     def limp(self) -> None:
@@ -222,47 +249,114 @@ class Arm:
             if self._opened:
                 self._opened = False
                 self.drive.close()
+            SPEAKER.flush()
 
     def _descend(self, rest: Array | None) -> None:
-        """Lower the arm; a second signal leaves it held where it is."""
+        """Lower the arm; a second Ctrl-C leaves it where it is, torque on."""
         if not self.enabled:
             return
-        signals = self._signals
+        error, signals = sys.exception(), self._signals
+        ending = self._ending(self._keeper.reason or cause_of(error))
+        told = ending.begin(interrupted=is_interrupted(error))
         if signals is not None:
-            signals.leaving = True
+            signals.begin(told)
         try:
             with self._keeper.alone():
-                if self.enabled:
-                    self._bring_down(rest)
+                try:
+                    if self.enabled:
+                        self._bring_down(rest, ending)
+                finally:
+                    self._forget()
         finally:
             self._forget()
-        if signals is not None:
-            signals.deliver()
+            SPEAKER.flush()
+            if signals is not None:
+                signals.deliver()
 
-    def _bring_down(self, rest: Array | None) -> None:
-        """The descent itself, and torque off unless somebody wanted it to end before."""
-        if descend(self._cycle, self._points, rest, self.rate, self._keeper.unwanted.is_set):
-            with contextlib.suppress(ServoError):
-                self._cycle.guard(0.0)
-            self.drive.disable(self._cycle.roster.names)
+    def _bring_down(self, rest: Array | None, ending: Ending) -> None:
+        """Descend and switch torque off; what ends the descent before leaves the arm carried."""
+        down = False
+        rest = self._reachable(rest)
+        if self.detour is not None:
+            SPEAKER.say(f"{self.detour}: the arm is lowered straight down")
+        try:
+            down = descend(
+                self._cycle,
+                self._points,
+                rest,
+                self.rate,
+                self._keeper.unwanted.is_set,
+                on_tick=ending.progress,
+            )
+            if down:
+                with contextlib.suppress(ServoError):
+                    self._cycle.guard(0.0)
+                self.drive.disable(self._cycle.roster.names)
+        except BaseException as error:
+            # A bus that hangs, left by a third Ctrl-C, would hang once more.
+            hangs = isinstance(error, SystemExit) and self._keeper.unwanted.is_set()
+            if not down and not hangs:
+                self._stay()
+            # A connection that is gone cannot be asked.
+            unknown = isinstance(error, ServoError) and not down
+            self._left = ending.failed(error, None if unknown else self._powered())
+            raise
+        if down:
+            heard = self._signals is not None and self._signals.heard
+            self._left = ending.down(heard=heard)
+        else:
+            self._stay()
+            self._left = ending.stays(stopped=True)
+
+    def _stay(self) -> None:
+        """Leave goals and limits that carry the arm, as far as the bus takes them."""
+        with contextlib.suppress(Exception):
+            settle(self._cycle)
+
+    def _powered(self) -> list[str]:
+        """Joints that have torque, as far as the drive knows."""
+        names = self._cycle.roster.names
+        on = np.broadcast_to(getattr(self.drive, "enabled", True), len(names))
+        return [name for name, powered in zip(names, on, strict=True) if powered]
+
+    def _ending(self, cause: str | None) -> Ending:
+        return Ending(self.model.name, self._cycle, cause)
+
+    def _reachable(self, rest: Array | None) -> Array | None:
+        """Return the rest pose where the way there is free; else None, and note why not."""
+        self.detour = None
+        if rest is None:
+            return None
+        self.detour = obstacle(self.model, self._points, self._cycle.q, rest, self.table)
+        return rest if self.detour is None else None
 
     def _leave(self) -> None:
         """Leave in the place of a program that stands still; its signals stay its own."""
         try:
-            if self.enabled:
-                self._bring_down(self.rest) if self._exit == "lower" else settle(self._cycle)
+            if not self.enabled:
+                return
+            ending = self._ending(self._keeper.reason)
+            if self._exit == "lower":
+                ending.begin()
+                self._bring_down(self.rest, ending)
+            else:
+                settle(self._cycle)
+                self._left = ending.stays()
         finally:
             self._keeper.owner = None
 
     def _forget(self) -> None:
         """Nothing is left to be brought down."""
         self._keeper.owner = None
+        self._keeper.dismiss()
         atexit.unregister(self._at_exit)
         if self._signals is not None:
             self._signals.restore()
 
     def _at_exit(self) -> None:
         """The program ends and torque is on."""
+        if not self._keeper.elsewhere:
+            self._keeper.reason = self._keeper.reason or "the program ends"
         self.close()
 
     def __repr__(self) -> str:
@@ -284,6 +378,7 @@ class Arm:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._left = None
         try:
             self.close()
         except ServoError as worse:
@@ -291,6 +386,13 @@ class Arm:
                 raise
             # The first error is the cause; what went wrong on the way down stands beside it.
             error.add_note(f"while the arm was being lowered: {worse}")
+        else:
+            if error is not None and self._left is not None:
+                # A traceback comes after the summary, and would bury it.
+                error.add_note(f"pliant: {self._left}")
+        finally:
+            if isinstance(error, KeyboardInterrupt):
+                _end_at_the_caller(error)
 
     # Every cycle.
 
@@ -391,3 +493,13 @@ class Arm:
     def _on(self) -> None:
         if not self.enabled:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
+
+
+def _end_at_the_caller(error: KeyboardInterrupt) -> None:
+    """Cut this package's frames off a traceback: Ctrl-C came wherever it came."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        module = trace.tb_next.tb_frame.f_globals.get("__name__", "")
+        if module.partition(".")[0] == "pliant":
+            trace.tb_next = None
+        trace = trace.tb_next

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 #: Arguments that belong to the arm, whatever drives it.
 OF_THE_ARM = frozenset(
-    ("rest", "exit", "rate", "hold_for", "budget", "grippers", "watchdog", "signals")
+    ("rest", "exit", "rate", "hold_for", "budget", "grippers", "watchdog", "signals", "table")
 )
 
 #: Arguments that replace words of a configuration file.
@@ -36,10 +36,11 @@ def connect(
             on the simulator; the same as a mapping, ``{"kind": "sim", "robot": "arm7"}``; a
             `Config`; or a model, with its drive.
         drive: What moves the joints of a model.
-        **options: Those of `pliant.arm.Arm`; for a file also `port`, `backend`, `urdf` and
-            `calibration`, as for `pliant.config.load`; for a simulated arm `q` (n,) [rad], where it
-            stands (default: the middle of its ranges), `real_time`, and those of
-            `pliant.sim.Plant`.
+        **options: Those of `pliant.arm.Arm`. For a file also `port`, `backend`, `urdf` and
+            `calibration`, as for `pliant.config.load`, and `table`: the height of its table [m], or
+            False for none. For a simulated arm `q` (n,) [rad], where it stands (default: near zero
+            for a file, else the middle of its ranges), `real_time`, and those of
+            `pliant.sim.Plant`; for an emulated arm `q`. ``"sim:..."`` has no table.
 
     Returns:
         The arm, with torque as it was.
@@ -64,11 +65,13 @@ def connect(
     if isinstance(what, str | Path) and str(what).partition(":")[0] != "sim":
         from pliant.config import load
 
-        check_options(options, OF_THE_ARM | _OF_THE_FILE)
+        known = OF_THE_ARM | _OF_THE_FILE
+        check_options(options, known | {"q", "real_time", *plant_options()})
         return load(what, **{k: options.pop(k) for k in _OF_THE_FILE & set(options)}).arm(**options)
     if isinstance(what, str | Path):
-        kind, _, robot = str(what).partition(":")
-        what = {"kind": kind, **({"robot": robot} if robot else {})}
+        # `kind` is an option of the plant too: the kind of its servos.
+        _, _, robot = str(what).partition(":")
+        return _simulated(**{**({"robot": robot} if robot else {}), **options})
     if not isinstance(what, Mapping):
         if not hasattr(what, "arm"):
             raise ConfigError(
@@ -76,11 +79,11 @@ def connect(
                 "ready one, 'sim:arm7', or a model and a drive"
             )
         return what.arm(**options)
-    merged = {**what, **options}
-    kind = merged.pop("kind", None)
+    own = dict(what)
+    kind = own.pop("kind", None)
     if kind != "sim":
         raise ConfigError(f"no arm of kind {kind!r}; there is 'sim', or give a model and a drive")
-    return _simulated(**merged)
+    return _simulated(**{**own, **options})
 
 
 def check_options(options: Iterable[str], known: Iterable[str]) -> None:
@@ -97,6 +100,15 @@ def check_options(options: Iterable[str], known: Iterable[str]) -> None:
             raise ConfigError(f"an arm has no option {key!r} here; {suggest(key, names)}")
 
 
+def plant_options() -> frozenset[str]:
+    """Names of the options of `pliant.sim.Plant`; empty where the simulator is not installed."""
+    try:
+        from pliant.sim import Plant
+    except ImportError:
+        return frozenset()
+    return frozenset(signature(Plant).parameters) - {"model"}
+
+
 def _simulated(
     *, robot: str | Model = "arm7", q: Any = None, real_time: bool = False, **options: Any
 ) -> Arm:
@@ -106,10 +118,22 @@ def _simulated(
     from pliant.arm.simulated import SimDrive
     from pliant.sim import Plant
 
+    if isinstance(robot, str) and robot not in robots.names():
+        from pliant.config import names
+
+        if robot in names():
+            raise ConfigError(
+                f"'sim:{robot}' is no built-in model; its ready file runs on the simulator as "
+                f'connect("{robot}", backend="sim")'
+            )
     model = robots.load(robot) if isinstance(robot, str) else robot
     of_the_arm = {key: value for key, value in options.items() if key in OF_THE_ARM}
-    of_the_plant = set(signature(Plant).parameters) - {"model"}
-    check_options(options, {"robot", "q", "real_time", *of_the_plant, *OF_THE_ARM})
+    if wrong := sorted(_OF_THE_FILE & set(options)):
+        raise ConfigError(
+            f"{wrong[0]!r} belongs to a configuration, not to a built-in arm on the simulator: "
+            "connect('so101', backend='sim'), or 'sim:so101' without it"
+        )
+    check_options(options, {"robot", "q", "real_time", *plant_options(), *OF_THE_ARM})
     plant = Plant(model, **{k: v for k, v in options.items() if k not in OF_THE_ARM or k == "rate"})
     if q is not None:
         plant.reset(q)

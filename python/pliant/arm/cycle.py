@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import LimitError, ServoTimeout
+from pliant import LimitError, ServoError, ServoTimeout
 from pliant.arm.belief import Belief
 from pliant.arm.budget import Meter
 from pliant.arm.checks import vector
@@ -65,7 +66,8 @@ class Cycle:
         self._trouble: dict[str, tuple[str, ...]] = {}
         self._rows: dict[str, Array | None] = {}
         self._watchdog = 0.0
-        self._spoke = self.clock.now()
+        # When something was last sent, and when a position last came.
+        self._spoke = self._heard = self.clock.now()
 
     # Reading.
 
@@ -83,6 +85,10 @@ class Cycle:
             return np.zeros(self.model.n, dtype=bool)
         finally:
             self._spoke = self.clock.now()
+        if np.any(sample.ok):
+            silence, self._heard = self.clock.now() - self._heard, self.clock.now()
+            if self._watchdog and silence > 0.5 * self._watchdog:
+                self._rearm()
         ok = self.belief.take(sample)
         chain = self.roster.chain
         self._rows = {
@@ -114,7 +120,13 @@ class Cycle:
     def faults(self) -> tuple[str, ...]:
         """What is wrong with servos, in sentences."""
         reported = [text for found in self._trouble.values() for text in found]
-        return (*reported, *self.meter.faults(self.roster.names))
+        jumped = self.belief.faults(self.roster.names)
+        return (*reported, *jumped, *self.meter.faults(self.roster.names))
+
+    def delay(self, now: float) -> float:
+        """How long before `now` the goals were sent that were in force at the last reading [s]."""
+        sampled = float(self.belief.time[self.roster.chain].max())
+        return max(now - sampled, 0.0) + float(getattr(self.drive, "latency", 0.0))
 
     @property
     def q(self) -> Array:
@@ -125,6 +137,14 @@ class Cycle:
     def gravity(self) -> Array:
         """Torques (n,) [N·m] that hold the chain at the believed positions."""
         return np.asarray(self.model.gravity(self.q), dtype=np.float64)
+
+    def standing(self) -> tuple[Array, Array]:
+        """Goals [rad] and limits [N·m] of the chain that stand in its servos (n,); NaN: unknown."""
+        orders = getattr(self.drive, "orders", None)
+        chain = self.roster.chain
+        if orders is None:
+            return np.full(self.model.n, np.nan), np.full(self.model.n, np.nan)
+        return np.asarray(orders[0])[chain], np.asarray(orders[1])[chain]
 
     def guard(self, seconds: float) -> None:
         """Let servos that can stop by themselves after this silence [s]; 0: never.
@@ -139,8 +159,19 @@ class Cycle:
     def _wake(self) -> None:
         """A watchdog that may have tripped refuses goals until it is cleared: never forget it."""
         if self._watchdog and self.clock.now() - self._spoke > 0.5 * self._watchdog:
+            self._rearm()
+
+    def _rearm(self) -> None:
+        """Clear watchdogs and arm them anew; a bus that is silent for now is asked again later."""
+        self._heard = self.clock.now()
+        with contextlib.suppress(ServoError):
             self.drive.watchdog(0.0)
             self.drive.watchdog(self._watchdog)
+
+    def is_refused(self) -> bool:
+        """Whether a joint of the chain is known not to take goals: torque must not go off then."""
+        refusing = getattr(self.drive, "refusing", None)
+        return refusing is not None and bool(np.any(np.asarray(refusing)[self.roster.chain]))
 
     # Writing.
 

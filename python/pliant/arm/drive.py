@@ -133,7 +133,10 @@ class Drive(Protocol):
     Further attributes are used where a drive has them: `clock` (default: the machine's), `latency`,
     the time from the end of a write to its effect [s]; `overload` (N,), the share of the usable
     torque above which a servo protects itself; `stall_current` (N,) [A], for the supply's budget;
-    `enabled` (N,), which joints have torque already.
+    `enabled` (N,), which joints have torque already; `orders`, goals (N,) [rad] and limits (N,)
+    [N·m] that stand in the servos, NaN where they are not known; `refusing` (N,), which joints are
+    known not to take goals; `kp_known` (N,), which stiffnesses are known within 10 %, where that is
+    not the same for all.
     """
 
     @property

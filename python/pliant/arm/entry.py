@@ -1,4 +1,4 @@
-"""Torque on: every joint is heard first, and takes its weight up within half a second."""
+"""Torque on: every joint is heard first, then takes up its weight, whatever its stiffness is."""
 
 from __future__ import annotations
 
@@ -20,16 +20,28 @@ if TYPE_CHECKING:
 
 #: Cycles within which every joint must have answered before torque goes on.
 ATTEMPTS = 10
-#: Time in which goals take up the weight, and in which the limit of a joint that sinks rises from
-#: nothing to all that its servo has [s].
-CARRIED, RAISED = 0.04, 0.1
-#: A joint has sunk that is farther away than this, or two counts, and still moves away [rad].
-SUNK = 0.004
+#: Largest lead of a first goal whose joint is carried by orders that are not known [rad].
+LEAD = 0.1
+#: Lead of the first goals over what the believed stiffness needs: enough for half of it.
+AHEAD = 2.0
+#: Time in which leads rise to that, for which they stay, and in which they shrink to nothing [s].
+RISE, STAY, SHRINK = 0.04, 0.2, 1.2
+#: How long before it is seen a joint begins to sink [s].
+SEEN = 0.1
+#: Time in which the limit of a joint that sinks rises from nothing to all that its servo has [s].
+RAISED = 0.1
+#: The same where it stays below where it stood [s].
+HELD = 1.0
+#: A joint begins to sink that is farther down than this, or two counts, and has sunk that is
+#: farther than the second, or three counts [rad].
+SINKS, SUNK = 0.002, 0.005
 #: How fast a joint is drawn back to where it stood, per rad that it is away [1/s], and at most
 #: [rad/s].
-BACK, RETURN = 4.0, 0.2
-#: An arm this near to where it stood has arrived [rad], and is waited for no longer than this [s].
-ARRIVED, LONGEST = 0.01, 2.0
+BACK, RETURN = 8.0, 0.1
+#: A joint is back that is this near, or 0.6 of a count [rad]; torque on takes no longer [s].
+HOME, LONGEST = 1.5e-4, 3.0
+#: Stiffness over the believed one, or its inverse, from which on the arm says so.
+OFF = 1.5
 
 
 def hear_all(cycle: Cycle, rate: float) -> None:
@@ -77,42 +89,142 @@ def stand_within(cycle: Cycle, on: NDArray[np.bool_]) -> None:
         )
 
 
-def take_up(cycle: Cycle, start: Array, stood: Array, rate: float) -> None:
-    """Goals go from `start` to where they carry the weight of an arm that stands where it stood.
+def first_orders(cycle: Cycle, on: NDArray[np.bool_]) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return goals (n,) [rad] and limits (n,) [N·m] to begin with, and which are taken over (n,).
 
-    Limits begin with what carries the arm that the model knows. A joint that sinks all the same
-    gets more at once, up to all that its servo has, and the next limits begin with that. A goal
-    does not lead by more than its limit can use, and what it gives up it takes back slowly: an arm
-    with a load that nobody told it of is brought back to where it stood, and not thrown.
+    Joints without torque begin where they stand. Joints that have torque keep the orders that stand
+    in their servos, which carry them; where these are not known, the servo exerts the weight.
+
+    Args:
+        cycle: The arm, heard.
+        on: Which joints of the chain have torque already (n,).
+    """
+    servos, q, weight = cycle.servos, cycle.q, cycle.gravity()
+    kp, usable = np.asarray(servos.kp), np.asarray(servos.torque)
+    friction = np.asarray(servos.friction)
+    trusted = SUPPORT * np.abs(weight) + 2.0 * friction
+    limit = trusted if servos.kp_known else np.abs(weight) + 0.5 * friction
+    limit = np.minimum(limit, usable)
+    ahead = 1.0 if servos.kp_known else AHEAD
+    goal = q + np.where(on, np.clip(ahead * weight / kp, -LEAD, LEAD), 0.0)
+    goals, limits = cycle.standing()
+    taken = on & np.isfinite(goals) & np.isfinite(limits)
+    limit = np.where(taken, np.minimum(limits, usable), limit)
+    most = AHEAD * limit / kp
+    goal = np.where(taken, q + np.clip(goals - q, -most, most), goal)
+    return goal, limit, taken
+
+
+def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -> Array:
+    """Let servos carry an arm that stands where it stood, and measure the leads that carry it.
+
+    A servo whose goal is far ahead exerts its limit, whatever its stiffness. So goals first lead by
+    twice what the believed stiffness needs while limits are the weight: joints neither rise nor
+    sink. Then leads shrink until a joint begins to sink: that lead carries it, and the limit may
+    rise. A joint that rests on something gives its weight back to it. A joint that sinks before
+    carries a load that the model does not know: it gets more torque at once, up to all that its
+    servo has, and is drawn back slowly.
 
     Args:
         cycle: The arm, torque on.
-        start: First goals (n,) [rad].
         stood: Where it stood before torque came on (n,) [rad].
+        taken: Which joints are carried already by the orders sent (n,).
         rate: Of this loop [Hz].
+
+    Returns:
+        The leads that carry joints (n,) [rad]; NaN for those that rest on something.
     """
     servos, clock = cycle.servos, cycle.clock
     kp, usable = np.asarray(servos.kp), np.asarray(servos.torque)
-    least = 2.0 * np.asarray(servos.friction)
-    still = np.maximum(SUNK, 2.0 * np.asarray(servos.count))
-    place, lead, before = stood.copy(), start - stood, stood
-    pull, more = np.zeros(stood.size), np.zeros(stood.size)
-    begin, passed = clock.now(), 0.0
-    while passed < EASE or (passed < LONGEST and np.abs(stood - cycle.q).max() > ARRIVED):
+    friction = np.asarray(servos.friction)
+    count = np.asarray(servos.count)
+    still, far = np.maximum(SINKS, 2.0 * count), np.maximum(SUNK, 3.0 * count)
+    home = np.maximum(HOME, 0.6 * count)
+    weight = cycle.gravity()
+    down = -np.sign(weight)
+    trusted = servos.kp_known
+    full = (1.0 if trusted else AHEAD) * weight / kp
+    lead, first = cycle.goal - stood, cycle.limit
+    led, limit = lead, first
+    more, pull = np.zeros(stood.size), np.zeros(stood.size)
+    before, level = stood, stood
+    found = np.where(taken, lead, np.nan)
+    begin = clock.now()
+    while True:
         clock.wait_until(clock.now() + 1.0 / rate)
         cycle.sample()
-        passed = clock.now() - begin
-        gravity, q = cycle.gravity(), cycle.q
-        away = q - stood
-        sinking = (np.abs(away) > still) & (away * (q - before) > 0.0)
-        more += np.where(sinking, usable / (RAISED * rate), 0.0)
-        rise = min(2.0 * passed / EASE, 1.0) * margin(servos, gravity)
-        firm = np.minimum(SUPPORT * np.abs(gravity) + np.maximum(rise, least), usable)
+        passed, q = clock.now() - begin, cycle.q
+        if passed < STAY:
+            rise = min(passed / RISE, 1.0) * (full - lead)
+            lead = lead + np.where(taken, 0.0, rise)
+            level = q
+        elif trusted:
+            found = np.where(np.isnan(found), lead, found)
+        away = (q - stood) * down
+        moves = (q - before) * down
+        # A joint that goes on sinking lacks torque; one that rises has more than it needs.
+        change = usable / (RAISED * rate)
+        more += np.where((away > far) & (moves > 0.0), change, 0.0)
+        fast = moves < -np.maximum(RETURN / rate, 0.5 * count)
+        # One that stays below with its servo at its limit gets more, slowly.
+        stays = np.isfinite(found) & (away > home) & (kp * np.abs(led) > 0.9 * limit)
+        more += np.where(stays & (moves >= 0.0), change * RAISED / HELD, 0.0)
+        more = np.maximum(more - np.where(fast, change, 0.0), 0.0)
+        shrinking = np.isnan(found) & (passed >= STAY)
+        held = shrinking & ((q - level) * down > still) & (moves >= 0.0)
+        step = (np.abs(full) + more / kp) / SHRINK
+        # It began to sink a moment before it was seen to.
+        lead = np.where(held, lead + np.sign(lead) * SEEN * step, lead)
+        found = np.where(held, lead, found)
+        left = np.maximum(np.abs(lead) - step / rate, 0.0)
+        lead = np.where(shrinking & ~held, np.sign(lead) * left, lead)
+        # One that had sunk before hangs in its servo's spring.
+        found = np.where(shrinking & (lead == 0.0) & (away > 0.5 * still), 0.0, found)
+        known = np.isfinite(found) | (lead == 0.0)
+        spare = np.where(known | trusted, margin(servos, weight), 0.5 * friction)
+        firm = np.abs(weight) + spare
+        firm = np.where(
+            taken, first + min(passed / STAY, 1.0) * np.maximum(firm - first, 0.0), firm
+        )
         limit = np.minimum(firm + more, usable)
-        carried = lead + min(passed / CARRIED, 1.0) * (gravity / kp - lead)
-        place = q + np.clip(place + carried - q, -firm / kp, firm / kp) - carried
-        pull += np.clip(BACK * (stood - q), -RETURN, RETURN) / rate
-        pull = np.clip(pull, -more / kp, more / kp)
-        cycle.send(place + carried + pull, limit)
+        drawn = np.isfinite(found) & (np.abs(away) > home)
+        pull += np.where(drawn, np.clip(BACK * (stood - q), -RETURN, RETURN), 0.0) / rate
+        # Beyond what its limit can use a lead would only be wound up.
+        most = AHEAD * limit / kp
+        pull = np.clip(lead + pull, q - stood - most, q - stood + most) - lead
+        led = stood + lead + pull - q
+        cycle.send(stood + lead + pull, limit)
         before = q
+        arrived = not drawn.any() or passed > LONGEST
+        if passed >= EASE and bool(known.all()) and arrived:
+            break
     cycle.ease(limit)
+    return np.where(np.isfinite(found), cycle.goal - cycle.q, np.nan)
+
+
+def strange_leads(cycle: Cycle, leads: Array) -> str | None:
+    """Return a sentence on joints that another lead carries than the servo table says, or None.
+
+    Joints whose weight is too small beside their friction and encoder step are left out.
+
+    Args:
+        cycle: The arm, standing.
+        leads: What `take_up` found (n,) [rad].
+    """
+    servos, weight = cycle.servos, cycle.gravity()
+    believed = weight / np.asarray(servos.kp)
+    clear = (np.abs(weight) > 3.0 * np.asarray(servos.friction)) & (
+        np.abs(leads) > 3.0 * np.asarray(servos.count)
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = believed / leads
+    strange = clear & np.isfinite(ratio) & ((ratio > OFF) | (ratio < 1.0 / OFF))
+    if not strange.any():
+        return None
+    names = cycle.model.joint_names
+    found = [f"{names[i]} {ratio[i]:.2g} x" for i in np.flatnonzero(strange)]
+    return (
+        f"servos are stiffer or softer than their table, or weights differ from the model: "
+        f"{', '.join(found)} the believed k_p; forces are wrong by as much: `pliant identify` "
+        "measures k_p, set_payload tells of a load"
+    )

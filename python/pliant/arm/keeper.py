@@ -40,6 +40,7 @@ class Keeper:
         self.reason: str | None = None
         self.owner: int | None = None
         self._leave, self._seen = leave, 0.0
+        self._done = threading.Event()
 
     def __enter__(self) -> None:
         """One call of the program.
@@ -103,15 +104,22 @@ class Keeper:
             self.unwanted.clear()
             yield
         finally:
+            # The thread has waited for the lock, and shall not take this for silence.
+            self._seen = time.perf_counter()
             self.lock.release()
 
     @contextlib.contextmanager
     def watched(self, patience: float | None) -> Iterator[Callable[[], None]]:
-        """Take the arm over after so long without a call [s], None for never; gives `check`."""
+        """Take the arm over after so long without a call [s], None for never; gives `check`.
+
+        An exception does not end the watch: the program may block on its way to an exit of the arm.
+        `dismiss`, the next watch, or a take-over does.
+        """
         if patience is None:
             yield self.check
             return
-        done = threading.Event()
+        self.dismiss()
+        done = self._done = threading.Event()
         self._seen = time.perf_counter()
         thread = threading.Thread(
             target=self._watch, args=(patience, done), name="pliant-keeper", daemon=True
@@ -119,8 +127,14 @@ class Keeper:
         thread.start()
         try:
             yield self.check
-        finally:
+        except GeneratorExit:
             done.set()
+            raise
+        done.set()
+
+    def dismiss(self) -> None:
+        """End the watch."""
+        self._done.set()
 
     def _watch(self, patience: float, done: threading.Event) -> None:
         """Sleep until the program would be late, look, sleep again."""
@@ -138,14 +152,12 @@ class Keeper:
     def _take_over(self, silent: float) -> None:
         """Leave in the place of the program."""
         self.reason = f"the program did not come back for {silent:.2f} s: the arm was taken over"
-        print(f"{self.reason} and leaves as at the end of the program", file=sys.stderr, flush=True)
         self.unwanted.clear()
         before = sys.getswitchinterval()
         sys.setswitchinterval(min(before, SWITCH))
         try:
             self._leave()
-        except ServoError as error:
+        except BaseException as error:
             self.reason += f"; while it was being lowered: {error}"
-            print(error, file=sys.stderr, flush=True)
         finally:
             sys.setswitchinterval(before)

@@ -1,20 +1,22 @@
 """Bringing an arm down without dropping it: goals and limits, tick by tick, from positions alone.
 
-``push = max(0.1 usable, 2 τ_f, 0.3 |g|)`` is the torque a joint may press with, beyond its weight.
+A position servo carries a weight by its lead, the distance from the joint to its goal. The lead is
+measured; stiffness, payload and friction are not, so nothing here is made from them. Goals begin
+where they stand and creep toward the joints, each as fast as its lead is large,
 
-- `rest`: toward a rest pose, ``u = 4/s (q_rest − ref)``, if there is one;
-- `down`: the arm descends its own potential, ``u = −40/s g / k_p``; joints at a limit drop out;
-- `ramp`: the same, while the share s of the weight that goals carry by themselves falls from 1 to 0
-  within 3 s, and waits while the arm moves. What then carries an arm that does not rest after all
-  is the reference, which it stays behind, and which goes down no faster than before.
+``goal ← goal + dt r u``, ``u = −40/s (goal − q − ℓ*)``,
 
-Where positions no longer arrive, the arm of the model takes the place of the real one: it is where
-its goals are. What would have been sent to it is sent, down the path that it would have taken.
+so that the arm descends the potential that it really has, and gives its weight to whatever it
+comes to rest on. A goal never follows a joint upward. ``ℓ* = ∓ 2 τ_f / k_p`` lets a joint press
+downward with little more than its own friction. r keeps every point of the arm below the speed
+allowed and below what a thing of stiffness k may feel, ``v √(k m)``, m the mass that the point has
+along its way; it falls further where the arm is seen to move faster than it is led.
 
-``ref ← q + clip(ref + dt r u − q)``, where r keeps every point of the arm below 0.8 of the speed
-allowed and the kinetic energy below ``F²/2k``: whatever of stiffness k takes all of it up feels F.
-The clip is (usable − s |g|)/k_p where it lifts and s push/k_p where it presses. Then
-``goal = ref + s g/k_p`` and ``limit = max(1.1 s |g|, |s g + k_p (ref − q)|) + push``.
+- `rest`: toward a rest pose first, ``u = 4/s (q_rest − q)``, if there is one;
+- `down`: until no joint carries anything;
+- `ramp`: limits fall to zero, and wait while anything moves.
+
+Where positions no longer arrive, the arm of the model takes the place of the real one.
 """
 
 from __future__ import annotations
@@ -30,44 +32,51 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pliant import Model, Servos
+    from pliant.arm.points import Geometry
 
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]
     Phase = Literal["rest", "down", "ramp", "done"]
 
 #: Speed of the tool and every joint origin on the way down [m/s], and of any joint [rad/s].
-SPEED, JOINT_SPEED = 0.15, 0.5
-#: Share of the speed allowed at which the reference moves, so that an arm behind it may catch up.
-PACE = 0.8
-#: Least speed that is asked of servos [rad/s]: some take 0 for none to be kept.
+SPEED, JOINT_SPEED = 0.15, 0.8
+#: Least speed that is asked of servos [rad/s]: some take 0 for no speed limit.
 LEAST_SPEED = 0.01
-#: Rates of the two descents [1/s], and how long they take to fade in [s].
+#: Rates of the two descents [1/s], and the time over which they fade in [s].
 TO_REST, DOWN, FADE = 4.0, 40.0, 0.3
 #: Distance at which a joint counts as arrived at the rest pose [rad].
 ARRIVED = 0.02
-#: Standing still: no point moved this share of its commanded way within this time [s].
-STILL, WINDOW = 0.1, 0.5
-#: Share of its margin with which a joint presses downward: gently on what is in the way, and harder
-#: where one is lost that the others have to drag along, lest they stop short and slide later.
-PRESS, DRAG = 0.3, 0.5
-#: What the arm meets on its way down may feel so much [N] if it is as stiff as this [N/m] and takes
-#: up all of the motion; and the kinetic energy that the arm may have for that [J].
-IMPACT, HARD = 13.0, 2e4
-ENERGY = IMPACT**2 / (2.0 * HARD)
-#: Time in which the weight is given up [s], shares of that energy below which it is given up
-#: further and above which the arm does not rest yet, and the time over which these are taken [s].
-RAMP, CALM, REST, LOOK = 3.0, 0.25, 0.01, 0.2
-#: Time for the weight where a joint is not seen: what hangs on it sinks by its own friction [s].
-UNSEEN = 6.0
-#: Time in which joints that nothing else can bring down let go [s].
-LOOSEN = 1.0
+#: Way that counts as coming nearer to the rest pose [rad], and the time without any, or with goals
+#: and arm at a standstill, after which a phase is over [s].
+NEARER, STUCK = 0.01, 1.5
+#: Largest force [N] that a thing of this stiffness [N/m] may feel where a point of the arm meets
+#: it, with a load at the tool that the model does not know [kg].
+IMPACT, HARD, UNKNOWN = 11.0, 2e4, 0.5
+#: Downward torque over friction, by believed stiffness.
+PRESS = 2.0
+#: Gravity torque at which the downward press is fully there, over friction.
+CLEAR = 0.5
+#: A limit that lets a joint sink rises from nothing to all that the servo has in this time [s].
+RAISED = 0.1
+#: Time over which goals slow down for an arm that runs ahead of them [s].
+EASE = 0.2
+#: A joint sinks whose lead has grown by this much, or by two counts [rad].
+SUNK = 0.004
+#: Lead that counts as nothing [rad], and how long no joint may carry more before `ramp` [s].
+NOTHING, SETTLED = 0.003, 0.3
+#: Time over which the speed of the arm is measured, and by which it must be still [s].
+LOOK = 0.15
+#: Speed of the arm's points that counts as still, and above which an arm has come loose [m/s].
+STILL, LOOSE = 0.01, 0.04
+#: Time in which limits fall to zero [s]; the second where a joint is not seen.
+RAMP, UNSEEN = 1.0, 6.0
 #: Holding torque over gravity.
 SUPPORT = 1.1
 #: After this long without any position the descent goes blind; a joint silent for as long is left
 #: alone [s].
 PATIENCE = 0.2
-#: Longest descent before the arm lets go wherever it is, and longest time for that [s].
-LONGEST, LAST = 60.0, 10.0
+#: Longest descent before the arm lets go wherever it is [s].
+LONGEST = 60.0
 #: Longest time between two ticks that counts [s].
 LONGEST_TICK = 0.1
 
@@ -83,7 +92,6 @@ class Lowering:
 
     Attributes:
         phase: `rest`, `down`, `ramp` or `done`.
-        share: Share of the weight that goals carry by themselves, 1 to 0 in `ramp`.
         blind: Whether no position has come for so long that the model's take their place.
         velocity: Fastest motion of the joints (n,) [rad/s] while blind: goals that did not arrive
             either would all be caught up with at once. None otherwise.
@@ -96,6 +104,7 @@ class Lowering:
         q: Array,
         *,
         goal: Array | None = None,
+        limit: Array | None = None,
         rest: Array | None = None,
         speed: float = SPEED,
         points: Points | None = None,
@@ -103,44 +112,58 @@ class Lowering:
         """Start from the last good reading.
 
         Args:
-            model: The arm; its `gravity` is what the servos are told to carry.
+            model: The arm; its `gravity` tells which way is down for each joint.
             servos: Its servos (`kp`, `torque`, `friction`, `armature`, `count`), n entries.
             q: Last good joint positions (n,) [rad].
-            goal: Last goals sent (n,) [rad]: the descent starts from what they carry.
+            goal: Last goals sent (n,) [rad]; None: what the weight needs by the servo table.
+            limit: Last limits sent (n,) [N·m]; None: what the weight needs, and a margin.
             rest: Where to go first (n,) [rad]; None: straight down.
             speed: Largest speed of any point of the arm [m/s].
             points: The arm's points, where the caller has them already.
         """
-        self._model, self._servos, self._speed = model, servos, speed
+        self._model, self._speed = model, speed
         self._kp = np.asarray(servos.kp, dtype=np.float64)
         self._usable = np.asarray(servos.torque, dtype=np.float64)
         self._friction = np.asarray(servos.friction, dtype=np.float64)
         self._count = np.asarray(servos.count, dtype=np.float64)
+        self._servos = servos
         self._points = Points(model, servos.armature) if points is None else points
         self._rest = None if rest is None else np.asarray(rest, dtype=np.float64)
+        gravity_vector = np.asarray(model.gravity_vector, dtype=np.float64)
+        size = float(np.linalg.norm(gravity_vector))
+        self._up = -gravity_vector / size if size > 0.0 else np.zeros(3)
         self._q = np.array(q, dtype=np.float64)
         self._silence = np.zeros_like(self._q)
-        self.share = 1.0
+        gravity = self._gravity()
+        self._goal = self._q + gravity / self._kp if goal is None else np.array(goal, dtype=float)
+        enough = np.minimum(SUPPORT * np.abs(gravity) + margin(servos, gravity), self._usable)
+        self._limit = enough if limit is None else np.array(limit, dtype=np.float64)
+        self._least = np.abs(self._goal - self._q)
+        # Difference between measured and modelled lead, added to the modelled one while blind.
+        self._unknown = self._goal - self._q - gravity / self._kp
+        self._free = self._goal - self._q
+        self.phase: Phase = "down" if rest is None else "rest"
         self.blind = False
         self.velocity: Array | None = None
-        self._loose = np.zeros(self._q.shape, dtype=bool)
-        gravity = self._gravity()
-        start = self._q if goal is None else np.asarray(goal) - gravity / self._kp
-        self._ref = self._leash(start, gravity)
-        self._last = (self._ref + gravity / self._kp, self._limit(gravity))
-        self.phase: Phase = "down" if rest is None else "rest"
-        self._age = self._total = 0.0
-        self._history: deque[tuple[float, Array, float]] = deque()
-        self._way = 0.0
-        self._recent: deque[tuple[float, Array]] = deque()
+        self._ease = 1.0
+        self._age = self._total = self._light = self._stuck = 0.0
+        self._nearest = np.inf
+        self._presses, self._demand, self._led = True, 0.0, 0.0
+        self._share, self._start, self._most = 1.0, self._limit, self._least
+        self._past: deque[tuple[float, Array]] = deque([(0.0, self._q.copy())])
+        self._goals: deque[tuple[float, Array]] = deque([(0.0, self._goal)])
+        self._lead = self._goal - self._q
 
-    def step(self, q: Array, dt: float, ok: Flags | bool = True) -> tuple[Array, Array] | None:
+    def step(
+        self, q: Array, dt: float, ok: Flags | bool = True, age: float = 0.0
+    ) -> tuple[Array, Array] | None:
         """One tick.
 
         Args:
             q: Joint positions (n,) [rad]; what is not finite counts as lost.
             dt: Time since the last tick [s].
             ok: Which positions are new (n,).
+            age: How long before now a goal was sent that was in force when q was sampled [s].
 
         Returns:
             Goals (n,) [rad] and torque limits (n,) [N·m] to write; None when the arm rests and
@@ -151,143 +174,213 @@ class Lowering:
         dt = min(max(dt, 0.0), LONGEST_TICK)
         good = np.isfinite(q) & ok
         self._silence = np.where(good, 0.0, self._silence + dt)
-        self._q = np.where(good, q, self._q)
+        self._age += dt
+        self._total += dt
         if good.any():
+            self._q = np.where(good, q, self._q)
             if self.blind:
-                # What carried the model may be far from where the arm is.
-                self.blind, self._ref = False, self._q.copy()
-            self._last = self._advance(dt, self._silence > PATIENCE)
+                self._see_again()
+            self._lead = np.where(good, self._goal_before(age) - self._q, self._lead)
+            self._advance(dt, self._silence > PATIENCE)
         elif self._silence.min() > PATIENCE:
-            self.blind = True
-            if self.phase != "ramp":
-                self._q = np.clip(self._ref, self._model.lower, self._model.upper)
-            self._last = self._advance(dt, good)
-        return None if self._is_over() else self._last
+            self._go_blind()
+            self._advance(dt, good)
+        return None if self._is_over() else (self._goal.copy(), self._limit.copy())
 
     def _is_over(self) -> bool:
         """Whether torque can go off."""
         return self.phase == "done"
 
-    def _advance(self, dt: float, lost: Flags) -> tuple[Array, Array]:
-        """Goals and limits for the present positions; lost joints keep their goal."""
-        gravity = self._gravity()
-        self._age += dt
-        self._total += dt
-        if self.phase == "rest" and self._rest is not None:
-            u = TO_REST * (self._rest - self._ref)
+    def _advance(self, dt: float, lost: Flags) -> None:
+        """Move goals and limits on; lost joints keep their goal."""
+        here, gravity = self._points(self._q), self._gravity()
+        self._past.append((self._total, self._q.copy()))
+        while len(self._past) > 2 and self._past[1][0] <= self._total - LOOK + 1e-9:
+            self._past.popleft()
+        speeds = self._speeds(here)
+        seen = float(speeds.max())
+        before = self._goal
+        self._goals.append((self._total, before))
+        if self.phase == "ramp":
+            self._let_go(dt, seen, lost)
         else:
-            u = -DOWN * gravity / self._kp
-        outward = (u < 0.0) & (self._q <= self._model.lower) | (u > 0.0) & (
+            u = self._toward_rest(dt) if self.phase == "rest" else self._downward(gravity)
+            blocked = self._is_outward(u) | (lost & ~self.blind)
+            u = self._paced(here, np.where(blocked, 0.0, u), speeds, dt)
+            self._goal = self._goal + dt * u
+            if self.phase == "rest":
+                self._leash(gravity, u)
+            self._limit = self._next_limit(dt, gravity)
+            self._change_phase(dt, gravity, np.logical_or(blocked, lost), seen)
+        if self.blind:
+            self._follow(gravity)
+            way = np.abs(self._goal - before) / dt if dt > 0.0 else np.zeros_like(before)
+            self.velocity = np.maximum(1.25 * way, LEAST_SPEED)
+        else:
+            self.velocity = None
+
+    def _downward(self, gravity: Array) -> Array:
+        """Joint velocities (n,) [rad/s] of the descent, before they are paced."""
+        carried, half = self._carried(gravity), 0.5 * self._count
+        return -DOWN * (carried - np.clip(carried, -half, half))
+
+    def _carried(self, gravity: Array) -> Array:
+        """How far the lead (n,) [rad] is from one that carries nothing and presses a little."""
+        press = PRESS * self._friction / self._kp if self._presses else 0.0
+        clear = np.maximum(CLEAR * self._friction, 1e-9)
+        excess: Array = self._lead + press * np.clip(gravity / clear, -1.0, 1.0)
+        return excess
+
+    def _goal_before(self, age: float) -> Array:
+        """Goals (n,) [rad] that were in force when the present positions were sampled."""
+        while len(self._goals) > 1 and self._goals[1][0] <= self._total - age + 1e-9:
+            self._goals.popleft()
+        return self._goals[0][1]
+
+    def _toward_rest(self, dt: float) -> Array:
+        """Joint velocities (n,) [rad/s] toward the rest pose."""
+        assert self._rest is not None
+        away = self._rest - self._q
+        far = float(np.abs(away).max())
+        if far < self._nearest - NEARER:
+            self._nearest, self._stuck = far, 0.0
+        else:
+            self._stuck += dt
+        return TO_REST * away
+
+    def _leash(self, gravity: Array, u: Array) -> None:
+        """Keep goals within a margin of the lead at which joints were last seen to move freely."""
+        push = margin(self._servos, gravity) / self._kp
+        lead = self._goal - self._q
+        moving = np.abs(self._speed_of_joints()) > 0.3 * np.abs(u)
+        self._free = np.where(moving, self._free + 0.2 * (lead - self._free), self._free)
+        self._goal = self._q + np.clip(lead, self._free - push, self._free + push)
+
+    def _is_outward(self, u: Array) -> Flags:
+        """Which joints stand at a limit of their range and would be led out of it (n,)."""
+        outward: Flags = (u < 0.0) & (self._q <= self._model.lower) | (u > 0.0) & (
             self._q >= self._model.upper
         )
-        idle = outward | lost
-        place, speed, u = self._paced(np.where(idle, 0.0, u))
-        self._ref = self._leash(self._ref + dt * u, gravity)
-        if self.phase == "ramp":
-            self._unload(dt, idle)
-        elif self._has_arrived(gravity, idle, lost) or self._is_still(place, speed, dt):
-            self._enter("down" if self.phase == "rest" else "ramp")
-        elif self._total > LONGEST:
-            self._enter("ramp")
-        goal = np.where(lost, self._last[0], self._ref + self.share * gravity / self._kp)
-        self.velocity = None
-        if self.blind and dt > 0.0:
-            way = np.maximum(np.abs(u), np.abs(goal - self._last[0]) / dt)
-            self.velocity = np.maximum(way / PACE, LEAST_SPEED)
-        return goal, self._limit(gravity)
+        return outward
 
-    def _paced(self, u: Array) -> tuple[Array, float, Array]:
-        """Slow joint velocities u (n,) down to what the arm may move at.
-
-        Returns:
-            Points (m, 3) [m], the speed of the fastest one [m/s], and the velocities (n,) [rad/s].
-        """
-        place, velocity, energy = self._points.walk(self._q, u)
-        fastest = float(np.sqrt((velocity**2).sum(axis=1)).max())
+    def _paced(self, here: Geometry, u: Array, speeds: Array, dt: float) -> Array:
+        """Return u (n,) [rad/s] without what raises the tool, as slow as the arm may move."""
+        if self.phase == "down":
+            rise = self._up @ here.jacobian[-1]
+            climb = float(rise @ u)
+            if climb > 0.0:
+                soft = np.where(u == 0.0, 0.0, rise / self._kp)
+                u = u - soft * (climb / max(float(rise @ soft), 1e-9))
+        velocity = here.velocity(u)
+        speed = np.sqrt((velocity**2).sum(axis=1))
+        mass = here.effective_mass(velocity)
+        most = np.minimum(self._speed, IMPACT / np.sqrt(HARD * (mass + UNKNOWN)))
+        self._demand = float((speed / most).max())
         scale = min(
             1.0,
-            PACE * self._speed / max(fastest, 1e-9),
+            1.0 / max(self._demand, 1e-9),
             JOINT_SPEED / max(float(np.abs(u).max()), 1e-9),
-            float(np.sqrt(ENERGY / max(energy, 1e-12))),
         )
         scale *= min(1.0, self._age / FADE)
-        return place, scale * fastest, scale * u
+        # A goal that waits lets the servo brake an arm that runs ahead of it.
+        ahead = min(max(2.2 - 2.0 * float((speeds / most).max()), 0.0), 1.0)
+        self._ease += min(dt / EASE, 1.0) * (ahead - self._ease)
+        scale *= self._ease
+        self._led = scale * float(speed.max())
+        return scale * u
 
-    def _unload(self, dt: float, idle: Flags) -> None:
-        """Give up the weight while nothing moves, and rest once the servos carry nothing."""
+    def _next_limit(self, dt: float, gravity: Array) -> Array:
+        """Torque limits (n,) [N·m]: enough for the lead, more at once for a joint that sinks."""
+        size = np.abs(self._lead)
+        sunk = size > self._least + np.maximum(SUNK, 2.0 * self._count)
+        self._least = np.minimum(np.maximum(self._least, size - 2.0 * SUNK), size)
+        weight = np.abs(gravity)
+        enough = np.maximum(SUPPORT * weight, self._kp * size) + margin(self._servos, gravity)
+        change = self._usable * dt / RAISED
+        calm = np.maximum(np.minimum(self._limit, enough), self._limit - change)
+        limit = np.where(sunk, self._limit + change, np.maximum(calm, SUPPORT * weight))
+        return np.minimum(limit, self._usable)
+
+    def _change_phase(self, dt: float, gravity: Array, idle: Flags, seen: float) -> None:
+        """Go on to the next phase where this one is over."""
+        if self.phase == "rest":
+            if self._nearest < ARRIVED or self._stuck > STUCK:
+                self._enter("down")
+            return
+        carried = self._carried(gravity) * np.sign(gravity)
+        little = np.maximum(NOTHING, 1.5 * self._count)
+        waits = seen < STILL and self._led < STILL / 2.0
+        self._stuck = self._stuck + dt if waits else 0.0
+        light = bool((idle | (carried < little)).all()) or self._stuck > STUCK
+        calm = self._demand < 0.5 and seen < LOOSE if self._presses else seen < STILL
+        self._light = self._light + dt if light and calm else 0.0
+        if self._total > LONGEST or (self._light > SETTLED and not self._presses):
+            self._enter("ramp")
+        elif self._light > SETTLED:
+            # An arm that moves only because its joints press counts as resting.
+            self._presses, self._light = False, 0.0
+
+    def _let_go(self, dt: float, seen: float, lost: Flags) -> None:
+        """Let leads and limits fall to nothing while the arm is still."""
         late = self._total > LONGEST
-        self._loose = idle | self.blind | late
-        self._ref -= np.where(self._loose, min(dt / LOOSEN, 1.0), 0.0) * (self._ref - self._q)
-        energy = self._energy()
-        if late or energy < CALM * ENERGY:
-            slow = UNSEEN if self._is_blind_to_some() else RAMP
-            self.share = max(self.share - dt / slow, 0.0)
-        carried = np.abs(self._kp * (self._ref - self._q))
-        little = np.maximum(0.5 * self._friction, 0.01 * self._usable)
-        at_rest = energy < REST * ENERGY and bool((carried <= little).all())
-        if self.share <= 0.0 and (at_rest or self._total > LONGEST + LAST):
+        if seen > LOOSE and not late:
+            self._enter("down")
+            return
+        if seen < STILL or late:
+            slow = UNSEEN if lost.any() or self.blind else RAMP
+            self._share = max(self._share - dt / slow, 0.0)
+        self._limit = self._share * self._start
+        # A goal that stayed behind a sliding arm would be caught up with once limits rise again.
+        most = self._share * self._most
+        goal = self._q + np.clip(self._goal - self._q, -most, most)
+        self._goal = np.where(lost, self._goal, goal)
+        if self._share <= 0.0:
             self.phase = "done"
 
-    def _energy(self) -> float:
-        """Kinetic energy of the arm's mean motion over the last moments [J].
-
-        A joint that stands still may flicker by a count.
-        """
-        self._recent.append((self._age, self._q))
-        while len(self._recent) > 2 and self._recent[1][0] <= self._age - LOOK + 1e-9:
-            self._recent.popleft()
-        began, q = self._recent[0]
-        passed = self._age - began
+    def _speed_of_joints(self) -> Array:
+        """Mean joint velocities (n,) [rad/s] over the last moments; a count may flicker."""
+        began, q = self._past[0]
+        passed = self._past[-1][0] - began
         way = self._q - q
-        way -= np.clip(way, -self._count, self._count)
-        return self._points.walk(self._q, way / passed)[2] if passed > 0.0 else 0.0
+        way = way - np.clip(way, -self._count, self._count)
+        speed: Array = way / passed if passed > 0.0 else np.zeros_like(way)
+        return speed
 
-    def _is_blind_to_some(self) -> bool:
-        """Whether a joint is lost, or all are."""
-        return bool((self._silence > PATIENCE).any())
+    def _speeds(self, here: Geometry) -> Array:
+        """Measured speeds of the arm's points (m,) [m/s]."""
+        velocity = here.velocity(self._speed_of_joints())
+        speeds: Array = np.sqrt((velocity**2).sum(axis=1))
+        return speeds
 
     def _enter(self, phase: Phase) -> None:
         """Begin a phase with clean clocks."""
-        self.phase, self._age, self._way = phase, 0.0, 0.0
-        self._history.clear()
-        self._recent.clear()
+        self.phase, self._age, self._light, self._stuck = phase, 0.0, 0.0, 0.0
+        self._share, self._start = 1.0, self._limit
+        self._most = np.abs(self._goal - self._q)
 
     def _gravity(self) -> Array:
-        """Holding torques (n,) [N·m] at the last good positions."""
+        """Holding torques (n,) [N·m] at the last good positions, as the model has them."""
         return np.asarray(self._model.gravity(self._q), dtype=np.float64)
 
-    def _leash(self, ref: Array, gravity: Array) -> Array:
-        """Keep the reference where the servos can answer for it."""
-        # What goals no longer carry by themselves, the reference has to.
-        lift = np.maximum(self._usable - self.share * np.abs(gravity), 0.0)
-        share = DRAG if self._is_blind_to_some() else PRESS
-        press = np.maximum(share * margin(self._servos, gravity), 2.0 * self._friction)
-        press *= self.share
-        above = np.where(gravity > 0.0, lift, press) / self._kp
-        below = np.where(gravity > 0.0, press, lift) / self._kp
-        return self._q + np.clip(ref - self._q, -below, above)
+    # Without positions.
 
-    def _limit(self, gravity: Array) -> Array:
-        """Torque limits (n,) [N·m] for the present reference."""
-        wanted = np.abs(self.share * gravity + self._kp * (self._ref - self._q))
-        limit = np.maximum(self.share * SUPPORT * np.abs(gravity), wanted)
-        spare = np.where(self._loose, self.share, 1.0) * margin(self._servos, gravity)
-        return np.minimum(limit + spare, self._usable)
+    def _go_blind(self) -> None:
+        """Let the model's arm take the place of one that is not seen."""
+        if not self.blind:
+            self.blind = True
+            self._unknown = self._goal - self._q - self._gravity() / self._kp
 
-    def _has_arrived(self, gravity: Array, idle: Flags, lost: Flags) -> bool:
-        """At the rest pose; or hanging: no joint has more to carry than its friction."""
-        if self.phase == "rest" and self._rest is not None:
-            return bool((np.abs(self._rest - self._ref) < ARRIVED)[~lost].all())
-        return bool((idle | (np.abs(gravity) < 1.5 * self._friction)).all())
+    def _follow(self, gravity: Array) -> None:
+        """Move the model's arm to where its goals hold it."""
+        self._lead = gravity / self._kp + self._unknown
+        self._q = np.clip(self._goal - self._lead, self._model.lower, self._model.upper)
 
-    def _is_still(self, place: Array, speed: float, dt: float) -> bool:
-        """Whether no point has moved a tenth of the commanded way within half a second."""
-        self._way += speed * dt
-        self._history.append((self._age, place, self._way))
-        while len(self._history) > 1 and self._history[1][0] <= self._age - WINDOW:
-            self._history.popleft()
-        age, old, way = self._history[0]
-        if age > self._age - WINDOW + 1e-9:
-            return False
-        moved = float(np.sqrt(((place - old) ** 2).sum(axis=1)).max())
-        return moved < STILL * (self._way - way)
+    def _see_again(self) -> None:
+        """Go on from where the arm is: what carried the model's may be far from it."""
+        self.blind = False
+        gravity = self._gravity()
+        self._goal = self._q + gravity / self._kp + self._unknown
+        self._past.clear()
+        self._past.append((self._total, self._q.copy()))
+        if self.phase == "ramp":
+            self._enter("down")

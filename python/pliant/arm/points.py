@@ -1,4 +1,4 @@
-"""Where the joints and the tool of an arm are, how fast they move, and with what energy."""
+"""Positions, Jacobians and inertia of the points of an arm: joint origins and tool."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant.arm.bodies import Body, carried, held, path
+from pliant.arm.bodies import carried, held, path
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -32,12 +32,46 @@ class _Step:
     origin: Array
 
 
-class Points:
-    """The origins of the chain's joints and of the tool, base to tip, and the bodies between them.
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """The arm's points in one posture.
 
-    One walk down the chain, each joint a rotation by Rodrigues' formula or a shift:
-    ``v ← v + ω × (p' − p)``, then ``ω ← ω + u a`` or ``v ← v + u a``. The kinetic energy is
-    ``½ Σ (m |v_c|² + ωᵀ I ω) + ½ Σ J u²`` with the rotors' inertia J, seen through their gears.
+    Attributes:
+        position: Origins of the m - 1 moving joints, base to tip, then the tool (m, 3) [m], base
+            axes.
+        jacobian: Their Jacobians (m, 3, n) [m/rad].
+        inertia: Joint-space inertia matrix with the rotors (n, n) [kg·m²].
+    """
+
+    position: Array
+    jacobian: Array
+    inertia: Array
+
+    def velocity(self, u: Array) -> Array:
+        """Velocities of the points (m, 3) [m/s] for joint velocities u (n,) [rad/s]."""
+        v: Array = self.jacobian @ u
+        return v
+
+    def energy(self, u: Array) -> float:
+        """Kinetic energy [J] for joint velocities u (n,) [rad/s]."""
+        return 0.5 * float(u @ self.inertia @ u)
+
+    def effective_mass(self, velocity: Array) -> Array:
+        """Mass (m,) [kg] that each point has along its own velocity (m, 3) [m/s].
+
+        ``1 / (dᵀ J M⁻¹ Jᵀ d)`` with d the direction of the velocity (Khatib 1995); 0 for a point
+        that stands still.
+        """
+        speed = np.sqrt((velocity**2).sum(axis=1))
+        direction = velocity / np.maximum(speed, 1e-12)[:, None]
+        rows = (direction[:, None, :] @ self.jacobian)[:, 0, :]
+        mobility = (rows * np.linalg.solve(self.inertia, rows.T).T).sum(axis=1)
+        mass: Array = np.where(speed > 1e-9, 1.0 / np.maximum(mobility, 1e-9), 0.0)
+        return mass
+
+
+class Points:
+    """The origins of the chain's joints and of the tool, and the bodies between them.
 
     Attributes:
         count: How many points there are, m.
@@ -65,47 +99,66 @@ class Points:
             of = joint.q_index, slides, slope, offset
             self._steps.append(_Step(*of, axis, cross, cross @ cross, *turn))
             fixed = np.eye(4)
+        count = len(self._steps)
         self._tool = fixed[:3, 3].copy()
-        self._bodies: list[Body] = carried(model, fixed)
-        self._armature = np.asarray(armature, dtype=np.float64)
-        self.count = len(self._steps) + 1
+        bodies = carried(model, fixed)
+        self._com = np.array([body.com for body in bodies])
+        self._root_mass = np.sqrt([body.mass for body in bodies])[:, None, None]
+        # A square root of each body's inertia turns ωᵀIω into a sum of squares.
+        self._root_inertia = np.array([_root(body.inertia).T for body in bodies])
+        self._armature = np.diag(np.broadcast_to(np.asarray(armature, dtype=np.float64), model.n))
+        self._slides = np.array([step.slides for step in self._steps])
+        # Coordinates: joints that mimic others share a column.
+        self._columns = np.zeros((count, model.n))
+        for k, step in enumerate(self._steps):
+            self._columns[k, step.index] = step.slope
+        self.count = count + 1
+        self._moves_point = np.tri(self.count, count)[:, None, :]
+        self._moves_body = np.tri(count)[:, None, :]
 
-    def __call__(self, q: Array) -> Array:
-        """Positions (m, 3) [m] of the joint origins, then the tool, at q (n,) [rad], base axes."""
-        return self.walk(q, np.zeros_like(q))[0]
-
-    def walk(self, q: Array, u: Array) -> tuple[Array, Array, float]:
-        """Follow joint velocities u (n,) [rad/s] at q (n,) [rad].
-
-        Returns:
-            Positions (m, 3) [m], their velocities (m, 3) [m/s], and the kinetic energy [J].
-        """
-        position, velocity = np.empty((self.count, 3)), np.empty((self.count, 3))
-        p, v, w, turn = np.zeros(3), np.zeros(3), np.zeros(3), np.eye(3)
-        twice = float((self._armature * u**2).sum())
-        for k, (joint, body) in enumerate(zip(self._steps, self._bodies, strict=True)):
-            step = turn @ joint.origin
-            p, v = p + step, v + _cross(w, step)
-            turn = turn @ joint.rotation
-            angle, rate = joint.slope * q[joint.index] + joint.offset, joint.slope * u[joint.index]
-            along = turn @ joint.axis
-            if joint.slides:
-                p, v = p + angle * along, v + rate * along + _cross(w, angle * along)
+    def __call__(self, q: Array) -> Geometry:
+        """Geometry at q (n,) [rad]."""
+        count = len(self._steps)
+        position, axes = np.empty((count + 1, 3)), np.empty((count, 3))
+        turns = np.empty((count, 3, 3))
+        p, turn = np.zeros(3), np.eye(3)
+        for k, step in enumerate(self._steps):
+            p = p + turn @ step.origin
+            turn = turn @ step.rotation
+            angle = step.slope * q[step.index] + step.offset
+            axes[k] = turn @ step.axis
+            if step.slides:
+                p = p + angle * axes[k]
             else:
-                w = w + rate * along
                 turn = turn + turn @ (
-                    np.sin(angle) * joint.cross + (1.0 - np.cos(angle)) * joint.square
+                    np.sin(angle) * step.cross + (1.0 - np.cos(angle)) * step.square
                 )
-            position[k], velocity[k] = p, v
-            centre, spin = v + _cross(w, turn @ body.com), w @ turn
-            twice += body.mass * float(centre @ centre) + float(spin @ body.inertia @ spin)
-        step = turn @ self._tool
-        position[-1], velocity[-1] = p + step, v + _cross(w, step)
-        return position, velocity, 0.5 * twice
+            position[k], turns[k] = p, turn
+        position[-1] = p + turn @ self._tool
+        coms = position[:-1] + (turns @ self._com[:, :, None])[:, :, 0]
+        jacobian = self._lever(position, position[:-1], axes) * self._moves_point
+        of_coms = self._lever(coms, position[:-1], axes) * self._moves_body * self._root_mass
+        spin = np.where(self._slides, 0.0, axes.T) * self._moves_body
+        of_turns = self._root_inertia @ turns.transpose(0, 2, 1) @ spin
+        stacked = np.concatenate((of_coms, of_turns)).reshape(-1, count) @ self._columns
+        return Geometry(
+            position=position,
+            jacobian=jacobian @ self._columns,
+            inertia=stacked.T @ stacked + self._armature,
+        )
+
+    def _lever(self, at: Array, origins: Array, axes: Array) -> Array:
+        """Velocities (k, 3, joints) of places (k, 3) for unit speeds of all joints."""
+        arm = at[:, None, :] - origins[None, :, :]
+        turning = np.empty_like(arm)
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            turning[..., i] = axes[:, j] * arm[..., k] - axes[:, k] * arm[..., j]
+        lever: Array = np.where(self._slides[None, :, None], axes[None, :, :], turning)
+        return lever.transpose(0, 2, 1)
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Cross product a × b; NumPy's own takes twenty times as long for three numbers."""
-    return np.array(
-        (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-    )
+def _root(inertia: Array) -> Array:
+    """Return R (3, 3) with R Rᵀ = I for a symmetric, semi-definite I."""
+    values, vectors = np.linalg.eigh(inertia)
+    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    return root

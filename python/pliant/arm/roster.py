@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError, LimitError, Servos
+from pliant import ConfigError, LimitError
 from pliant.arguments import given, mapping, real
 from pliant.arm.belief import FASTEST
+from pliant.arm.tables import take
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-    from pliant import Model
+    from pliant import Model, Servos
     from pliant.arm.drive import Drive
 
     Array = NDArray[np.float64]
@@ -62,26 +63,12 @@ class Roster:
 
     def servos(self, drive: Drive) -> Servos:
         """The chain's servos out of the drive's table, in chain order."""
-        table, pick = drive.servos, self.chain
-        count = len(self.names)
-
-        def take(values: Array) -> Array:
-            row: Array = np.broadcast_to(np.asarray(values, dtype=np.float64), count)[pick]
-            return row
-
-        speed = table.no_load_speed
-        return Servos(
-            kp=take(table.kp),
-            torque=take(table.torque),
-            friction=take(table.friction),
-            damping=take(table.damping),
-            kv=take(table.kv),
-            armature=take(table.armature),
-            count=take(table.count),
-            kind=table.kind,
-            no_load_speed=None if speed is None else take(speed),
-            kp_known=table.kp_known,
-        )
+        size = len(self.names)
+        table = take(drive.servos, size, self.chain)
+        known = getattr(drive, "kp_known", None)
+        if known is None:
+            return table
+        return table.replace(kp_known=bool(np.broadcast_to(known, size)[self.chain].all()))
 
     def fastest(self, model: Model) -> Array:
         """Largest speeds (N,) [rad/s]: the model's, where it has them."""

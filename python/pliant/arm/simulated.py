@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from threading import RLock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import Servos
 from pliant.arm.drive import Health, MonotonicClock, Sample
-from pliant.sim.gains import FULL_EFFORT_ERROR
+from pliant.arm.tables import join, spread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
+    from pliant import Servos
     from pliant.sim import Plant
 
     Array = NDArray[np.float64]
@@ -84,31 +84,23 @@ class SimDrive:
         counters: Writes and readings lost so far.
     """
 
-    def __init__(self, plant: Plant, *, real_time: bool = False) -> None:
+    def __init__(
+        self, plant: Plant, *, servos: Servos | None = None, real_time: bool = False
+    ) -> None:
         """Wrap a plant as it stands, with its torque on.
 
         Args:
             plant: The simulated arm.
+            servos: Servos of the chain that the arm believes to have, n entries; None: those of the
+                plant's table, without its scales. The plant's true servos are never handed out.
             real_time: Let simulated time be real time.
         """
         self.plant = plant
         self.clock = SimClock(plant, real_time)
-        gains, self._extra = plant.gains, tuple(plant.read().extra)
+        self._extra = tuple(plant.read().extra)
         self.names = (*plant.model.joint_names, *self._extra)
-        kp = np.array([plant.mj_model.actuator(name).gainprm[0] for name in self._extra])
-        torque = kp * FULL_EFFORT_ERROR
-        table = getattr(plant.model, "servos", None)
-        count: Any = np.zeros(plant.n) if table is None else table.count
-        zero = np.zeros(len(self._extra))
-        self.servos = Servos(
-            kp=np.concatenate((gains.kp, kp)),
-            torque=np.concatenate((gains.torque, torque)),
-            friction=np.concatenate((gains.friction, zero)),
-            damping=np.concatenate((gains.damping, zero)),
-            kv=np.concatenate((gains.kv, zero)),
-            count=np.concatenate((np.broadcast_to(count, plant.n), zero)),
-            kp_known=True,
-        )
+        chain = plant.table if servos is None else spread(servos, plant.n)
+        self.servos = join(chain, [plant.extra_tables[name] for name in self._extra])
         self.latency = plant.write_delay
         self.counters: dict[str, int] = {"reads": 0, "lost reads": 0, "writes": 0}
         self._on = np.ones(len(self.names), dtype=bool)
@@ -117,6 +109,15 @@ class SimDrive:
     def enabled(self) -> NDArray[np.bool_]:
         """Which joints have torque (N,)."""
         return self._on.copy()
+
+    @property
+    def orders(self) -> tuple[Array, Array]:
+        """Goals (N,) [rad] and limits (N,) [N·m] last sent to the chain; NaN before the first."""
+        unknown = np.full(len(self.names), np.nan)
+        if not self.counters["writes"]:
+            return unknown, unknown
+        sent, off = self.plant.sent, np.full(len(self._extra), np.nan)
+        return np.concatenate((sent.goal, off)), np.concatenate((sent.limit, off))
 
     def open(self) -> None:
         """Nothing to connect."""

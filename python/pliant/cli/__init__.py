@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import logging
 import os
 import sys
 from importlib import import_module
@@ -45,14 +47,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: Without the name of the program; default those of the process.
 
     Returns:
-        Exit code: 0, 2 for an error that was explained in one line, 130 after Ctrl-C, 141 if
-        nobody reads its output.
+        Exit code: 0, 2 for an error that was explained in one line, 130 after Ctrl-C, 143 after
+        SIGTERM, 129 after SIGHUP, 131 after SIGQUIT, 141 if nobody reads its output.
     """
     try:
         return _run(list(sys.argv[1:] if arguments is None else arguments))
     except BrokenPipeError:  # `pliant … | head`: nobody reads on, and nothing more can be said
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return CUT_OFF
+    finally:
+        _let_go_of_dead_readers()
 
 
 def _run(given: list[str]) -> int:
@@ -69,6 +72,8 @@ def _run(given: list[str]) -> int:
         hint = f"; did you mean {close[0]!r}?" if close else ""
         kind = "flag" if first.startswith("-") else "command"
         return _explain(f"there is no {kind} {first!r}{hint} (pliant --help lists the commands)")
+    # A command says how it leaves an arm in simulated time too.
+    logging.getLogger("pliant.arm").setLevel(logging.DEBUG)
     module, summary = COMMANDS[first]
     try:
         import tyro
@@ -81,12 +86,16 @@ def _run(given: list[str]) -> int:
             args=given[1:],
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
         )
-    except BrokenPipeError:
-        raise
-    except FileNotFoundError as error:
-        return _explain(_not_there(error))
-    except (pliant.PliantError, OSError, ImportError) as error:
-        return _explain(str(error))
+    except OSError as error:
+        # A terminal that hangs up takes the reader of the last words with it.
+        if (code := _signalled(error)) is not None:
+            return code
+        if isinstance(error, BrokenPipeError):
+            raise
+        return _explain(_not_there(error) if isinstance(error, FileNotFoundError) else str(error))
+    except (pliant.PliantError, ImportError) as error:
+        explained = _explain(str(error))
+        return explained if (code := _signalled(error)) is None else code
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else EXPLAINED
     except KeyboardInterrupt:
@@ -128,5 +137,24 @@ def _not_there(error: FileNotFoundError) -> str:
 def _explain(message: str) -> int:
     """Print an error, a line for everything that is wrong."""
     lines = [" ".join(line.split()) for line in message.splitlines() if line.strip()]
-    print("error:", "\n       ".join(lines), file=sys.stderr)
+    with contextlib.suppress(OSError):
+        print("error:", "\n       ".join(lines), file=sys.stderr)
     return EXPLAINED
+
+
+def _signalled(error: BaseException) -> int | None:
+    """Return the exit code of the signal that an exception came out of."""
+    from pliant.arm.signals import signal_of
+
+    number = signal_of(error)
+    return None if number is None else 128 + number
+
+
+def _let_go_of_dead_readers() -> None:
+    """Spare the interpreter what cannot be written: it would complain, and change the exit code."""
+    for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
+        try:
+            if stream is not None:
+                stream.flush()
+        except (OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), number)

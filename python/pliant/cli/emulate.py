@@ -12,6 +12,11 @@ from pliant import ConfigError
 from pliant.cli.flags import ArmName, Files, Seconds
 from pliant.servo.emulator import Faults, Timing
 
+#: Signals of a service's manager, a terminal that closes, and Ctrl-\\.
+ENDS = tuple(
+    getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
+)
+
 
 def run(
     arm: ArmName,
@@ -45,8 +50,8 @@ def run(
     latency = 0.016 if timing == "usb" else 0.0
     chosen = Timing(wire=timing != "off", usb_latency=latency)
     console = Console()
-    # A service is ended by SIGTERM: its ports go with it, as after Ctrl-C.
-    former = signal.signal(signal.SIGTERM, _ended)
+    # However it is ended, its ports go with it, as after Ctrl-C.
+    former = {number: signal.signal(number, _ended) for number in ENDS}
     try:
         with emulated(read, timing=chosen, faults=Faults(seed=seed, lose=lose)) as bus:
             for name, path in bus.ports.items():
@@ -57,7 +62,8 @@ def run(
             while end is None or time.monotonic() < end:
                 time.sleep(0.1)
     finally:
-        signal.signal(signal.SIGTERM, former)
+        for number, handler in former.items():
+            signal.signal(number, handler)
 
 
 def _ended(number: int, _: object) -> None:

@@ -4,40 +4,37 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rich.console import Console
+
 from pliant import ConfigError
+from pliant.outputs import check_output
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
 
-def check_writable(path: Path) -> None:
-    """See that a file can be written; what is there stays as it is.
+def check_written(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()) -> None:
+    """Check that a file can be written, and say where one of its kind will be replaced.
 
     Raises:
-        ConfigError: Its folder is not there, it is a folder, or nobody may write it.
+        ConfigError: See `pliant.outputs.check_output`.
     """
-    if not path.absolute().parent.is_dir():
-        raise ConfigError(f"there is no folder {path.absolute().parent}")
-    there = path.exists()
-    if there and not (path.is_file() or path.is_dir()):
-        return  # a device or a pipe: only writing would tell
-    try:
-        with path.open("ab"):
-            pass
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be written: {error.strerror}") from error
-    if not there:
-        path.unlink()
+    if check_output(path, kind, inputs):
+        text = f"{path}: the {kind} that is there will be replaced"
+        Console(stderr=True).print(text, highlight=False, soft_wrap=True, markup=False)
 
 
-def check_log(path: Path | None) -> None:
-    """See that a log can be made, if one is asked for, before torque comes on.
+def check_log(path: Path | None, inputs: Iterable[Path | str | None] = ()) -> None:
+    """Check that a log can be made, if one is asked for, before torque comes on.
 
     Raises:
-        ConfigError: The file cannot be written.
+        ConfigError: The name does not end in .mcap, or see `check_written`.
         ImportError: The extra log is not installed.
     """
     if path is not None:
         import pliant.log  # noqa: F401 -- what it needs is there
 
-        check_writable(path)
+        check_written(path, "log", inputs)
+        if path.suffix != ".mcap":
+            raise ConfigError(f"--log {path}: a log ends with .mcap: {path.with_suffix('.mcap')}")

@@ -18,6 +18,8 @@ MotionFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MOTION
 LogFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 #: A file that need not be given.
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+#: An id and the one that is to take its place.
+Ids = Annotated[str | None, tyro.conf.arg(metavar="OLD:NEW")]
 Device = Annotated[str | None, tyro.conf.arg(metavar="DEVICE")]
 Backend = Annotated[str | None, tyro.conf.arg(metavar="bus|emulator|sim")]
 #: A time that need not be given [s].
@@ -46,6 +48,13 @@ class Files:
     def load(self, arm: str, backend: str | None = None) -> config.Config:
         """The configuration with these in place of its own; see `pliant.config.load`."""
         return config.load(arm, **({"backend": backend} | vars(self)))
+
+    def inputs(self, arm: str, read: config.Config) -> list[Path]:
+        """Files that the configuration is read from: none of them may be written."""
+        named = [read.robot.urdf, read.calibration]
+        own = [read.folder / path.expanduser() for path in named if path is not None]
+        given = [path for path in (self.urdf, self.calibration) if path is not None]
+        return [Path(arm).expanduser(), *own, *given]
 
     def words(self) -> list[str]:
         """Those that were given, each with its value, as one would type them again."""

@@ -10,8 +10,11 @@ import tyro
 from rich.console import Console
 
 import pliant
+from pliant.cli.files import check_written
 from pliant.cli.flags import File, LogFile
 from pliant.extras import missing, pip
+from pliant.inputs import printable
+from pliant.outputs import replacing
 
 if TYPE_CHECKING:
     from pliant.log import Log
@@ -62,16 +65,18 @@ def run(
         return
     suffix = ".png" if what == "plot" else ".parquet" if parquet else ".npz"
     file = output or log.with_suffix(suffix)
+    check_written(file, "picture" if what == "plot" else "table", [log])
     if not len(data):
         raise pliant.ConfigError(f"{log} has no ticks")
-    if what == "plot":
-        _plot(file, data)
-    elif parquet:
-        _parquet(file, data)
-    else:
-        columns: dict[str, Any] = dict(data.columns)
-        np.savez_compressed(file, **columns)
-    console.print(str(file), highlight=False, soft_wrap=True)
+    with replacing(file) as beside:
+        if what == "plot":
+            _plot(beside, data)
+        elif parquet:
+            _parquet(beside, data)
+        else:
+            columns: dict[str, Any] = dict(data.columns)
+            np.savez_compressed(beside, **columns)
+    console.print(str(file), highlight=False, soft_wrap=True, markup=False)
 
 
 def _suits(what: str, output: Path | None, parquet: bool, rerun: bool) -> None:
@@ -93,7 +98,9 @@ def _suits(what: str, output: Path | None, parquet: bool, rerun: bool) -> None:
             f"got {output.suffix or 'no suffix'}"
         )
     if not output.absolute().parent.is_dir():
-        raise pliant.ConfigError(f"there is no folder {output.absolute().parent}")
+        raise pliant.ConfigError(
+            f"--output {output}: there is no folder {output.absolute().parent}"
+        )
 
 
 def _info(console: Console, path: Path, log: Log, again: bool) -> None:
@@ -135,7 +142,7 @@ def _info(console: Console, path: Path, log: Log, again: bool) -> None:
     if again:
         lines.append(_again(log))
     for line in lines:
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(printable(line), highlight=False, soft_wrap=True, markup=False)
 
 
 def _again(log: Log) -> str:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import tyro
 from rich.console import Console
 
 import pliant
 from pliant.cli.files import check_log
 from pliant.cli.flags import ArmName, Axes, File, MotionFile, Override
 from pliant.cli.keys import Keys
-from pliant.cli.soft import check_soft
+from pliant.cli.soft import softened
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +30,7 @@ def run(
     soft: Axes = "",
     speed: float = 1.0,
     wait: tuple[float, float] = (0.03, 0.25),
-    stop: float | None = None,
+    stop: Annotated[float | None, tyro.conf.arg(metavar="NEWTONS")] = None,
     times: int = 1,
     log: File = None,
     override: Override,
@@ -52,9 +52,9 @@ def run(
         log: MCAP file to write (extra log).
         override: What the command line says in place of the file.
     """
-    check_log(log)
     read = override.load(arm)
-    settings = softened(read.settings(), soft)
+    check_log(log, [*override.inputs(arm, read), motion])
+    settings = softened(read.settings(), soft, read.model(), holds=True)
     if times < 1:
         raise pliant.ConfigError(f"--times must be at least 1, got {times}")
     loaded = _load(motion)
@@ -63,16 +63,21 @@ def run(
     made = read.arm()
     # What does not go together is said before torque comes on.
     pliant.teach.Replay(pliant.Controller(made.model, settings, made.servos), loaded, **options)
-    with made as live:
-        controller = pliant.Controller(live.model, settings, live.servos)
-        replay = partial(pliant.teach.Replay, motion=loaded, **options)
-        if log is None:
-            _play(live, controller, replay, times, None)
-            return
-        from pliant.log import Recorder
+    play = _Play(times)
+    try:
+        with made as live:
+            controller = pliant.Controller(live.model, settings, live.servos)
+            replay = partial(pliant.teach.Replay, motion=loaded, **options)
+            if log is None:
+                play.run(live, controller, replay, None)
+                return
+            from pliant.log import Recorder
 
-        with Recorder(log, live, controller, config=read, note=f"replay of {motion}") as recorder:
-            _play(live, recorder.controller, replay, times, recorder)
+            note = f"replay of {motion}"
+            with Recorder(log, live, controller, config=read, note=note) as recorder:
+                play.run(live, recorder.controller, replay, recorder)
+    finally:
+        play.summary()
 
 
 def _load(path: Path) -> pliant.teach.Motion:
@@ -91,62 +96,57 @@ def _load(path: Path) -> pliant.teach.Motion:
             f"{path} was cut short: it is played up to {made.duration:.2f} s, where it ends",
             highlight=False,
             soft_wrap=True,
+            markup=False,
         )
     return made
 
 
-def _play(
-    arm: Arm, controller: Any, make: Callable[..., Replay], times: int, recorder: Recorder | None
-) -> None:
-    """Play it, and say what happens."""
-    console, keys, replay, said, left = Console(), Keys(), make(controller), "", times
-    begun = waited = 0.0
-    for tick in pliant.Loop(arm, controller):
-        begun = begun or tick.time
-        command = replay.step(tick.q, dt=tick.dt, load=tick.state.load)
-        tick.write(command, replay.extra(arm))
-        if recorder is not None:
-            recorder.add(tick, command)
-        if keys.enter():
-            replay.resume()
-        if replay.state != said:
-            said = replay.state
-            hint = {"stopped": ": something pushes; Enter goes on", "blocked": ": it waits"}
-            console.print(f"{replay.time:6.2f} s  {said}{hint.get(said, '')}", highlight=False)
-        if replay.done:
-            left, waited = left - 1, waited + replay.waited
-            if not left:
-                break
-            replay = make(controller)
-    console.print(
-        f"played {times} times in {tick.time - begun:.1f} s, waited {waited:.1f} s",
-        highlight=False,
-    )
+class _Play:
+    """Plays a motion some times, and says what happens."""
 
+    def __init__(self, times: int) -> None:
+        """Nothing is played yet."""
+        self._times, self._played = times, 0
+        self._took = self._waited = 0.0
+        self._console = Console()
 
-def softened(settings: pliant.Settings, soft: str) -> pliant.Settings:
-    """Settings whose axes named in `soft` are capped, and whose others hold.
+    def run(
+        self,
+        arm: Arm,
+        controller: Any,
+        make: Callable[..., Replay],
+        recorder: Recorder | None,
+    ) -> None:
+        """Play it."""
+        keys, replay, said = Keys(), make(controller), ""
+        begun: float | None = None
+        for tick in pliant.Loop(arm, controller):
+            begun = tick.time if begun is None else begun
+            self._took = tick.time - begun
+            command = replay.step(tick.q, dt=tick.dt, load=tick.state.load)
+            tick.write(command, replay.extra(arm))
+            if recorder is not None:
+                recorder.add(tick, command)
+            if keys.enter():
+                replay.resume()
+            if replay.state != said:
+                said = replay.state
+                hint = {"stopped": ": something pushes; Enter goes on", "blocked": ": it waits"}
+                self._console.print(
+                    f"{replay.time:6.2f} s  {said}{hint.get(said, '')}", highlight=False
+                )
+            if replay.done:
+                self._played, self._waited = self._played + 1, self._waited + replay.waited
+                if self._played == self._times:
+                    break
+                replay = make(controller)
 
-    Raises:
-        ConfigError: A word is not `axis` or `axis=number`, or the axis is not the task's.
-    """
-    if not soft:
-        return settings
-    axes: dict[str, pliant.Axis] = {}
-    for word in soft.replace(",", " ").split():
-        name, given, number = word.partition("=")
-        check_soft(name, settings.task, "task in [settings] of a file of your own")
-        try:
-            cap = float(number) if given else None
-        except ValueError:
-            raise pliant.ConfigError(
-                f"--soft takes axis or axis=newtons, e.g. 'y=2 z=5', got {word!r}"
-            ) from None
-        if cap is not None and not 0.0 <= cap < math.inf:
-            raise pliant.ConfigError(f"--soft {word}: a cap is a number from 0 up, got {cap:g}")
-        if name in axes:
-            raise pliant.ConfigError(f"--soft {soft!r} names {name} twice: one cap an axis")
-        axes[name] = (
-            pliant.Axis(yields="both") if cap is None else pliant.Axis(soft=cap, profile="constant")
-        )
-    return settings.replace(axes=axes)
+    def summary(self) -> None:
+        """Say how often it was played; once the arm is down, for a terminal may block."""
+        if self._took > 0.0:
+            times = "1 time" if self._played == 1 else f"{self._played} times"
+            whole = times if self._played == self._times else f"{times} of {self._times}"
+            self._console.print(
+                f"played {whole} in {self._took:.1f} s, waited {self._waited:.1f} s",
+                highlight=False,
+            )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from rich.console import Console
 
+from pliant.cli.files import check_written
 from pliant.cli.flags import File, LogFile
+from pliant.outputs import check_output
 
 
 def run(
@@ -22,5 +24,10 @@ def run(
     from pliant.log.report import report
 
     data = read(log)
-    page = report(data, output or log.with_name(f"{log.stem}_report"), title=log.stem)
-    Console().print(str(page.resolve()), highlight=False, soft_wrap=True)
+    folder = output or log.with_name(f"{log.stem}_report")
+    if folder.is_dir():
+        check_written(folder / "report.html", "page", [log])
+    else:
+        check_output(folder, "page", [log])
+    page = report(data, folder, title=log.stem)
+    Console().print(str(page.resolve()), highlight=False, soft_wrap=True, markup=False)

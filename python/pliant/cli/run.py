@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -14,7 +15,7 @@ from rich.table import Table
 import pliant
 from pliant.cli.files import check_log
 from pliant.cli.flags import ArmName, Axes, File, Override, Seconds
-from pliant.cli.soft import check_soft
+from pliant.cli.soft import softened
 from pliant.cli.targets import Targets, open_targets
 
 if TYPE_CHECKING:
@@ -48,53 +49,59 @@ def run(
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        soft: Axes that yield, e.g. "y yaw"; everything else stays as the file has it.
-        targets: Where targets come from: a file with one a line, played at the loop's rate; - for
-            standard input; udp:PORT for datagrams on this machine. Nothing: the arm holds.
+        soft: Axes that yield: "y yaw" with the arm's own caps, "y=2 z=5" capped at 2 and 5 N (N·m
+            for roll, pitch, yaw); everything else stays as the file has it.
+        targets: Where targets come from: a file with one a line, as {"position": [0.2, 0, 0.2]}
+            [m] or {"q": [0, 0.1, ...]} [rad], played at the loop's rate; - for standard input;
+            udp:PORT for datagrams on this machine. Nothing: the arm holds.
         duration: Ends by itself [s].
         override: What the command line says in place of the file.
         log: MCAP file to write (extra log).
         quiet: No table.
     """
-    check_log(log)
     read = override.load(arm)
+    check_log(log, [*override.inputs(arm, read), targets])
     settings = read.settings()
-    if soft:
-        check_soft(soft, settings.task, "task in [settings] of a file of your own")
-        asked = pliant.Settings.soft(soft, task=settings.task).axes
-        axes: dict[str, pliant.Axis] = {name: axis for name, axis in settings.axes.items()}
-        axes.update((name, axis) for name, axis in asked.items() if axis.yields is not None)
-        settings = settings.replace(axes=axes)
     if duration is not None and not duration > 0.0:
         raise pliant.ConfigError(f"--duration must be above 0 s, got {duration:g}")
     model = read.model()
-    with open_targets(targets, model) as source, read.arm() as live:
-        controller = pliant.Controller(live.model, settings, live.servos)
-        if log is None:
-            _loop(live, controller, source, duration, quiet)
-            return
-        from pliant.log import Recorder
+    settings = softened(settings, soft, model, holds=False)
+    made: list[tuple[Arm, pliant.Loop]] = []
+    try:
+        with open_targets(targets, model) as source, read.arm() as live:
+            controller = pliant.Controller(live.model, settings, live.servos)
+            begin = partial(_loop, made, live, source=source, duration=duration, quiet=quiet)
+            if log is None:
+                begin(controller)
+                return
+            from pliant.log import Recorder
 
-        with Recorder(log, live, controller, config=read) as recorder:
-            _loop(live, recorder.controller, source, duration, quiet, recorder=recorder)
+            with Recorder(log, live, controller, config=read) as recorder:
+                begin(recorder.controller, recorder=recorder)
+    finally:
+        # After Ctrl-C too, and once the arm is down: a terminal may block.
+        for ended in made:
+            _summary(*ended)
 
 
 def _loop(
+    made: list[tuple[Arm, pliant.Loop]],
     arm: Arm,
     controller: pliant.Controller,
+    *,
     source: Targets,
     duration: float | None,
     quiet: bool,
-    *,
     recorder: Recorder | None = None,
 ) -> None:
+    """Control the arm; its loop goes into `made` for the summary."""
     rate = controller.settings.rate
     loop = pliant.Loop(arm, controller, rate=rate, duration=duration)
-    console = Console()
+    made.append((arm, loop))
     every = max(round(rate / FRAMES), 1)
     pose: NDArray[np.float64] | None = None
     told = 0.0
-    with Live(console=console, auto_refresh=False, transient=True) as live:
+    with Live(console=Console(), auto_refresh=False, transient=True) as live:
         for tick in loop:
             here = arm.model.forward_kinematics(tick.q)
             pose = here if pose is None else pose
@@ -110,8 +117,11 @@ def _loop(
                 recorder.add(tick, command)
             if not quiet and tick.index % every == 0:
                 live.update(_table(arm, controller, tick, command, here), refresh=True)
+
+
+def _summary(arm: Arm, loop: pliant.Loop) -> None:
     counts = ", ".join(f"{name} {count}" for name, count in arm.counters.items() if count)
-    console.print(
+    Console().print(
         f"{len(loop.lateness)} ticks, late by {loop.lateness}; {loop.missed} missed; bus: {counts}",
         highlight=False,
     )

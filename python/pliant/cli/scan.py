@@ -30,12 +30,17 @@ def run(*, port: str = "auto", baud: int | None = None, deep: bool = False) -> N
     console, found = Console(), list[Seen]()
     with console.status("") as status:
         for path in ports:
-            found += scan(
-                path,
-                baudrates=BAUDRATES if baud is None else (baud,),
-                ids=ALL if deep else USUAL,
-                progress=status.update,
-            )
+            try:
+                found += scan(
+                    path,
+                    baudrates=BAUDRATES if baud is None else (baud,),
+                    ids=ALL if deep else USUAL,
+                    progress=status.update,
+                )
+            except ServoError as error:
+                if len(ports) == 1:
+                    raise
+                console.print(f"{error}", highlight=False, soft_wrap=True, markup=False)
     if not found:
         raise ServoError(
             f"no servo answers on {', '.join(ports)}: is the servos' power on, is the cable in?"

@@ -12,10 +12,10 @@ from rich.table import Table
 
 from pliant import ConfigError
 from pliant.cli import backup as kept
-from pliant.cli.flags import ArmName, File, Wired
+from pliant.cli.flags import ArmName, File, Ids, Wired
 from pliant.config import assemble
 from pliant.servo import RustypotTransport
-from pliant.servo.settle import Change, apply, changes, restore
+from pliant.servo.settle import Change, apply, changes, check_rename, rename, restore
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,6 +31,7 @@ def run(
     keep_overload: bool = False,
     undo: File = None,
     backup: Path = Path("pliant-setup.json"),
+    set_id: Ids = None,
     override: Wired,
 ) -> None:
     """Set the servos' EEPROM up for compliant control; LeRobot's own values stay as they are.
@@ -41,12 +42,22 @@ def run(
         keep_overload: Leave the servos' overload shutdown on: they may drop a compliant arm.
         undo: Backup of an earlier set-up whose values are to be put back.
         backup: Where the old values go.
+        set_id: Give the servo that answers to id OLD the id NEW of the configuration, and do
+            nothing else. Connect only that servo.
         override: What the command line says in place of the file.
     """
+    if set_id is not None and undo is not None:
+        raise ConfigError(
+            "--set-id and --undo do not go together: --set-id NEW:OLD puts an id back"
+        )
+    ids = None if set_id is None else _ids(set_id)
     former = None if undo is None else kept.load(undo, arm)
     read = override.load(arm)
     console = Console()
     specs = assemble.specs(read, assemble.paths(read))
+    if ids is not None:
+        _rename(read, specs, *ids, console, yes=yes)
+        return
     if undo is not None and former is not None:
         kept.check(undo, former, specs)
     with _Ports(read, specs) as ports:
@@ -79,6 +90,40 @@ def run(
         file = shlex.quote(str(backup))
         back = " ".join(["pliant setup", name, "--undo", file, *override.words()])
         _say(console, f"old values in {backup}; this puts them back: {back}")
+
+
+def _ids(text: str) -> tuple[int, int]:
+    """Old and new id.
+
+    Raises:
+        ConfigError: The text is no such pair.
+    """
+    parts = text.split(":")
+    if len(parts) != 2 or not all(part.isdecimal() for part in parts):
+        raise ConfigError(f"--set-id is OLD:NEW, as in 1:6, got {text!r}")
+    old, new = map(int, parts)
+    if old == new:
+        raise ConfigError(f"--set-id {text}: the ids are the same")
+    return old, new
+
+
+def _rename(
+    read: Config, specs: list[ServoSpec], old: int, new: int, console: Console, *, yes: bool
+) -> None:
+    """Give one servo its id."""
+    owners = [spec for spec in specs if new in dict(spec.servos)]
+    if len(owners) != 1:
+        there = ", ".join(f"{n} ({spec.name})" for spec in specs for n, _ in spec.servos)
+        raise ConfigError(f"--set-id: id {new} is not that of one joint; there are {there}")
+    (spec,) = owners
+    with _Ports(read, specs) as ports:
+        io = ports[spec.port]
+        check_rename(io, spec.name, spec.row, old, new)
+        _show(console, [Change(spec.name, old, "id", old, new, "has an id of its own")])
+        if not (yes or _agreed(console)):
+            raise ConfigError("nothing was written")
+        rename(io, spec.name, spec.row, old, new)
+    console.print(f"the servo of {spec.name} answers to id {new} now", highlight=False)
 
 
 def _agreed(console: Console) -> bool:

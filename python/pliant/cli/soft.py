@@ -1,6 +1,8 @@
-"""Axes that a flag `--soft` names, beside those that the task has."""
+"""The flag `--soft`: axes that yield, each with a cap where one is given."""
 
 from __future__ import annotations
+
+import math
 
 import pliant
 
@@ -26,3 +28,68 @@ def check_soft(axes: str, task: pliant.Task, remedy: str) -> None:
             f"--soft {axes!r}: {', '.join(odd)} is no axis of the task, which has "
             f"{', '.join(task.names)}; {remedy}"
         )
+
+
+def caps(soft: str, task: pliant.Task) -> dict[str, float | None]:
+    """Read `--soft`: words "y" or "y=2" to caps [N, N·m], None where none is given.
+
+    Raises:
+        ConfigError: A word is neither, or is no axis of the task, or names one twice.
+    """
+    found: dict[str, float | None] = {}
+    for word in soft.replace(",", " ").split():
+        name, given, number = word.partition("=")
+        check_soft(name, task, "task in [settings] of a file of your own")
+        try:
+            cap = float(number) if given else None
+        except ValueError:
+            raise pliant.ConfigError(
+                f"--soft takes axis or axis=newtons, e.g. 'y=2 z=5', got {word!r}"
+            ) from None
+        if cap is not None and not 0.0 <= cap < math.inf:
+            raise pliant.ConfigError(f"--soft {word}: a cap is a number from 0 up, got {cap:g}")
+        for axis in pliant.Task(axes=name).names:
+            if axis in found:
+                raise pliant.ConfigError(f"--soft {soft!r} names {axis} twice: one cap an axis")
+            found[axis] = cap
+    return found
+
+
+def softened(
+    settings: pliant.Settings, soft: str, model: pliant.Model, *, holds: bool
+) -> pliant.Settings:
+    """Settings with the axes of `--soft` yielding.
+
+    Args:
+        settings: Of the configuration.
+        soft: "y=2" caps y at 2 N (N·m for rotations), "y" takes the arm's own caps.
+        model: The arm.
+        holds: Whether the axes that are not named hold; else they stay as the settings have them.
+
+    Raises:
+        ConfigError: As `caps`; or a cap above what the arm exerts when it holds.
+    """
+    if not soft:
+        return settings
+    task = settings.task
+    axes: dict[str, pliant.Axis] = {} if holds else dict(settings.axes.items())
+    found = caps(soft, task)
+    strongest: dict[str, pliant.Axis] = dict(
+        pliant.Controller(model, pliant.Settings.firm(task=task)).strengths.items()
+    )
+    preset: dict[str, pliant.Axis] = dict(
+        pliant.Settings.soft(" ".join(found), task=task).axes.items()
+    )
+    for name, cap in found.items():
+        hold = strongest[name].hold
+        if cap is not None and hold is not None and cap > hold:
+            unit = "N" if name in "xyz" else "N·m"
+            raise pliant.ConfigError(
+                f"--soft {name}={cap:g}: this arm holds {name} with at most {hold:.3g} {unit}; a "
+                "cap is at most that"
+            )
+        if cap is not None:
+            axes[name] = pliant.Axis(soft=cap, profile="constant")
+        else:
+            axes[name] = pliant.Axis(yields="both") if holds else preset[name]
+    return settings.replace(axes=axes)

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 KEYS = ("position", "wxyz", "xyzw", "q")
-#: A joint that is led by hand gives a little beyond its limits [rad].
-GIVE = 0.02
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class Target:
 
         Raises:
             ConfigError: It is no JSON object of the known keys with finite numbers, or no target of
-                this arm: out of its reach, or beyond its limits.
+                this arm: far out of its reach, or beyond its limits.
         """
         try:
             data: Any = json.loads(line)
@@ -61,12 +59,23 @@ class Target:
         rotation = None if order is None else (order, numbers[order])
         target = cls(numbers.get("position"), rotation, numbers.get("q"))
         try:
-            target.pose(model, np.eye(4))
-            target.check_reach(model)
-            target.check_limits(model)
+            target.check(model)
         except PliantError as error:
             raise ConfigError(f"target {_short(line)}: {error}") from error
         return target
+
+    def check(self, model: Model) -> None:
+        """Check that the arm can be meant.
+
+        Raises:
+            LimitError: The position is far out of its reach, or a joint far beyond its limits.
+            ShapeError, ConfigError: It is no pose, or has other joints.
+        """
+        if self.q is not None:
+            model.check_joint_target(np.array(self.q))
+        pose = self.pose(model, np.eye(4))
+        if self.position is not None:
+            model.check_target(pose)
 
     def pose(self, model: Model, before: Array) -> Array:
         """Pose (4, 4); what the line leaves out stays as it was."""
@@ -80,39 +89,6 @@ class Target:
             make = pliant.Pose.from_wxyz if order == "wxyz" else pliant.Pose.from_xyzw
             pose[:3, :3] = make(pose[:3, 3], quaternion).rotation
         return pose
-
-    def check_reach(self, model: Model) -> None:
-        """See that the arm could get there, stretched.
-
-        Raises:
-            ConfigError: It is farther from the first joint than the arm is long.
-        """
-        if self.position is None:
-            return
-        away = math.dist(self.position, model.reach_from)
-        if away > model.reach:
-            raise ConfigError(
-                f"position {list(self.position)} is {away:.3g} m from {model.joint_names[0]}, and "
-                f"the arm reaches {model.reach:.3g} m: is it in millimetres, or in other axes than "
-                f"those of {model.base}?"
-            )
-
-    def check_limits(self, model: Model) -> None:
-        """See that the joints may be there.
-
-        Raises:
-            ConfigError: One is beyond its limits, by more than a hand leads it there.
-        """
-        if self.q is None:
-            return
-        for name, q, low, high in zip(
-            model.joint_names, self.q, model.lower, model.upper, strict=True
-        ):
-            if not low - GIVE <= q <= high + GIVE:
-                raise ConfigError(
-                    f"q takes {name} to {q:.4g} rad, and its limits are {low:.4g} and {high:.4g} "
-                    "rad: is it in degrees?"
-                )
 
 
 def _numbers(key: str, value: object, line: str) -> tuple[float, ...]:

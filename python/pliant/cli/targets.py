@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 
 from pliant import ConfigError
 from pliant.cli.target import Target
+from pliant.inputs import LARGE, read_text
 
 if TYPE_CHECKING:
     from pliant import Model
@@ -69,7 +70,7 @@ class Lines(Nothing):
 
     def __init__(self, path: Path, model: Model) -> None:
         try:
-            text = path.read_text(encoding="utf-8").splitlines()
+            text = read_text(path, LARGE).splitlines()
         except FileNotFoundError:
             raise  # the command line says which files there are
         except (OSError, UnicodeDecodeError) as error:

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import shlex
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import tyro
 from rich.console import Console
 
 import pliant
-from pliant.cli.files import check_writable
+from pliant.cli.files import check_written
 from pliant.cli.flags import ArmName, MotionFile, Override
 from pliant.cli.keys import Keys
 from pliant.teach.bounded import ready
-from pliant.teach.lead import lead
+from pliant.teach.lead import prepare
 from pliant.teach.teacher import RECORDING
 
 if TYPE_CHECKING:
     from pliant.arm import State
-    from pliant.teach import Teacher
+    from pliant.teach import Motion, Teacher
 
 
 def run(
@@ -27,13 +28,16 @@ def run(
     by: Literal["rest", "enter", "gripper"] = "rest",
     seconds: float = 60.0,
     hand: bool = False,
-    bounds: tuple[float, float, float] | None = None,
+    bounds: Annotated[
+        tuple[float, float, float] | None, tyro.conf.arg(metavar="SPEED ACCELERATION JERK")
+    ] = None,
     note: str = "",
     override: Override,
 ) -> None:
     """Float the arm, record how it is led, trim and smooth it, and lower the arm.
 
-    The arm first swings a little to find its weight: nobody may touch it meanwhile.
+    The arm first swings a little to find its weight: nobody may touch it meanwhile. Ctrl-C lowers
+    the arm too, and what was led until then is written.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
@@ -51,12 +55,12 @@ def run(
 
     if motion.suffix != ".json":
         raise pliant.ConfigError(f"a motion file ends with .json, got {motion}")
-    check_writable(motion)
     if not seconds > 0.0:
         raise pliant.ConfigError(f"--seconds must be above 0, got {seconds:g}")
     if bounds is not None:
         ready(bounds)
     read = override.load(arm)
+    check_written(motion, "motion", override.inputs(arm, read))
     if by == "gripper" and read.gripper is None:
         raise pliant.ConfigError(f"{arm} names no gripper: use --by enter or rest")
     if hand and read.backend == "bus":
@@ -68,22 +72,42 @@ def run(
         return teacher.pressed(state) if keys is None else keys.enter()
 
     def tell(line: str) -> None:
-        console.print(line, highlight=False)
-        if hand and line == RECORDING:
-            lead(live)
+        console.print(line, highlight=False, markup=False)
+        if line == RECORDING:
+            lead()
 
-    with read.arm() as live:
-        made = pliant.teach.teach(
-            live,
-            seconds=seconds,
-            said=None if by == "rest" else said,
-            tell=tell,
+    def save(taken: Motion) -> None:
+        taken = replace(taken, note=note)
+        # First as it was led: bounds that it cannot keep shall not lose it.
+        taken.save(motion)
+        if bounds is not None:
+            pliant.teach.bounded(taken, bounds).save(motion)
+        files = map(shlex.quote, (arm, str(motion)))
+        again = " ".join(["pliant replay", *files, *override.words()])
+        console.print(
+            f"{motion}: {taken.duration:.1f} s; {again}",
+            highlight=False,
+            soft_wrap=True,
+            markup=False,
         )
-    taken = replace(made, note=note)
-    # First as it was led: bounds that it cannot keep shall not lose it.
-    taken.save(motion)
-    if bounds is not None:
-        pliant.teach.bounded(taken, bounds).save(motion)
-    files = map(shlex.quote, (arm, str(motion)))
-    again = " ".join(["pliant replay", *files, *override.words()])
-    console.print(f"{motion}: {again}", highlight=False, soft_wrap=True, markup=False)
+
+    made: list[Motion] = []
+    cut: list[Motion] = []
+    live = read.arm()
+    lead = prepare(live) if hand else lambda: None
+    try:
+        with live:
+            made.append(
+                pliant.teach.teach(
+                    live,
+                    seconds=seconds,
+                    said=None if by == "rest" else said,
+                    tell=tell,
+                    interrupted=cut.append,
+                )
+            )
+    finally:
+        # Only now: writing a file may take its time, and the arm comes down first.
+        made.extend(motion.trimmed().smoothed().of(live.model) for motion in cut)
+        for taken in made:
+            save(taken)

@@ -49,7 +49,7 @@ def run(
     """
     if not 1 <= page <= HIGHEST:
         raise ConfigError(f"--page is a port from 1 to {HIGHEST}, got {page}")
-    check_log(log)
+    check_log(log, [] if not arm else override.inputs(arm, override.load(arm)))
     _needs()
     from pliant.view.gate import is_loopback
     from pliant.view.link import Link
@@ -59,10 +59,15 @@ def run(
     console = Console()
     with Link(host, page) as link:
         console.print(f"{link.address}", highlight=False, soft_wrap=True)
+        console.print(
+            "Open this link in a browser. STOP on the page lowers the arm; Ctrl-C here lowers the "
+            "arm and ends the page.",
+            highlight=False,
+        )
         if not is_loopback(host):
             console.print(
                 f"[bold]Open to the network on {host}:[/bold] whoever has this link can move the "
-                "arm, and reads and writes pass unencrypted. Ctrl-C lowers the arm and ends it.",
+                "arm, and what they send passes unencrypted.",
                 highlight=False,
             )
         if browser:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.live import Live
+from rich.markup import escape
 from rich.table import Table
 
 from pliant.config import assemble
@@ -87,6 +88,15 @@ class Watch:
         x, y, z = self.model.forward_kinematics(self._chain())[:3, 3]
         return f"tool at x {x:+.3f}, y {y:+.3f}, z {z:+.3f} m in {self.model.base}"
 
+    @property
+    def rest(self) -> str:
+        """The pose as a line for a configuration file; empty while a joint has not answered."""
+        known = dict(zip(self.names, self.position.tolist(), strict=True))
+        pose = [known[name] for name in self.model.joint_names]
+        if np.isnan(pose).any():
+            return ""
+        return f"rest = [{', '.join(f'{q:.2f}' for q in pose)}]"
+
     def _sentence(self, joint: int, way: float) -> str:
         name = self.names[joint]
         grew = "grew" if way > 0.0 else "fell"
@@ -119,6 +129,7 @@ def watch(config: Config, console: Console, seconds: float | None) -> None:
     model = config.model()
     drive: Any = assemble.drive(config, model)
     drive.open()
+    look = None
     try:
         look = Watch(config, model, tuple(drive.names))
         _begin(console, [n for n, on in zip(drive.names, drive.enabled, strict=True) if on])
@@ -138,6 +149,18 @@ def watch(config: Config, console: Console, seconds: float | None) -> None:
         pass  # how it ends
     finally:
         drive.close()
+        _end(console, look)
+
+
+def _end(console: Console, look: Watch | None) -> None:
+    """The pose in which the arm was left, to paste."""
+    if look is not None and look.rest:
+        console.print(
+            "If this is where the arm shall rest, write it under [life] of its file:",
+            highlight=False,
+            soft_wrap=True,
+        )
+        console.print(look.rest, highlight=False, markup=False, soft_wrap=True)
 
 
 def _begin(console: Console, on: list[str]) -> None:
@@ -145,7 +168,7 @@ def _begin(console: Console, on: list[str]) -> None:
     console.print(
         "Nothing is switched on. Hold the arm and move one joint at a time, from the base outward: "
         "as its angle grows the tool must go where its line says. If it goes the other way, turn "
-        "the joint's `sign` round in [servo]. Ctrl-C ends",
+        "the joint's `sign` round in [servo]. Ctrl-C ends, and prints the pose as a rest pose",
         highlight=False,
         markup=False,
         soft_wrap=True,
@@ -159,7 +182,9 @@ def _begin(console: Console, on: list[str]) -> None:
 
 
 def _table(look: Watch) -> Table:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, caption=f"{look.tool}\n{look.said}")
+    table = Table(
+        box=SIMPLE_HEAD, pad_edge=False, caption=f"{look.tool}\n{look.said}\n{escape(look.rest)}"
+    )
     table.caption_justify = "left"
     for name in ("joint", "angle", r"limits \[rad]", "as it grows the tool"):
         table.add_column(name, justify="right" if name == "angle" else "left")

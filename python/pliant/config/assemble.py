@@ -7,16 +7,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant import ConfigError, LimitError, ServoError, ShapeError
+from pliant.arguments import real
 from pliant.arm import Arm, Budget, Jaw
-from pliant.arm.checks import posture
-from pliant.arm.connect import OF_THE_ARM, check_options
+from pliant.arm.checks import posture, vector
+from pliant.arm.connect import OF_THE_ARM, check_options, plant_options
+from pliant.arm.points import Points
 from pliant.config import build
 from pliant.servo import ServoChain, ServoSpec, serial_ports
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from pliant import Model
     from pliant.arm.drive import Drive
     from pliant.config.schema import Config
+    from pliant.sim import Plant, Tabletop
+
+#: How deep in the table a simulated arm may start [m].
+INSIDE = 0.001
 
 
 def arm(config: Config, **options: Any) -> Arm:
@@ -24,14 +32,19 @@ def arm(config: Config, **options: Any) -> Arm:
 
     Args:
         config: The configuration.
-        **options: Those of `pliant.arm.Arm`, in place of the file's.
+        **options: Those of `pliant.arm.Arm`, in place of the file's; on the simulator and the
+            emulator `q` (n,) [rad], where the arm stands first; `table`, the height of its table
+            in place of the file's [m], or False for none; on the simulator `real_time` and
+            those of `pliant.sim.Plant`.
 
     Raises:
         ConfigError, UrdfError: There is no such option; URDF, calibration and file do not go
             together, or the rest pose is none of this arm.
         ServoError: `auto` finds no port, or several.
     """
-    check_options(options, OF_THE_ARM)
+    if "table" in options:
+        config = _on_table(config, options.pop("table"))
+    beside = _beside(config, options)
     model = config.model()
     _check_rest(config, model)
     given = {
@@ -39,12 +52,42 @@ def arm(config: Config, **options: Any) -> Arm:
         "exit": config.life.exit,
         "rate": config.loop.rate,
         "hold_for": config.loop.hold_for,
+        "table": config.robot.table,
         # The simulator alone knows no currents.
         "budget": Budget(supply=None if config.backend == "sim" else config.supply.current),
         "grippers": jaws(config),
-        **options,
+        **{key: value for key, value in options.items() if key not in beside},
     }
-    return Arm(model, drive(config, model), **given)
+    if config.backend == "sim":
+        beside.setdefault("rate", given["rate"])
+    return Arm(model, drive(config, model, **beside), **given)
+
+
+def _on_table(config: Config, height: float | bool | None) -> Config:
+    """The same arm on a table of another height [m], or on none (False, None)."""
+    if height is True:
+        raise ConfigError("table is a height [m], or False for none; got True")
+    there = None if height is None or height is False else real(height, "table [m]")
+    robot = config.robot.model_copy(update={"table": there})
+    return config.model_copy(update={"robot": robot})
+
+
+def _beside(config: Config, options: dict[str, Any]) -> dict[str, Any]:
+    """Options that belong to what stands in for the arm, not to the arm.
+
+    Raises:
+        ConfigError: There is no such option on this backend.
+    """
+    of_the_sim = {"q", "real_time", *plant_options()} - OF_THE_ARM
+    known = {"bus": set(), "emulator": {"q"}, "sim": of_the_sim}[config.backend]
+    for key in options:
+        if key in of_the_sim - known:
+            raise ConfigError(
+                f"{key!r} is an option of a simulated arm, and this one has backend "
+                f'{config.backend!r}: connect(..., backend="sim")'
+            )
+    check_options(options, OF_THE_ARM | known)
+    return {key: value for key, value in options.items() if key in known}
 
 
 def _check_rest(config: Config, model: Model) -> None:
@@ -57,20 +100,77 @@ def _check_rest(config: Config, model: Model) -> None:
         raise ConfigError(f"{config.source}: {error}") from error
 
 
-def drive(config: Config, model: Model) -> Drive:
-    """What moves the joints: the bus, its emulation, or the simulator alone."""
-    if config.backend == "sim":
-        from pliant.arm.simulated import SimDrive
-        from pliant.sim import Plant
+def drive(
+    config: Config,
+    model: Model,
+    *,
+    q: ArrayLike | None = None,
+    real_time: bool = False,
+    **plant: Any,
+) -> Drive:
+    """What moves the joints: the bus, its emulation, or the simulator alone.
 
-        plant = Plant(model, rate=config.loop.rate)
-        plant.reset(start(config, model))
-        return SimDrive(plant)
+    Args:
+        config: The configuration.
+        model: Its model.
+        q: Where a simulated or emulated arm stands first (n,) [rad].
+        real_time: Let simulated time be real time.
+        **plant: Of `pliant.sim.Plant`, in place of what the file says.
+    """
+    if config.backend == "sim":
+        return simulated(config, model, q=q, real_time=real_time, **plant)
     if config.backend == "emulator":
         from pliant.config.emulation import EmulatedChain
 
-        return EmulatedChain(config, model)
+        return EmulatedChain(config, model, q=q)
     return chain(config, paths(config))
+
+
+def simulated(
+    config: Config, model: Model, *, q: ArrayLike | None, real_time: bool, **plant: Any
+) -> Drive:
+    """The arm on the simulator: servos by the file, on its table."""
+    from pliant.arm.simulated import SimDrive
+    from pliant.sim import Plant
+
+    options: dict[str, Any] = {"rate": config.loop.rate}
+    if config.servo:
+        options |= {
+            "extra_servos": build.extra_servos(config, model),
+            "count": build.chain_servos(config, model).count,
+        }
+    options |= plant
+    options["scene"] = [*tabletop(config), *options.get("scene", ())]
+    made = Plant(model, **options)
+    made.reset(start(config, model) if q is None else vector(model, q, "q"))
+    above_table(made)
+    # What the arm believes is the file's, whatever servos the caller gives the plant.
+    return SimDrive(made, servos=model.servos if config.servo else None, real_time=real_time)
+
+
+def tabletop(config: Config) -> list[Tabletop]:
+    """The table that the file's arm stands on, for a scene; none without."""
+    if config.robot.table is None:
+        return []
+    from pliant.sim import Tabletop
+
+    return [Tabletop(height=config.robot.table)]
+
+
+def above_table(plant: Plant) -> None:
+    """See that a simulated arm starts above its table.
+
+    Raises:
+        ConfigError: It stands in it.
+    """
+    from pliant.sim import Tabletop
+
+    for fixture in plant.fixtures:
+        if isinstance(fixture, Tabletop) and fixture.clearance() < -INSIDE:
+            raise ConfigError(
+                f"the arm would start {-fixture.clearance():.3f} m inside its table: give another "
+                "q, or table=False"
+            )
 
 
 def chain(config: Config, ports: dict[str, str]) -> ServoChain:
@@ -82,15 +182,9 @@ def chain(config: Config, ports: dict[str, str]) -> ServoChain:
 
 def specs(config: Config, ports: dict[str, str]) -> list[ServoSpec]:
     """How each joint hangs on its servo."""
-    zeros = build.zeros(config)
+    files = build.calibrations(config)
     return [
-        ServoSpec(
-            name=joint,
-            zero=zeros[joint],
-            port=ports[servo.port],
-            twin=None if servo.twin is None else (servo.twin.id, servo.twin.sign),
-            **servo.model_dump(exclude={"zero", "port", "twin"}),
-        )
+        build.spec(joint, servo, port=ports[servo.port], calibration=files.get(joint))
         for joint, servo in build.servos(config).items()
     ]
 
@@ -134,7 +228,15 @@ def jaws(config: Config) -> dict[str, Jaw]:
 
 
 def start(config: Config, model: Model) -> Any:
-    """Where a simulated or emulated arm stands first (n,) [rad]: its rest pose, else near zero."""
-    if config.life.rest is not None:
-        return np.array(config.life.rest)
-    return np.clip(np.zeros(model.n), model.lower, model.upper)
+    """Where a simulated or emulated arm stands first (n,) [rad]: near zero, else its rest pose.
+
+    The zero of the ready arms is a pose to work from. Where it is in the table, the arm begins in
+    its rest pose.
+    """
+    zero = np.clip(np.zeros(model.n), model.lower, model.upper)
+    table, rest = config.robot.table, config.life.rest
+    if rest is None or len(rest) != model.n:
+        return zero
+    if table is None or Points(model)(zero).position[:, 2].min() >= table:
+        return zero
+    return np.array(rest)

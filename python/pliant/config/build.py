@@ -6,10 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import pliant
 from pliant import ConfigError
+from pliant.arm.tables import take
 from pliant.config import fields
-from pliant.config.lerobot import Calibration, read_calibration
+from pliant.config.lerobot import read_calibration
 from pliant.config.messages import suggest
 from pliant.servo.models import find
+from pliant.servo.spec import ServoSpec
+from pliant.servo.table import servos as servos_of
+from pliant.servo.units import Units
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,19 +21,20 @@ if TYPE_CHECKING:
 
     from pliant import Model, Settings
     from pliant.config.schema import Config, Servo
+    from pliant.servo.calibration import Calibration
 
 
 def check(config: Config) -> None:
     """What no table can check by itself.
 
     Raises:
-        ValueError: Several sentences, joined.
+        ValueError: Several sentences, a line each.
     """
     wrong = [*_ports(config), *_ids(config)]
     if config.backend != "sim" and not config.servo:
         wrong.append(f"servo is missing: backend {config.backend!r} needs a servo for every joint")
     if wrong:
-        raise ValueError("; ".join(wrong))
+        raise ValueError("\n".join(wrong))
 
 
 def _ports(config: Config) -> list[str]:
@@ -88,7 +93,54 @@ def model(config: Config) -> Model:
             )
         out = pliant.Model.from_urdf(str(path), **options)
     _match(config, out)
-    return out
+    return out.with_servos(chain_servos(config, out)) if config.servo else out
+
+
+def spec(
+    joint: str, servo: Servo, *, port: str, calibration: Calibration | None = None
+) -> ServoSpec:
+    """How a joint hangs on its servo; a calibration gives it its zero."""
+    return ServoSpec(
+        name=joint,
+        zero=servo.zero if calibration is None else calibration.middle,
+        port=port,
+        calibration=calibration,
+        twin=None if servo.twin is None else (servo.twin.id, servo.twin.sign),
+        **servo.model_dump(exclude={"zero", "port", "twin", "gain"}),
+    )
+
+
+def servo_table(config: Config) -> tuple[tuple[str, ...], pliant.Servos]:
+    """Joints of the file's servos, the gripper's last, and what the file says of them (N,).
+
+    The same numbers come from the registers of such servos on a bus, at the file's supply voltage
+    and gains.
+    """
+    own = servos(config)
+    units = [
+        Units.of(spec(joint, servo, port=servo.port), config.supply.voltage)
+        for joint, servo in own.items()
+    ]
+    gains = [servo.gain or find(servo.model).gain_default for servo in own.values()]
+    return tuple(own), servos_of(units, gains, [unit.full for unit in units])
+
+
+def chain_servos(config: Config, model: Model) -> pliant.Servos:
+    """Servos of the chain's joints (n,) by the file; `kp_known` where the file has `kp` for all."""
+    names, table = servo_table(config)
+    known = all(config.servo[joint].kp is not None for joint in model.joint_names)
+    places = [names.index(joint) for joint in model.joint_names]
+    return take(table, len(names), places).replace(kp_known=known)
+
+
+def extra_servos(config: Config, model: Model) -> dict[str, pliant.Servos]:
+    """Servos of joints off the chain, one entry each, by name."""
+    names, table = servo_table(config)
+    return {
+        name: take(table, len(names), [i])
+        for i, name in enumerate(names)
+        if name not in model.joint_names
+    }
 
 
 def _match(config: Config, model: Model) -> None:
@@ -126,13 +178,25 @@ def zeros(config: Config) -> dict[str, float | None]:
         ConfigError: The calibration file cannot be read, does not know a joint or its id, or has a
             range that its servo cannot have.
     """
-    table: Mapping[str, Calibration] = {}
-    if config.calibration is not None:
-        table = read_calibration(inside(config, config.calibration))
-    out: dict[str, float | None] = {}
+    own = calibrations(config)
+    return {
+        joint: own[joint].middle if joint in own else servo.zero
+        for joint, servo in servos(config).items()
+    }
+
+
+def calibrations(config: Config) -> dict[str, Calibration]:
+    """Entry of the calibration file for each joint that takes its zero from there.
+
+    Raises:
+        ConfigError: As `zeros`.
+    """
+    if config.calibration is None:
+        return {}
+    table: Mapping[str, Calibration] = read_calibration(inside(config, config.calibration))
+    out: dict[str, Calibration] = {}
     for joint, servo in servos(config).items():
-        if servo.zero is not None or not table:
-            out[joint] = servo.zero
+        if servo.zero is not None:
             continue
         if joint not in table:
             raise ConfigError(
@@ -148,7 +212,7 @@ def zeros(config: Config) -> dict[str, float | None]:
             entry.check_range(joint, find(servo.model))
         except ConfigError as error:
             raise ConfigError(f"{config.calibration}: {error}") from error
-        out[joint] = entry.middle
+        out[joint] = entry
     return out
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from dataclasses import dataclass
@@ -10,10 +11,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pliant import PliantError, ServoError
-from pliant.arm.checks import outside
+from pliant import Controller, PliantError, ServoError
+from pliant.arm.checks import outside, posture
 from pliant.arm.drive import MonotonicClock
 from pliant.arm.lateness import Lateness
+from pliant.arm.points import Points
+from pliant.arm.rest import check_rest
 from pliant.config import assemble, build
 from pliant.servo import ServoChain, wire_time
 from pliant.servo.port import latency_timer
@@ -32,6 +35,8 @@ SHORT = 0.0015
 CYCLES, WATCHED = 200, 1.0
 #: Lateness of a tick that a loop can live with, as a share of its period.
 LATE = 0.2
+#: Axes that any arm of so many joints can meet.
+ANY_TASK = "xyz"
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,7 @@ def examine(config: Config) -> Iterator[Diagnosis]:
         return
     try:
         yield from _servos(drive.found)
+        yield from _gains(drive, config)
         yield from _sense(drive, model)
         yield _cycle(drive, config)
     finally:
@@ -93,10 +99,19 @@ def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
     rest = config.life.rest
     if rest is None:
         yield Diagnosis(
-            "note", "rest pose", "none: the arm is lowered straight down; set [life] rest = […]"
+            "note",
+            "rest pose",
+            "none: the arm is lowered straight down. Lay it down by hand: `pliant doctor ARM "
+            "--watch` prints the line to paste",
         )
-    elif len(rest) != model.n:
-        yield Diagnosis("bad", "rest pose", f"{len(rest)} angles for {model.n} joints")
+    else:
+        try:
+            pose = posture(model, rest, "life.rest")
+            check_rest(model, Points(model), pose, config.robot.table)
+        except PliantError as error:
+            yield Diagnosis("bad", "rest pose", str(error))
+    if config.servo:
+        yield from _controllable(config, model)
     if config.calibration is None and all(s.zero is None for s in config.servo.values()):
         yield Diagnosis(
             "note",
@@ -104,6 +119,27 @@ def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
             "every servo's middle counts as its joint's zero; name LeRobot's file in "
             "`calibration`, or give each servo its `zero`",
         )
+
+
+def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
+    """Whether a controller takes the model with these settings: its task, its weight."""
+    settings = config.settings()
+    try:
+        Controller(model, settings)
+    except PliantError as error:
+        if not str(error).startswith("task."):
+            yield Diagnosis("bad", "model", str(error))
+            return
+        yield Diagnosis(
+            "note", "settings", f"{error}; `pliant run` needs `task` in [settings] of the file"
+        )
+        # The weight does not depend on the task.
+        with contextlib.suppress(PliantError):
+            settings = settings.replace(task=ANY_TASK[: model.n])
+        try:
+            Controller(model, settings)
+        except PliantError as worse:
+            yield Diagnosis("bad", "model", str(worse))
 
 
 def _clock(rate: float) -> Diagnosis:
@@ -162,6 +198,19 @@ def _servos(found: tuple[Found, ...]) -> Iterator[Diagnosis]:
             said = ", ".join(map(str, sorted(versions)))
             yield Diagnosis(
                 "note", model, f"firmware differs among them ({said}): update all alike"
+            )
+
+
+def _gains(chain: ServoChain, config: Config) -> Iterator[Diagnosis]:
+    """Whether the servos have the gains that the simulator was told of."""
+    read = chain.gains
+    for joint, servo in build.servos(config).items():
+        if servo.gain is not None and read[joint] != servo.gain:
+            yield Diagnosis(
+                "note",
+                joint,
+                f"its P gain is {read[joint]}, the file says {servo.gain}: the arm follows the "
+                f"servo; with `gain = {read[joint]}` in [servo] the simulator does too",
             )
 
 

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from pliant.arm.checks import vector
 from pliant.config import assemble, build
 from pliant.servo import ServoChain, find
 from pliant.servo.emulator import Mount, emulate
 from pliant.servo.emulator.process import Remote
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from pliant import Model
-    from pliant.config.schema import Config
+    from pliant.config.schema import Config, Servo
+    from pliant.servo.calibration import Calibration
     from pliant.servo.emulator.arm import ArmEmulator
 
 #: Least time to wait for an answer [s]: the emulator shares the machine with its host.
 PATIENCE = 0.05
+#: What the emulator calls registers of a calibration that pliant calls otherwise; in Protocol 1.0.
+REGISTERS = {"position_min": "min_position_limit", "position_max": "max_position_limit"}
+REGISTERS_P1 = {"position_min": "cw_angle_limit", "position_max": "ccw_angle_limit"}
 
 
 class EmulatedChain(ServoChain):
@@ -25,9 +32,10 @@ class EmulatedChain(ServoChain):
         emulator: The emulator; `emulator.call("faults.inject", …)` reaches into it.
     """
 
-    def __init__(self, config: Config, model: Model) -> None:
-        """Start the emulator."""
-        self.emulator = Remote(emulated, config)
+    def __init__(self, config: Config, model: Model, *, q: ArrayLike | None = None) -> None:
+        """Start the emulator; the arm stands at q (n,) [rad] first, by default near zero."""
+        at = None if q is None else vector(model, q, "q").tolist()
+        self.emulator = Remote(emulated, config, q=at)
         bauds = {self.emulator.ports[port.name]: port.baud for port in config.port}
         super().__init__(
             assemble.specs(config, self.emulator.ports),
@@ -42,17 +50,23 @@ class EmulatedChain(ServoChain):
         self.emulator.stop()
 
 
-def emulated(config: Config, **options: Any) -> ArmEmulator:
+def emulated(config: Config, *, q: ArrayLike | None = None, **options: Any) -> ArmEmulator:
     """The emulator of a configuration's arm, in real time, not yet started.
 
-    Somebody holds the arm until torque comes on; the supply has the configuration's voltage.
+    The arm stands on the configuration's table. A hand holds it until torque comes on; the supply
+    has the configuration's voltage.
 
     Args:
         config: The configuration.
+        q: Where the arm stands first (n,) [rad]; None: as `assemble.start` says.
         **options: Of `pliant.servo.emulator.emulate`: `timing`, `faults`, `clock`, `plant`, ...
     """
     model = config.model()
-    bus = emulate(model, mounts(config), assemble.start(config, model), held=True, **options)
+    plant = dict(options.pop("plant", None) or {})
+    plant["scene"] = [*assemble.tabletop(config), *plant.get("scene", ())]
+    at = assemble.start(config, model) if q is None else q
+    bus = emulate(model, mounts(config), at, plant=plant, held=True, **options)
+    assemble.above_table(bus.plant)
     if config.supply.voltage is not None:
         bus.supply(config.supply.voltage)
     return bus
@@ -60,7 +74,7 @@ def emulated(config: Config, **options: Any) -> ArmEmulator:
 
 def mounts(config: Config) -> list[Mount]:
     """Where each emulated servo sits."""
-    zeros = build.zeros(config)
+    zeros, files = build.zeros(config), build.calibrations(config)
     out = []
     for joint, servo in build.servos(config).items():
         zero = zeros[joint]
@@ -74,14 +88,25 @@ def mounts(config: Config) -> list[Mount]:
                 gear=servo.gear,
                 twin=None if servo.twin is None else (servo.twin.id, servo.twin.sign),
                 port=servo.port,
-                registers=_as_set_up(servo.model),
+                registers=_as_set_up(servo) | _calibrated(files.get(joint), servo),
             )
         )
     return out
 
 
-def _as_set_up(model: str) -> dict[str, int]:
+def _as_set_up(servo: Servo) -> dict[str, int]:
     """EEPROM as `pliant setup` leaves it: answers at once, current-based position mode."""
-    row = find(model)
+    row = find(servo.model)
     mode = {"operating_mode": 5} if row.kind == "current" else {}
-    return {"return_delay_time": 0, **mode}
+    gain = {} if servo.gain is None else {"p_coefficient": servo.gain}
+    return {"return_delay_time": 0, **mode, **gain}
+
+
+def _calibrated(file: Calibration | None, servo: Servo) -> dict[str, int]:
+    """EEPROM as LeRobot leaves it where it has calibrated the arm."""
+    if file is None:
+        return {}
+    family = find(servo.model).family
+    names = REGISTERS_P1 if family.status == "p1" else REGISTERS
+    written = file.registers(family.registers)
+    return {names.get(name, name): value for name, value in written.items()}

@@ -8,61 +8,21 @@ it. Its zero degrees are the middle of the range.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pliant import ConfigError
 from pliant.config.messages import suggest
+from pliant.inputs import read_text
+from pliant.servo.calibration import Calibration
 
-if TYPE_CHECKING:
-    from pliant.servo.models import ServoModel
+__all__ = ["Calibration", "read_calibration"]
 
 #: Keys that are named of a file of another kind.
 SHOWN = 6
 #: Largest number of a servo's register, of four bytes with a sign.
 LARGEST = 2**31 - 1
 _FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """One motor of a calibration file.
-
-    Attributes:
-        id: Servo id.
-        drive_mode: 1 where LeRobot turns the direction of normalised values; counts are not
-            affected.
-        homing_offset: What the servo itself adds [counts].
-        range_min, range_max: Ends of the travel, present position [counts].
-    """
-
-    id: int
-    drive_mode: int
-    homing_offset: int
-    range_min: int
-    range_max: int
-
-    @property
-    def middle(self) -> float:
-        """Count of LeRobot's zero degrees."""
-        return (self.range_min + self.range_max) / 2.0
-
-    def check_range(self, joint: str, row: ServoModel) -> None:
-        """See that the ends of the travel are positions of the joint's servo.
-
-        Raises:
-            ConfigError: One is no count of its encoder; goals of a multi-turn servo may be a turn
-                beyond either end.
-        """
-        beyond = row.counts + 1 if row.family.multi_turn else 0
-        low, high = -beyond, row.counts + beyond
-        for key in ("range_min", "range_max"):
-            if not low <= getattr(self, key) <= high:
-                raise ConfigError(
-                    f"{joint}.{key} is {getattr(self, key)}, and positions of {row.name} run from "
-                    f"{low} to {high}: the calibration is of another servo, or was changed by hand"
-                )
 
 
 def read_calibration(path: str | Path) -> dict[str, Calibration]:
@@ -79,15 +39,19 @@ def read_calibration(path: str | Path) -> dict[str, Calibration]:
     """
     file = Path(path).expanduser()
     try:
-        data: Any = json.loads(file.read_text(encoding="utf-8"))
+        data: Any = json.loads(read_text(file))
     except FileNotFoundError:
         raise ConfigError(
             f"there is no calibration file {file}; it is what lerobot-calibrate writes, or leave "
             "`calibration` out and give every servo its `zero`"
         ) from None
+    except PermissionError as error:
+        raise ConfigError(f"{file} must not be read: {error.strerror}") from error
     except RecursionError as error:
         raise ConfigError(f"{file} is no calibration file: it is nested too deeply") from error
-    except (OSError, ValueError) as error:  # also an integer of more digits than Python reads
+    except OSError as error:
+        raise ConfigError(f"{file} cannot be read: {error.strerror or error}") from error
+    except ValueError as error:  # also an integer of more digits than Python reads
         raise ConfigError(f"{file} is no calibration file: {error}") from error
     if not isinstance(data, dict) or not data:
         raise ConfigError(f"{file} is no calibration file: it holds no table of motors")

@@ -14,6 +14,7 @@ from pliant.config import ready
 from pliant.config.fields import check_preset, resolve
 from pliant.config.messages import explain, suggest
 from pliant.config.schema import Config, Loop
+from pliant.inputs import read_text
 
 
 def load(
@@ -23,6 +24,7 @@ def load(
     backend: str | None = None,
     urdf: str | Path | None = None,
     calibration: str | Path | None = None,
+    table: float | bool | None = None,
 ) -> Config:
     """Read a configuration file.
 
@@ -33,6 +35,7 @@ def load(
         urdf: URDF file in place of the file's, relative to the working folder; a file for a
             built-in model takes none, since its signs belong to that model.
         calibration: LeRobot's calibration file in place of the file's, likewise.
+        table: Height of the table in place of the file's [m]; False: no table.
 
     Returns:
         The configuration, checked as a whole.
@@ -55,7 +58,7 @@ def load(
             f"{name!r} is neither a file nor the name of a ready one; "
             f"{suggest(name, ready.names())}"
         )
-    overrides = Overrides(port=port, backend=backend, urdf=urdf, calibration=calibration)
+    overrides = Overrides(port, backend, urdf, calibration, table)
     return parse(text, source=label, folder=folder, overrides=overrides)
 
 
@@ -67,12 +70,14 @@ class Overrides:
     backend: str | None = None
     urdf: str | Path | None = None
     calibration: str | Path | None = None
+    table: float | bool | None = None
 
     def apply(self, table: dict[str, Any], source: str) -> None:
         """Write them into the table.
 
         Raises:
-            ConfigError: One port is given for several, or a URDF for a built-in model.
+            ConfigError: One port is given for several or for no bus, or a URDF for a built-in
+                model.
         """
         if self.backend is not None:
             table["backend"] = self.backend
@@ -85,10 +90,22 @@ class Overrides:
                     "signs of that URDF (docs/robots/so101.md has one), without --urdf"
                 )
             table["robot"]["urdf"] = Path(self.urdf).expanduser().resolve()
+        if self.table is not None and isinstance(table.get("robot"), dict):
+            if self.table is True:
+                raise ConfigError("table is a height [m], or False for none; got True")
+            table["robot"].pop("table", None)
+            if self.table is not False:
+                table["robot"]["table"] = self.table
         if self.calibration is not None:
             table["calibration"] = Path(self.calibration).expanduser().resolve()
         if self.port is None:
             return
+        backend = table.get("backend", "bus")
+        if backend in {"sim", "emulator"}:
+            raise ConfigError(
+                f"port {self.port} is for servos on a bus, and backend {backend!r} opens none of "
+                "yours: leave the port out, or say backend 'bus'"
+            )
         ports: Any = table.get("port", [{}])
         if not isinstance(ports, list) or len(ports) != 1:
             raise ConfigError(
@@ -116,19 +133,36 @@ def parse(
     Raises:
         ConfigError: As in `load`.
     """
+    if text.lstrip().startswith("<"):
+        raise ConfigError(
+            f"{source} is no TOML but XML: a URDF goes into [robot] urdf of a configuration file "
+            "(docs/config.md), or behind --urdf where a ready file has none of its own"
+        )
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
+        if text.lstrip().startswith("<"):
+            raise ConfigError(
+                f"{source} is XML, not a configuration: a URDF is named in one, [robot] "
+                'urdf = "arm.urdf"; docs/config.md has a whole file'
+            ) from error
         raise ConfigError(f"{source} is no TOML: {error}") from error
     overrides.apply(table, source)
     try:
         config = Config.model_validate(table)
     except ValidationError as error:
-        wrong = [*explain(error, Config), *_settings(table)]
-        raise ConfigError(f"{source}: {'; '.join(wrong)}") from None
+        said = [line for sentence in explain(error, Config) for line in sentence.splitlines()]
+        raise _all_wrong(source, [*said, *_settings(table)]) from None
     if wrong := _settings(table):
-        raise ConfigError(f"{source}: {'; '.join(wrong)}")
+        raise _all_wrong(source, wrong)
     return config.at(Path(folder), source)
+
+
+def _all_wrong(source: str, wrong: list[str]) -> ConfigError:
+    """All that is wrong with a file, a line each."""
+    if len(wrong) == 1:
+        return ConfigError(f"{source}: {wrong[0]}")
+    return ConfigError("\n".join([f"{source} has {len(wrong)} mistakes:", *wrong]))
 
 
 def _settings(table: dict[str, Any]) -> list[str]:
@@ -150,6 +184,6 @@ def _settings(table: dict[str, Any]) -> list[str]:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from error

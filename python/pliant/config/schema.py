@@ -58,6 +58,8 @@ class Robot(Table):
         gravity: Vector in base axes [m/s²].
         locked: Angles at which joints off the chain stand [rad].
         limits: Position limits in place of the URDF's, by joint [rad].
+        table: Height of the table that the arm stands on, in base axes [m]: simulated and emulated
+            arms touch it, and the way to the rest pose stays above it. None: no table.
     """
 
     urdf: Path | None = None
@@ -68,6 +70,7 @@ class Robot(Table):
     gravity: Triple = (0.0, 0.0, -9.81)
     locked: dict[str, Number] = {}
     limits: dict[str, tuple[Number, Number]] = {}
+    table: Number | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -118,6 +121,9 @@ class Servo(Table):
         lower, upper: Position limits in software [rad]; None: what the servo's own limits allow.
         stall: Stall torque at the rated voltage in place of the table's [N·m].
         torque_offset: Torque that the gears eat, off what the register promises [N·m].
+        gain: P gain register as it is set on this arm, of servos that keep it without power
+            (Feetech), for the simulator and the emulator; None: as the maker sets it. On the bus
+            the servo's own is read.
         kp: Stiffness [N·m/rad] as identified, in place of what the gain register says.
         friction, damping: Of the gears as identified, in place of the table's [N·m, N·m·s/rad].
     """
@@ -133,6 +139,7 @@ class Servo(Table):
     upper: Number | None = None
     stall: Positive | None = None
     torque_offset: NotNegative = 0.0
+    gain: Annotated[int, Field(ge=1, le=16383, strict=True)] | None = None
     kp: Positive | None = None
     friction: NotNegative | None = None
     damping: NotNegative | None = None
@@ -145,6 +152,15 @@ class Servo(Table):
         except ConfigError as error:
             raise ValueError(str(error)) from None
         return name
+
+    @model_validator(mode="after")
+    def _keeps_its_gain(self) -> Self:
+        if self.gain is not None and find(self.model).family.status != "feetech":
+            raise ValueError(
+                f"gain: {self.model} starts with the maker's gain whenever it is switched on; "
+                "leave it out"
+            )
+        return self
 
 
 class Gripper(Table):
@@ -284,7 +300,7 @@ class Config(Table):
         return build.model(self)
 
     def arm(self, **options: Any) -> Arm:
-        """The arm, to be enabled by `with`; see `pliant.connect`."""
+        """The arm, to be enabled by `with`; options as for `pliant.connect`."""
         from pliant.config.assemble import arm
 
         return arm(self, **options)

@@ -96,7 +96,7 @@ def configuration(family: str, q: Array = VERTICAL) -> Config:
 
 def emulator(family: str, *, q: Array = VERTICAL, **options: Any) -> ArmEmulator:
     """The servos of a family with the arm behind them, wire timing on, not yet started."""
-    return emulated(configuration(family, q), **{"timing": Timing(wire=True), **options})
+    return emulated(configuration(family, q), q=q, **{"timing": Timing(wire=True), **options})
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from typing import Annotated
 import tyro
 
 from pliant.experiments import campaign_table, laws, merits
-from pliant.experiments.campaign_arms import available
+from pliant.experiments.campaign_arms import ROBOTS, available
 from pliant.experiments.campaign_bench import Promise
 from pliant.experiments.campaign_jobs import POSES, REAL_GEARS, jobs, run
 from pliant.experiments.conditions import NOMINAL, Conditions
@@ -81,7 +81,7 @@ def main(options: Options) -> None:
     """Run the campaign of these options, print the table, write the files."""
     there, absent = available()
     for name in absent:
-        print(f"campaign: SKIPPED {name}: its URDF is not in ../shared/robots")
+        print(f"campaign: SKIPPED {name}: its URDF is not in {ROBOTS}: set PLIANT_ROBOTS")
     arms = list(options.arm) or there
     work = jobs(arms, options.poses, disturbed=options.disturbed, friction=options.friction)
     found: dict[tuple[str, str], list[Promise]] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 
 import pliant
 from pliant import robots
-from pliant.sim.gains import resolve
+from pliant.sim.gains import tabulate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,8 +26,21 @@ DRAWN, LEAST_SIGMA = 512, 0.65
 SHARES = ((0.15, 0.30, 0.60), (0.07, 0.14))
 #: Reach [m] of which the length is 1 m that weighs rotations against translations.
 REACH_OF_ONE = 0.71
+
+
+def _robots() -> Path:
+    """Folder of real robots' descriptions: `PLIANT_ROBOTS`, or beside a checkout; else none."""
+    if folder := os.environ.get("PLIANT_ROBOTS"):
+        return Path(folder)
+    root = Path(__file__).resolve().parents[3]
+    # An installed package has no checkout around it: what is beside its folder is not ours.
+    return (
+        root.parent / "shared" / "robots" if (root / "pyproject.toml").is_file() else Path("robots")
+    )
+
+
 #: Where real robots' descriptions are looked for: URDF, base and tip by name.
-ROBOTS = Path(__file__).resolve().parents[4] / "shared" / "robots"
+ROBOTS = _robots()
 BESIDE = {
     "so101 (real)": ("so101/so101_new_calib.urdf", "base_link", "gripper_frame_link"),
     "koch (real)": ("koch_low_cost/low-cost-arm.urdf", "base_link", "gripper-static-motor_v2_1"),
@@ -151,12 +165,4 @@ def _table(name: str, bare: pliant.Model) -> pliant.Servos:
         cut = {field: np.asarray(getattr(ours, field))[: bare.n] for field in fields}
         speed = np.asarray(ours.no_load_speed)[: bare.n]
         return pliant.Servos(**cut, kind="duty", no_load_speed=speed, kp_known=True)
-    guess = resolve(bare, None, None)
-    return pliant.Servos(
-        kp=guess.kp,
-        torque=guess.torque,
-        friction=guess.friction,
-        damping=guess.damping,
-        armature=guess.armature,
-        kp_known=True,
-    )
+    return tabulate(bare, None, None).replace(kp_known=True)

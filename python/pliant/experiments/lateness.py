@@ -123,17 +123,13 @@ def take_all(address: str) -> None:
     import viser
     from websockets.sync.client import connect
 
-    from pliant.view.gate import COOKIE
-
     # It is elsewhere in life, and shall not take the loop's processor here.
     os.nice(19)
     parts = urlsplit(address)
-    token = parts.query.removeprefix("token=")
     with connect(
-        f"ws://{parts.netloc}/",
+        f"ws://{parts.netloc}/?{parts.fragment}",
         origin=cast("Any", f"http://{parts.netloc}"),
         subprotocols=[cast("Any", f"viser-v{viser.__version__}")],
-        additional_headers={"Cookie": f"{COOKIE}={token}"},
         max_size=None,
     ) as socket:
         for _ in socket:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pliant import Servos
+
     Array = NDArray[np.float64]
     Act = Callable[[Tick, "SickDrive", Arm, float], Array | None]
 
@@ -39,9 +41,9 @@ class SickDrive(SimDrive):
         deaf: Whether writes are lost.
     """
 
-    def __init__(self, plant: Plant) -> None:
-        """Healthy at first."""
-        super().__init__(plant)
+    def __init__(self, plant: Plant, servos: Servos | None = None) -> None:
+        """Healthy at first; `servos` are what the arm believes to have."""
+        super().__init__(plant, servos=servos)
         self.silent: set[str] = set()
         self.powerless: set[str] = set()
         self.deaf = False
@@ -135,7 +137,7 @@ def suffer(mishap: Mishap, *, held: bool = False) -> Suffered:
             begun[0] = robot.clock.now() + WHEN
             try:
                 for tick in Loop(robot, controller, duration=END, **mishap.loop):
-                    since = tick.time - begun[0]
+                    since = tick.began - begun[0]
                     target = mishap.act(tick, drive, robot, since) if since > -1e-9 else GRASP
                     if target is not None:
                         tick.write(controller.step(tick.q, target, dt=tick.dt))

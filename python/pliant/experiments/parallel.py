@@ -36,10 +36,14 @@ def parallel(work: Sequence[Job[R_co]], processes: int, what: str) -> Iterator[R
     if processes > 1:
         try:
             from joblib import Parallel, delayed
+            from joblib.parallel import get_active_backend
         except ImportError:
             print(f"{what}: one process only; {missing('more', 'sweep')}")
         else:
-            started = Parallel(n_jobs=processes, return_as="generator")
+            backend, _ = get_active_backend()
+            # Ray's backend hands out a list alone.
+            streams = getattr(backend, "supports_return_generator", False)
+            started = Parallel(n_jobs=processes, return_as="generator" if streams else "list")
             done = started(delayed(_run)(job) for job in work)
     # A terminal gets one line that changes, a file one line every half minute.
     live = sys.stderr.isatty()

@@ -187,7 +187,7 @@ def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
         for tick in loop:
             target = start
             for axis, swing in SWING.items():
-                phase = 2.0 * np.pi * (tick.time - begin) / PERIODS[axis]
+                phase = 2.0 * np.pi * (tick.began - begin) / PERIODS[axis]
                 target = displaced(target, axis, swing * float(np.sin(phase)))
             tick.write(controller.step(tick.q, target, dt=tick.dt))
     except pliant.PliantError as error:

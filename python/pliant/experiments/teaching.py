@@ -104,13 +104,14 @@ def played(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
         remembered = False
         for tick in pliant.Loop(arm, controller, duration=40.0):
             tick.write(replay.step(tick.q, dt=tick.dt), replay.extra(arm))
-            if block and not remembered and tick.time >= BLOCKS[0] - 0.02:
+            now = tick.began  # the scene's hand goes by the plant's clock
+            if block and not remembered and now >= BLOCKS[0] - 0.02:
                 plant.truth.remember()  # the hand holds the tool where it is now
                 remembered = True
             force = float(np.linalg.norm(plant.hands[0].force)) if block else 0.0
             want = model.forward_kinematics(motion.at(replay.time))[:3, 3]
-            rows.append((tick.time, replay.time, force, *plant.tool[:3, 3], *want))
-            if replay.done and tick.time > BLOCKS[1] + 4.0 * block:
+            rows.append((now, replay.time, force, *plant.tool[:3, 3], *want))
+            if replay.done and now > BLOCKS[1] + 4.0 * block:
                 break
     data = np.array(rows)
     time, clock, forces, tool, want = np.split(data, [1, 2, 3, 6], axis=1)

@@ -10,7 +10,7 @@ try:
     from mcap.stream_reader import breakup_chunk
     from mcap_ros2.decoder import DecoderFactory
     from mcap_ros2.writer import Writer
-    from zstandard import ZstdError
+    from zstandard import ZstdError, frame_content_size
 except ImportError as error:
     from pliant.extras import missing
 
@@ -31,4 +31,5 @@ __all__ = [
     "Writer",
     "ZstdError",
     "breakup_chunk",
+    "frame_content_size",
 ]

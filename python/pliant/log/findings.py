@@ -101,7 +101,8 @@ def asked(axis: Axis | None, name: str) -> str:
     if axis.yields == "none" or axis.soft is None or axis.firm is None:
         return "holds" if axis.hold is None else f"holds, {axis.hold:g} {newton}"
     sides = "both ways" if axis.yields == "both" else f"pushed toward {axis.yields}"
-    ends = sorted({*axis.soft, *axis.firm})
+    # A constant cap is `soft` at every deviation.
+    ends = sorted({*axis.soft} if axis.profile == "constant" else {*axis.soft, *axis.firm})
     caps = " to ".join(f"{end:g}" for end in (ends[:1] if len(ends) == 1 else (ends[0], ends[-1])))
     eta = f", η {axis.eta:g}" if axis.eta else ""
     return f"yields {sides}, {caps} {newton}{eta}"
@@ -129,6 +130,17 @@ def sentence(log: Log, felt: Felt | None, k: int) -> str:
     if (share := float((log.deviation_limited[:, k] > 0.5).mean())) > 0.0:
         more += f"; its deviation limit let the target wait or follow in {share:.0%} of the ticks"
     return f"{name}: farthest off {off}. There {why}{more}."
+
+
+def most_felt(felt: Felt, k: int) -> int | None:
+    """Tick of the largest force along an axis that exceeds its bound; None without one.
+
+    In the first half second the bound is all torque that the servos have, and forces within a bound
+    may be none.
+    """
+    force = np.abs(felt.force[:, k])
+    sure = np.where(force > felt.bound[:, k], force, -1.0)
+    return int(sure.argmax()) if sure.max() > 0.0 else None
 
 
 def above(log: Log, felt: Felt, k: int) -> float:

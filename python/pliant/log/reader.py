@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import pliant
 from pliant import ConfigError
 from pliant.log import layout, words
 from pliant.log._mcap import Attachment, Channel, DecoderFactory, Message, Schema
@@ -17,10 +20,21 @@ from pliant.log.records import CutShortError, DamagedError, records
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    import pliant
-
     Array = NDArray[np.float64]
 
+#: Name, types, and whether it may be None, of what a description of a run holds.
+RUN: tuple[tuple[str, Any, bool], ...] = (
+    ("pliant", str, False),
+    ("note", str, False),
+    ("rate", (int, float), False),
+    ("joints", (list, tuple), False),
+    ("extra", (list, tuple), False),
+    ("axes", (list, tuple), True),
+    ("model", dict, False),
+    ("servos", pliant.Servos, True),
+    ("settings", pliant.Settings, True),
+    ("config", str, True),
+)
 #: What a file that is no log of ours, but says so, makes Python raise.
 FOREIGN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
@@ -29,7 +43,8 @@ FOREIGN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeErr
 class Log:
     """A run, N ticks of n joints and k axes; NaN where nothing was measured.
 
-    Every column of a tick is an attribute and an entry of `columns`: `time` (N,) [s], `q`, `dq`,
+    Every column of a tick is an attribute and an entry of `columns`: `time` (N,) [s] of the
+    positions, 0 when the first tick began, `q`, `dq`,
     `load`, `goal`, `torque_limit` (N, n), `target`, `reference` (N, 4, 4), `deviation`,
     `compliance` (N, k), `activation` (N, n, k + 1) and what else docs/logs.md lists.
 
@@ -131,12 +146,22 @@ def _read(path: Path) -> Log:
             damage = str(error) if isinstance(error, DamagedError) else ""
     if run is None:
         raise ConfigError(f"{path} is no log of pliant: it has no attachment {layout.RUN!r}")
+    if not isinstance(run, dict) or "version" not in run:
+        raise ConfigError(f"{path} is no log of pliant: its description has no version")
     if run["version"] != layout.VERSION:
         raise ConfigError(
             f"{path} has layout {run['version']}, this pliant reads {layout.VERSION}: read it with "
-            f"pliant {run['pliant']}"
+            f"pliant {run.get('pliant')}"
         )
-    return Log(run, _columns(run, ticks), calls, whole, end, damage)
+    try:
+        _check(run)
+    except ConfigError as error:
+        raise ConfigError(f"{path} is no log of pliant: {error}") from error
+    columns = _columns(run, ticks)
+    if len(columns["time"]):
+        # As `Tick.time`: 0 when the first tick began.
+        columns["time"] -= columns["time"][0] + columns["lag"][0]
+    return Log(run, columns, calls, whole, end, damage)
 
 
 class _Decoder:
@@ -157,6 +182,38 @@ class _Decoder:
                 raise ConfigError(f"no decoder for {channel.topic}")
             made = self._decoders[message.channel_id] = found
         return made(message.data)
+
+
+def _check(run: Any) -> None:
+    """Check that a description of a run has all that is read from it later.
+
+    Raises:
+        ConfigError: A part is missing or of another type.
+    """
+    if not isinstance(run, dict):
+        raise ConfigError(f"the description of the run is no table, but {type(run).__name__}")
+    for name, kinds, optional in RUN:
+        value = run.get(name)
+        fits = value is None if optional and value is None else isinstance(value, kinds)
+        if not fits or isinstance(value, bool):
+            said = "has no" if value is None else f"has {type(value).__name__} for"
+            raise ConfigError(f"the description of the run {said} {name!r}")
+    for name in ("joints", "extra", "axes"):
+        if not all(isinstance(one, str) for one in run[name] or ()):
+            raise ConfigError(f"the description of the run has {name!r} that are no names")
+    if not 0.0 < run["rate"] < math.inf:
+        raise ConfigError(f"the description of the run has a rate of {run['rate']} Hz")
+    model = words.model(run["model"])
+    if tuple(run["joints"]) != model.joint_names:
+        raise ConfigError("the description of the run has other joints than its model")
+    if run["axes"] is not None and run["settings"] is None:
+        raise ConfigError("the description of the run has axes and no settings")
+    if run["settings"] is not None:
+        if tuple(run["axes"] or ()) != run["settings"].task.names:
+            raise ConfigError("the description of the run has other axes than its settings")
+        pliant.Controller(model, run["settings"], run["servos"])
+    if run["config"] is not None:
+        json.loads(run["config"])
 
 
 def _columns(run: dict[str, Any], ticks: list[Any]) -> dict[str, Array]:
@@ -185,4 +242,7 @@ def _columns(run: dict[str, Any], ticks: list[Any]) -> dict[str, Array]:
 
 def arguments(call: Any) -> dict[str, Any]:
     """Arguments of a call that is no step."""
-    return dict(words.read(call.arguments)) if call.arguments else {}
+    read = words.read(call.arguments) if call.arguments else {}
+    if not (isinstance(read, dict) and all(isinstance(name, str) for name in read)):
+        raise ConfigError(f"the arguments of the call {call.what!r} are no table of names")
+    return read

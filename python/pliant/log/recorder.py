@@ -18,6 +18,7 @@ from pliant.arm import Arm
 from pliant.log import frames, layout, words
 from pliant.log.journal import Journal
 from pliant.loop import Tick
+from pliant.outputs import check_output
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,7 +39,7 @@ class Recorder:
     The writer survives the program: one that is killed leaves a whole file. `with` closes it.
 
     Args:
-        path: The file; made anew.
+        path: The file; a log that is there is replaced, a file of another kind refused.
         arm: The arm.
         controller: The controller, before its first step; use `recorder.controller` in its place,
             so that the log has all that it is told. None: without one (hand guiding).
@@ -94,7 +95,7 @@ class Recorder:
         vector = layout.tick(arm.model.n, None if axes is None else len(axes), len(self._extra))
         self._row, self._axes = np.empty(vector.size), axes
         self._slots = vector.split(self._row)
-        self.path.open("wb").close()
+        check_output(self.path, "log")
         run = {
             "version": layout.VERSION,
             "pliant": pliant.__version__,
@@ -146,7 +147,7 @@ class Recorder:
         self._row.fill(np.nan)
         slots["time"][0] = state.time
         slots["dt"][0], slots["index"][0] = tick.dt, tick.index
-        slots["lag"][0] = tick.time - state.time
+        slots["lag"][0] = tick.began - state.time
         for name in layout.STATE:
             value = getattr(state, name)
             if value is not None:

@@ -22,6 +22,7 @@ from pliant.log._mcap import (
     Statistics,
     ZstdError,
     breakup_chunk,
+    frame_content_size,
 )
 
 if TYPE_CHECKING:
@@ -29,6 +30,12 @@ if TYPE_CHECKING:
 
 #: First and last bytes of an MCAP file.
 MAGIC = b"\x89MCAP0\r\n"
+#: Largest chunk [bytes]; a recorder's holds half a second.
+LARGEST_CHUNK = 1 << 26
+#: Largest sum of the chunks: in bytes, or as a multiple of the file's size.
+MOST_UNPACKED, RATIO = 1 << 28, 200
+#: Most that a byte of LZ4 unpacks to.
+LZ4_RATIO = 255
 _HEAD = struct.Struct("<BQ")
 _CRC = struct.Struct("<I")
 _KINDS = frozenset(map(int, Opcode))
@@ -55,12 +62,16 @@ def records(stream: BinaryIO, size: int) -> Iterator[McapRecord]:
     """
     if stream.read(len(MAGIC)) != MAGIC:
         raise DamagedError("it does not begin as MCAP does")
-    messages = attachments = 0
+    messages = attachments = unpacked = 0
     counted: Statistics | None = None
     for place, opcode, body in _bodies(stream, size):
         try:
             if opcode == Opcode.CHUNK:
-                for record in breakup_chunk(Chunk.read(_stream(body)), validate_crc=True):
+                chunk = Chunk.read(_stream(body))
+                unpacked += _unpacked(chunk)
+                if unpacked > max(MOST_UNPACKED, RATIO * size):
+                    raise DamagedError(f"it unpacks to more than {unpacked / 1e6:.0f} MB")
+                for record in breakup_chunk(chunk, validate_crc=True):
                     if isinstance(record, Message):
                         if record.sequence != messages:
                             raise DamagedError(f"message {messages} is missing")
@@ -101,6 +112,24 @@ def _bodies(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
         if opcode not in _KINDS:
             raise DamagedError(f"the record at byte {place} is of no kind, {opcode}")
         yield place, opcode, stream.read(length)
+
+
+def _unpacked(chunk: Chunk) -> int:
+    """Size of a chunk when it is unpacked [bytes]: what it says, and what its data say.
+
+    Raises:
+        DamagedError: It is larger than any that a recorder writes.
+    """
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        size = max(size, frame_content_size(chunk.data))
+    elif chunk.compression == "lz4":
+        size = max(size, LZ4_RATIO * len(chunk.data))
+    if size > LARGEST_CHUNK:
+        raise DamagedError(
+            f"a chunk unpacks to {size / 1e6:.0f} MB, at most {LARGEST_CHUNK / 1e6:.0f}"
+        )
+    return size
 
 
 def _stream(body: bytes) -> ReadDataStream:

@@ -153,13 +153,17 @@ def _caps(log: Log, felt: Felt | None) -> Table:
     for k, name in enumerate(log.run["axes"]):
         cap, strengths = log.holding_torque[:, k], None if felt is None else felt.strengths
         row = [name, findings.asked(None if strengths is None else strengths.get(name), name)]
-        row += [f"{cap.min():.3g} to {cap.max():.3g}"]
+        low, high = f"{cap.min():.3g}", f"{cap.max():.3g}"
+        row += [low if low == high else f"{low} to {high}"]
         if felt is None:
             row += ["–", "–", "–"]
         else:
-            tick = int(np.abs(felt.force[:, k]).argmax())
-            force, bound = felt.force[tick, k], felt.bound[tick, k]
-            row += [f"{force:+.2g} ± {bound:.2g} at {findings.since(log)[tick]:.2f} s"]
+            tick = findings.most_felt(felt, k)
+            if tick is None:
+                row += ["within what the arm cannot tell"]
+            else:
+                force, bound = felt.force[tick, k], felt.bound[tick, k]
+                row += [f"{force:+.2g} ± {bound:.2g} at {findings.since(log)[tick]:.2f} s"]
             row += [f"{felt.report.friction[k]:.2g}", f"{findings.above(log, felt, k):.1%}"]
         rows.append((*row, findings.unit(name, force=True)))
     return Table(
@@ -220,8 +224,8 @@ def _loop(log: Log, folder: Path) -> str:
             f"{findings.LATE:g} periods of {1e3 * of.period:g} ms after the one before."
         )
     told.append(
-        f"Positions were {1e3 * of.lag[0]:.2f} ms old when a tick began (median; at most "
-        f"{1e3 * of.lag[1]:.2f} ms); the controller was told a delay of {1e3 * of.delay:.1f} ms."
+        f"Positions were {_age(*of.lag)}; the controller was told a delay of "
+        f"{1e3 * of.delay:.1f} ms."
     )
     for name, count in of.old.items():
         told.append(f"{name}: positions older than {findings.LATE:g} periods in {count} ticks.")
@@ -239,6 +243,13 @@ def _loop(log: Log, folder: Path) -> str:
         "; what the servos said of themselves" if of.voltage or of.temperature else ""
     )
     return _list(told) + _figure(folder, "loop", "Loop and servos", f"{caption}.")
+
+
+def _age(median: float, largest: float) -> str:
+    """When positions were sampled: before a tick began, or at its begin, by a bus that is asked."""
+    if median < 0.0:
+        return f"sampled {-1e3 * median:.2f} ms after a tick began (median)"
+    return f"{1e3 * median:.2f} ms old when a tick began (median; at most {1e3 * largest:.2f} ms)"
 
 
 def _settings(log: Log) -> str:

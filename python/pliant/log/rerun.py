@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+#: What a controller is told beside steps.
+CALLS = ("reset", "update", "set_payload", "set_gravity", "set_delay", "capture_gravity")
 COMMAND = ("goal", "torque_limit", "velocity")
 
 
@@ -102,7 +104,12 @@ def steps(
     for call in log.calls:
         if not call.what.startswith("step"):
             if not (settings is not None and call.what == "update"):
-                getattr(controller, call.what)(**arguments(call))
+                if call.what not in CALLS:
+                    raise ConfigError(f"the log has a call {call.what!r} that pliant does not know")
+                try:
+                    getattr(controller, call.what)(**arguments(call))
+                except TypeError as error:
+                    raise ConfigError(f"the log's call of {call.what}: {error}") from error
             continue
         if before is not None:
             before(call, controller)

@@ -33,7 +33,14 @@ def read(text: str) -> Any:
     """
     try:
         return _rich(json.loads(text))
-    except (ValueError, TypeError, KeyError) as error:
+    except (
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+        TypeError,
+        ValueError,
+    ) as error:
         raise ConfigError(f"not the description of a run: {error}") from error
 
 
@@ -43,7 +50,12 @@ def model(source: Any) -> pliant.Model:
     Raises:
         ConfigError, UrdfError: It describes none.
     """
-    return pliant.Model.from_urdf_str(source["urdf"], **source["options"])
+    try:
+        return pliant.Model.from_urdf_str(source["urdf"], **source["options"])
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        if isinstance(error, pliant.PliantError):
+            raise
+        raise ConfigError(f"not the description of a model: {error}") from error
 
 
 def describe(given: pliant.Model) -> dict[str, Any]:

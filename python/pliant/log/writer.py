@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import itertools
 import sys
+from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from pliant.background import step_back
 from pliant.log import frames, layout, words
 from pliant.log._mcap import Writer
 from pliant.log.journal import STEP
+from pliant.outputs import replacing
 
 if TYPE_CHECKING:
     from typing import BinaryIO
@@ -184,8 +187,13 @@ def main() -> None:
     first = frames.receive(source)
     if first is None:
         return
-    with open(sys.argv[1], "wb") as stream:
-        log = Log(stream, words.read(first[1].decode()))
+    path = Path(sys.argv[1])
+    with ExitStack() as stack:
+        with replacing(path) as beside:
+            stream = stack.enter_context(beside.open("wb"))
+            log = Log(stream, words.read(first[1].decode()))
+            stream.flush()
+        # The file has its name from its first record on: a program that dies leaves what there is.
         take = {
             frames.TICK: log.tick,
             frames.STEP: log.step,

@@ -76,7 +76,7 @@ class Noted:
     """A line of the watch's log.
 
     Attributes:
-        time: Since the watch began [s].
+        time: Since the first update [s]; updated in every tick, that is `Tick.time`.
         what: `began`, `ended` or `called`.
         reaction: Which.
         felt: What pushed at the tool then.

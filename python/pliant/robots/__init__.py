@@ -7,7 +7,8 @@
 | `koch` | 5 and a gripper, Koch-like | XL430 at 11.1 V (pan, lift), XL330 at 5 V, factory gains |
 
 None of them is a copy or a measurement of a robot; a table of real servos and a real URDF come from
-the user.
+the user. Their tables define them, so `kp_known` is True: on the simulator that is what they are. A
+configuration file and a bus have servos of their own, and know k_p only where it was identified.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ import pliant
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
     from pliant import Model, Servos
 
@@ -75,6 +78,41 @@ def names() -> tuple[str, ...]:
     return tuple(_ARMS)
 
 
+#: Rest pose of each arm [rad], and the height of the table that it stands on [m], if any.
+_REST: dict[str, tuple[float, ...]] = {
+    "arm7": (0.0, 0.0, 0.0, -0.04, 0.0, 0.0, 0.0),
+    "so101": (0.0, -1.74, 1.57, 0.85, 0.0),
+    "koch": (0.0, -1.79, 1.6, 0.5, 0.0),
+}
+_TABLE: dict[str, float] = {"so101": 0.0, "koch": 0.0}
+
+
+def rest(name: str) -> NDArray[np.float64]:
+    """Return the rest pose (n,) [rad] of a built-in arm: folded on its table, or hanging.
+
+    Raises:
+        ConfigError: The name is unknown.
+    """
+    _check(name)
+    return np.array(_REST[name])
+
+
+def table(name: str) -> float | None:
+    """Return the height of the table [m] that a built-in arm stands on; None: it hangs.
+
+    Raises:
+        ConfigError: The name is unknown.
+    """
+    _check(name)
+    return _TABLE.get(name)
+
+
+def _check(name: str) -> None:
+    """See that there is such an arm."""
+    if name not in _ARMS:
+        raise pliant.ConfigError(f"no built-in arm {name!r}; there are {', '.join(_ARMS)}")
+
+
 def load(name: str, **options: Any) -> Model:
     """Return a built-in arm by name.
 
@@ -88,8 +126,7 @@ def load(name: str, **options: Any) -> Model:
     Raises:
         ConfigError: The name is unknown; the message lists those there are.
     """
-    if name not in _ARMS:
-        raise pliant.ConfigError(f"no built-in arm {name!r}; there are {', '.join(_ARMS)}")
+    _check(name)
     return _ARMS[name](**options)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -172,6 +173,16 @@ class ServoChain:
         return servos([d.units for d in first], [d.gain for d in first], ceilings)
 
     @property
+    def kp_known(self) -> NDArray[np.bool_]:
+        """Which joints' k_p was identified on this arm: `ServoSpec.kp` (n,)."""
+        return np.array([spec.kp is not None for spec in self.specs])
+
+    @property
+    def gains(self) -> dict[str, int]:
+        """Gain register of each joint's first servo, as read at open."""
+        return {s.name: joint[0].gain for s, joint in zip(self.specs, self._joints, strict=True)}
+
+    @property
     def overload(self) -> Array:
         """Share of the usable torque above which a servo protects itself (n,), ∞ where it does not.
 
@@ -193,9 +204,10 @@ class ServoChain:
         """What has happened since open, all ports together.
 
         As `pliant.servo.guard.Counters`; `mismatches`: limits that read back other than written;
-        `alerts`: how often a status began to say that something is wrong, for a moment or longer.
+        `alerts`: how often a status began to say that something is wrong, for a moment or longer;
+        `trips`: bus watchdogs that tripped, and were cleared.
         """
-        kinds = ("mismatches", "alerts")
+        kinds = ("mismatches", "alerts", "trips")
         total = {kind: sum(getattr(device, kind) for device in self._devices) for kind in kinds}
         for counters in self._counters:
             for name, value in asdict(counters).items():
@@ -207,20 +219,36 @@ class ServoChain:
         """Which joints have torque on: enabled here, or found so at open (n,)."""
         return np.array([all(d.enabled or d.torque_on for d in joint) for joint in self._joints])
 
+    @property
+    def orders(self) -> tuple[Array, Array]:
+        """Goals (n,) [rad] and limits (n,) [N·m] that joints with torque had at open; else NaN."""
+        goals, limits = np.full(len(self._joints), np.nan), np.full(len(self._joints), np.nan)
+        for i, joint in enumerate(self._joints):
+            standing = [d.standing for d in joint if d.torque_on and not d.enabled]
+            if len(standing) == len(joint) and standing[0] is not None:
+                goal, limit = standing[0]
+                goals[i], limits[i] = joint[0].angle(goal), abs(joint[0].units.torque(limit))
+        return goals, limits
+
+    @property
+    def refusing(self) -> NDArray[np.bool_]:
+        """Which joints are known not to take goals (n,): a tripped watchdog, or deaf servos."""
+        return np.array([any(d.is_refusing for d in joint) for joint in self._joints])
+
     # The cycle.
 
     def read(self) -> Sample:
         """Read all joints; who did not answer is not ok and keeps its last position.
 
         Raises:
-            ServoError: A port is gone.
+            ServoError: All ports are gone; where only some are, their joints have a fault.
         """
         self._check_open()
-        budget = self._budget
         if self._pool is None:
-            taken = [port.read(budget) for port in self._ports]
+            taken = [self._take(port) for port in self._ports]
         else:
-            taken = list(self._pool.map(lambda port: port.read(budget), self._ports))
+            taken = list(self._pool.map(self._take, self._ports))
+        self._see_what_is_left()
         answered = {
             (port.path, number)
             for port, ids in zip(self._ports, taken, strict=True)
@@ -239,8 +267,8 @@ class ServoChain:
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative. Nothing is sent.
-            ServoError: A port is gone. A packet that is lost otherwise is counted, and the goal
-                and limit before it stay in force.
+            ServoError: All ports are gone. A packet that is lost otherwise is counted, and the
+                goal and limit before it stay in force.
         """
         self._check_open()
         goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", least="N·m")
@@ -259,12 +287,10 @@ class ServoChain:
                     )
         for port in self._ports:
             if id(port) in packets:
-                try:
+                # Counted; what was written last stays in force.
+                with suppress(BusError):
                     port.write(packets[id(port)])
-                except BusError as error:
-                    if error.reason == "gone":
-                        raise
-                    # Counted; what was written last stays in force.
+        self._see_what_is_left()
 
     def slow(self) -> Health | None:
         """One step of the rota: voltage, temperature, faults and limit of one joint.
@@ -272,10 +298,17 @@ class ServoChain:
         Call it once per cycle, after `read` and `write`.
 
         Raises:
-            ServoError: A port is gone.
+            ServoError: All ports are gone.
         """
         self._check_open()
-        return self._rota.step(self._port_of)
+        health = None
+        with suppress(BusError):
+            health = self._rota.step(self._port_of)
+        for port in self._ports:
+            with suppress(BusError):
+                port.revive(port.devices)
+        self._see_what_is_left()
+        return health
 
     # Torque on and off.
 
@@ -326,9 +359,31 @@ class ServoChain:
         """
         self._check_open()
         self._watchdog = seconds
-        enabling.watchdog(self._devices, self._port_of, seconds)
+        silent = [name for port in self._ports for name in port.set_watchdog(seconds, self._budget)]
+        if silent:
+            raise ServoError(f"{', '.join(silent)} did not confirm the bus watchdog")
 
     # Inside.
+
+    def _take(self, port: Port) -> set[int]:
+        """Read one port; nothing of one that is gone."""
+        try:
+            return port.read(self._budget)
+        except BusError:
+            return set()
+
+    def _see_what_is_left(self) -> None:
+        """Name the joints of a port that is gone; the others are driven on, to be brought down.
+
+        Raises:
+            BusError: All ports are gone.
+        """
+        gone = [port for port in self._ports if port.guard.gone]
+        if len(gone) == len(self._ports):
+            gone[0].guard.check_port()
+        for port in gone:
+            for device in port.devices:
+                device.fault("port", True, f"its port {port.path} is gone: is it plugged in?")
 
     def _start(self) -> None:
         """Know nothing of the servos yet."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pliant import ServoError
@@ -19,9 +19,29 @@ SAG = 0.5
 #: Positions may run this much ahead of twice the no-load speed before a reading is disbelieved
 #: [rad].
 JUMP = 0.1
-#: A limit that reads back wrong after so many packets in a row is a fault: with one packet lost in
-#: a hundred, two happen within the hour.
-MISMATCHES = 3
+#: A limit that reads back wrong for so long [s], and after so many packets, is a fault: writing is
+#: given as long as reading.
+UNHEARD, MISMATCHES = 0.5, 3
+#: Readings in a row that a joint cannot have reached and that are a fault, and a pause between
+#: readings after which it may have moved meanwhile [s].
+IMPOSSIBLE, PAUSE = 3, 0.1
+#: What the bus watchdog reads once it has tripped.
+TRIPPED = 255
+
+
+@dataclass
+class Echo:
+    """How a register that was written reads back.
+
+    Attributes:
+        wrong: After so many packets in a row it read other than written.
+        agreed: When it last read as written [s].
+        write: Number of the packet after which it last read wrong.
+    """
+
+    wrong: int = 0
+    agreed: float = 0.0
+    write: int = -1
 
 
 class Device:
@@ -46,7 +66,7 @@ class Device:
         seam: Counts after which positions start again, None where they do not.
         enabled: Whether we have switched its torque on, or taken it over.
         torque_on: Whether torque was on when that was last read.
-        limit: Limit register as last written.
+        goal, limit: Goal and limit register as last written; no goal yet: None.
         position: Unwrapped count of the last reading, None before the first.
         time: When that was asked for [s].
         speed, load, current: Registers of the last reading.
@@ -55,6 +75,12 @@ class Device:
         conditions: What the last answer's status said.
         hardware: What the hardware error register said (Protocol 2.0).
         rota: Faults that the rota found, by what they concern.
+        watchdog: Its bus watchdog as last read [units of 20 ms].
+        tripped: Whether its bus watchdog has tripped, and it refuses goals.
+        trips: How often that was found.
+        found: Registers in RAM that we write, as they are handed back: as they were at open.
+        standing: Goal and limit registers of a servo that had torque at open; None otherwise.
+        unbound: Registers that bound torque or motion, and what they are while we drive.
         mismatches: How often a limit read back other than written.
     """
 
@@ -75,6 +101,7 @@ class Device:
         self.alerts = 0
         self.turns = 0
         self.enabled = self.torque_on = False
+        self.goal: int | None = None
         self.limit = 0
         self.position: float | None = None
         self.time = 0.0
@@ -86,9 +113,14 @@ class Device:
         self.conditions: tuple[str, ...] = ()
         self.hardware: tuple[str, ...] = ()
         self.rota: dict[str, str] = {}
-        self.mismatches = self._wrong = 0
+        self.found: dict[str, int] = {}
+        self.standing: tuple[int, int] | None = None
+        self.unbound: dict[str, int] = {}
+        self.mismatches = 0
         self._writes = 0
-        self._wrong_write = -1
+        self._echoes = {"goal": Echo(), "limit": Echo()}
+        self.tripped, self.trips, self.watchdog = False, 0, 0
+        self._refused, self._allowed, self._last = 0, 0.0, 0.0
 
     def set_range(self) -> None:
         """Narrow the limits of goals to those of the joint.
@@ -159,10 +191,8 @@ class Device:
         family = self.family
         raw = family.decode(reply.block, reply.data, "position")
         turns, position = self._unwrap(raw)
-        if self.position is not None:
-            reach = 2.0 * self.units.no_load_speed * (reply.time - self.time) + JUMP
-            if abs(position - self.position) * self.units.count > reach:
-                return False
+        if not self._is_reachable(position, reply.time):
+            return False
         self.turns, self.position, self.time = turns, position, reply.time
         self.fault(
             "seam",
@@ -187,7 +217,13 @@ class Device:
         if self._spans(block, "temperature"):
             self.temperature = float(family.decode(block, reply.data, "temperature"))
         if self._spans(block, "limit"):
-            self._check_limit(family.decode(block, reply.data, "limit"))
+            self.limit_read = found = family.decode(block, reply.data, "limit")
+            read, written = (f"{self.units.torque(n):.3g} N·m" for n in (found, self.limit))
+            self._compare("limit", found, self.limit, reply.time, (read, written))
+        if self._spans(block, "goal") and self.goal is not None:
+            found = family.decode(block, reply.data, "goal")
+            read, written = (f"{self.angle(n):.3g} rad" for n in (found, self.goal))
+            self._compare("goal", found, self.goal, reply.time, (read, written))
         if self._spans(block, "torque_enable"):
             self.torque_on = bool(family.decode(block, reply.data, "torque_enable"))
             went_off = (self.enabled or "torque" in self.rota) and not self.torque_on
@@ -198,13 +234,15 @@ class Device:
         if self._spans(block, "hardware_error"):
             self.hardware = words.hardware(family.decode(block, reply.data, "hardware_error"))
         if self._spans(block, "watchdog"):
-            tripped = family.decode(block, reply.data, "watchdog") == 255
-            self.fault(
-                "watchdog",
-                tripped,
-                "the bus watchdog has tripped: the host was silent, and goals are refused until "
-                "the arm is enabled again",
-            )
+            self.watchdog = family.decode(block, reply.data, "watchdog")
+            tripped = self.watchdog == TRIPPED
+            self.trips += tripped and not self.tripped
+            self.tripped = tripped
+
+    @property
+    def is_refusing(self) -> bool:
+        """Whether goals are known not to arrive, or not to be taken."""
+        return self.enabled and (self.tripped or self._echoes["goal"].wrong >= MISMATCHES)
 
     @property
     def torque(self) -> float:
@@ -230,6 +268,37 @@ class Device:
         if volts != self.units.voltage and volts > 0.0:
             self.units = replace(self.units, voltage=volts)
 
+    def _is_reachable(self, position: float, time: float) -> bool:
+        """Whether the joint can have come here since its last good reading.
+
+        The way it may have gone grows with the time, but not while readings come that it cannot
+        have reached: several of them in a row are a fault, and are never believed.
+        """
+        if self.position is None or self._allowed == float("inf"):
+            self._refused, self._allowed, self._last = 0, 0.0, time
+            self.fault("jump", False, "")
+            return True
+        gap, self._last = time - self._last, time
+        if not self._refused or gap > PAUSE:
+            self._allowed += gap
+        way = abs(position - self.position) * self.units.count
+        if way <= 2.0 * self.units.no_load_speed * self._allowed + JUMP:
+            self._refused, self._allowed = 0, 0.0
+            return True
+        self._refused += 1
+        if self._refused >= IMPOSSIBLE:
+            self.fault(
+                "jump",
+                True,
+                f"its position jumped by {way:.2f} rad, which it cannot have moved: encoder fault, "
+                "slipped horn or loose gear. Torque off, then check its zero",
+            )
+        return False
+
+    def settle_dispute(self) -> None:
+        """Believe the next reading wherever it is: without torque the joint may be moved."""
+        self._allowed = float("inf")
+
     def _spans(self, block: Block, name: str) -> bool:
         register = self.family.registers.get(name)
         if register is None:
@@ -246,32 +315,35 @@ class Device:
 
     @property
     def doubted(self) -> bool:
-        """Whether its limit read other than written, and not often enough to be sure."""
-        return 0 < self._wrong < MISMATCHES
+        """Whether goal or limit read other than written, and not for long enough to be sure."""
+        return any(e.wrong > 0 and key not in self.rota for key, e in self._echoes.items())
 
-    def sent(self, limit: int) -> None:
-        """A packet with this limit is on its way."""
-        self.limit = limit
+    def sent(self, goal: int, limit: int) -> None:
+        """A packet with this goal and limit is on its way."""
+        self.goal, self.limit = goal, limit
         self._writes += 1
 
-    def _check_limit(self, found: int) -> None:
-        """Compare the limit with what was written; silence is how a servo refuses a packet.
+    def _compare(
+        self, key: str, found: int, written: int, time: float, words: tuple[str, str]
+    ) -> None:
+        """Compare a register with what was written; silence is how a servo refuses a packet.
 
-        Packets get lost too: only limits that read wrong after different packets count.
+        Packets get lost too: a register that reads wrong is a fault once it has done so for as long
+        as a silent servo is waited for, and after different packets.
         """
-        self.limit_read = found
-        is_wrong = self.enabled and found != self.limit
-        if not is_wrong:
-            self._wrong = 0
-        elif self._wrong_write != self._writes:
-            self._wrong += 1
-            self._wrong_write = self._writes
+        echo = self._echoes[key]
+        if not self.enabled or found == written:
+            echo.wrong, echo.agreed = 0, time
+        elif echo.write != self._writes:
+            echo.wrong += 1
+            echo.write = self._writes
             self.mismatches += 1
-        read, written = self.units.torque(found), self.units.torque(self.limit)
+        name = "torque limit" if key == "limit" else "goal"
         self.fault(
-            "limit",
-            self._wrong >= MISMATCHES,
-            f"its torque limit reads {read:.2f} N·m, written was {written:.2f} N·m",
+            key,
+            echo.wrong >= MISMATCHES and time - echo.agreed > UNHEARD,
+            f"its {name} reads {found} ({words[0]}), written was {written} ({words[1]}): it does "
+            "not hear, or refuses",
         )
 
     def _unwrap(self, raw: int) -> tuple[int, float]:

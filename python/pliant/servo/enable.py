@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from math import ceil
-from typing import TYPE_CHECKING
+import warnings
+from typing import TYPE_CHECKING, NamedTuple
 
 from pliant import ServoError, ServoFault
 from pliant.servo.identify import Image, read_image
@@ -28,48 +28,46 @@ if TYPE_CHECKING:
 MOVED = 0.05
 #: A joint must be this near to where it is believed to be [rad].
 ELSEWHERE = 0.15
+#: How often goals are sent anew until they read back, and how far a joint without torque may drift
+#: from its goal before it gets a new one [rad].
+AIMS, DRIFTED = 5, 0.01
 #: How long a servo may take to come back from a reboot [s].
 REBOOT = 2.0
 #: What is looked at before torque goes on.
 _BEFORE = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
-#: One unit of the bus watchdog [s].
-WATCHDOG_UNIT = 0.02
+#: How often torque off is sent where no answer comes, and how often that is tried.
+UNHEARD, UNHEARD_TRIES = 3, 30
 
 
 def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, cap: Array) -> None:
-    """Limit, then goal = present position, then torque, then a look; see `ServoChain.enable`."""
+    """Limit, goal = present position, read-back, torque, a look; see `ServoChain.enable`."""
     before = {}
     for device in devices:
         before[id(device)] = _look(device, ports, goal)
-    for device in devices:
-        if _tripped(device, before):
-            _set(device, ports, "watchdog", 0)
-        register = device.limit_register(float(limit[device.joint]))
-        _set(device, ports, "limit", register)
-        device.limit = register
-        found = _image(device, ports, "limit")["limit"]
-        if found != register:
-            raise ServoError(
-                f"{device.name} did not take the torque limit: it reads {found}, written was "
-                f"{register}; nothing was switched on"
-            )
     switched = [d for d in devices if not before[id(d)]["torque_enable"]]
     try:
+        for device in devices:
+            if _tripped(device, before):
+                _set(device, ports, "watchdog", 0)
+            _bound(device, ports, device.limit_register(float(limit[device.joint])))
         # Fresh, and all in one go: an arm that nobody holds yet is on its way down.
         here = {id(d): _image(d, ports, "position", "speed") for d in devices}
+        orders: dict[int, Order] = {}
         packets: dict[Port, list[tuple[Device, int, int, int]]] = {}
         for device in devices:
             angle, speed = float(goal[device.joint]), float(cap[device.joint])
             register = (
                 here[id(device)]["position"] if device in switched else device.goal_counts(angle)
             )
-            packets.setdefault(ports[id(device)], []).append(
-                (device, register, device.limit, device.units.speed_register(speed))
-            )
+            order = Order(register, device.limit, device.units.speed_register(speed))
+            orders[id(device)] = order
+            packets.setdefault(ports[id(device)], []).append((device, *order))
         for port, group in packets.items():
             port.write(group)
-        for device in switched:
-            _set(device, ports, "torque_enable", 1)
+        for device in devices:
+            here[id(device)] = _aim(device, ports, orders[id(device)], here[id(device)])
+            if device in switched:
+                _set(device, ports, "torque_enable", 1)
         for device in devices:
             _stayed(device, ports, here[id(device)])
     except BaseException:
@@ -78,6 +76,72 @@ def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, c
         raise
     for device in devices:
         device.enabled = device.torque_on = True
+
+
+class Order(NamedTuple):
+    """Registers that are written together.
+
+    Attributes:
+        goal, limit, speed: Goal, limit and speed cap.
+    """
+
+    goal: int
+    limit: int
+    speed: int
+
+
+def _bound(device: Device, ports: Ports, limit: int) -> None:
+    """Write the limit, and what else bounds torque and motion, and read all of it back.
+
+    Raises:
+        ServoError: A register reads other than written.
+    """
+    wanted = {"limit": limit, **device.unbound}
+    for name, value in wanted.items():
+        _set(device, ports, name, value)
+    device.limit = limit
+    image = _image(device, ports, *wanted)
+    for name, value in wanted.items():
+        if image[name] != value:
+            what = "the torque limit" if name == "limit" else name
+            raise ServoError(
+                f"{device.name} did not take {what}: it reads {image[name]}, written was {value}; "
+                "nothing was switched on"
+            )
+
+
+def _aim(device: Device, ports: Ports, order: Order, here: Image) -> Image:
+    """See that goal, limit and speed cap have arrived, and send them anew where they have not.
+
+    Until torque is on, a joint that has moved since the goal was read gets a new one.
+
+    Returns:
+        Position and speed that the goal was made from.
+
+    Raises:
+        ServoError: The registers still read other than written.
+    """
+    wanted = order._asdict()
+    wanted["speed_cap"] = wanted.pop("speed")
+    found = here
+    for _ in range(AIMS):
+        found = _image(device, ports, *wanted, "torque_enable", "position", "speed")
+        off = not found["torque_enable"]
+        apart = abs(found["position"] - wanted["goal"]) * device.units.count
+        wrong = [name for name, value in wanted.items() if found[name] != value]
+        if not wrong and not (off and apart > DRIFTED):
+            return here
+        if off:
+            wanted["goal"], here = found["position"], found
+        for names in device.family.write:
+            data = device.packet(names, wanted["goal"], order.limit, order.speed)
+            _send(device, ports, names[0], data)
+        device.sent(wanted["goal"], order.limit)
+    raise ServoError(
+        f"{device.name} did not take its {' and '.join(wrong) or 'goal'}: "
+        + ", ".join(f"{n} reads {found[n]}, written was {wanted[n]}" for n in wrong or ["goal"])
+        + "; nothing stays switched on"
+    )
 
 
 def _look(device: Device, ports: Ports, goal: Array) -> Image:
@@ -128,14 +192,17 @@ def _stayed(device: Device, ports: Ports, before: Image) -> None:
 
 
 def disable(devices: Sequence[Device], ports: Ports) -> None:
-    """Torque off; every servo is tried."""
-    failed = []
+    """Torque off; every servo is tried. Then what we wrote in RAM is as it was found."""
+    failed = {}
     for device in devices:
         problem = _try_off(device, ports)
         if problem:
-            failed.append(problem)
+            failed[id(device)] = (device, problem)
+    for device, _ in failed.values():
+        _off_unheard(device, ports)
     if failed:
-        raise ServoError("torque may still be on: " + "; ".join(failed))
+        problems = (problem for _, problem in failed.values())
+        raise ServoError("torque may still be on: " + "; ".join(problems))
 
 
 def reboot(devices: Sequence[Device], ports: Ports) -> None:
@@ -158,24 +225,57 @@ def reboot(devices: Sequence[Device], ports: Ports) -> None:
         _image(device, ports, "hardware_error", "torque_enable")
 
 
-def watchdog(devices: Sequence[Device], ports: Ports, seconds: float) -> None:
-    """Set the bus watchdog of the servos that have one."""
-    units = min(127, ceil(seconds / WATCHDOG_UNIT)) if seconds > 0.0 else 0
-    for device in devices:
-        if "watchdog" in device.family.registers:
-            _set(device, ports, "watchdog", units)
-
-
 def _try_off(device: Device, ports: Ports) -> str | None:
-    """Torque off; what went wrong, None when it is off."""
+    """Torque off, registers handed back; what went wrong, None when torque is off."""
     device.enabled = False
-    device.rota.pop("torque", None)
+    device.settle_dispute()
+    for key in ("torque", "limit", "goal"):
+        device.rota.pop(key, None)
     try:
         _set(device, ports, "torque_enable", 0)
-    except ServoError as error:
+    except BusError as error:
         return str(error)
+    except ServoError as error:
+        return f"{error}{_off_unheard(device, ports)}"
     device.torque_on = False
+    try:
+        _hand_back(device, ports)
+    except ServoError as error:
+        warnings.warn(
+            f"torque is off, but {device.name} keeps limits of ours until its power is cut: "
+            f"{error}",
+            RuntimeWarning,
+            stacklevel=2,
+        )
     return None
+
+
+def _off_unheard(device: Device, ports: Ports) -> str:
+    """Send torque off where no answer can be had; says how often."""
+    register = device.family.registers["torque_enable"]
+    guard, sent = ports[id(device)].guard, 0
+    for _ in range(UNHEARD_TRIES):
+        try:
+            guard.sync_write([device.id], register.address, [register.encode(0)])
+        except BusError as error:
+            if error.reason == "gone":
+                break
+            continue  # noise: the transport did not find a gap to send in
+        sent += 1
+        if sent == UNHEARD:
+            break
+    return f" (sent {sent} times more, without an answer)"
+
+
+def _hand_back(device: Device, ports: Ports) -> None:
+    """Write registers in RAM as they were found at open: other programs do not set them."""
+    if not device.found:
+        return
+    image = _image(device, ports, *device.found)
+    for name, value in device.found.items():
+        if image[name] != value:
+            _set(device, ports, name, value)
+    device.limit = device.found["limit"]
 
 
 def _image(device: Device, ports: Ports, *names: str) -> Image:
@@ -190,16 +290,26 @@ def _image(device: Device, ports: Ports, *names: str) -> Image:
 
 def _set(device: Device, ports: Ports, name: str, value: int) -> None:
     """Write one register and see it acknowledged."""
+    register = device.family.registers[name]
+    _send(device, ports, name, register.encode(value), f"{name} = {value}")
+
+
+def _send(device: Device, ports: Ports, first: str, data: bytes, what: str = "its goal") -> None:
+    """Write bytes from a register on and see them acknowledged.
+
+    Raises:
+        BusError: The port is gone.
+        ServoError: The servo did not confirm, or refused.
+    """
     guard = ports[id(device)].guard
     guard.begin()
-    register = device.family.registers[name]
     try:
-        status = guard.write(device.id, register.address, register.encode(value))
+        status = guard.write(device.id, device.family.registers[first].address, data)
     except BusError as error:
         if error.reason == "gone":
             raise
-        raise ServoError(f"{device.name} did not confirm {name} = {value}: {error}") from error
+        raise ServoError(f"{device.name} did not confirm {what}: {error}") from error
     why = refusal(device.family, status)
     if why is not None:
         guard.counters.refused += 1
-        raise ServoError(f"{device.name} refused {name} = {value}: {why}")
+        raise ServoError(f"{device.name} refused {what}: {why}")

@@ -34,14 +34,24 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+NOISY = (
+    "the line is never silent: an adapter that hears its own requests (switch its echo off), or "
+    "noise (cable, ground, termination)"
+)
+
 #: Least window of silence, as a share of the patience: a host that was busy for a moment.
 SILENCE_SHARE = 0.2
 #: Outside of a cycle there is no hurry: so many times the patience, and so many tries. One that
 #: brings an answer to an earlier request is a try too.
 UNHURRIED, TRIES = 5.0, 6
+#: Longest drain outside of a cycle [s], and of those that follow one that failed: a line that an
+#: adapter's echo or noise never leaves silent must not hold anybody up.
+DRAIN, DRAIN_AGAIN = 0.5, 0.05
 #: Data bytes that a ping is answered with, and the most that any servo has at address 0 without a
 #: gap.
 PING, FIRST = {"p1": 0, "p2": 3}, 12
+#: So many ids are tried for one that nobody has.
+ABSENT_TRIES = 8
 #: Which counter a failure counts in.
 _COUNTED = {"timeout": "timeouts", "corrupt": "corrupt", "stale": "stale", "refused": "refused"}
 
@@ -103,7 +113,10 @@ class Guard:
     Attributes:
         counters: What has happened so far.
         turn: Time of the slowest servo to begin its answer [s].
+        latency: The adapter's latency timer [s].
+        held_back: Least time that an answer to a reading came later than the wire takes [s].
         gone: Whether the port has vanished; every call then fails at once.
+        is_noisy: Whether the last drain without a budget never found the line silent.
     """
 
     def __init__(
@@ -122,13 +135,14 @@ class Guard:
         """Take over the port; nothing is sent yet."""
         self.counters = Counters()
         self.turn = TURN
-        self.gone = False
+        self.gone = self.is_noisy = False
+        self.latency, self.held_back = latency, float("inf")
         self._io, self._protocol, self._absent = transport, protocol, absent
-        self._baudrate, self._latency, self._cycle = baudrate, latency, cycle
+        self._baudrate, self._cycle = baudrate, cycle
         self._clock, self._stamp = clock, stamp or clock
         self._deadline = float("inf")
         self._dirty = False
-        self._timeout = self._waited = 0.0
+        self._timeout = self._waited = self._wire = 0.0
         self._patience = patience
         self._owed = Owed()
         self._silence = SILENCE_SHARE * patience + latency
@@ -192,7 +206,7 @@ class Guard:
             self._io.sync_write(ids, address, data)
 
         # Nobody answers, so nothing stale can come of a line that is not silent.
-        self._check_port()
+        self.check_port()
         self._counted(once)
 
     def ping(self, id: int) -> bool:
@@ -223,17 +237,28 @@ class Guard:
         self._once(once)
 
     def find_absent(self, taken: Iterable[int], highest: int) -> None:
-        """Choose the highest id that is not taken and that nobody answers to, for drains."""
+        """Choose the highest id that is not taken and that nobody answers to, for drains.
+
+        Where every id seems to answer, as on a line that echoes, the present one stays.
+        """
         free = (number for number in range(highest, -1, -1) if number not in set(taken))
-        for number in free:
-            if not self.ping(number):
-                self._absent = number
-                return
+        for _, number in zip(range(ABSENT_TRIES), free, strict=False):
+            try:
+                if self.ping(number):
+                    continue
+            except BusError as error:
+                if error.reason == "gone":
+                    raise
+                continue
+            self._absent = number
+            return
 
     def _read(self, id: int, block: Block) -> Reply:
         start = self._start("read", 1, block.size)
         with self._owing([id], block.size):
+            before = self._clock()
             data, status = self._io.read(id, block.address, block.size)
+            self.held_back = min(self.held_back, self._clock() - before - self._wire)
             return self._checked(id, block, data, status, start)
 
     def _choose(self, ids: Sequence[int], blocks: Sequence[Block]) -> Block:
@@ -292,11 +317,12 @@ class Guard:
         wire = wire_time(
             self._protocol, kind, servos, size, baudrate=self._baudrate, turn=self.turn
         )
-        self._waited = reply_timeout(wire, self._latency, self._cycle, self._patience)
+        self._waited = reply_timeout(wire, self.latency, self._cycle, self._patience)
         if isinf(self._deadline) and not hurry:
             self._waited *= UNHURRIED
         self._wait(self._waited)
-        self._silence = SILENCE_SHARE * self._patience + wire + self._latency
+        self._silence = SILENCE_SHARE * self._patience + wire + self.latency
+        self._wire = wire
         self.counters.transactions += 1
         return self._stamp()
 
@@ -313,7 +339,13 @@ class Guard:
                 return self._once(call)
             except BusError as error:
                 left -= 1
-                if left == 0 or error.reason == "gone" or not self._drain() or self._late():
+                if left == 0 or error.reason in {"gone", "noisy"}:
+                    raise
+                if not self._drain():
+                    if isinf(self._deadline):
+                        raise BusError(NOISY, "noisy") from error
+                    raise
+                if self._late():
                     raise
                 self.counters.retries += 1
 
@@ -323,12 +355,19 @@ class Guard:
 
     def _once(self, call: Callable[[], T]) -> T:
         """One call on a silent line."""
-        self._check_port()
+        self.check_port()
         if self._dirty and not self._drain():
+            if isinf(self._deadline):
+                raise BusError(NOISY, "noisy")
             raise BusError("no time left in this cycle", "late")
         return self._counted(call)
 
-    def _check_port(self) -> None:
+    def check_port(self) -> None:
+        """See that the port is there.
+
+        Raises:
+            BusError: It has vanished.
+        """
         if self.gone:
             raise BusError("the port is gone: close it, plug it in and open it again", "gone")
 
@@ -350,12 +389,16 @@ class Guard:
 
         A ping to an absent id reads whatever arrives: it comes back early when there was
         something, and after its timeout when there was nothing. Without hurry it listens for as
-        long as an answer is waited for.
+        long as an answer is waited for, and gives up after `DRAIN`.
         """
         self.counters.drains += 1
-        silence = max(self._silence, self._waited) if isinf(self._deadline) else self._silence
+        unhurried = isinf(self._deadline)
+        silence = max(self._silence, self._waited) if unhurried else self._silence
+        end = self._deadline
+        if unhurried:
+            end = self._clock() + silence + (DRAIN_AGAIN if self.is_noisy else DRAIN)
         self._wait(silence)
-        while (before := self._clock()) + silence <= self._deadline:
+        while (before := self._clock()) + silence <= end:
             try:
                 self._io.ping(self._absent)
             except BusError as error:
@@ -363,6 +406,7 @@ class Guard:
                     self.gone = True
                     raise
             if self._clock() - before >= silence:
-                self._dirty = False
+                self._dirty = self.is_noisy = False
                 return True
+        self.is_noisy = self.is_noisy or unhurried
         return False

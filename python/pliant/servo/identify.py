@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pliant import ServoError
+from pliant.servo import calibration
 from pliant.servo import status as words
+from pliant.servo.device import TRIPPED
 from pliant.servo.models import by_number
 from pliant.servo.transport import BusError
 from pliant.servo.wire import TURN
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 #: Ids that are tried when one is missing, to say what is there instead.
 NEARBY = 20
 OVERLOAD_BIT = 5
+#: Answers that are all later than this are held back by the adapter [s].
+HELD_BACK = 0.008
 SPEED_UNIT_BIT = 2  # of Feetech's Phase: set for 1 step/s
 
 
@@ -102,22 +106,22 @@ def identify(port: Port) -> tuple[Found, ...]:
     port.guard.find_absent({device.id for device in port.devices}, port.highest)
     images: list[tuple[Device, Image]] = []
     missing: list[Device] = []
-    wrong: list[str] = []
+    broken: list[tuple[Device, BusError]] = []
     for device in port.devices:
         try:
             image = read_image(port.guard, device)
         except BusError as error:
             if error.reason == "gone":
                 raise
+            if error.reason == "noisy":
+                raise ServoError(f"{port.path}: {error}") from error
             if error.reason == "timeout":
                 missing.append(device)
             else:
-                wrong.append(
-                    f"{device.name}: {error}. Two servos on one id look like this: connect them "
-                    "one by one and give each its own id with `pliant setup`"
-                )
+                broken.append((device, error))
             continue
         images.append((device, image))
+    wrong = _broken(port, broken, all_of_them=not images and not missing)
     if missing:
         wrong.insert(0, _missing(port, missing))
     found = []
@@ -135,13 +139,42 @@ def identify(port: Port) -> tuple[Found, ...]:
     if wrong:
         raise ServoError("\n".join(wrong))
     port.guard.turn = TURN + max(one.return_delay for one in found)
+    if note := _held_back(port):
+        found = [replace(one, notes=(*one.notes, note)) for one in found]
+    return tuple(found)
+
+
+def _held_back(port: Port) -> str:
+    """Say that the adapter holds answers back, as its driver says or as was measured."""
+    guard = port.guard
+    if guard.held_back > HELD_BACK and guard.held_back > (port.latency or 0.0):
+        port.latency = guard.latency = round(guard.held_back, 3)
+        return (
+            f"every answer on {port.path} comes {guard.held_back * 1e3:.0f} ms later than the wire "
+            "takes: an adapter that holds short answers back (16 ms is FTDI's default), which cuts "
+            "the rate of the loop: set its latency timer to 1 ms (docs/troubleshooting.md)"
+        )
     if port.latency is not None and port.latency > 0.001:
-        note = (
+        return (
             f"the latency timer of {port.path} is {port.latency * 1e3:.0f} ms, which every answer "
             "waits for: set it to 1 ms (docs/troubleshooting.md)"
         )
-        found = [replace(one, notes=(*one.notes, note)) for one in found]
-    return tuple(found)
+    return ""
+
+
+def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: bool) -> list[str]:
+    """Whose answers are none: two servos on one id, or, where it is everybody's, the line."""
+    if all_of_them and len(broken) > 1:
+        return [
+            f"{port.path}: every answer is broken ({broken[0][1]}). An adapter that hears its own "
+            "requests (switch its echo off) or adds bytes when it turns the line round, another "
+            "baud rate, or noise (cable, ground, termination)"
+        ]
+    return [
+        f"{device.name}: {error}. Two servos on one id look like this: connect them one by one and "
+        f"give each its own id (`pliant setup ARM --set-id OLD:NEW`); or the cable is bad"
+        for device, error in broken
+    ]
 
 
 def _missing(port: Port, missing: list[Device]) -> str:
@@ -159,7 +192,7 @@ def _missing(port: Port, missing: list[Device]) -> str:
     return (
         f"no answer on {port.path} from {names}; ids that answer: "
         f"{', '.join(map(str, answering))}. The servos behind a loose plug are silent too; an id "
-        "that should not be there is one to be set with `pliant setup`"
+        "that should not be there is set by `pliant setup ARM --set-id OLD:NEW`"
     )
 
 
@@ -172,9 +205,9 @@ def _check(device: Device, image: Image) -> list[str]:
         said = " or ".join(r.name for r in known)
         said = said or f"no {row.name} (it reads as model number {number}; `pliant scan` names it)"
         return [f"it is {said}, the configuration says {row.name} ({row.number})"]
-    wrong = _check_mode(device, image)
+    wrong = [*_check_mode(device, image), *calibration.differences(device, image)]
     if image["return_level"] < (1 if device.family.status == "feetech" else 2):
-        wrong.append("it does not acknowledge writes; set its Status Return Level with setup")
+        wrong.append("it does not acknowledge writes: `pliant setup` sets its Status Return Level")
     volts = image["voltage"] / 10.0
     low, high = _supply(device, image)
     if not low <= volts <= high:
@@ -184,6 +217,24 @@ def _check(device: Device, image: Image) -> list[str]:
             "there)"
         )
     return wrong
+
+
+def _remember(device: Device, image: Image) -> None:
+    """Note what is handed back once torque is off, and what is set while we drive.
+
+    Registers of a servo whose torque is on, or whose limit is 0, are those of a program that was
+    ended or of an overload: such a servo gets back what its power-up would have set.
+    """
+    family = device.family
+    device.unbound = {
+        name: value if isinstance(value, int) else image[value]
+        for name, value in family.unbound.items()
+    }
+    device.found = {name: image[name] for name in family.borrowed}
+    if device.torque_on or device.found["limit"] == 0:
+        device.found |= {"limit": image[family.ceiling], "speed_cap": 0}
+    if device.found.get("watchdog") == TRIPPED:
+        device.found["watchdog"] = 0
 
 
 def _supply(device: Device, image: Image) -> tuple[float, float]:
@@ -223,11 +274,14 @@ def _check_mode(device: Device, image: Image) -> list[str]:
     else:
         if image["position_min"] == image["position_max"]:
             wrong.append(
-                "its angle limits are equal, which is wheel or multi-turn mode: set them with "
-                "`pliant setup`"
+                "its angle limits are equal, which is wheel or multi-turn mode: `pliant setup` "
+                "sets them"
             )
         if "drive_mode" in image and image["drive_mode"] & 2:
-            wrong.append("it is the slave of a dual joint: make it a twin, with `pliant setup`")
+            wrong.append(
+                "it is the slave of a dual joint: `pliant setup` ends that; name it as the joint's "
+                "twin"
+            )
     return wrong
 
 
@@ -235,8 +289,14 @@ def _take(device: Device, image: Image) -> Found:
     """Take over ceilings, limits and gain, and say what is worth knowing."""
     row, family = device.row, device.family
     device.ceiling = min(image[family.ceiling], device.units.full)
+    if row.kind == "current" and image["pwm_limit"] < family.full_duty:
+        # The PWM bounds the torque too: at stall in proportion.
+        most = image["pwm_limit"] / family.full_duty * device.units.usable(device.units.full)
+        device.ceiling = min(device.ceiling, device.units.register(most))
     device.gain = image["gain"]
     device.torque_on = bool(image["torque_enable"])
+    device.standing = (image["goal"], image["limit"]) if device.torque_on else None
+    _remember(device, image)
     device.starved, _ = _supply(device, image)
     device.set_voltage(image["voltage"] / 10.0, image.time)
     device.temperature = float(image["temperature"])
@@ -249,7 +309,7 @@ def _take(device: Device, image: Image) -> Found:
         device.overload = image["overload_torque"] / 100.0
     if "hardware_error" in image:
         device.hardware = words.hardware(image["hardware_error"])
-    notes = []
+    notes = calibration.notes(device)
     if device.torque_on:
         notes.append(
             "its torque is on already: another program may be using the arm, or has left it up. "
@@ -268,6 +328,12 @@ def _take(device: Device, image: Image) -> Found:
     if device.ceiling < device.units.full and family.status != "p2":
         share = device.ceiling / device.units.full
         notes.append(f"its Max Torque is set to {share:.0%}, which is the ceiling of its limits")
+    if "pwm_limit" in image and image["pwm_limit"] < family.full_duty:
+        share = image["pwm_limit"] / family.full_duty
+        notes.append(
+            f"its PWM Limit is set to {share:.0%}, which bounds torque and speed: "
+            f"{device.units.usable(device.ceiling):.3g} N·m are left"
+        )
     return Found(
         device.spec.name,
         device.id,

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import time
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pliant.servo.guard import Guard
 from pliant.servo.transport import BusError, RustypotTransport
+from pliant.servo.wire import wire_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from pliant.servo.device import Device
     from pliant.servo.guard import Reply
+    from pliant.servo.models.row import Block
     from pliant.servo.models.row import Protocol as Wire
     from pliant.servo.transport import Transport
 
@@ -22,6 +25,10 @@ if TYPE_CHECKING:
 MISSES, PROBE = 3, 8
 #: A servo silent for longer may have restarted, with its torque off [s], or so many cycles.
 RESTART, RESTART_CYCLES = 0.1, 3.0
+#: Share of a cycle that a further request to all servos may take.
+ASK_ALL = 0.2
+#: One unit of the bus watchdog [s], its largest number, and how often setting it is tried.
+WATCHDOG_UNIT, MOST_WATCHDOG, ROUNDS = 0.02, 127, 4
 
 
 class Port:
@@ -38,6 +45,7 @@ class Port:
 
     Attributes:
         guard: All transactions go through it.
+        watchdog: Bus watchdog of the servos that have one [units of 20 ms]; 0 is off.
         latency: The adapter's latency timer [s]; None where it has none.
     """
 
@@ -74,9 +82,27 @@ class Port:
             absent=max(set(range(self.highest + 1)) - ids),
             stamp=clock,
         )
+        self._baudrate, self._cycle = baudrate, cycle
         self._restart = max(RESTART, RESTART_CYCLES * cycle)
+        self.watchdog = 0
+        self._is_armed = False
         self._misses: dict[int, int] = {}
         self._silent: dict[int, int] = {}
+
+    @property
+    def heard(self) -> list[Device]:
+        """Servos that are not left alone for their silence."""
+        return [device for device in self.devices if device.id not in self._silent]
+
+    def can_ask_all(self) -> bool:
+        """Whether one request reads a byte of all servos, within a fifth of a cycle."""
+        family = self.devices[0].family
+        if not family.sync_read or family.status != "p2" or self.guard.gone:
+            return False
+        wire = wire_time(
+            "p2", "sync_read", len(self.devices), 1, baudrate=self._baudrate, turn=self.guard.turn
+        )
+        return wire + (self.latency or 0.0) < ASK_ALL * self._cycle
 
     def close(self) -> None:
         """Let go of the port; the servos keep their last goal and limit."""
@@ -96,8 +122,7 @@ class Port:
         """
         self.guard.begin(budget)
         replies: dict[int, Reply] = {}
-        asked = [device for device in self.devices if device.id not in self._silent]
-        for group in _groups(asked, lambda d: (d.family.sync_read, d.family.read)):
+        for group in _groups(self.heard, lambda d: (d.family.sync_read, d.family.read)):
             replies |= self._together(group) if group[0].family.sync_read else self._alone(group)
         replies |= self._probe()
         taken = set()
@@ -118,14 +143,73 @@ class Port:
     def _look(self, device: Device) -> bool:
         """Read whether a servo's torque is on after a silence; False where it did not say.
 
-        One that has restarted gets no goals any more: on some they would switch its torque on.
+        One that has restarted gets no goals any more: on some they would switch its torque on. One
+        whose bus watchdog has tripped refuses them until that is cleared.
         """
         try:
             device.note(self.guard.read(device.id, device.family.block("torque_enable")))
+            if self._is_armed and "watchdog" in device.family.registers:
+                device.note(self.guard.read(device.id, device.family.block("watchdog")))
         except BusError as error:
             _pass_on(error)
             return False
+        self.revive([device])
         return True
+
+    def revive(self, devices: Iterable[Device]) -> None:
+        """Clear watchdogs that have tripped, and arm them again; what fails is tried next time.
+
+        Raises:
+            BusError: The port is gone.
+        """
+        for device in devices:
+            if not device.tripped:
+                continue
+            address = device.family.registers["watchdog"].address
+            try:
+                for units in dict.fromkeys((0, self.watchdog)):
+                    self.guard.write(device.id, address, bytes([units]))
+            except BusError as error:
+                _pass_on(error)
+            else:
+                device.tripped = False
+
+    def set_watchdog(self, seconds: float, budget: float) -> list[str]:
+        """Set the bus watchdog of the servos that have one, tripped or not.
+
+        By packets that need no answer, so that a line that is silent for now costs little; then it
+        is read back.
+
+        Args:
+            seconds: Silence after which they stop; 0 is never.
+            budget: Time for each of `ROUNDS` tries [s].
+
+        Returns:
+            Names of the servos that did not confirm.
+
+        Raises:
+            BusError: The port is gone.
+        """
+        self.watchdog = min(MOST_WATCHDOG, ceil(seconds / WATCHDOG_UNIT)) if seconds > 0.0 else 0
+        left = [d for d in self.devices if "watchdog" in d.family.registers]
+        self._is_armed = self._is_armed or bool(left and self.watchdog)
+        for _ in range(ROUNDS):
+            if not left:
+                break
+            self.guard.begin(budget)
+            ids, block = [d.id for d in left], left[0].family.block("watchdog")
+            try:
+                for units in dict.fromkeys((0, self.watchdog)):
+                    self.guard.sync_write(ids, block.address, [bytes([units])] * len(ids))
+            except BusError as error:
+                _pass_on(error)
+            answered = [device for device in left if self._reads(device, block)]
+            left = [d for d in left if d not in answered or d.watchdog != self.watchdog]
+            if not answered:
+                break
+        if not left and not self.watchdog:
+            self._is_armed = False
+        return [device.name for device in left]
 
     def write(self, packets: Sequence[tuple[Device, int, int, int]]) -> None:
         """Send goal, limit and speed cap registers, by sync writes for each kind of servo.
@@ -142,8 +226,17 @@ class Port:
             for names in family.write:
                 data = [device.packet(names, *values) for device, *values in group]
                 self.guard.sync_write(ids, family.registers[names[0]].address, data)
-            for device, _, limit, _ in group:
-                device.sent(limit)
+            for device, goal, limit, _ in group:
+                device.sent(goal, limit)
+
+    def _reads(self, device: Device, block: Block) -> bool:
+        """Take a block in; False where it did not come."""
+        try:
+            device.note(self.guard.read(device.id, block, again=False))
+        except BusError as error:
+            _pass_on(error)
+            return False
+        return True
 
     def _together(self, group: Sequence[Device]) -> dict[int, Reply]:
         """One request for all; where it fails, one by one, with the culprit last."""

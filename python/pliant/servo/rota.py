@@ -18,13 +18,28 @@ if TYPE_CHECKING:
 def parts(family: Family) -> tuple[Block, ...]:
     """What the rota reads of a servo, one block per step, latched faults first."""
     if family.status == "p2":
-        alone = ("hardware_error", "torque_enable", "limit", "watchdog")
+        alone = ("hardware_error", "torque_enable", "watchdog")
         return (
             *(family.block(name) for name in alone),
+            *echoes(family),
             family.block("voltage", "temperature"),
         )
     # Voltage and temperature come with every reading.
-    return (family.block("torque_enable", "limit"),)
+    return (family.block("torque_enable", "limit", "goal"),)
+
+
+def echoes(family: Family) -> tuple[Block, ...]:
+    """Blocks that say which goal and limit a servo has: as many as packets bring them."""
+    return tuple(
+        family.block(*(name for name in names if name in {"goal", "limit"}))
+        for names in family.write
+    )
+
+
+#: Faults that are told at once, and not when the joint's turn comes.
+ALARMS = frozenset({"torque", "jump", "port"})
+#: Whether torque is on is asked of all servos at once in every so many-th step.
+TORQUE_EVERY = 3
 
 
 class Rota:
@@ -42,19 +57,25 @@ class Rota:
         self._next = 0
         self._alarmed: set[int] = set()
         self._again = False
+        self._echo = self._count = 0
 
     def step(self, ports: Mapping[int, Port]) -> Health | None:
         """Read one block, and say what is known of its joint.
 
         A servo whose last answer carried an alert it has not been asked about is read first, and so
-        is one whose torque went off, and one whose limit read other than written: a lost packet and
-        a servo that refuses look alike until the next.
+        is one with an urgent fault, and one whose goal or limit read other than written: a lost
+        packet and a servo that refuses look alike until the next.
 
         Raises:
             BusError: The port is gone.
         """
+        self._count += 1
+        if self._count % TORQUE_EVERY == 0 and self._look_at_torque(ports):
+            return None
         device, block = self._choose()
         guard = ports[id(device)].guard
+        if guard.gone:
+            return self._health(device.joint)
         try:
             device.note(guard.read(device.id, block))
         except BusError as error:
@@ -63,13 +84,40 @@ class Rota:
             return None
         return self._health(device.joint)
 
+    def _look_at_torque(self, ports: Mapping[int, Port]) -> bool:
+        """Read with one request whether the torque of all servos of the next port is on.
+
+        Only where such a request exists and takes little of a cycle: torque that went off is then
+        noticed within a few ticks.
+        """
+        several = [port for port in dict.fromkeys(ports.values()) if port.can_ask_all()]
+        if not several:
+            return False
+        port = several[self._count // TORQUE_EVERY % len(several)]
+        asked = [d for d in port.heard if d.enabled]
+        if not asked:
+            return False
+        try:
+            block = asked[0].family.block("torque_enable")
+            replies = port.guard.sync_read([d.id for d in asked], block)
+        except BusError as error:
+            if error.reason == "gone":
+                raise
+            return True
+        for device in asked:
+            device.note(replies[device.id])
+        # One that lost it is an alarm: it is read next, in this step.
+        return all(d.enabled for d in asked)
+
     def _choose(self) -> tuple[Device, Block]:
         for joint in self._joints:
             for device in joint:
                 if device.doubted and not self._again:
                     self._again = True
-                    return device, device.family.block("limit")
-                alarm = bool(device.conditions) or "torque" in device.rota
+                    blocks = echoes(device.family)
+                    self._echo += 1
+                    return device, blocks[self._echo % len(blocks)]
+                alarm = bool(device.conditions) or not ALARMS.isdisjoint(device.rota)
                 if alarm and id(device) not in self._alarmed:
                     self._alarmed.add(id(device))
                     return device, parts(device.family)[0]

@@ -20,7 +20,10 @@ if TYPE_CHECKING:
     from pliant.servo.transport import Transport
 
 #: Registers that a set-up writes.
-SETS = ("return_delay", "return_level", "shutdown", "mode", "drive_mode", "shadow")
+SETS = (
+    "return_level", "return_delay", "shutdown", "mode", "drive_mode", "shadow_id",
+    "position_min", "position_max",
+)  # fmt: skip
 OVERLOAD_BIT = 5
 #: Operating modes: current-based position, position.
 CURRENT_POSITION, POSITION = 5, 3
@@ -28,6 +31,8 @@ CURRENT_POSITION, POSITION = 5, 3
 NO_SHADOW = 255
 #: Bits of the Drive Mode that are not wanted: follower, time-based profile, torque on by goal.
 UNWANTED = 0b1110
+#: Bit of the Drive Mode of Protocol 1.0 that makes a slave.
+SLAVE = 0b10
 
 
 @dataclass(frozen=True)
@@ -119,9 +124,10 @@ def _wanted(io: Transport, id: int, row: ServoModel, overload: bool) -> dict[str
     """Values by register, and why."""
     family = row.family
     out: dict[str, tuple[int, str]] = {}
+    # First, so that what follows is acknowledged.
+    out["return_level"] = (1 if family.status == "feetech" else 2, "acknowledges writes")
     if family.status != "feetech":
         out["return_delay"] = (0, "answers at once: the loop is up to four times as fast")
-        out["return_level"] = (2, "acknowledges writes")
         if overload:
             mask = read(io, id, family, "shutdown") & ~(1 << OVERLOAD_BIT)
             why = "a compliant arm sits at its limit; with this bit the servo drops the arm for it"
@@ -134,6 +140,13 @@ def _wanted(io: Transport, id: int, row: ServoModel, overload: bool) -> dict[str
         out["shadow_id"] = (NO_SHADOW, "obeys its own id only")
     elif family.status == "feetech":
         out["mode"] = (0, "position control")
+    else:
+        if read(io, id, family, "position_min") == read(io, id, family, "position_max"):
+            why = "position control, and not a wheel or several turns"
+            out["position_min"], out["position_max"] = (0, why), (row.counts, why)
+        if "drive_mode" in family.registers:
+            drive = read(io, id, family, "drive_mode") & ~SLAVE
+            out["drive_mode"] = (drive, "follows goals of its own")
     return out
 
 
@@ -164,22 +177,45 @@ def apply(io: Transport, family: Family, wanted: Sequence[Change]) -> None:
         _lock(io, first.id, family, locked=True)
 
 
-def rename(io: Transport, row: ServoModel, old: int, new: int, taken: Mapping[int, str]) -> None:
-    """Give a servo another id.
+def rename(io: Transport, joint: str, row: ServoModel, old: int, new: int) -> None:
+    """Give the only servo that answers to an id another one.
+
+    Args:
+        io: The open port.
+        joint: The joint that the new id belongs to, for the words.
+        row: Its model.
+        old: The id it answers to.
+        new: The id it is to have.
 
     Raises:
-        ServoError: The new id is taken, or the servo did not take it.
+        ServoError: It does not answer or is another model, its torque is on, the new id is taken,
+            or the servo did not take it.
     """
-    if new in taken or io.ping(new):
-        raise ServoError(f"id {new} is taken by {taken.get(new, 'a servo on this port')}")
+    check_rename(io, joint, row, old, new)
     family = row.family
-    if read(io, old, family, "torque_enable"):
-        raise ServoError(f"the torque of id {old} is on: switch it off first")
     _lock(io, old, family, locked=False)
     _write(io, old, family, "id", new)
-    if not io.ping(new):
-        raise ServoError(f"nobody answers to id {new} after id {old} was to take it")
+    try:
+        _is(io, joint, new, row)
+    except ServoError as error:
+        raise ServoError(f"id {old} did not become id {new}: {error}") from error
     _lock(io, new, family, locked=True)
+
+
+def check_rename(io: Transport, joint: str, row: ServoModel, old: int, new: int) -> None:
+    """See that `rename` can be done; writes nothing.
+
+    Raises:
+        ServoError: As there.
+    """
+    _is(io, joint, old, row)
+    if read(io, old, row.family, "torque_enable"):
+        raise ServoError(f"the torque of id {old} is on: switch it off first")
+    if io.ping(new):
+        raise ServoError(
+            f"a servo on this port answers to id {new} already: connect only the one that is to "
+            "get it"
+        )
 
 
 def read(io: Transport, id: int, family: Family, name: str) -> int:
@@ -197,8 +233,13 @@ def read(io: Transport, id: int, family: Family, name: str) -> int:
 
 
 def _write(io: Transport, id: int, family: Family, name: str, value: int) -> None:
+    """Write a register; whether it took the value is read back, as not every write is answered."""
     register = family.registers[name]
-    io.write(id, register.address, register.encode(value))
+    try:
+        io.write(id, register.address, register.encode(value))
+    except BusError as error:
+        if error.reason == "gone":
+            raise
 
 
 def _lock(io: Transport, id: int, family: Family, *, locked: bool) -> None:

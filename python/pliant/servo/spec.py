@@ -13,6 +13,7 @@ from pliant.servo.models import find
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from pliant.servo.calibration import Calibration
     from pliant.servo.models import ServoModel
 
 
@@ -37,6 +38,7 @@ class ServoSpec:
         torque_offset: Torque that the gears eat: ``torque = k · register - offset`` [N·m].
         kp: Stiffness of the joint as identified instead of what the gain register says [N·m/rad].
         friction, damping: Of the joint's gears as identified [N·m, N·m·s/rad].
+        calibration: LeRobot's file for this joint: the servo must still have it at open.
 
     Raises:
         ConfigError: A value is out of range or the model is not known.
@@ -57,6 +59,7 @@ class ServoSpec:
     kp: float | None = None
     friction: float | None = None
     damping: float | None = None
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from pliant.servo.models.row import Protocol as Wire
 
-Reason = Literal["timeout", "corrupt", "stale", "refused", "late", "gone"]
+Reason = Literal["timeout", "corrupt", "stale", "refused", "late", "noisy", "gone"]
 
 
 class BusError(ServoError):
@@ -24,7 +24,8 @@ class BusError(ServoError):
     Attributes:
         reason: `timeout`: no or no whole answer; `corrupt`: an answer that is none; `stale`: an
             answer to an earlier request; `refused`: the servo says it will not; `late`: nothing
-            was sent, as the cycle has no time left; `gone`: the port has vanished.
+            was sent, as the cycle has no time left; `noisy`: nothing was sent, as the line is never
+            silent; `gone`: the port has vanished.
         id: The servo whose answer failed, where that is known.
     """
 

@@ -36,6 +36,7 @@ from pliant.sim.scene import Fixture, Table, Wall, table
 from pliant.sim.socket import Socket
 from pliant.sim.state import Felt
 from pliant.sim.surface import Surface
+from pliant.sim.tabletop import Tabletop
 from pliant.sim.truth import Frame, Truth
 
 __all__ = [
@@ -67,6 +68,7 @@ __all__ = [
     "State",
     "Surface",
     "Table",
+    "Tabletop",
     "Truth",
     "Twist",
     "Wall",

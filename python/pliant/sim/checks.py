@@ -8,6 +8,7 @@ import numpy as np
 
 from pliant import ConfigError, Servos
 from pliant.arguments import given, instance, number
+from pliant.arm.tables import spread
 from pliant.sim.imperfections import Overload
 
 if TYPE_CHECKING:
@@ -37,6 +38,19 @@ def physics_steps(dt: float, rate: float) -> int:
 def table(servos: Any | None) -> Servos | None:
     """Check that a servo table is one, if there is one."""
     return None if servos is None else instance(servos, Servos, "servos")
+
+
+def extra(model: Any, servos: Any | None) -> dict[str, Servos]:
+    """Check the servo tables of off-chain joints; joints that the model lacks are left out."""
+    names = {joint.name for joint in model.joints} - set(model.joint_names)
+    found = {}
+    for name, own in dict(servos or {}).items():
+        instance(own, Servos, f"extra_servos[{name!r}]")
+        if name in model.joint_names:
+            raise ConfigError(f"extra_servos[{name!r}]: the joint is of the chain; use servos")
+        if name in names:
+            found[name] = spread(own, 1)
+    return found
 
 
 def protection(overload: Any | None) -> Overload | None:

@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pliant import ConfigError, ShapeError
+from pliant import ConfigError, Servos, ShapeError
+from pliant.arm.tables import spread
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
 Kind = Literal["current", "duty"]
@@ -92,65 +95,78 @@ def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> N
     return array
 
 
-def resolve(model: Any, servos: Any | None, kind: Kind | None) -> Gains:
-    """Turn a servo table, or the lack of one, into the numbers of the simulated servos.
+def tabulate(model: Any, servos: Servos | None, kind: Kind | None) -> Servos:
+    """Return the servo table of a model, n entries, or guesses from its efforts.
+
+    Args:
+        model: The robot; `model.servos` and `model.effort_limit` are used when `servos` is missing.
+        servos: The table, or None for the model's own, or for guesses from the efforts.
+        kind: Overrides the limit kind of the table.
+
+    Returns:
+        The table. ``kp_known`` of a guess is False.
+
+    Raises:
+        ConfigError: Nothing is known about a joint, or the kind is `duty` without a no-load speed.
+        ShapeError: The table is for another number of joints.
+    """
+    table = servos if servos is not None else getattr(model, "servos", None)
+    if table is None:
+        return _guess(model)
+    if kind not in {None, "current", "duty"}:
+        raise ConfigError(f"servo kind {kind!r} is unknown; choose 'current' or 'duty'")
+    if (kind or table.kind) == "duty" and table.no_load_speed is None:
+        raise ConfigError(
+            "servos of kind 'duty' need no_load_speed [rad/s]: it sets their back-EMF"
+        )
+    return spread(table, model.n) if kind is None else spread(table, model.n).replace(kind=kind)
+
+
+def resolve(table: Servos) -> Gains:
+    """Turn a servo table into the numbers of the simulated servos.
 
     A servo that limits its duty (PWM) gives ``clip(u, ±L) - (torque / w0) dq``: the back-EMF acts
     outside the limit, so a moving joint has less and a joint pushed backwards has more than L.
     Current-limited servos have no such term.
 
     Args:
-        model: The robot; `model.servos` and `model.effort_limit` are used when `servos` is missing.
-        servos: A `pliant.Servos`, or None for the model's own, or for guesses from the efforts.
-        kind: Overrides the limit kind of the table.
+        table: As `tabulate` returns it.
 
     Returns:
-        Arrays of shape (n,).
-
-    Raises:
-        ConfigError: Nothing is known about a joint, or the kind is `duty` without a no-load speed.
+        Arrays of the table's length.
     """
-    n = model.n
-    table = servos if servos is not None else getattr(model, "servos", None)
-    if table is None:
-        return _guess(model)
-    kind = kind or table.kind
-    if kind not in {"current", "duty"}:
-        raise ConfigError(f"servo kind {kind!r} is unknown; choose 'current' or 'duty'")
-    torque = per_joint(table.torque, n, "servos.torque", low=0.0)
-    damping = per_joint(table.damping, n, "servos.damping", low=0.0)
-    if kind == "duty":
-        if table.no_load_speed is None:
-            raise ConfigError(
-                "servos of kind 'duty' need no_load_speed [rad/s]: it sets their back-EMF"
-            )
-        damping = damping + torque / per_joint(
-            table.no_load_speed, n, "servos.no_load_speed", low=1e-6
-        )
+    damping = np.array(table.damping)
+    if table.kind == "duty" and table.no_load_speed is not None:
+        damping = damping + np.asarray(table.torque) / np.maximum(table.no_load_speed, 1e-6)
     return Gains(
-        kp=per_joint(table.kp, n, "servos.kp", low=0.0),
-        kv=per_joint(table.kv, n, "servos.kv", low=0.0),
-        torque=torque,
-        friction=per_joint(table.friction, n, "servos.friction", low=0.0),
+        kp=np.array(table.kp),
+        kv=np.array(table.kv),
+        torque=np.array(table.torque),
+        friction=np.array(table.friction),
         damping=damping,
-        armature=per_joint(table.armature, n, "servos.armature", low=0.0),
+        armature=np.array(table.armature),
     )
 
 
-def _guess(model: Any) -> Gains:
+def _guess(model: Any) -> Servos:
     """Servos guessed from the URDF's efforts, for a first look at an unidentified robot."""
     effort = [np.nan if e is None else float(e) for e in model.effort_limit]
     unknown = [name for name, e in zip(model.joint_names, effort, strict=True) if not e > 0.0]
     if unknown:
         raise ConfigError(
-            f"nothing is known about the servos of {', '.join(unknown)}: "
-            "no table, no effort in the model; pass servos=pliant.Servos(...)"
+            f"nothing is known about the servos of {', '.join(unknown)}: no table, no effort in "
+            "the URDF; name their models in [servo] of a configuration file, or pass "
+            "servos=pliant.Servos(...)"
         )
-    torque = np.array(effort)
+    return guess(effort)
+
+
+def guess(effort: Sequence[float]) -> Servos:
+    """Return servos of which only the effort is known [N·m]."""
+    torque = np.array(effort, dtype=np.float64)
     kp = torque / FULL_EFFORT_ERROR
-    return Gains(
+    return Servos(
         kp=kp,
-        kv=np.zeros_like(kp),
         torque=torque,
         friction=FRICTION_SHARE * torque,
         damping=DAMPING_SHARE * torque,

@@ -45,6 +45,9 @@ class Hand(Protocol):
 class Course:
     """When a hand acts: a ramp from 0 to 1, then 1, then gone.
 
+    Times are on the clock of the plant, which is `Tick.began`: an arm of `connect` uses the first
+    half second to take up torque, before a `Loop` begins and `Tick.time` is 0.
+
     Attributes:
         start: Beginning [s].
         rise: Length of the ramp [s].

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pliant import Servos
 from pliant.sim._mujoco import mujoco
-from pliant.sim.gains import DAMPING_SHARE, FULL_EFFORT_ERROR
+from pliant.sim.gains import DAMPING_SHARE, FULL_EFFORT_ERROR, resolve
 from pliant.sim.tree import as_matrix, kind_of, locked_angle, unit
 
 if TYPE_CHECKING:
@@ -80,12 +81,27 @@ def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Any) -> None:
     if joint.mimic is not None:
         mj.armature = FOLLOWER_ARMATURE
         return
-    effort = joint.effort or OFF_CHAIN_EFFORT
-    mj.armature = OFF_CHAIN_ARMATURE * effort
-    set_damping(mj, DAMPING_SHARE * effort)
+    table = out.extra.get(joint.name)
+    if table is None:
+        table = out.extra[joint.name] = off_chain_servo(joint.effort)
+    gains = resolve(table)
+    mj.armature = gains.armature[0]
+    mj.frictionloss = gains.friction[0]
+    set_damping(mj, gains.damping[0])
     angle = locked_angle(joint)
     limited = mj.limited == mujoco.mjtLimited.mjLIMITED_TRUE
     out.held[joint.name] = float(np.clip(angle, *mj.range)) if limited else angle
+
+
+def off_chain_servo(effort: float | None) -> Servos:
+    """Return the servo of an off-chain joint of which only the effort is known [N·m]."""
+    torque = effort or OFF_CHAIN_EFFORT
+    return Servos(
+        kp=[torque / FULL_EFFORT_ERROR],
+        torque=[torque],
+        damping=[DAMPING_SHARE * torque],
+        armature=[OFF_CHAIN_ARMATURE * torque],
+    )
 
 
 def _limit(mj: mujoco.MjsJoint, lower: float | None, upper: float | None) -> None:
@@ -192,10 +208,9 @@ def add_servos(out: Build, gains: Gains) -> None:
     out.chain = list(out.model.joint_names)
     for name, kp, kv, torque in zip(out.chain, gains.kp, gains.kv, gains.torque, strict=True):
         servo(out.spec, name, kp, kv, torque)
-    by_name = {joint.name: joint for joint in out.model.joints}
     for name in out.held:
-        effort = by_name[name].effort or OFF_CHAIN_EFFORT
-        servo(out.spec, name, effort / FULL_EFFORT_ERROR, 0.0, effort)
+        own = resolve(out.extra[name])
+        servo(out.spec, name, own.kp[0], own.kv[0], own.torque[0])
 
 
 def servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, torque: float) -> None:

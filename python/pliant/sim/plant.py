@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pliant import ConfigError, Model, ShapeError
+from pliant import ConfigError, Model, PliantError, ShapeError
 from pliant.arguments import given, instance
 from pliant.arm.state import State
 from pliant.sim import checks
@@ -19,7 +19,7 @@ from pliant.sim._mujoco import mujoco
 from pliant.sim.bank import ServoBank
 from pliant.sim.bus import Bus
 from pliant.sim.friction import Friction, Gears
-from pliant.sim.gains import per_joint, resolve
+from pliant.sim.gains import per_joint, resolve, tabulate
 from pliant.sim.state import Felt, Order
 from pliant.sim.tree import last_moving
 from pliant.sim.truth import TOOL, WRIST, Truth
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from pliant import Servos
     from pliant.sim.gains import Kind
     from pliant.sim.hand import Hand
     from pliant.sim.imperfections import Overload
@@ -48,6 +49,8 @@ class Plant:
     Args:
         model: The robot; the world frame is its base frame.
         servos: Servo table; default the model's own, or guesses from its efforts.
+        extra_servos: Servo of an off-chain joint, one entry each, by the joint's name; default
+            guesses from their efforts.
         dt: Physics step [s].
         rate: Control rate [Hz]; a period must be a whole number of physics steps.
         delay: Ticks from sampling to read(), and from write() to the servo.
@@ -80,6 +83,9 @@ class Plant:
         rate, period, dt: Control rate [Hz], control period and physics step [s].
         steps: Physics steps per period.
         gains: The true servos.
+        table: The servos as the table has them (n,): what an arm may believe.
+        extra_tables: The same of each off-chain joint that has a servo, one entry each.
+        tabulated: The numbers of `table`, without `kp_scale` and the other scales.
         write_delay: From write() to the servos [s].
         hands: What each hand did, in the order of the scene.
         mj_model, mj_data, spec: MuJoCo's own objects, for pictures and pages.
@@ -104,6 +110,7 @@ class Plant:
         model: Robot,
         servos: Any | None = None,
         *,
+        extra_servos: Mapping[str, Servos] | None = None,
         dt: float = 0.001,
         rate: float = 100.0,
         delay: tuple[int, int] = (0, 0),
@@ -134,9 +141,9 @@ class Plant:
         self.model, self.dt, self.rate = model, float(dt), float(rate)
         self.period = 1.0 / self.rate
         checks.off_chain(off_chain)
-        self.gains = resolve(model, checks.table(servos), kind).scaled(
-            kp_scale, friction_scale, damping_scale
-        )
+        self.table = tabulate(model, checks.table(servos), kind)
+        self.tabulated = resolve(self.table)
+        self.gains = self.tabulated.scaled(kp_scale, friction_scale, damping_scale)
         self._bus = Bus(
             n,
             delay=delay,
@@ -158,7 +165,9 @@ class Plant:
             payload=checks.load(payload),
             backlash=per_joint(backlash, n, "backlash", low=0.0),
             creep=checks.creep(creep),
+            extra=checks.extra(model, extra_servos),
         )
+        self.extra_tables = {name: built.extra[name] for name in built.held}
         for fixture in self._fixtures:
             fixture.add(built)
         self.spec = built.spec
@@ -187,6 +196,11 @@ class Plant:
         self.reset(np.where(finite, (np.where(finite, lower, 0) + upper) / 2, 0.0))
 
     # The bus: what hardware has too.
+
+    @property
+    def sent(self) -> Order:
+        """Last order sent: goals (n,) [rad] and limits (n,) [N·m]."""
+        return self._bus.sent
 
     def read(self) -> State:
         """Return what the bus reports in this tick: delayed, rounded, or repeated when lost."""
@@ -247,7 +261,7 @@ class Plant:
         for felt in self.hands:
             felt.end(steps)
         if not np.isfinite(self.mj_data.qpos).all():
-            raise ConfigError(
+            raise PliantError(
                 f"the simulation diverged at t = {self.time:.3f} s with dt {self.dt:g} s"
             )
         self._forward()

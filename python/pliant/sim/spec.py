@@ -18,10 +18,13 @@ from pliant.sim._mujoco import mujoco
 from pliant.sim.tree import groups, quat_of
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
+    from pliant import Servos
     from pliant.sim.gains import Gains
-    from pliant.sim.tree import OffChain, Robot
+    from pliant.sim.tree import Group, OffChain, Robot
 
 
 @dataclass
@@ -34,14 +37,20 @@ class Build:
         chain: MuJoCo joint per chain coordinate, length n.
         held: MuJoCo joint by name of an off-chain joint with an actuator of its own, and its angle
             at rest.
+        extra: Servo of each off-chain joint, one entry each, by the joint's name.
         backlash: Joints with play behind the gear.
+        groups: Links that never move against each other, parents first.
+        bodies: MuJoCo body of each group.
     """
 
     spec: mujoco.MjSpec
     model: Robot
     chain: list[str] = field(default_factory=list)
     held: dict[str, float] = field(default_factory=dict)
+    extra: dict[str, Servos] = field(default_factory=dict)
     backlash: list[str] = field(default_factory=list)
+    groups: list[Group] = field(default_factory=list)
+    bodies: list[mujoco.MjsBody] = field(default_factory=list)
 
 
 def build(
@@ -53,6 +62,7 @@ def build(
     payload: tuple[float, NDArray[np.float64]] | None = None,
     backlash: NDArray[np.float64],
     creep: float = 1.0,
+    extra: Mapping[str, Servos] | None = None,
 ) -> Build:
     """Make the specification of an arm with one torque-limited position servo per chain joint.
 
@@ -69,6 +79,8 @@ def build(
             tool.
         backlash: Full play behind each gear (n,) [rad].
         creep: How fast joints creep that friction holds, over what MuJoCo's do by default.
+        extra: Servos of off-chain joints, one entry each, by name; others are guessed from their
+            efforts.
 
     Returns:
         The specification and its names; contacts are off, the integrator is `implicitfast`.
@@ -88,9 +100,9 @@ def build(
     spec.compiler.balanceinertia = True
     spec.compiler.degree = False
 
-    out = Build(spec, model)
-    cut = groups(model, off_chain)
-    made: list[mujoco.MjsBody] = []
+    out = Build(spec, model, extra=dict(extra or {}))
+    cut = out.groups = groups(model, off_chain)
+    made = out.bodies
     for group in cut:
         parent = spec.worldbody if group.parent is None else made[group.parent]
         body = parent.add_body(

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from pliant import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pliant.arm import Arm
     from pliant.sim import Drag
 
@@ -18,8 +20,37 @@ AFTER, TAKES, LETS_GO = 0.5, 3.0, 4.5
 STIFFNESS, LIMIT = 800.0, 30.0
 
 
+def prepare(arm: Arm) -> Callable[[], None]:
+    """Load what a hand needs: importing the simulator takes 0.6 s, too long between two ticks.
+
+    Args:
+        arm: A simulated or emulated arm.
+
+    Returns:
+        A function that lets the hand lead the tool, beginning then; it returns at once.
+
+    Raises:
+        ConfigError: A real arm: there are hands enough.
+        ImportError: The extra `sim` is missing.
+    """
+    from pliant import sim  # noqa: F401 - loaded here, used in _hands
+
+    drive, reach = arm.drive, arm.model.reach
+    plant, emulator = getattr(drive, "plant", None), getattr(drive, "emulator", None)
+    if plant is None and emulator is None:
+        raise ConfigError("a scripted hand leads only arms with --backend sim or emulator")
+
+    def lead() -> None:
+        if plant is not None:
+            plant.set_hands(_hands(plant.time, reach))
+        elif emulator is not None:
+            emulator.call("plant.set_hands", _hands(emulator.call("plant.time"), reach))
+
+    return lead
+
+
 def lead(arm: Arm) -> None:
-    """Let a hand lead the tool, beginning now; the call returns at once.
+    """Let a hand lead the tool, beginning now.
 
     Args:
         arm: A simulated or emulated arm.
@@ -27,14 +58,7 @@ def lead(arm: Arm) -> None:
     Raises:
         ConfigError: A real arm: there are hands enough.
     """
-    drive, reach = arm.drive, arm.model.reach
-    plant, emulator = getattr(drive, "plant", None), getattr(drive, "emulator", None)
-    if plant is not None:
-        plant.set_hands(_hands(plant.time, reach))
-    elif emulator is not None:
-        emulator.call("plant.set_hands", _hands(emulator.call("plant.time"), reach))
-    else:
-        raise ConfigError("a scripted hand leads only arms with --backend sim or emulator")
+    prepare(arm)()
 
 
 def _hands(now: float, reach: float) -> list[Drag]:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant import ConfigError
+from pliant.inputs import LARGE, read_text
+from pliant.outputs import check_output, replacing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -231,7 +233,16 @@ class Motion:
         return replace(self, time=self.time[chosen], q=self.q[chosen], extra=extra, start=None)
 
     def save(self, path: str | Path) -> None:
-        """Write JSON: one sample a line, so that two versions can be compared."""
+        """Write JSON: one sample a line, so that two versions can be compared.
+
+        A motion that is there is replaced at the end, never left half written.
+
+        Raises:
+            ConfigError: The file is there and is no motion, or must not be written.
+            OSError: The disk does not take it.
+        """
+        path = Path(path)
+        check_output(path, "motion")
         rows = np.column_stack((self.time, self.q, *self.extra.values()))
         head = {
             "format": FORMAT,
@@ -243,7 +254,8 @@ class Motion:
         }
         samples = ",\n  ".join(json.dumps([round(x, DIGITS) for x in row]) for row in rows.tolist())
         text = json.dumps(head, indent=1, ensure_ascii=False)[:-2]
-        Path(path).write_text(f'{text},\n "samples": [\n  {samples}\n ]\n}}\n', encoding="utf-8")
+        with replacing(path) as beside:
+            beside.write_text(f'{text},\n "samples": [\n  {samples}\n ]\n}}\n', encoding="utf-8")
 
     @classmethod
     def logged(cls, log: Log) -> Motion:
@@ -272,7 +284,7 @@ class Motion:
 
             return cls.logged(read(path))
         try:
-            data: Any = json.loads(path.read_text(encoding="utf-8"))
+            data: Any = json.loads(read_text(path, LARGE))
             if data["format"] != FORMAT:
                 raise ConfigError(f"{path} is {data['format']!r}, this pliant reads {FORMAT!r}")
             rows = np.array(data["samples"], dtype=np.float64)

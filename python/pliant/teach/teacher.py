@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
-from pliant import ConfigError
+from pliant import ConfigError, PliantError
 from pliant.teach.motion import Motion
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 #: What `teach` tells when it begins to keep.
 RECORDING = "recording"
+#: What `teach` tells where the caller asks the user.
+STARTS_AND_STOPS = "Enter starts and stops"
 #: Share of a gripper's range from its closed end within which it is pressed.
 PRESSED = 0.15
 #: Share of its torque limit with which a gripper follows the hand.
@@ -128,6 +130,7 @@ def teach(
     rate: float | None = None,
     said: Callable[[Teacher, State], bool] | None = None,
     tell: Callable[[str], None] = lambda _: None,
+    interrupted: Callable[[Motion], None] = lambda _: None,
 ) -> Motion:
     """Float an enabled arm, record what a hand does to it, trim and smooth it.
 
@@ -142,24 +145,60 @@ def teach(
         rate: Ticks per second [Hz]; None: the arm's.
         said: Asked at every tick whether the user has just said start, or stop.
         tell: Gets a line at every change, for a screen.
+        interrupted: Gets the motion as led so far where an exception, Ctrl-C too, ends the
+            recording; the exception goes on. It should return at once: the arm is lowered after it.
 
     Returns:
         The motion, trimmed and smoothed.
 
     Raises:
-        ConfigError: Nothing was led.
+        PliantError: Nothing was led.
         ServoError: As in a `Loop`.
     """
     rate = arm.rate if rate is None else rate
-    teacher, begun = Teacher(arm, rate=rate), 0.0
+    teacher = Teacher(arm, rate=rate)
     tell("do not touch: the arm swings a little to find its weight")
+    try:
+        _record(
+            arm,
+            teacher,
+            rate=rate,
+            seconds=seconds,
+            rest=rest,
+            wait=wait,
+            said=said,
+            tell=tell,
+        )
+    except BaseException:
+        if teacher.recording and teacher.moved:
+            interrupted(teacher.stop())
+        raise
+    motion = teacher.stop().trimmed().smoothed().of(arm.model)
+    tell(f"kept {motion.duration:.1f} s")
+    return motion
+
+
+def _record(
+    arm: Arm,
+    teacher: Teacher,
+    *,
+    rate: float,
+    seconds: float | None,
+    rest: float,
+    wait: float,
+    said: Callable[[Teacher, State], bool] | None,
+    tell: Callable[[str], None],
+) -> None:
+    """Turns from the first swing to the end of the recording."""
+    begun = 0.0
     for tick in pliant.Loop(arm, rate=rate):
         before = teacher.ready
         tick.write(teacher.step(tick.state), teacher.extra(tick.state))
         if not teacher.ready:
             continue
         if not before:
-            tell("ready: lead the arm" + ("" if said is None else "; Enter starts and stops"))
+            ends = f"a rest of {rest:g} s ends the recording" if said is None else STARTS_AND_STOPS
+            tell(f"ready: lead the arm; {ends}")
             begun = tick.time
         now = said is not None and said(teacher, tick.state)
         if not teacher.recording and (said is None or now):
@@ -175,7 +214,4 @@ def teach(
         ):
             break
         if late > wait and not teacher.moved:
-            raise ConfigError(f"nobody led the arm within {wait:g} s")
-    motion = teacher.stop().trimmed().smoothed().of(arm.model)
-    tell(f"kept {motion.duration:.1f} s")
-    return motion
+            raise PliantError(f"nobody led the arm within {wait:g} s")

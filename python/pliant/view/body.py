@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant.sim import Plant
+from pliant.view.visuals import visuals
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -27,15 +29,17 @@ class Body:
     Attributes:
         plant: The simulation; of a real arm it is one that never runs.
         simulated: Whether it is where the arm is.
+        visuals: Shapes of the arm's URDF that can be drawn.
     """
 
-    def __init__(self, arm: Arm) -> None:
-        """Find the simulation, or build one to draw."""
+    def __init__(self, arm: Arm, urdf: Path | None = None) -> None:
+        """Find the simulation, or build one to draw; `urdf` is the arm's file, if it has one."""
         plant = getattr(arm.drive, "plant", None)
         self.simulated = plant is not None
         self.plant: Plant = plant if plant is not None else Plant(arm.model)
         self._model = arm.model
         mj = self.plant.mj_model
+        self.visuals = visuals(arm.model, mj, urdf)
         self._at = {mj.joint(i).name: int(mj.jnt_qposadr[i]) for i in range(mj.njnt)}
 
     def pose(self, q: Array, extra: Mapping[str, float]) -> Array:

@@ -59,13 +59,19 @@ class Desk:
     """
 
     def __init__(self, axes: str, rate: float, own: Settings | None = None) -> None:
-        """Begin with the file's settings, or soft in y."""
-        self._task, self._rate = axes, rate
+        """Begin with the file's settings; soft in y where no file says anything of an axis."""
+        self._rate = rate
         self._makers = _presets(axes)
-        if own is not None:
-            self._makers = {OWN: lambda: own, **self._makers}
-        self.firm = False
         self.preset = next(iter(self._makers))
+        if own is not None:
+            self._makers = {OWN: lambda: own, **_within(self._makers, own)}
+            if _is_plain(own):
+                # All the rest is as in the file.
+                first = self._axes(self._makers[self.preset]())
+                self._makers[self.preset] = lambda: own.replace(axes=first)
+            else:
+                self.preset = OWN
+        self.firm = False
         self.settings = self._make(self.preset)
 
     @property
@@ -87,7 +93,8 @@ class Desk:
         if not self.firm:
             return self.settings
         axes: dict[str, pliant.Axis] = {
-            name: axis.replace(yields="none", eta=0.0) for name, axis in self.settings.axes.items()
+            name: axis.replace(yields="none", eta=0.0)
+            for name, axis in self._axes(self.settings).items()
         }
         return self.settings.replace(axes=axes)
 
@@ -108,7 +115,7 @@ class Desk:
             raise ConfigError(str(error).replace("Axis.", f"{where}.", 1)) from error
 
     def _change(self, order: orders.Edit, controller: Controller) -> None:
-        axes: dict[str, pliant.Axis] = {name: axis for name, axis in self.settings.axes.items()}
+        axes = self._axes(self.settings)
         match order:
             case orders.Preset(name=preset):
                 self.begin(preset)
@@ -147,9 +154,8 @@ class Desk:
             name: fields_of(axis) for name, axis in controller.strengths.items()
         }
         if self.firm:
-            for name, axis in self.settings.axes.items():
-                if name in axes:
-                    axes[name]["yields"], axes[name]["eta"] = yields_of(axis), axis.eta
+            for name, axis in self._axes(self.settings).items():
+                axes[name]["yields"], axes[name]["eta"] = yields_of(axis), axis.eta
         return Shown(
             law=controller.settings.law,
             preset=self.preset,
@@ -157,6 +163,11 @@ class Desk:
             axes=axes,
             thresholds=controller.report(q).thresholds,
         )
+
+    @staticmethod
+    def _axes(settings: Settings) -> dict[str, pliant.Axis]:
+        """Axes of the task: `Settings.axes` lists all six, and refuses changes of the others."""
+        return {name: a for name, a in settings.axes.items() if name in settings.task.names}
 
     def _make(self, name: str) -> Settings:
         if name not in self._makers:
@@ -174,6 +185,27 @@ def yields_of(axis: pliant.Axis) -> Literal["both", "+", "-", "none"]:
     if axis.yields is not None:
         return axis.yields
     return "none" if axis.soft is None and axis.firm is None else "both"
+
+
+def _is_plain(settings: Settings) -> bool:
+    """Tell whether the settings say nothing of any axis of their task."""
+    return all(settings.axes[name] == pliant.Axis() for name in settings.task.names)
+
+
+def _within(
+    makers: dict[str, Callable[[], Settings]], own: Settings
+) -> dict[str, Callable[[], Settings]]:
+    """Let presets go no faster than the file says."""
+
+    def slow(make: Callable[[], Settings]) -> Callable[[], Settings]:
+        def made() -> Settings:
+            out = make()
+            (speed, turn), (most, most_turn) = out.max_tool_speed, own.max_tool_speed
+            return out.replace(max_tool_speed=(min(speed, most), min(turn, most_turn)))
+
+        return made
+
+    return {name: slow(make) for name, make in makers.items()}
 
 
 def _presets(axes: str) -> dict[str, Callable[[], Settings]]:

@@ -1,41 +1,75 @@
-"""Who may look: a token in the link, then a cookie, and no page of another origin.
+"""Access control of the page: a random token that the page's script sends with its web socket.
 
 A page that moves a robot must not be open to every program and every web page on the machine. The
-link carries a random token; who comes with it gets a cookie that scripts cannot read and other
-sites cannot send. Web sockets ask for the cookie and for their own origin.
+token is in the fragment of the link, which a browser sends to no server. A script in the page keeps
+it in the tab's session storage, which is separate for every host and port, and sends it in the
+address of the web socket. There is no cookie: a browser would send it to every other server on the
+same host, and two pages on one machine would overwrite each other's.
 """
 
 from __future__ import annotations
 
 import functools
+import gzip
 import hmac
 import http
 import ipaddress
+import logging
 import secrets
-from http.cookies import SimpleCookie
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
+import viser
 import websockets.asyncio.server
 from websockets.datastructures import Headers
 from websockets.http11 import Response
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request
 
-#: Bytes of randomness in a token.
+#: Random bytes in a token.
 BYTES = 24
-COOKIE = "pliant-view"
-REFUSED = (
-    "This page moves a robot: open it by the link that `pliant view` prints on its terminal.\n"
-)
+REFUSED = "This page moves a robot: open it by the link that `pliant view` prints on its terminal."
+#: Document that viser serves; its scripts and styles are inside it.
+INDEX = Path(viser.__file__).parent / "client" / "build" / "index.html"
+#: Takes the token out of the address, and adds it to the address of viser's web socket. viser opens
+#: the socket in a worker, which is told the address by a message.
+SCRIPT = """<script>
+(() => {
+  const found = location.hash.match(/^#token=([\\w-]+)$/);
+  if (found) {
+    sessionStorage.setItem("pliant-token", found[1]);
+    history.replaceState(null, "", location.pathname);
+  }
+  addEventListener("hashchange", () => location.reload());
+  const token = sessionStorage.getItem("pliant-token");
+  if (token === null) {
+    location.replace("/refused");
+    return;
+  }
+  const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+  const post = Worker.prototype.postMessage;
+  Worker.prototype.postMessage = function (message, ...more) {
+    if (message && message.type === "set_server") {
+      message = { ...message, server: `${scheme}//${location.host}/?token=${token}` };
+    }
+    return post.call(this, message, ...more);
+  };
+})();
+</script>"""
+#: Headers of every answer: no cache, no referrer, no frame of another page.
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
 
 
 class Gate:
-    """Asks every request for the token.
+    """Answers every request to the page's server, and lets in web sockets that carry the token.
 
     Attributes:
         token: Random, new in each run.
@@ -45,60 +79,70 @@ class Gate:
         """Draw a token."""
         self.token = secrets.token_urlsafe(BYTES)
 
-    def judge(self, request: Request) -> Response | str | None:
-        """A refusal, a cookie to be set, or None where the request may pass as it is."""
-        if request.headers.get("Upgrade", "").lower() == "websocket":
-            here = request.headers.get("Origin", "")
-            own = urlsplit(here).netloc == request.headers.get("Host", "") != ""
-            return None if own and self._knows(request) else self._refuse()
-        given = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
-        if given and hmac.compare_digest(given.encode(), self.token.encode()):
-            return f"{COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
-        return None if self._knows(request) else self._refuse()
+    def judge(self, request: Request) -> Response | None:
+        """Return the answer to a request; None lets a web socket in.
 
-    def _knows(self, request: Request) -> bool:
-        for line in request.headers.get_all("Cookie"):
-            for name, crumb in SimpleCookie(line).items():
-                right = hmac.compare_digest(crumb.value.encode(), self.token.encode())
-                if name == COOKIE and right:
-                    return True
-        return False
+        A web socket needs the token, and the origin of the page itself. Everything else gets the
+        page's document, which holds no secret, or a refusal.
+        """
+        address = urlsplit(request.path)
+        if ",".join(request.headers.get_all("Upgrade")).lower() == "websocket":
+            return None if self._own(request, address.query) else _text(http.HTTPStatus.FORBIDDEN)
+        if address.path == "/refused":
+            return _text(http.HTTPStatus.FORBIDDEN)
+        if address.path not in {"/", "/index.html"}:
+            return _text(http.HTTPStatus.NOT_FOUND)
+        zipped = "gzip" in ",".join(request.headers.get_all("Accept-Encoding"))
+        return _answer(http.HTTPStatus.OK, "text/html", _document(zipped), zipped=zipped)
 
-    @staticmethod
-    def _refuse() -> Response:
-        text = REFUSED.encode()
-        headers = Headers({"Content-Type": "text/plain", "Content-Length": str(len(text))})
-        return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, text)
+    def _own(self, request: Request, query: str) -> bool:
+        """Tell whether a web socket is of this run's page."""
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        if len(hosts) != 1 or len(origins) != 1 or urlsplit(origins[0]).netloc != hosts[0]:
+            return False
+        sent = parse_qs(query).get("token", [])
+        return len(sent) == 1 and hmac.compare_digest(sent[0].encode(), self.token.encode())
 
     def close(self) -> None:
-        """Let every server of this process that starts from now on ask.
+        """Let every server that this process starts from now on ask.
 
-        viser has no place for that, so the function by which it starts is replaced; `viser<1.2`,
-        and a test asks for the page without the token.
+        viser has no hook for requests, so the function by which it starts is replaced; `viser<1.2`,
+        and a test opens a web socket without the token.
         """
         inner = websockets.asyncio.server.serve
 
         @functools.wraps(inner)
-        def serve(
-            *args: Any, process_request: Callable[..., Any] | None = None, **more: Any
-        ) -> Any:
-            def ask(connection: ServerConnection, request: Request) -> Response | None:
-                judged = self.judge(request)
-                if isinstance(judged, Response):
-                    return judged
-                answer: Response | None = None
-                if process_request is not None:
-                    answer = process_request(connection, request)
-                if judged is not None and answer is not None:
-                    answer.headers["Set-Cookie"] = judged
-                    answer.headers["Referrer-Policy"] = "no-referrer"
-                    answer.headers["Cache-Control"] = "no-store"
-                return answer
+        def serve(*args: Any, process_request: Any = None, **more: Any) -> Any:
+            def ask(_: ServerConnection, request: Request) -> Response | None:
+                return self.judge(request)
 
             return inner(*args, process_request=ask, **more)
 
+        # A request that is none (a port scan) is no traceback on the terminal.
+        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
         # A class of that name, of which viser uses the call alone: a function will do.
         vars(websockets.asyncio.server)["serve"] = serve
+
+
+@functools.cache
+def _document(zipped: bool) -> bytes:
+    """Viser's page with our script before its own."""
+    text = INDEX.read_text(encoding="utf-8")
+    body = text.replace("<head>", f"<head>{SCRIPT}", 1).replace("<title>Viser<", "<title>pliant<")
+    return gzip.compress(body.encode()) if zipped else body.encode()
+
+
+def _text(status: http.HTTPStatus) -> Response:
+    return _answer(status, "text/plain", f"{REFUSED}\n".encode())
+
+
+def _answer(status: http.HTTPStatus, kind: str, body: bytes, *, zipped: bool = False) -> Response:
+    headers = Headers(HEADERS)
+    headers["Content-Type"] = f"{kind}; charset=utf-8"
+    headers["Content-Length"] = str(len(body))
+    if zipped:
+        headers["Content-Encoding"] = "gzip"
+    return Response(status.value, status.phrase, headers, body)
 
 
 def is_loopback(host: str) -> bool:

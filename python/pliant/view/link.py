@@ -1,7 +1,8 @@
 """The pipe between the loop and the page, which is a process of its own.
 
 The loop never waits for the page: a snapshot is sent only when the last one has been taken, so the
-pipe never holds more than one.
+pipe never holds more than one. The page cannot starve the loop: its orders are coalesced on both
+sides, and a tick takes a bounded number of them.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ import sys
 import threading
 import time
 from multiprocessing.connection import Connection
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from pliant import PliantError
-from pliant.view.orders import Order
+from pliant.view.orders import Edit, Order, Queue
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -28,6 +30,10 @@ if TYPE_CHECKING:
 FRAMES = 30.0
 #: How long the page may take to come up, and to go [s].
 PATIENCE = 30.0
+#: How often the page passes orders on at most [s], and the words that one look at the pipe takes.
+PASSED, WORDS = 0.02, 4
+#: Least time between two edits of the settings [s].
+EDITS = 0.05
 
 
 class PageGone(PliantError):
@@ -36,6 +42,10 @@ class PageGone(PliantError):
 
 class Taken:
     """The page's word that it has taken a snapshot."""
+
+
+class Heard:
+    """The loop's word that it has taken orders, and may be sent the next."""
 
 
 class Ready:
@@ -82,7 +92,7 @@ class Link:
         theirs.close()
         self._pipe = Connection(ours.detach())
         self._free, self._due = True, 0.0
-        self._heard: list[Order] = []
+        self._waiting, self._edit_due = Queue(), 0.0
         self.address = self._come_up()
 
     def _come_up(self) -> str:
@@ -98,7 +108,7 @@ class Link:
         raise PliantError("the page's process did not come up; its own words stand above")
 
     def orders(self) -> list[Order]:
-        """What the page has asked for since the last call.
+        """Return what the page asks for next: `orders.PER_TICK` at most, and edits not too often.
 
         Raises:
             PageGone: Its process has ended.
@@ -107,18 +117,25 @@ class Link:
             raise PageGone(
                 "the page's process has ended, so nobody could stop the arm from there any more"
             )
-        heard, self._heard = self._heard, []
-        return heard
+        now = time.perf_counter()
+        out = self._waiting.take(edit=now >= self._edit_due)
+        if any(isinstance(order, Edit) for order in out):
+            self._edit_due = now + EDITS
+        return out
 
     def _listen(self) -> bool:
-        """Take what has come in; whether the page is still there."""
+        """Take what has come in, within bounds; return whether the page is still there."""
         try:
-            while self._pipe.poll():
+            for _ in range(WORDS):
+                if not self._pipe.poll():
+                    break
                 heard = self._pipe.recv()
-                if isinstance(heard, Order):
-                    self._heard.append(heard)
-                else:
+                if isinstance(heard, Taken):
                     self._free = True
+                    continue
+                self._pipe.send(Heard())
+                for order in heard:
+                    self._waiting.put(order)
         except (EOFError, OSError):
             return False
         return True
@@ -161,24 +178,58 @@ class Link:
 
 
 class Ear:
-    """The page's end."""
+    """The page's end. Orders pass only after the loop has taken those before: the pipe stays empty.
+
+    Otherwise a page that floods would fill it, and both ends would wait for each other.
+    """
 
     def __init__(self, descriptor: int) -> None:
         """Take over the inherited end of the pipe."""
         os.set_inheritable(descriptor, False)
         self._pipe, self._lock = Connection(descriptor), threading.Lock()
+        self._waiting, self._changed, self._free = Queue(), threading.Condition(), True
+        self._words: SimpleQueue[Any] = SimpleQueue()
+        for work in (self._receive, self._pass_on):
+            threading.Thread(target=work, daemon=True).start()
 
-    def say(self, word: Order | Ready | Failed) -> None:
+    def say(self, word: Ready | Failed | Taken | list[Order]) -> None:
         """Tell the loop; nothing where it has ended."""
         with self._lock, contextlib.suppress(OSError):
             self._pipe.send(word)
 
+    def ask(self, order: Order) -> None:
+        """Pass an order on soon, unless a later one replaces it before; never blocks."""
+        with self._changed:
+            self._waiting.put(order)
+            self._changed.notify()
+
     def listen(self) -> Any:
-        """The next stage or snapshot, which is then taken; None once the loop has ended."""
-        try:
-            heard = self._pipe.recv()
-            with self._lock:
-                self._pipe.send(Taken())
-        except (EOFError, OSError):
-            return None
-        return heard
+        """Return the next stage or snapshot, which is then taken; None once the loop has ended."""
+        word = self._words.get()
+        if word is not None:
+            self.say(Taken())
+        return word
+
+    def _receive(self) -> None:
+        """Sort what the loop says."""
+        while True:
+            try:
+                word = self._pipe.recv()
+            except (EOFError, OSError):
+                self._words.put(None)
+                return
+            if not isinstance(word, Heard):
+                self._words.put(word)
+                continue
+            with self._changed:
+                self._free = True
+                self._changed.notify()
+
+    def _pass_on(self) -> None:
+        """Send the orders that wait, a few at a time."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._free and len(self._waiting) > 0)
+                out, self._free = self._waiting.take(), False
+            self.say(out)
+            time.sleep(PASSED)

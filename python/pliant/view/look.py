@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -27,8 +27,12 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+#: Cause of a message: a refused order of one kind, or what ended the arm's life.
+Cause = Literal["target", "hand", "settings", "fault"]
 #: How often the report is made anew [s].
 REPORT = 1.0
+#: How long a refused order stays on the page, where nothing takes it away before [s].
+REFUSED = 12.0
 
 
 class Look:
@@ -47,6 +51,8 @@ class Look:
         self._link, self._health = link, Health(rate=rate)
         self.phase: Phase = "starting"
         self.said: tuple[int, str, bool] = (0, "", False)
+        self._cause: Cause | None = None
+        self._said_at = -np.inf
         self.edit, self.shown = 0, None
         self.hand: VisitorHand | None = None
         self.forget_report()
@@ -60,10 +66,16 @@ class Look:
         self._contact: pliant.Contact | None = None
         self.phase, self.hand = "starting", None
 
-    def say(self, text: str, *, wrong: bool = False) -> None:
-        """Tell the page something, once."""
-        if text != self.said[1] or not wrong:
-            self.said = (self.said[0] + 1, text, wrong)
+    def say(self, text: str, cause: Cause) -> None:
+        """Show an error on the page until its cause is gone."""
+        if (text, cause) != (self.said[1], self._cause):
+            self.said = (self.said[0] + 1, text, True)
+        self._cause, self._said_at = cause, time.perf_counter()
+
+    def settle(self, *causes: Cause) -> None:
+        """Take the error away if it has one of these causes."""
+        if self._cause in causes:
+            self.said, self._cause = (self.said[0] + 1, "", False), None
 
     def forget_report(self) -> None:
         """Make it anew: settings have changed."""
@@ -107,7 +119,7 @@ class Look:
             locked=controller.locked,
         )
         self._health = self._punctuality(loop)
-        self._link.send(self._snapshot(tick.q, dict(tick.state.extra), tick.time))
+        self._link.send(self._snapshot(tick.q, dict(tick.state.extra), tick.began))
 
     def _punctuality(self, loop: Loop) -> Health:
         """Of the loop; where simulated time is paced, of that."""
@@ -147,6 +159,8 @@ class Look:
         self._link.send(self._snapshot(q, by_name, self._arm.clock.now()))
 
     def _snapshot(self, q: Array, extra: dict[str, float], now: float) -> Snapshot:
+        if time.perf_counter() - self._said_at > REFUSED:
+            self.settle("target", "hand", "settings")
         running = self.phase == "running"
         tool = np.asarray(self._arm.model.forward_kinematics(q))
         felt = None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -30,6 +30,11 @@ PHASES = {
     "down": ("torque is off", "#5b6675"),
 }
 LINEAR = ("x", "y", "z")
+#: Full scales of deviation bars [mm, °], softness from which an axis counts as soft, and the sides
+#: to which an axis gives way.
+STEPS = (20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0)
+SOFT_ENOUGH = 0.01
+SIDES = {"both": (-1.0, 1.0), "+": (1.0,), "-": (-1.0,)}
 #: Bound of a force from which on nothing is said of it [N].
 UNKNOWN = 1000.0
 
@@ -48,23 +53,24 @@ def health(h: Health) -> str:
     """One line on the loop's punctuality."""
     if not h.ticks:
         return _box("<span>the loop has not run yet</span>")
+    late = _hint("ticks late by", "How long after its time a tick of the loop begins")
     slow = ""
     if h.speed < 0.95:
         slow = f' · <b style="color:{FULL}">slow motion, {h.speed:.0%}: a busy computer</b>'
     odd = [f"{count} {name}" for name, count in _troubles(h) if count]
     delay = "" if h.delay is None else f" · delay {1e3 * h.delay:.1f} ms"
     return _box(
-        f"<b>{h.rate:g} Hz</b> · late {1e3 * h.p50:.2f} ms (half), {1e3 * h.p99:.2f} ms (99 %)"
+        f"<b>{h.rate:g} Hz</b> · {late} {1e3 * h.p50:.2f} ms (median), {1e3 * h.p99:.2f} ms (99 %)"
         f"{delay} · {', '.join(odd) if odd else 'no tick missed'}{slow}"
     )
 
 
 def _troubles(h: Health) -> tuple[tuple[str, int], ...]:
     return (
-        ("missed", h.missed),
-        ("without positions", h.stale),
-        ("not sent", h.refused),
-        ("started anew", h.restarts),
+        ("missed ticks", h.missed),
+        ("ticks without positions", h.stale),
+        ("commands not sent", h.refused),
+        ("restarts", h.restarts),
     )
 
 
@@ -79,19 +85,53 @@ def _point(pose: Array) -> str:
     return f"x {x}, y {y}, z {z} mm"
 
 
-def axes(stage: Stage, shown: Shown, step: Step) -> str:
-    """A row per task axis: deviation against d-, d+; push-back against its cap; compliance."""
+def ranges(stage: Stage, shown: Shown, step: Step, before: Mapping[str, float]) -> dict[str, float]:
+    """Return the full scale of the deviation bars [mm, °], one for all axes of a unit.
+
+    A scale holds the largest deviation and the first threshold of every soft axis. It grows at
+    once, and shrinks only when less than a third of it is used.
+
+    Args:
+        stage: The axes.
+        shown: Thresholds.
+        step: Deviations.
+        before: The scales so far, by unit.
+    """
+    needed: dict[str, float] = {}
+    for i, name in enumerate(stage.axes):
+        unit, scale = unit_of(name)
+        soft = step.softness[i] > SOFT_ENOUGH
+        room = max(abs(step.deviation[i]), shown.thresholds[i][0] if soft else 0.0)
+        needed[unit] = max(needed.get(unit, 0.0), 1.2 * scale * float(room))
+    out = {}
+    for unit, most in needed.items():
+        held = before.get(unit, 0.0)
+        fits = held >= most and (held <= STEPS[0] or 3.0 * most > held)
+        out[unit] = held if fits else next((s for s in STEPS if s >= most), STEPS[-1])
+    return out
+
+
+def unit_of(axis: str) -> tuple[str, float]:
+    """Return the unit in which a deviation is shown, and its size in m or rad."""
+    return ("mm", 1e3) if axis in LINEAR else ("°", 180.0 / np.pi)
+
+
+def axes(stage: Stage, shown: Shown, step: Step, full: Mapping[str, float]) -> str:
+    """Return a row per task axis: offset of the tool, push-back against its cap, compliance.
+
+    The bars of one unit have one scale, from -full to +full; thin lines mark d- and d+. The sign is
+    the tool's: pushed toward +y, it is at + from its target.
+    """
     rows = []
     paper = shown.law == "paper"
     for i, name in enumerate(stage.axes):
         linear = name in LINEAR
-        scale, unit = (1e3, "mm") if linear else (180.0 / np.pi, "°")
-        low, high = shown.thresholds[i]
-        soft = step.softness[i] > 0.01
-        away = step.deviation[i]
-        full = 1.25 * max(high, 1e-9)
-        marks = (low / full, high / full) if soft else ()
+        unit, scale = unit_of(name)
+        soft = step.softness[i] > SOFT_ENOUGH
         colour = SOFT if soft else STIFF
+        off = -scale * float(step.deviation[i])
+        signs = SIDES.get(shown.axes[name]["yields"], ()) if soft else ()
+        marks = [sign * scale * float(d) for sign in signs for d in shown.thresholds[i]]
         force = step.wrench[i] if step.wrench.size == len(stage.axes) else 0.0
         cap = step.strength[i]
         push = (
@@ -100,19 +140,27 @@ def axes(stage: Stage, shown: Shown, step: Step) -> str:
             else f"{abs(force):.1f} of {cap:.3g} {'N' if linear else 'N·m'}"
         )
         share = 0.0 if paper else abs(force) / max(cap, 1e-9)
-        off = round(scale * float(away))
         rows.append(
             "<tr>"
             f'<td style="font-weight:600;color:{colour}">{name}</td>'
-            f"<td>{_bar(abs(away) / full, colour, marks)}</td>"
-            f'<td style="text-align:right;white-space:nowrap">{off:+d} {unit}</td>'
+            f"<td>{_offset(off / full[unit], colour, [m / full[unit] for m in marks])}</td>"
+            f'<td style="text-align:right;white-space:nowrap">{round(off):+d} {unit}</td>'
             f"<td>{_bar(share, FULL if share > 0.98 else colour)}</td>"
             f'<td style="text-align:right;white-space:nowrap">{push}</td>'
             f'<td style="text-align:right">{step.compliance[i] * step.softness[i]:.0%}</td>'
             "</tr>"
         )
-    head = ("", "deviation", "", "push-back", "of its cap", "soft")
-    return _table(head, rows, (32, 62, 50, 62, 86, 38))
+    limits = ", ".join(f"±{value:g} {unit}" for unit, value in full.items())
+    head = (
+        "",
+        _hint("off target", "Where the tool is from its target"),
+        "",
+        "push-back",
+        "of its cap",
+        _hint("soft", "Softness times compliance: 100 % gives way, 0 % holds"),
+    )
+    legend = f'<div style="opacity:0.6;font-size:11px">bars: {limits}; lines: d⁻ and d⁺</div>'
+    return _table(head, rows, (32, 66, 60, 66, 80, 34)) + _box(legend)
 
 
 def felt(stage: Stage, what: Felt) -> str:
@@ -127,7 +175,10 @@ def felt(stage: Stage, what: Felt) -> str:
         sure = abs(what.force[i]) > what.bound[i]
         number = f"{what.force[i]:+.1f} ± {what.bound[i]:.1f}"
         words.append(f'{name} <b style="color:{FULL}">{number}</b>' if sure else f"{name} {number}")
-    return _box(f"felt at the tool [N]: {' · '.join(words)}")
+    title = _hint(
+        "felt at the tool [N]", "Force on the tool, from joint positions alone, ± its bound"
+    )
+    return _box(f"{title}: {' · '.join(words)}")
 
 
 def joints(stage: Stage, step: Step) -> str:
@@ -180,18 +231,35 @@ def notice(text: str, wrong: bool) -> str:
     )
 
 
-def _bar(share: float, colour: str, marks: tuple[float, ...] = ()) -> str:
-    """A bar that is full at 1, with thin lines at the marks."""
-    width = 100.0 * min(max(share, 0.0), 1.0)
+def _offset(share: float, colour: str, marks: Sequence[float] = ()) -> str:
+    """A bar from the middle to -1 or +1, with thin lines at the marks that are on the scale."""
+    width = 50.0 * min(abs(share), 1.0)
+    left = 50.0 if share >= 0.0 else 50.0 - width
     lines = "".join(
-        f'<i style="position:absolute;left:{100.0 * min(m, 1.0):.1f}%;top:-2px;bottom:-2px;'
-        'width:1px;background:#333"></i>'
-        for m in marks
+        f'<i style="position:absolute;left:{50.0 + 50.0 * m:.1f}%;top:-2px;bottom:-2px;'
+        f'width:1px;background:{"#bbb" if m == 0.0 else "#333"}"></i>'
+        for m in (0.0, *marks)
+        if abs(m) <= 1.0
     )
     return (
         f'<div style="position:relative;height:8px;border-radius:4px;background:{TRACK}">'
+        f'<div style="position:absolute;left:{left:.1f}%;width:{width:.1f}%;height:100%;'
+        f'background:{colour}"></div>{lines}</div>'
+    )
+
+
+def _hint(word: str, text: str) -> str:
+    """A word that is explained where the mouse rests on it."""
+    return f'<span title="{escape(text)}" style="cursor:help">{word}</span>'
+
+
+def _bar(share: float, colour: str) -> str:
+    """A bar that is full at 1."""
+    width = 100.0 * min(max(share, 0.0), 1.0)
+    return (
+        f'<div style="position:relative;height:8px;border-radius:4px;background:{TRACK}">'
         f'<div style="width:{width:.1f}%;height:100%;border-radius:4px;background:{colour}"></div>'
-        f"{lines}</div>"
+        "</div>"
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
+
+
+#: Orders that wait at most, and that are carried out in one tick.
+MOST, PER_TICK = 64, 8
+#: Fields of an axis that another law replaces.
+STRENGTHS = frozenset({"soft", "firm", "hold", "stiffness", "damping"})
 
 
 class Order:
@@ -133,25 +139,63 @@ class Start(Order):
     """Torque on again."""
 
 
-def latest(heard: Sequence[Order]) -> list[Order]:
-    """The same without those that a later one makes pointless: a slider says everything thrice."""
-    out: list[Order] = []
-    seen: set[object] = set()
-    for order in reversed(heard):
-        key = _key(order)
-        if key is None or key not in seen:
-            out.append(order)
-            seen.add(key)
-    return out[::-1]
+class Queue:
+    """Orders that wait to be carried out: bounded, and without those that a later one replaces.
+
+    A slider says everything thrice, and a page that floods must neither starve the loop nor fill
+    the memory.
+    """
+
+    def __init__(self) -> None:
+        """Hold no order."""
+        self._waiting: list[Order] = []
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def put(self, order: Order) -> None:
+        """Add an order, in place of those that it makes pointless; the oldest go beyond `MOST`."""
+        left = [held for held in self._waiting if not _replaces(order, held)]
+        if len(left) >= MOST:
+            del left[next(i for i, held in enumerate(left) if not isinstance(held, Stop))]
+        self._waiting = [*left, order]
+
+    def take(self, *, edit: bool = True) -> list[Order]:
+        """Remove and return the next orders: a stop first, at most `PER_TICK`, at most one edit.
+
+        Args:
+            edit: Whether an edit may be among them. One of another set of axes takes milliseconds.
+        """
+        out: list[Order] = [held for held in self._waiting if isinstance(held, Stop)]
+        rest: list[Order] = []
+        for held in self._waiting:
+            is_edit = isinstance(held, Edit)
+            if isinstance(held, Stop):
+                continue
+            if len(out) >= PER_TICK or (is_edit and not edit):
+                rest.append(held)
+                continue
+            out.append(held)
+            edit = edit and not is_edit
+        self._waiting = rest
+        return out
 
 
-def _key(order: Order) -> object | None:
-    """Orders of one key replace each other; None: each counts."""
-    match order:
-        case Change(axis=axis, fields=fields):
-            return Change, axis, tuple(fields)
-        case Target() | Push() | Eta():
-            return type(order)
-        case Grab(point=None):
-            return Grab
-    return None
+def _replaces(new: Order, old: Order) -> bool:
+    """Tell whether an order makes an earlier one pointless."""
+    match new, old:
+        case Preset(), Edit():
+            return True
+        case Law(), Change(fields=fields):
+            return set(fields) <= STRENGTHS
+        case Change(axis=axis, fields=fields), Change(axis=before, fields=had):
+            return axis == before and set(had) <= set(fields)
+        case Grab(point=None), Grab(point=None):
+            return True
+        case Grab(point=None), _:
+            return False
+        case ((Push() | Grab() | LetGo()), (Push() | Grab() | LetGo())):
+            return True
+        case ((Target() | Home()), (Target() | Home())):
+            return True
+    return type(new) is type(old) and not isinstance(new, Change)

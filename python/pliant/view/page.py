@@ -47,7 +47,7 @@ class Page:
         gate.close()
         self.server = viser.ViserServer(host=host, port=port, verbose=False, label="pliant")
         name = host if host not in {"0.0.0.0", "::"} else "localhost"
-        self.link = f"http://{name}:{self.server.get_port()}/?token={gate.token}"
+        self.link = f"http://{name}:{self.server.get_port()}/#token={gate.token}"
         self._tell = tell
         self.world: World | None = None
         self.panel: Panel | None = None
@@ -90,7 +90,7 @@ def main(descriptor: int, host: str, port: int) -> int:
         family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, socket.SOCK_STREAM) as probe:
             probe.bind(address)
-        page = Page(ear.say, host, port)
+        page = Page(ear.ask, host, port)
     except OSError as error:
         ear.say(Failed(f"the page cannot listen on {host}:{port}: {error}"))
         return 1

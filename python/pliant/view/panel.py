@@ -34,6 +34,7 @@ class Panel:
         self._stage, gui = stage, server.gui
         gui.reset()
         self._drawn = -np.inf
+        self._ranges: dict[str, float] = {}
         self._report: tuple[str, ...] = ()
         self._last: tuple[str, ...] | None = None
         self.stop = StopPanel(server, stage, tell)
@@ -64,7 +65,8 @@ class Panel:
         self._drawn = now.time
         self._health.content = meters.health(now.health)
         if now.step is not None and now.shown is not None:
-            self._axes.content = meters.axes(self._stage, now.shown, now.step)
+            self._ranges = meters.ranges(self._stage, now.shown, now.step, self._ranges)
+            self._axes.content = meters.axes(self._stage, now.shown, now.step, self._ranges)
             self._joints.content = meters.joints(self._stage, now.step)
             self._matrix.content = meters.matrix(self._stage, now.step)
             self._plots.show(now)

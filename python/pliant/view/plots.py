@@ -1,4 +1,4 @@
-"""Curves of the last half minute: deviation, softness, torque limits."""
+"""Curves of the last 20 seconds: the tool off its target, softness, torque limits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 #: Length of a curve [s], and points per second.
 LENGTH, POINTS = 20.0, 10.0
-HEIGHT = 118
+HEIGHT = 94
 LIMITS = "Torque limits [%], joints coloured as above"
 
 
@@ -53,7 +53,7 @@ class Plot:
             data=(np.array((-LENGTH, 0.0)), *([empty] * len(names))),
             series=series,
             scales=self._scales(low, high),
-            axes=(uplot.Axis(size=30), uplot.Axis(size=40)),
+            axes=(uplot.Axis(size=30), uplot.Axis(size=40, space=18)),
             legend=uplot.Legend(show=False),
             padding=(4, 10, 0, 0),
             height=HEIGHT,
@@ -92,7 +92,7 @@ class Plots:
         self._linear = [i for i, name in enumerate(stage.axes) if name in {"x", "y", "z"}]
         names = tuple(stage.axes[i] for i in self._linear)
         self._usable, self._last = stage.usable, -np.inf
-        self._away = Plot(gui, "Deviation [mm]", names, -20.0, 20.0)
+        self._away = Plot(gui, "Off target [mm]", names, -20.0, 20.0)
         self._soft = Plot(gui, "Soft [%]", stage.axes, 0.0, 100.0)
         self._limit = Plot(gui, LIMITS, stage.joints, 0.0, 100.0, named=False)
 
@@ -102,7 +102,7 @@ class Plots:
         if step is None or 0.0 <= now.time - self._last < 1.0 / POINTS:
             return
         self._last = now.time
-        self._away.add(now.time, 1e3 * step.deviation[self._linear])
+        self._away.add(now.time, -1e3 * step.deviation[self._linear])
         self._soft.add(now.time, 100.0 * step.compliance * step.softness)
         self._limit.add(now.time, 100.0 * step.limit / self._usable)
         for plot in (self._away, self._soft, self._limit):

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Speed of a target that plays [m/s], how far it goes [m], and how long it rests there [s].
 SPEED, WAY, REST = 0.06, 0.26, 1.5
+#: Where small arms stand: the gripper ahead, with room to every side [rad].
+AHEAD = {"so101": (0.0, -0.3, 0.3, 0.9, 0.0), "koch": (0.0, -0.3, 0.3, 0.9, 0.0)}
 #: Way into the wall, and its distance [m].
 INTO, DISTANCE = 0.12, 0.05
 #: When a person who is asked takes the object, and how long the pull lasts [s].
@@ -74,7 +76,7 @@ def scenes(robot: str) -> tuple[pliant.Model, Mapping[str, Scene]]:
     """
     if robot != "arm7":
         arm = anyarm.load(anyarm.Source(name=robot))
-        return arm.model, of_any(arm.pose)
+        return arm.model, of_any(np.array(AHEAD.get(robot, arm.pose)))
     free = Scene(
         about="Nothing around it: push the arm, or drag its target.", preset="soft y", q=VERTICAL
     )

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 import pliant
-from pliant import PliantError, ServoError
+from pliant import ConfigError, PliantError, ServoError
 from pliant.loop import Loop
-from pliant.view import orders, scenes
+from pliant.view import checks, orders, scenes
 from pliant.view.body import Body
 from pliant.view.desk import Desk
 from pliant.view.hand import VisitorHand
@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pliant import Controller
+    from pliant import Command, Controller
     from pliant.arm import Arm
     from pliant.log import Recorder
+    from pliant.loop import Tick
     from pliant.view.link import Link
     from pliant.view.source import Source
 
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 #: How often orders are looked for while no loop runs [s].
 IDLE = 0.03
+#: Arms of the package, by the name in their URDF.
+NAMES = {"so101_like": "SO-101 (simplified)", "koch_like": "Koch (simplified)"}
 #: Share of `hold` with which a visitor may push.
 STRONG = 1.0
 
@@ -59,6 +62,9 @@ class Session:
         self._source, self._link, self._log = source, link, log
         self._life = 0
         self.loop: Loop | None = None
+        self._played: float | None = None
+        self._strong = 0.0, 0.0
+        self.target = self._accepted = np.eye(4)
         self.look = Look(link, source.rate)
         self.desk = Desk(source.axes, source.rate, source.settings)
         self._fresh = True
@@ -81,7 +87,7 @@ class Session:
                 if self.look.shown is None:
                     raise
                 # Whoever looks at the page shall read it, and may try again.
-                self.look.say(str(error), wrong=True)
+                self.look.say(str(error), "fault")
             self.look.phase = "down"
             if self._life == lives:
                 return
@@ -93,7 +99,7 @@ class Session:
         """Torque on, control, torque off."""
         arm = self._source.arm()
         tap = arm.drive = Tap(arm.drive)
-        self._arm, self._body = arm, Body(arm)
+        self._arm, self._body = arm, Body(arm, self._source.urdf)
         self._pace = Pace(arm.clock) if self._source.paced else None
         self.look.at(arm, self._body, tap, self._pace)
         tap.on_read = self.look.on_read
@@ -102,7 +108,7 @@ class Session:
                 self._control(arm)
             except ServoError as error:
                 # Not only once it is down: it may take a minute.
-                self.look.say(str(error), wrong=True)
+                self.look.say(str(error), "fault")
                 raise
             finally:
                 # Whatever ends it, the page sees the arm come down.
@@ -127,18 +133,34 @@ class Session:
     def _turns(self, arm: Arm, controller: Controller, recorder: Recorder | None) -> None:
         """Until somebody wants something else."""
         self.look.phase = "running"
+        self.look.settle("target", "hand", "settings", "fault")
         loop = self.loop = Loop(arm, controller, rate=self._source.rate)
         for tick in loop:
             self._take(controller)
-            self._scripted(tick.time)
+            self._scripted(tick.began)
             self.look.before_step(tick, loop)
-            command = controller.step(tick.q, self.target, dt=tick.dt)
+            command = self._step(tick, controller)
             tick.write(command)
             if recorder is not None:
                 recorder.add(tick, command)
             self.look.after_step(tick, controller, command, self.target, loop)
             if self._next is not None:
                 return
+
+    def _step(self, tick: Tick, controller: Controller) -> Command:
+        """Step toward the target, or toward the one before where the controller refuses it."""
+        try:
+            command = controller.step(tick.q, self.target, dt=tick.dt)
+        except ServoError:
+            raise
+        except (PliantError, ValueError) as error:
+            if self.target is self._accepted:
+                raise
+            self.target, self._played = self._accepted, None
+            command = controller.step(tick.q, self.target, dt=tick.dt)
+            self.look.say(str(error), "target")
+        self._accepted = self.target
+        return command
 
     def _begin(self, arm: Arm) -> Controller:
         """The controller, the hand, and what the page must know first."""
@@ -148,8 +170,8 @@ class Session:
         self._fresh = False
         controller = pliant.Controller(arm.model, self.desk.effective, arm.servos)
         self.home = np.asarray(arm.model.forward_kinematics(q))
-        self.target = self.home.copy()
-        self._played: float | None = None
+        self.target = self._accepted = self.home.copy()
+        self._played = None
         strengths = controller.strengths
         strong = [STRONG * float(axis.hold or 0.0) for axis in strengths.values()]
         names = tuple(strengths)
@@ -160,12 +182,13 @@ class Session:
             plant = self._body.plant
             self._hand = self.look.hand = VisitorHand(max(linear, default=0.0))
             plant.set_hands([*(felt.hand for felt in plant.hands), self._hand])
-        push = None if self._hand is None else (max(linear, default=0.0), max(turning, default=0.0))
+        self._strong = max(linear, default=0.0), max(turning, default=0.0)
+        push = None if self._hand is None else self._strong
         self.look.feel(controller)
         self.look.shown = self.desk.show(controller, q)
         stage = Stage(
             figure=self._body.plant.mj_model,
-            arm=arm.model.name,
+            arm=display_name(arm.model.name),
             where=self._source.where,
             axes=names,
             joints=arm.model.joint_names,
@@ -180,6 +203,8 @@ class Session:
             strong=push,
             force=max(linear, default=0.0),
             reach=arm.model.reach,
+            visuals=self._body.visuals,
+            table=self._source.table,
         )
         self._link.send(stage)
         return controller
@@ -188,24 +213,29 @@ class Session:
 
     def _take(self, controller: Controller | None) -> None:
         """Do what the page has asked for since the last tick."""
-        for order in orders.latest(self._link.orders()):
+        for order in self._link.orders():
             self.take(order, controller)
 
     def take(self, order: orders.Order, controller: Controller | None) -> None:
-        """Do one thing; what is refused is said, and nothing has changed."""
+        """Do one thing; say why where it is refused, and change nothing."""
+        if self._next == "stop" and not isinstance(order, orders.Edit):
+            return
         match order:
             case orders.Edit(number=number):
                 self.look.edit = number
                 if controller is not None:
                     self._edit(order, controller)
-            case orders.Target(pose=pose):
-                self.target, self._played = np.asarray(pose, dtype=np.float64), None
+            case orders.Target():
+                self._lead(order)
             case orders.Home():
                 self.target, self._played = self.home.copy(), None
+                self.look.settle("target")
             case orders.Stop():
                 self._next = "stop"
             case orders.Start():
-                self._next = "start"
+                # A click that comes late must not end the life that it asked for.
+                if self.look.phase == "down":
+                    self._next = "start"
             case orders.Scene(name=name):
                 if name in self._source.scenes:
                     self._source.name, self._next, self._fresh = name, "scene", True
@@ -214,24 +244,43 @@ class Session:
             case _:
                 self._touch(order)
 
+    def _lead(self, order: orders.Target) -> None:
+        """Take a new target that the arm can reach."""
+        try:
+            pose = checks.target(order, self._arm.model)
+        except ConfigError as error:
+            self.look.say(f"{error}; the old target stays", "target")
+            return
+        self.target, self._played = pose, None
+        self.look.settle("target")
+
     def _touch(self, order: orders.Order) -> None:
         """The visitor's hand."""
         hand = self._hand
         if hand is None:
             return
-        match order:
-            case orders.Push(force=force, torque=torque, seconds=seconds):
-                hand.push(force, torque, self._body.plant.time + seconds)
-            case orders.Grab(body=body, point=point, toward=toward):
-                hand.grab(self._body.plant, body, point, toward)
-            case orders.LetGo():
-                hand.let_go()
+        try:
+            match order:
+                case orders.Push(force=force, torque=torque, seconds=seconds):
+                    checks.push(order, self._strong)
+                    hand.push(force, torque, self._body.plant.time + seconds)
+                case orders.Grab(body=body, point=point, toward=toward):
+                    checks.grab(order)
+                    hand.grab(self._body.plant, body, point, toward)
+                case orders.LetGo():
+                    hand.let_go()
+        except ConfigError as error:
+            self.look.say(str(error), "hand")
+            return
+        self.look.settle("hand")
 
     def _edit(self, order: orders.Edit, controller: Controller) -> None:
         try:
             self.desk.take(order, controller)
         except PliantError as error:
-            self.look.say(str(error), wrong=True)
+            self.look.say(str(error), "settings")
+        else:
+            self.look.settle("settings")
         self.look.shown = self.desk.show(controller)
         self.look.forget_report()
 
@@ -265,3 +314,8 @@ class Session:
             clock.wait_until(clock.now() + IDLE)
             if self._pace is not None:
                 self._pace.wait()
+
+
+def display_name(name: str) -> str:
+    """Return the name of an arm as people write it; a simplified arm of ours says so."""
+    return NAMES.get(name, name)

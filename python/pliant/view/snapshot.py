@@ -11,6 +11,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from pliant.view.visuals import Visual
+
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]
     Phase = Literal["starting", "running", "lowering", "down"]
@@ -37,6 +39,8 @@ class Stage:
         strong: Force [N] and torque [N·m] that fill the push sliders; None: nobody can push.
         force: Force [N] that the longest arrow stands for.
         reach: Of the arm [m].
+        visuals: Shapes of the arm's URDF.
+        table: Height of the table that the arm stands on [m]; None: not known.
     """
 
     figure: Any
@@ -55,6 +59,8 @@ class Stage:
     strong: tuple[float, float] | None
     force: float
     reach: float
+    visuals: tuple[Visual, ...] = ()
+    table: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import pliant
 from pliant import ConfigError
+from pliant.config.build import inside
 from pliant.experiments.chapters.anyarm import task_axes
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from pliant import Settings
     from pliant.arm import Arm
     from pliant.config import Config
@@ -28,6 +31,8 @@ class Source(Protocol):
         name: Of the scene.
         config: The configuration; None without one.
         paced: Whether its time is simulated and shall be as fast as life.
+        urdf: File of the arm's URDF; None where the package has it.
+        table: Height of the table that it stands on [m]; None: not known.
     """
 
     where: str
@@ -38,6 +43,8 @@ class Source(Protocol):
     name: str
     config: Config | None
     paced: bool
+    urdf: Path | None
+    table: float | None
 
     @property
     def scene(self) -> Scene | None:
@@ -71,6 +78,8 @@ class Simulated:
         self.settings: Settings | None = None
         self.config: Config | None = None
         self.paced = paced
+        self.urdf: Path | None = None
+        self.table: float | None = None
         self.model, self.scenes = scenes(robot)
         if scene not in self.scenes:
             raise ConfigError(f"{robot} has no scene {scene!r}; it has {', '.join(self.scenes)}")
@@ -110,6 +119,9 @@ class Configured:
         self.scenes: Mapping[str, Scene] = {}
         self.name, self.scene = "", None
         self.config: Config | None = config
+        path = config.robot.urdf
+        self.urdf: Path | None = None if path is None else inside(config, path)
+        self.table: float | None = getattr(config.robot, "table", None)
         self._options, self.paced = options, config.backend == "sim"
 
     def arm(self) -> Arm:

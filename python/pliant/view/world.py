@@ -27,13 +27,19 @@ if TYPE_CHECKING:
 REACH = 0.71
 #: Length of an arrow that stands for the largest push, thickness of its shaft and head, length of
 #: its head [m].
-LONGEST, SHAFT, HEAD, POINT = 0.25, 0.006, 0.016, 0.035
+LONGEST, SHAFT, HEAD, POINT = 0.6, 0.006, 0.016, 0.035
 #: Colours: the hand's arrow, the line from tool to target, walls.
 HAND, LEASH, WALL, POST = (235, 87, 60), (46, 125, 220), (150, 165, 180), (205, 211, 219)
 #: Links, as shares of red, green, blue; drums of joints with no torque and with all of it; a change
 #: of colour that is worth sending.
 LINK = (0.42, 0.48, 0.56)
 COOL, WARM, NOTICED = (52, 62, 78), (255, 106, 19), 6
+#: Group of shapes that are not drawn.
+HIDDEN = 5
+#: Least depth below its base from which an arm hangs, instead of standing on a table [m].
+STANDS = 0.05
+#: Length of the axes on the floor [m].
+AXES = 0.32
 #: Size of a wall that is drawn [m].
 EXTENT = 0.5
 #: Size of the arrows at the target, as drawn [m].
@@ -65,14 +71,24 @@ class World:
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)
         self._data = mujoco.MjData(stage.figure)
-        _paint(stage.figure)
+        shapes = _shapes(stage)
+        _paint(stage.figure, set(shapes))
         self._figure = ViserMujocoScene(server, stage.figure, num_envs=1)
         self._figure.camera_tracking_enabled = False
         scene.configure_environment_map(environment_intensity=0.35)
+        # What stands on a body is a child of its node, and cannot lag behind it.
+        moved = {int(stage.figure.jnt_bodyid[stage.figure.joint(j).id]) for j in stage.joints}
+        self._nodes: dict[int, viser.SceneNodeHandle] = {
+            body: scene.add_mesh_trimesh(f"/arm/{body}", shapes[body])
+            if body in shapes
+            else scene.add_frame(f"/arm/{body}", show_axes=False)
+            for body in sorted(moved | set(shapes))
+        }
         self._hinges = Hinges(scene, stage)
-        _ground(scene, stage)
         self._data.qpos[:] = stage.start
         mujoco.mj_kinematics(stage.figure, self._data)
+        self._place_nodes()
+        _ground(scene, stage, size)
         camera = server.initial_camera
         camera.look_at, camera.position = overlook(
             stage.figure, self._data, stage.home[:3, 3], GIZMO * size
@@ -114,6 +130,9 @@ class World:
         if stage.strong is not None:
             for group in self._figure._mesh_groups:
                 group.handle.on_drag("left")(self._pulled(group.body_ids))
+            for body, node in self._nodes.items():
+                if isinstance(node, viser.GlbHandle):
+                    node.on_drag("left")(self._pulled((body,)))
 
     def show(self, now: Snapshot) -> None:
         """Move everything to where it is."""
@@ -121,7 +140,8 @@ class World:
         self._data.mocap_pos[:], self._data.mocap_quat[:] = now.mocap
         mujoco.mj_kinematics(self._stage.figure, self._data)
         self._figure.update_from_mjdata(self._data)
-        self._hinges.show(self._data, now)
+        self._place_nodes()
+        self._hinges.show(now)
         self._show_hand(now)
         step = now.step
         if step is None:
@@ -133,6 +153,11 @@ class World:
         ends = np.stack((now.tool[:3, 3], step.target[:3, 3]))[None]
         self._leash.visible = bool(np.linalg.norm(ends[0, 1] - ends[0, 0]) > NEAR)
         self._leash.points = ends.astype(np.float32)
+
+    def _place_nodes(self) -> None:
+        """Put the bodies of the arm where they are."""
+        for body, node in self._nodes.items():
+            node.position, node.wxyz = self._data.xpos[body], self._data.xquat[body]
 
     def _show_hand(self, now: Snapshot) -> None:
         shown = False
@@ -176,40 +201,45 @@ class World:
 
 
 class Hinges:
-    """The joints as drums, the warmer the more of its torque a servo may use."""
+    """The joints as drums on the bodies that they move: the warmer, the larger their limit."""
 
     def __init__(self, scene: viser.SceneApi, stage: Stage) -> None:
-        """Find the joints of the chain."""
+        """Put a drum on the axis of every joint of the chain."""
         figure = stage.figure
         self._usable = stage.usable
-        self._ids = [figure.joint(name).id for name in stage.joints]
         arm = [figure.body(int(b)).name.startswith("body:") for b in figure.geom_bodyid]
         thick = float(figure.geom_size[arm, 0].max(initial=0.008))
-        drum = trimesh.creation.cylinder(radius=1.2 * thick, height=2.5 * thick, sections=40)
-        count = len(self._ids)
-        self._colours = np.tile(np.array(COOL, dtype=np.uint8), (count, 1))
-        self._drums = scene.add_batched_meshes_simple(
-            "/hinges",
-            vertices=drum.vertices,
-            faces=drum.faces,
-            batched_wxyzs=np.tile((1.0, 0.0, 0.0, 0.0), (count, 1)),
-            batched_positions=np.zeros((count, 3)),
-            batched_colors=self._colours,
-            flat_shading=False,
-            lod="off",
-        )
+        # Beside shapes of its own an arm shows only the ends of its drums.
+        radius, height = (0.7, 3.2) if stage.visuals else (1.2, 2.5)
+        drum = trimesh.creation.cylinder(radius=radius * thick, height=height * thick, sections=40)
+        drum.unmerge_vertices()
+        self._colours = np.tile(np.array(COOL), (len(stage.joints), 1))
+        self._drums = []
+        for name in stage.joints:
+            joint = figure.joint(name).id
+            body = int(figure.jnt_bodyid[joint])
+            self._drums.append(
+                scene.add_mesh_simple(
+                    f"/arm/{body}/{name}",
+                    vertices=drum.vertices,
+                    faces=drum.faces,
+                    color=COOL,
+                    position=figure.jnt_pos[joint],
+                    wxyz=_upright_to(figure.jnt_axis[joint][None])[0],
+                )
+            )
 
-    def show(self, data: mujoco.MjData, now: Snapshot) -> None:
-        """Put every drum on its axis, and colour it by the limit."""
-        self._drums.batched_positions = data.xanchor[self._ids].astype(np.float32)
-        self._drums.batched_wxyzs = _upright_to(data.xaxis[self._ids]).astype(np.float32)
-        share = np.zeros(len(self._ids))
+    def show(self, now: Snapshot) -> None:
+        """Colour every drum by the limit of its joint."""
+        share = np.zeros(len(self._drums))
         if now.step is not None:
             share = np.clip(now.step.limit / np.maximum(self._usable, 1e-9), 0.0, 1.0)
         mixed = np.array(COOL) + share[:, None] ** 2 * (np.array(WARM) - np.array(COOL))
-        colours = mixed.round().astype(np.uint8)
-        if np.abs(colours.astype(int) - self._colours.astype(int)).max() > NOTICED:
-            self._drums.batched_colors = self._colours = colours
+        for i, colour in enumerate(mixed.round().astype(int)):
+            if np.abs(colour - self._colours[i]).max() > NOTICED:
+                self._colours[i] = colour
+                red, green, blue = colour.tolist()
+                self._drums[i].color = (red, green, blue)
 
 
 def _upright_to(axes: Array) -> Array:
@@ -220,17 +250,52 @@ def _upright_to(axes: Array) -> Array:
     return out
 
 
-def _paint(figure: mujoco.MjModel) -> None:
-    """Links darker than the page."""
+def _paint(figure: mujoco.MjModel, shaped: set[int]) -> None:
+    """Draw links darker than the page; hide planes, and capsules of bodies with other shapes."""
     for i in range(figure.ngeom):
-        if figure.body(int(figure.geom_bodyid[i])).name.startswith("body:"):
+        body = int(figure.geom_bodyid[i])
+        if figure.body(body).name.startswith("body:"):
             figure.geom_rgba[i] = (*LINK, 1.0)
+        if body in shaped or figure.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE:
+            figure.geom_group[i] = HIDDEN
 
 
-def _ground(scene: viser.SceneApi, stage: Stage) -> None:
-    """A floor that the arm does not reach, and a post that carries an arm high above it."""
+def _shapes(stage: Stage) -> dict[int, trimesh.Trimesh]:
+    """Return one mesh per body of the arm whose shapes can be drawn, in the frame of the body."""
+    parts: dict[int, list[trimesh.Trimesh]] = {}
+    broken: set[int] = set()
+    for visual in stage.visuals:
+        try:
+            parts.setdefault(visual.body, []).append(visual.mesh())
+        except Exception:
+            # A mesh file of the user's may hold anything; shapes of ours may not.
+            if visual.kind != "mesh":
+                raise
+            broken.add(visual.body)
+    out: dict[int, Any] = {b: trimesh.util.concatenate(meshes) for b, meshes in parts.items()}
+    return {body: mesh for body, mesh in out.items() if body not in broken}
+
+
+def _height(stage: Stage) -> float:
+    """Return the height of what the arm stands or hangs over [m]."""
+    figure = stage.figure
+    planes = np.flatnonzero(figure.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    if planes.size:
+        return float(figure.geom_pos[planes[0], 2])
+    if stage.table is not None:
+        return stage.table
+    # A base that is drawn down to its frame stands on a table, wherever the tool is.
+    standing = [v for v in stage.visuals if figure.body(v.body).parentid[0] == 0]
+    lows = [v.mesh().bounds[0, 2] for v in standing if v.kind != "mesh"]
+    if lows and abs(min(lows)) < STANDS:
+        return float(min(lows))
     height = float(stage.home[2, 3])
-    low = 0.0 if height > 0.0 else height - 0.3
+    return 0.0 if height > -STANDS else height - 0.3
+
+
+def _ground(scene: viser.SceneApi, stage: Stage, size: float) -> None:
+    """A floor with the axes of the base, and a post under an arm that hangs above it."""
+    low = _height(stage)
     scene.add_grid(
         "/floor",
         width=2.4,
@@ -242,13 +307,23 @@ def _ground(scene: viser.SceneApi, stage: Stage) -> None:
         section_color=(198, 206, 216),
         shadow_opacity=0.0,
     )
-    if low < 0.0:
+    if low < -STANDS:
         scene.add_box(
             "/post",
             color=POST,
-            dimensions=(0.06, 0.16, 0.05 - low),
-            position=(-0.075, 0.0, 0.5 * (low + 0.05)),
+            dimensions=(0.03, 0.03, -low),
+            position=(-0.02, 0.0, 0.5 * low),
         )
+    length = AXES * size
+    scene.add_frame(
+        "/axes",
+        axes_length=length,
+        axes_radius=0.012 * length,
+        origin_radius=0.02 * length,
+        position=(0.0, 0.0, low),
+    )
+    for name, way in zip("xyz", np.eye(3), strict=True):
+        scene.add_label(f"/axes/{name}", name, position=1.08 * length * way)
 
 
 def overlook(

@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix4, Rotation3, Translation3, UnitQuatern
 
 use crate::error::{Error, Result};
 use crate::kinematics::spatial::{Mat3, cross, dot, sub};
+use crate::model::Workspace;
 use crate::number::{Arithmetic, Number, Plain};
 
 /// Largest joint coordinate that is taken for a real one.
@@ -18,7 +19,7 @@ pub const POSITION_BOUND: f64 = 100.0;
 pub const ROTATION_TOLERANCE: f64 = 1e-4;
 
 /// Sum of errors up to which all of them are below [`ROTATION_TOLERANCE`]: six times it at most is any of `RᵀR − I`.
-const DOUBT: f64 = 0.1 * ROTATION_TOLERANCE;
+pub(crate) const DOUBT: f64 = 0.1 * ROTATION_TOLERANCE;
 
 /// Pose of the tool in the base, `base_from_tool`: rotation matrix (row-major) and position [m].
 ///
@@ -85,13 +86,20 @@ impl Pose {
     /// [`Pose::validate`] with the argument's name in the message.
     #[inline]
     pub(crate) fn check(&self, name: &str) -> Result<()> {
-        if self.doubt::<Plain>() <= DOUBT { Ok(()) } else { self.explain(name) }
+        if self.doubt::<Plain>(&Workspace::ANY) <= DOUBT { Ok(()) } else { self.explain(name) }
     }
 
-    /// Whether [`Pose::check`] refuses this pose, asked of whatever numbers the machine has.
+    /// Whether [`Pose::check`] refuses this pose or it is outside `workspace`, asked of whatever numbers the machine has.
     #[inline(always)]
-    pub(crate) fn is_refused<A: Arithmetic<Real = f64>>(&self) -> bool {
-        !(self.doubt::<A>() <= DOUBT) && self.explain("").is_err()
+    pub(crate) fn is_refused<A: Arithmetic<Real = f64>>(&self, workspace: &Workspace) -> bool {
+        !(self.doubt::<A>(workspace) <= DOUBT) && self.is_wrong(workspace)
+    }
+
+    /// [`Pose::is_refused`], exactly.
+    #[cold]
+    #[inline(never)]
+    fn is_wrong(&self, workspace: &Workspace) -> bool {
+        workspace.excludes(&self.position) || self.explain("").is_err()
     }
 
     /// What is wrong with a pose, if anything is.
@@ -154,25 +162,26 @@ impl<R: Copy> Pose<R> {
     ///
     /// The third row of a rotation is the product of the other two, which have length 1 and stand at right angles.
     #[inline(always)]
-    fn doubt<A: Arithmetic<Real = R>>(&self) -> R
+    fn doubt<A: Arithmetic<Real = R>>(&self, workspace: &Workspace) -> R
     where
         R: Number,
     {
-        let ([x, y, z], [a, b, c]) = (&self.rotation, self.position);
+        let ([x, y, z], centre) = (&self.rotation, workspace.centre.map(A::splat));
+        let [a, b, c] = sub::<A>(&self.position, &centre);
         let (one, off) = (A::splat(1.0), sub::<A>(&cross::<A>(x, y), z));
         let lengths = A::abs(dot::<A>(x, x) - one) + A::abs(dot::<A>(y, y) - one);
         let angles = A::abs(dot::<A>(x, y)) + (A::abs(off[0]) + A::abs(off[1]) + A::abs(off[2]));
+        // The sum of the components is at least the distance.
         let far = A::abs(a) + A::abs(b) + A::abs(c);
-        A::fma(A::splat(DOUBT / POSITION_BOUND), far, lengths + angles)
+        A::fma(A::splat(workspace.doubt), far, lengths + angles)
     }
 
-    /// `fine` where this is a pose beyond doubt, 0 where [`Pose::check`] is to be asked.
+    /// `fine` where this is a pose beyond doubt within `workspace`, 0 where [`Pose::is_refused`] is to be asked.
     #[inline(always)]
-    pub(crate) fn if_sure<A: Arithmetic<Real = R>>(&self, mut fine: R) -> R {
-        let (nothing, bound) = (A::splat(0.0), A::splat(POSITION_BOUND));
-        for value in self.position {
-            fine = A::if_less(A::abs(value), bound, fine, nothing);
-        }
+    pub(crate) fn if_sure<A: Arithmetic<Real = R>>(&self, workspace: &Workspace, mut fine: R) -> R {
+        let (nothing, radius) = (A::splat(0.0), workspace.radius);
+        let apart = sub::<A>(&self.position, &workspace.centre.map(A::splat));
+        fine = A::if_less(dot::<A>(&apart, &apart), A::splat(radius * radius), fine, nothing);
         for i in 0..3 {
             for j in 0..=i {
                 let error = orthogonality_error::<A>(&self.rotation, i, j);

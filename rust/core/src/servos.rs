@@ -173,6 +173,8 @@ pub(crate) struct ServoArrays {
     pub(crate) damping: JointVec,
     /// The part of it that acts outside the torque limit: all but the servo's own.
     pub(crate) drag: JointVec,
+    /// Rotor inertia at the joint [kg·m²].
+    pub(crate) armature: JointVec,
     pub(crate) count: JointVec,
 }
 
@@ -202,6 +204,7 @@ impl ServoArrays {
             stribeck_slowness: [0.0; MAX_JOINTS],
             damping: [0.0; MAX_JOINTS],
             drag: [0.0; MAX_JOINTS],
+            armature: [0.0; MAX_JOINTS],
             count: [0.0; MAX_JOINTS],
         };
         let Some(servos) = servos else {
@@ -225,6 +228,7 @@ impl ServoArrays {
             };
             arrays.drag[i] = servos.damping[i] + back_emf;
             arrays.damping[i] = arrays.drag[i] + servos.kv[i];
+            arrays.armature[i] = servos.armature[i];
             arrays.count[i] = servos.count[i];
         }
         arrays.kp_mean = servos.kp.iter().sum::<f64>() / servos.kp.len() as f64;

@@ -4,14 +4,18 @@ use nalgebra::DMatrix;
 
 use crate::error::{Error, Result};
 use crate::halton;
-use crate::kinematics::{Frames, Masses};
+use crate::kinematics::{Frames, JointMatrix, Masses};
 use crate::law::svd::singular_values;
 use crate::model::Model;
+use crate::servos::ServoArrays;
 use crate::task::axes::Frame;
-use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Number of poses.
 const POSES: u32 = 512;
+
+/// How many of them the time constants of the axes are taken from.
+const PERIOD_POSES: usize = 64;
 
 /// What one arm with one set of servos was found to be able to do.
 ///
@@ -21,6 +25,7 @@ const POSES: u32 = 512;
 pub(crate) struct Surveyed {
     sigma: Option<(Vec<usize>, Frame, f64, f64)>,
     capacity: Option<(JointVec, [f64; 2])>,
+    periods: Option<(Vec<usize>, Frame, [JointVec; 2], AxisVec)>,
 }
 
 impl Surveyed {
@@ -38,6 +43,27 @@ impl Surveyed {
         sigma
     }
 
+    /// [`squared_periods`], kept for these axes, frame and servos.
+    pub(crate) fn squared_periods(
+        &mut self,
+        model: &Model,
+        servos: &ServoArrays,
+        axes: &[usize],
+        frame: &Frame,
+    ) -> AxisVec {
+        let joints = [servos.kp, servos.armature];
+        if let Some((of, within, with, periods)) = &self.periods
+            && of == axes
+            && within == frame
+            && with.map(|v| v.map(f64::to_bits)) == joints.map(|v| v.map(f64::to_bits))
+        {
+            return *periods;
+        }
+        let periods = squared_periods(model, servos, axes, frame);
+        self.periods = Some((axes.to_vec(), *frame, joints, periods));
+        periods
+    }
+
     /// [`static_capacity`] with the model's own payload and gravity, kept for these torques.
     pub(crate) fn static_capacity(&mut self, model: &Model, usable: &JointVec) -> [f64; 2] {
         if let Some((of, capacity)) = &self.capacity
@@ -50,6 +76,33 @@ impl Surveyed {
         self.capacity = Some((*usable, capacity));
         capacity
     }
+}
+
+/// Median over a few poses of `C_jj Λ_jj` [s²] of each task row, with `C = J K_p⁻¹ Jᵀ` and `Λ_jj = 1 / (J M⁻¹ Jᵀ)_jj`: the
+/// squared time constant of the axis on the servos' springs. Zero where nothing is known of the masses.
+fn squared_periods(model: &Model, servos: &ServoArrays, axes: &[usize], frame: &Frame) -> AxisVec {
+    let (n, chain) = (model.n(), model.chain());
+    let masses = chain.masses(model.payload());
+    let (mut frames, mut world) = (Frames::default(), [[0.0; MAX_JOINTS]; MAX_AXES]);
+    let mut inertia: JointMatrix = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+    let mut found: [Vec<f64>; MAX_AXES] = std::array::from_fn(|_| Vec::new());
+    for q in poses(model).take(PERIOD_POSES) {
+        chain.forward(&q, &mut frames);
+        chain.jacobian(&frames, &mut world);
+        chain.mass_matrix(&frames, &masses, &mut inertia);
+        let rows = crate::task::rows(&world, &frame.base_from_task(&frames.tool.rotation), axes);
+        let matrix = DMatrix::from_fn(n, n, |i, j| inertia[i][j] + if i == j { servos.armature[i] } else { 0.0 });
+        let Some(factor) = matrix.cholesky() else { continue };
+        for (row, found) in rows.iter().zip(&mut found).take(axes.len()) {
+            let along = DMatrix::from_fn(n, 1, |i, _| row[i]);
+            let mobility = along.dot(&factor.solve(&along));
+            let compliance: f64 = (0..n).map(|i| row[i] * row[i] * servos.compliance[i]).sum();
+            if mobility > 0.0 && (compliance / mobility).is_finite() {
+                found.push(compliance / mobility);
+            }
+        }
+    }
+    found.map(|mut values| median(&mut values))
 }
 
 /// The first 512 Halton points inside the position limits (±π for continuous joints).

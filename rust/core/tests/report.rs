@@ -244,9 +244,12 @@ fn a_target_that_cannot_be_reached_is_not_achievable() {
     let controller = controller(Settings::default());
     let mut target = controller.model().forward_kinematics(&GRASP).unwrap();
     assert!(controller.check_pose(&target, &GRASP).unwrap().achievable);
-    target.position[0] += 2.0;
+    target.position[0] += 1.0;
     let check = controller.check_pose(&target, &GRASP).unwrap();
     assert!(!check.achievable && check.to_string().contains("out of reach"), "{check}");
+    target.position[0] += 1.0;
+    let error = controller.check_pose(&target, &GRASP).unwrap_err();
+    assert!(error.to_string().contains("millimetres?"), "{error}");
 }
 
 #[test]

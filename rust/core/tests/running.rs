@@ -215,8 +215,15 @@ fn a_payload_comes_into_force_in_half_a_second() {
     assert!(Controller::resumed(Arc::clone(controller.model()), Settings::default(), None, &wrong).is_err());
 }
 
+/// For servos without inertia, friction and damping: nothing is fed forward from speeds, and nothing damped by them.
 fn frictionless() -> Settings {
-    Settings { friction_share: 0.0, damping_share: 0.0, posture: Some(Q.to_vec()), ..Settings::default() }
+    Settings {
+        friction_share: 0.0,
+        damping_share: 0.0,
+        max_tool_speed: [f64::INFINITY; 2],
+        posture: Some(Q.to_vec()),
+        ..Settings::default()
+    }
 }
 
 /// Ideal servos that are stiffer or softer than believed, at rest: `k (goal − q) = g(q)`.

@@ -60,19 +60,26 @@ impl Command {
         for array in [&command.goal, &command.torque_limit, &command.velocity] {
             let array = array.bind(out.py());
             if !writable(array, &[n]) {
-                let expected = format!("a command whose arrays are writable float64 of {n} in C order");
-                return Err(wrong_type("out", &expected, array));
+                return Err(unwritable(array, n));
             }
         }
         Ok(out)
     }
 
     /// Fills the arrays of a caller's command, whoever holds them.
-    pub(crate) fn fill(&self, py: Python<'_>, core: &CoreCommand) {
+    pub(crate) fn fill(&self, py: Python<'_>, core: &CoreCommand) -> PyResult<()> {
         for (array, values) in self.parts(core) {
-            write(array.bind(py), &[values.len()], values);
+            if !write(array.bind(py), &[values.len()], values) {
+                return Err(unwritable(array.bind(py), values.len()));
+            }
         }
+        Ok(())
     }
+}
+
+#[cold]
+fn unwritable(array: &Bound<'_, PyAny>, n: usize) -> PyErr {
+    wrong_type("out", &format!("a command whose arrays are writable float64 of {n} in C order"), array)
 }
 
 /// Three commands, taken in turn and reused only when nobody else holds the command or one of its arrays.

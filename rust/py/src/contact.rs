@@ -13,6 +13,7 @@ use crate::controller::Controller;
 use crate::convert::new_array;
 use crate::error::{OrRaise, config, wrong_type};
 use crate::extras::SECONDS;
+use crate::in_use;
 use crate::kinds::{Kind, Names};
 use crate::read::{given, joints, number, real, vector};
 
@@ -186,7 +187,7 @@ impl Contact {
             given(slot, value, |value| real(name, expected, value))?;
         }
         let (core, n) = {
-            let borrowed = controller.borrow(py);
+            let borrowed = in_use::shared(controller.bind(py))?;
             (CoreContact::new(&borrowed.core, options).or_raise()?, borrowed.core.model().n())
         };
         Ok(Self { core, controller, n })
@@ -195,7 +196,7 @@ impl Contact {
     #[pyo3(signature = (q, *, dt = None, dq = None, load = None, current = None, sent = None))]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
     fn update(
-        &mut self,
+        slf: &Bound<'_, Self>,
         py: Python<'_>,
         q: &Bound<'_, PyAny>,
         dt: Option<&Bound<'_, PyAny>>,
@@ -204,7 +205,7 @@ impl Contact {
         current: Option<&Bound<'_, PyAny>>,
         sent: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<WrenchEstimate> {
-        let n = self.n;
+        let n = in_use::shared(slf)?.n;
         let read = |name: &str, value: Option<&Bound<'_, PyAny>>| value.map(|value| joints(name, value, n)).transpose();
         let q = joints("q", q, n)?;
         let (dq, load, current) = (read("dq", dq)?, read("load", load)?, read("current", current)?);
@@ -217,20 +218,23 @@ impl Contact {
             current: part(current.as_ref(), n),
             sent: sent.as_ref().map(|[goal, limit]| [&goal[..n], &limit[..n]]),
         };
-        let controller = self.controller.borrow(py);
-        self.core.update(&controller.core, &q[..n], &input).or_raise().map(|felt| WrenchEstimate(*felt))
+        let mut own = in_use::exclusive(slf)?;
+        let Self { core, controller, .. } = &mut *own;
+        let controller = in_use::shared(controller.bind(py))?;
+        core.update(&controller.core, &q[..n], &input).or_raise().map(|felt| WrenchEstimate(*felt))
     }
 
-    fn uncertainty_at<'py>(&self, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-        let py = q.py();
-        let at = joints("q", q, self.n)?;
-        let bound = self.core.uncertainty_at(&self.controller.borrow(py).core, &at[..self.n]).or_raise()?;
+    fn uncertainty_at<'py>(slf: &Bound<'py, Self>, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        let (py, n) = (q.py(), in_use::shared(slf)?.n);
+        let at = joints("q", q, n)?;
+        let own = in_use::shared(slf)?;
+        let bound = own.core.uncertainty_at(&in_use::shared(own.controller.bind(py))?.core, &at[..n]).or_raise()?;
         Ok(new_array(py, &[bound.len()], &bound))
     }
 
-    fn typical_uncertainty<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        let bound = self.core.typical_uncertainty(&self.controller.borrow(py).core);
-        new_array(py, &[bound.len()], &bound)
+    fn typical_uncertainty<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let bound = self.core.typical_uncertainty(&in_use::shared(self.controller.bind(py))?.core);
+        Ok(new_array(py, &[bound.len()], &bound))
     }
 
     fn reset(&mut self) {
@@ -262,8 +266,8 @@ impl Contact {
     }
 
     #[getter]
-    fn latency(&self, py: Python<'_>) -> f64 {
-        self.core.latency(&self.controller.borrow(py).core)
+    fn latency(&self, py: Python<'_>) -> PyResult<f64> {
+        Ok(self.core.latency(&in_use::shared(self.controller.bind(py))?.core))
     }
 
     #[getter]

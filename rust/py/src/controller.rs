@@ -15,6 +15,7 @@ use crate::command::{Command, Pool};
 use crate::convert::new_array;
 use crate::error::OrRaise;
 use crate::extras::{Extras, SECONDS};
+use crate::in_use::{exclusive, shared};
 use crate::model::Model;
 use crate::pickle::{self, Reduced};
 use crate::read::{self, joints, joints_in_place, pose, real, vector3};
@@ -103,7 +104,7 @@ readings! {
         #[pyo3(signature = (q, target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
         #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
         fn step(
-            &mut self,
+            slf: &Bound<'_, Self>,
             py: Python<'_>,
             q: &Bound<'_, PyAny>,
             target: &Bound<'_, PyAny>,
@@ -113,21 +114,23 @@ readings! {
             gradient: Option<&Bound<'_, PyAny>>,
             out: Option<&Bound<'_, PyAny>>,
         ) -> PyResult<Py<Command>> {
-            let (n, mut slot) = (self.n, None);
-            let target = pose("target", target, self.position_only)?;
+            let (n, position_only) = sizes(slf)?;
+            let mut slot = None;
+            let target = pose("target", target, position_only)?;
             let mut extras = Extras::default();
             extras.read(n, dt, dq, twist, gradient)?;
-            let out = out.map(|out| Command::writable(out, n)).transpose()?;
             // Last, and in place: reading the others may run code that makes another array of q.
             let q = joints_in_place("q", q, n, &mut slot)?;
-            let command = self.core.step(q, &target, &extras.input(n)).or_raise()?;
-            hand_out(py, &mut self.pool, command, out)
+            let out = out.map(|out| Command::writable(out, n)).transpose()?;
+            let Self { core, pool, .. } = &mut *exclusive(slf)?;
+            let command = core.step(q, &target, &extras.input(n)).or_raise()?;
+            hand_out(py, pool, command, out)
         }
 
         #[pyo3(signature = (q, q_target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
         #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
         fn step_joints(
-            &mut self,
+            slf: &Bound<'_, Self>,
             py: Python<'_>,
             q: &Bound<'_, PyAny>,
             q_target: &Bound<'_, PyAny>,
@@ -137,13 +140,14 @@ readings! {
             gradient: Option<&Bound<'_, PyAny>>,
             out: Option<&Bound<'_, PyAny>>,
         ) -> PyResult<Py<Command>> {
-            let n = self.n;
+            let (n, _) = sizes(slf)?;
             let (q, wanted) = (joints("q", q, n)?, joints("q_target", q_target, n)?);
             let mut extras = Extras::default();
             extras.read(n, dt, dq, twist, gradient)?;
             let out = out.map(|out| Command::writable(out, n)).transpose()?;
-            let command = self.core.step_joints(&q[..n], &wanted[..n], &extras.input(n)).or_raise()?;
-            hand_out(py, &mut self.pool, command, out)
+            let Self { core, pool, .. } = &mut *exclusive(slf)?;
+            let command = core.step_joints(&q[..n], &wanted[..n], &extras.input(n)).or_raise()?;
+            hand_out(py, pool, command, out)
         }
 
         #[pyo3(
@@ -173,37 +177,52 @@ readings! {
             BatchState::of(self.n, read::count("count", count)?)
         }
 
-        fn reset(&mut self, q: &Bound<'_, PyAny>) -> PyResult<()> {
-            let n = self.n;
-            self.core.reset(&joints("q", q, n)?[..n]).or_raise()
+        fn reset(slf: &Bound<'_, Self>, q: &Bound<'_, PyAny>) -> PyResult<()> {
+            let (n, _) = sizes(slf)?;
+            let q = joints("q", q, n)?;
+            exclusive(slf)?.core.reset(&q[..n]).or_raise()
         }
 
-        fn update(&mut self, #[pyo3(from_py_with = arguments::settings)] settings: Py<Settings>) -> PyResult<()> {
-            self.core.update(settings.get().0.clone()).or_raise()?;
-            self.position_only = position_only(&settings.get().0);
-            self.settings = settings;
+        fn update(
+            slf: &Bound<'_, Self>,
+            #[pyo3(from_py_with = arguments::settings)] settings: Py<Settings>,
+        ) -> PyResult<()> {
+            let mut own = exclusive(slf)?;
+            own.core.update(settings.get().0.clone()).or_raise()?;
+            own.position_only = position_only(&settings.get().0);
+            own.settings = settings;
             Ok(())
         }
 
         #[pyo3(signature = (mass, com = None), text_signature = "($self, mass, com=(0.0, 0.0, 0.0))")]
-        fn set_payload(&mut self, mass: &Bound<'_, PyAny>, com: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        fn set_payload(
+            slf: &Bound<'_, Self>,
+            mass: &Bound<'_, PyAny>,
+            com: Option<&Bound<'_, PyAny>>,
+        ) -> PyResult<()> {
             let mass = real("mass", "a number [kg]; 0 for no payload", mass)?;
             let com = com.map_or(Ok([0.0; 3]), |com| vector3("com", com))?;
-            self.core.set_payload(Some(&CorePayload { mass, com })).or_raise()
+            exclusive(slf)?.core.set_payload(Some(&CorePayload { mass, com })).or_raise()
         }
 
-        fn set_gravity(&mut self, vector: &Bound<'_, PyAny>) -> PyResult<()> {
-            self.core.set_gravity(vector3("vector", vector)?).or_raise()
+        fn set_gravity(slf: &Bound<'_, Self>, vector: &Bound<'_, PyAny>) -> PyResult<()> {
+            let vector = vector3("vector", vector)?;
+            exclusive(slf)?.core.set_gravity(vector).or_raise()
         }
 
-        fn set_delay(&mut self, delay: &Bound<'_, PyAny>) -> PyResult<()> {
-            self.core.set_delay(real("delay", SECONDS, delay)?).or_raise()
+        fn set_delay(slf: &Bound<'_, Self>, delay: &Bound<'_, PyAny>) -> PyResult<()> {
+            let delay = real("delay", SECONDS, delay)?;
+            exclusive(slf)?.core.set_delay(delay).or_raise()
         }
 
-        fn capture_gravity<'py>(&mut self, q: &Bound<'py, PyAny>, goal: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-            let n = self.n;
+        fn capture_gravity<'py>(
+            slf: &Bound<'py, Self>,
+            q: &Bound<'py, PyAny>,
+            goal: &Bound<'py, PyAny>,
+        ) -> PyResult<Bound<'py, PyAny>> {
+            let (n, _) = sizes(slf)?;
             let (at, goal) = (joints("q", q, n)?, joints("goal", goal, n)?);
-            let stiffness = self.core.capture_gravity(&at[..n], &goal[..n]).or_raise()?;
+            let stiffness = exclusive(slf)?.core.capture_gravity(&at[..n], &goal[..n]).or_raise()?;
             Ok(new_array(q.py(), &[n], &stiffness))
         }
 
@@ -349,11 +368,18 @@ fn hand_out(
 ) -> PyResult<Py<Command>> {
     match out {
         Some(out) => {
-            out.get().fill(py, command);
+            out.get().fill(py, command)?;
             Ok(out.clone().unbind())
         }
         None => pool.take(py, command),
     }
+}
+
+/// Number of joints, and whether a target may be a position alone.
+#[inline]
+fn sizes(controller: &Bound<'_, Controller>) -> PyResult<(usize, bool)> {
+    let controller = shared(controller)?;
+    Ok((controller.n, controller.position_only))
 }
 
 fn position_only(settings: &CoreSettings) -> bool {

@@ -14,6 +14,7 @@ mod error;
 mod extras;
 mod fields;
 mod functions;
+mod in_use;
 mod kinds;
 mod kinematics;
 mod model;

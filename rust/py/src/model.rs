@@ -18,7 +18,7 @@ use crate::kinematics::{self, positions};
 use crate::options::Payload;
 use crate::pickle::{self, Reduced};
 use crate::pose::matrix;
-use crate::read::{count, given, real};
+use crate::read::{count, given, joints, pose, real};
 use crate::servos::Servos;
 use crate::solution::{IkSolution, search};
 use crate::tree::{Joint, Link};
@@ -83,8 +83,8 @@ impl Model {
                 path.chars().take(200).collect::<String>()
             )));
         }
-        let core = py.detach(|| CoreModel::from_urdf_file(&path, &read)).or_raise()?;
-        Self::new(py, core, servos.as_ref(), std::fs::read_to_string(&path)?, options)
+        let (core, text) = py.detach(|| CoreModel::from_urdf_file_with_text(&path, &read)).or_raise()?;
+        Self::new(py, core, servos.as_ref(), text, options)
     }
 
     #[staticmethod]
@@ -274,6 +274,15 @@ impl Model {
         given(&mut options.max_iterations, max_iterations, |it| count("max_iterations", it))?;
         given(&mut options.restarts, restarts, |it| count("restarts", it))?;
         search(self, target, q0, axes, &options)
+    }
+
+    fn check_target(&self, target: &Bound<'_, PyAny>) -> PyResult<()> {
+        self.core.check_target(&pose("target", target, true)?).or_raise()
+    }
+
+    fn check_joint_target(&self, q: &Bound<'_, PyAny>) -> PyResult<()> {
+        let n = self.core.n();
+        self.core.check_joint_target(&joints("q", q, n)?[..n]).or_raise()
     }
 
     #[pyo3(signature = (Q, reference = None, out = None), text_signature = "($self, Q, reference='world_aligned', out=None)")]

@@ -4,7 +4,7 @@ use numpy::{PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pliant_core::{JointVec, MAX_JOINTS, Pose as CorePose};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList, PyTuple};
+use pyo3::types::{PyBool, PyDict, PyFloat, PyList, PyTuple};
 
 use crate::convert;
 use crate::error::{OrRaise, shape, shown, wrong_type};
@@ -27,6 +27,10 @@ pub(crate) fn numbers(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<usi
         error.set_cause(py, Some(cause));
         error
     };
+    if is_masked(value)? {
+        let message = format!("{name} must be {expected}, got a masked array; fill it first: array.filled(value)");
+        return Err(PyTypeError::new_err(message));
+    }
     let array = numpy.call_method1("asarray", (value,)).map_err(refused)?;
     let kind: String = array.getattr("dtype")?.getattr("kind")?.extract()?;
     if !matches!(kind.as_str(), "f" | "i" | "u") {
@@ -209,7 +213,35 @@ pub(crate) fn count(name: &str, value: &Bound<'_, PyAny>) -> PyResult<usize> {
     value.extract().map_err(|_| wrong_type(name, "a whole number, 0 or more", value))
 }
 
-/// A number; booleans are none.
+/// A number; truth values are none, NumPy's neither.
 pub(crate) fn number(value: &Bound<'_, PyAny>) -> Option<f64> {
-    if value.is_instance_of::<pyo3::types::PyBool>() { None } else { value.extract().ok() }
+    if let Ok(float) = value.cast::<PyFloat>() {
+        return Some(float.value());
+    }
+    if value.is_instance_of::<PyBool>() || is_masked(value).ok()? {
+        return None;
+    }
+    match value.getattr_opt("dtype").ok()? {
+        Some(dtype) => {
+            let kind: String = dtype.getattr("kind").and_then(|kind| kind.extract()).ok()?;
+            if matches!(kind.as_str(), "f" | "i" | "u") { value.extract().ok() } else { None }
+        }
+        None => value.extract().ok(),
+    }
+}
+
+/// Whether this is a masked array, or a list of them: NumPy drops the mask and hands out what is under it.
+fn is_masked(value: &Bound<'_, PyAny>) -> PyResult<bool> {
+    let masked = value.py().import("numpy.ma")?.getattr("MaskedArray")?;
+    if value.is_instance(&masked)? {
+        return Ok(true);
+    }
+    if value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>() {
+        for item in value.try_iter()? {
+            if item?.is_instance(&masked)? {
+                return Ok(true);
+            }
+        }
+    }
+    Ok(false)
 }

@@ -10,6 +10,7 @@ use crate::batch::{Rows, disjoint, rows_of, target, target_of};
 use crate::command::Command;
 use crate::convert::{new_array, view};
 use crate::error::{OrRaise, shape, wrong_type};
+use crate::in_use::{exclusive, shared};
 use crate::kinds::Kind;
 use crate::read::{numbers, pose};
 use crate::words::{Word, Words};
@@ -60,15 +61,19 @@ impl BatchState {
     #[pyo3(signature = (indices = None, Q = None))]
     #[expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
     fn reset(
-        &mut self,
+        slf: &Bound<'_, Self>,
         py: Python<'_>,
         indices: Option<&Bound<'_, PyAny>>,
         Q: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
-        let indices = picked(py, self.0.len(), indices)?;
-        let n = self.0.n();
+        let (count, n) = {
+            let state = shared(slf)?;
+            (state.0.len(), state.0.n())
+        };
+        let indices = picked(py, count, indices)?;
         let Some(given) = Q else {
-            return indices.into_iter().try_for_each(|index| self.0.reset(index, None)).or_raise();
+            let mut state = exclusive(slf)?;
+            return indices.into_iter().try_for_each(|index| state.0.reset(index, None)).or_raise();
         };
         let (got, values) = numbers("Q", given)?;
         let one = got == [n];
@@ -78,9 +83,10 @@ impl BatchState {
         // Checked before any arm is changed.
         let mut tried = CoreState::new(n, 1).or_raise()?;
         values.chunks_exact(n).try_for_each(|q| tried.reset(0, Some(q))).or_raise()?;
+        let mut state = exclusive(slf)?;
         for (i, index) in indices.into_iter().enumerate() {
             let from = if one { 0 } else { i * n };
-            self.0.reset(index, Some(&values[from..from + n])).or_raise()?;
+            state.0.reset(index, Some(&values[from..from + n])).or_raise()?;
         }
         Ok(())
     }
@@ -170,7 +176,7 @@ impl<'py> BatchCall<'_, 'py> {
             invalid,
         };
         let out = BatchCommand { goal, torque_limit, velocity };
-        let mut state = state.map(Bound::try_borrow_mut).transpose()?;
+        let mut state = state.map(exclusive).transpose()?;
         let state = state.as_deref_mut().map(|state| &mut state.0);
         py.detach(|| core.step_batch(&input, state, out)).or_raise()?;
         match self.out.and_then(|out| out.cast::<Command>().ok()) {

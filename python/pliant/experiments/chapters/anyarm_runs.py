@@ -108,8 +108,10 @@ def strengths(source: Source) -> Strengths:
         controller.step(arm.pose, setups.displaced(start, arm.soft, away))
         return float(controller.holding_torque[row])
 
+    # Far from the target, and not farther than a target may be.
+    far = min(1.0, float(arm.model.reach))
     return Strengths(
-        soft=strength(arm.soft, 0.0), firm=strength(arm.soft, 1.0), hold=strength("", 0.0)
+        soft=strength(arm.soft, 0.0), firm=strength(arm.soft, far), hold=strength("", 0.0)
     )
 
 

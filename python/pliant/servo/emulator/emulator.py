@@ -230,6 +230,14 @@ class Emulator:
                 if port in {None, name}:
                     line.echo = echoing
 
+    def hum(self, noisy: bool = True, port: str | None = None) -> None:
+        """Let noise reach the host all the time, a few bytes every 5 ms, or stop it."""
+        with self._server.lock:
+            for name, line in self.lines.items():
+                if port in {None, name}:
+                    line.noisy = noisy
+        self._server.wake()
+
     def pull(self, port: str | None = None) -> None:
         """Pull the adapter: the host's open port fails and its path is gone; servos keep power."""
         self._server.hang_up(port)

@@ -45,6 +45,7 @@ class Line:
         servos: All that are wired to it.
         dead: Nothing gets through: a shorted or stuck line.
         echo: The adapter hears itself: every request comes back before its answer.
+        noisy: Bytes that nobody sent reach the host all the time.
         occupied: How long the last `feed` keeps the wire busy [s].
         answered: When the host has the last prompt answer to it [s].
         faults, timing, log: As given.
@@ -61,7 +62,7 @@ class Line:
     ) -> None:
         """Wire the servos up."""
         self.servos, self.name = list(servos), name
-        self.dead = self.echo = False
+        self.dead = self.echo = self.noisy = False
         self.occupied = self.answered = self._took = 0.0
         self.timing, self.faults = timing or Timing(), faults or Faults()
         self.log = Log() if log is None else log

@@ -131,8 +131,10 @@ def _serve(
     pipe: Connection, factory: Callable[..., Emulator], args: Any, kwargs: dict[str, Any]
 ) -> None:
     """What the child does: run the emulator and do what comes down the pipe."""
-    # Ctrl-C goes to every process of a terminal; servos must outlive it for the arm to come down.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # A terminal sends these to all its processes; servos outlive them, for the arm to come down.
+    for name in ("SIGINT", "SIGHUP", "SIGQUIT"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     try:
         emulator = factory(*args, **kwargs).start()
     except Exception as error:

@@ -26,6 +26,8 @@ Clock = Literal["real", "steps"]
 TICK = 0.005
 #: A computer that is further behind than this drops the rest [s].
 LARGEST_LAG = 0.1
+#: What a noisy line brings the host every tick: no header in it.
+NOISE = b"\x55\x12\xfd"
 #: A pause after which servos forget an unfinished request [s].
 GAP = 0.020
 #: How long `sync` waits for the thread [s].
@@ -200,6 +202,8 @@ class Server:
                         self._serve(masters[end])
                 for port in self._ports.values():
                     self._flush(port)
+                    if port.line.noisy:
+                        port.pty.write(NOISE)
 
     def _now(self) -> float:
         real = self._clock == "real"
@@ -208,6 +212,8 @@ class Server:
     def _pause(self) -> float | None:
         """How long the thread may sleep [s]."""
         due = [when for port in self._ports.values() for when, _ in port.due]
+        if any(port.line.noisy for port in self._ports.values()):
+            return TICK
         if self._clock == "steps":
             return None
         return max(min([*(when - self._now() for when in due), TICK]), 0.0)

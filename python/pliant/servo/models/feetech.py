@@ -29,11 +29,13 @@ STS = Family(
         "phase": Register(18, 1),
         "shutdown": Register(19, 1),
         "gain": Register(21, 1),
+        "homing_offset": Register(31, 2, "bit11"),
         "mode": Register(33, 1),
         "protective_torque": Register(34, 1),
         "protection_time": Register(35, 1),
         "overload_torque": Register(36, 1),
         "torque_enable": Register(40, 1),
+        "acceleration_cap": Register(41, 1),
         "lock": Register(55, 1),
         "goal": Register(42, 2, "bit15"),
         "goal_time": Register(44, 2),
@@ -54,6 +56,7 @@ STS = Family(
     full_load=1000,
     speed_max=3400,
     ceiling="max_torque",
+    unbound={"acceleration_cap": 0},
 )
 
 KG_CM = 0.0980665  # [N·m]

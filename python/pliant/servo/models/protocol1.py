@@ -34,6 +34,7 @@ _COMMON = {
 
 
 def _family(name: str, **own: Register) -> Family:
+    unbound = {"acceleration_cap": 0} if "acceleration_cap" in own else {}
     return Family(
         name=name,
         protocol="p1",
@@ -47,18 +48,22 @@ def _family(name: str, **own: Register) -> Family:
         full_load=1023,
         speed_max=1023,
         ceiling="max_torque",
+        unbound=unbound,
     )
 
 
 # Register 28 is the clockwise compliance slope of EX and RX and the P gain of the MX.
-PLAIN = _family("EX, RX, MX", gain=Register(28, 1))
-DUAL = _family("EX-106+, MX-106", gain=Register(28, 1), drive_mode=Register(10, 1))
+_GAIN, _DUAL, _ACCELERATION = Register(28, 1), Register(10, 1), Register(73, 1)
+RX = _family("RX-64", gain=_GAIN)
+EX = _family("EX-106+", gain=_GAIN, drive_mode=_DUAL)
+MX = _family("MX-28, MX-64", gain=_GAIN, acceleration_cap=_ACCELERATION)
+MX_DUAL = _family("MX-106", gain=_GAIN, drive_mode=_DUAL, acceleration_cap=_ACCELERATION)
 
 MODELS = (
     ServoModel(
         name="EX-106+",
         number=107,
-        family=DUAL,
+        family=EX,
         kind="duty",
         resolution=4096 * 360 / 250.92,
         counts=4095,
@@ -76,7 +81,7 @@ MODELS = (
     ServoModel(
         name="RX-64",
         number=64,
-        family=PLAIN,
+        family=RX,
         kind="duty",
         resolution=1023 * 360 / 300,
         counts=1023,
@@ -94,7 +99,7 @@ MODELS = (
     ServoModel(
         name="MX-28",
         number=29,
-        family=PLAIN,
+        family=MX,
         kind="duty",
         resolution=4096,
         counts=4095,
@@ -112,7 +117,7 @@ MODELS = (
     ServoModel(
         name="MX-64",
         number=310,
-        family=PLAIN,
+        family=MX,
         kind="duty",
         resolution=4096,
         counts=4095,
@@ -130,7 +135,7 @@ MODELS = (
     ServoModel(
         name="MX-106",
         number=320,
-        family=DUAL,
+        family=MX_DUAL,
         kind="duty",
         resolution=4096,
         counts=4095,

@@ -54,6 +54,7 @@ CURRENT = Family(
     registers={
         **_COMMON,
         "current_limit": Register(38, 2),
+        "pwm_goal": Register(100, 2, "twos"),
         "limit": Register(102, 2, "twos"),
         "current": Register(126, 2, "twos"),
     },
@@ -65,6 +66,7 @@ CURRENT = Family(
     speed_max=32767,
     ceiling="current_limit",
     multi_turn=True,
+    unbound={"pwm_goal": "pwm_limit"},
 )
 DUTY = Family(
     name="X, duty-limited",
@@ -83,6 +85,7 @@ DUTY = Family(
     full_load=1000,
     speed_max=32767,
     ceiling="pwm_limit",
+    unbound={"acceleration_cap": 0},
 )
 
 DUTY_PER_RADIAN = 4096 / (2 * pi) / 128 / 885

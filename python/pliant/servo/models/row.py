@@ -6,14 +6,14 @@ stand in the row.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import nan
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-Sign = Literal["unsigned", "twos", "bit10", "bit15"]
+Sign = Literal["unsigned", "twos", "bit10", "bit11", "bit15"]
 Protocol = Literal["p1", "p2"]
 Kind = Literal["duty", "current"]
 
@@ -25,7 +25,7 @@ class Register:
     Attributes:
         address: Address of the first byte.
         size: Bytes: 1, 2 or 4.
-        sign: `unsigned`; `twos` complement; `bit10` and `bit15`: magnitude with that sign bit.
+        sign: `unsigned`; `twos` complement; `bit10` to `bit15`: magnitude with that sign bit.
     """
 
     address: int
@@ -89,6 +89,8 @@ class Family:
         speed_max: Largest value of the speed cap.
         ceiling: EEPROM field that bounds the limit from above.
         multi_turn: Whether goals may leave one turn, so that software keeps the position limits.
+        unbound: Further registers in RAM that limit torque or motion, and what they are while we
+            drive: a number, or the field that holds their largest value.
     """
 
     name: str
@@ -103,6 +105,14 @@ class Family:
     speed_max: int
     ceiling: str
     multi_turn: bool = False
+    unbound: Mapping[str, int | str] = field(default_factory=dict)
+
+    @property
+    def borrowed(self) -> tuple[str, ...]:
+        """Registers that are written while we drive, the goal aside: to be handed back."""
+        cyclic = [name for names in self.write for name in names if name != "goal"]
+        watchdog = ["watchdog"] if "watchdog" in self.registers else []
+        return (*cyclic, *self.unbound, *watchdog)
 
     def block(self, *names: str) -> Block:
         """The block that spans some fields."""

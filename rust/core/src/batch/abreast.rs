@@ -8,6 +8,7 @@ use crate::command::limits::finish;
 use crate::controller::Controller;
 use crate::controller::floors::{Given, Seen, Solution, row_damping};
 use crate::kinematics::batch::{gather, scatter};
+use crate::law::Pacing;
 use crate::law::feedforward::SPEED_BOUND;
 use crate::law::paper::{is_printed, printed};
 use crate::law::singular::Condition;
@@ -100,6 +101,7 @@ impl Abreast<'_> {
             scaled_rows: seen.rows, // the printed law asks for them alone
             condition: &condition,
             damping: row_damping::<Columns<W, ABREAST>>(plan, &condition),
+            pacing: Pacing::none(), // its references have no speed
         };
         let (motion, budget) = printed(&given.tick(plan, settings, &seen, &wish));
         let solution = Solution::new(plan, &given, &seen, (motion, None));
@@ -146,7 +148,7 @@ impl Abreast<'_> {
                 for off in [m[12], m[13], m[14], m[15] - one] {
                     *sure = W::if_less(W::abs(off), W::splat(1e-9), *sure, nothing);
                 }
-                *sure = target.if_sure::<W>(*sure);
+                *sure = target.if_sure::<W>(&self.controller.plan.workspace, *sure);
             }
             Targets::Positions(values) => {
                 let p = gather::<W>(&values[3 * row..], 3);
@@ -154,7 +156,7 @@ impl Abreast<'_> {
                     target.rotation[i][i] = one;
                     target.position[i] = p[i];
                 }
-                *sure = target.if_sure::<W>(*sure);
+                *sure = target.if_sure::<W>(&self.controller.plan.workspace, *sure);
             }
         }
         target

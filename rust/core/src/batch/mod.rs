@@ -117,7 +117,7 @@ impl Controller {
             if got == count * each { Ok(()) } else { Err(Error::length(what, got, count * each)) }
         };
         match input.targets {
-            Targets::One(pose) => pose.check("targets")?,
+            Targets::One(pose) => self.check_target("targets", pose)?,
             Targets::Poses(values) => same("targets", values.len(), 16)?,
             Targets::Positions(values) => same("targets", values.len(), 3)?,
         }
@@ -287,22 +287,25 @@ impl<'a> BatchInput<'a> {
         if let Some(dq) = dq {
             controller.joints("dq", dq, SPEED_BOUND).map_err(|error| error.in_row("dq", row))?;
         }
-        Ok(Row { q, target: self.target(row)?, dq })
+        Ok(Row { q, target: self.target(controller, row)?, dq })
     }
 
-    fn target(&self, row: usize) -> Result<Pose> {
+    fn target(&self, controller: &Controller, row: usize) -> Result<Pose> {
         let named = |of: &dyn Fn(&str) -> Result<Pose>| of("").or_else(|_| of(&format!("targets[{row}]")));
         match self.targets {
             Targets::One(pose) => Ok(*pose),
             Targets::Poses(values) => {
                 let m = &values[16 * row..][..16];
                 let line = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
-                named(&|name| Pose::from_rows_of(name, &[line(0), line(1), line(2), line(3)]))
+                named(&|name| {
+                    let pose = Pose::from_rows_of(name, &[line(0), line(1), line(2), line(3)])?;
+                    controller.check_target(name, &pose).map(|()| pose)
+                })
             }
             Targets::Positions(values) => {
                 let p = &values[3 * row..][..3];
                 let pose = Pose { position: [p[0], p[1], p[2]], ..Pose::IDENTITY };
-                named(&|name| pose.check(name).map(|()| pose))
+                named(&|name| controller.check_target(name, &pose).map(|()| pose))
             }
         }
     }

@@ -5,9 +5,6 @@ use crate::kinematics::JointMatrix;
 use crate::servos::{ServoArrays, Servos};
 use crate::{JointVec, MAX_JOINTS};
 
-/// Speed [rad/s] over which dry friction changes its side: v₀ of the feed-forward.
-const FRICTION_SPEED: f64 = 0.05;
-
 /// Least uncertainty of a joint's torque, as a share of the usable one: nothing is known better.
 const LEAST: f64 = 1e-4;
 
@@ -104,6 +101,8 @@ pub(super) struct Balance<'a> {
     /// Acceleration behind the low-pass [rad/s²].
     pub(super) acceleration: &'a JointVec,
     pub(super) noise: &'a Noise,
+    /// v₀ of the feed-forward [rad/s]: speed over which dry friction changes its side.
+    pub(super) friction_speed: f64,
 }
 
 /// Standard deviations of what encoder counts do; independent from joint to joint.
@@ -134,7 +133,7 @@ impl Balance<'_> {
         let (joints, v) = (self.joints, self.velocity);
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..joints.n {
-            let dry = self.friction(i) * (v[i] / FRICTION_SPEED).tanh();
+            let dry = self.friction(i) * (v[i] / self.friction_speed).tanh();
             out[i] = dry + (self.damping(i) + self.own_damping(i)) * v[i];
         }
         out
@@ -163,8 +162,8 @@ impl Balance<'_> {
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..joints.n {
             let (speed, off) = (self.velocity[i].abs(), self.velocity_error[i]);
-            let believed = (speed / FRICTION_SPEED).tanh();
-            let sure = ((speed - off).max(0.0) / FRICTION_SPEED).tanh();
+            let believed = (speed / self.friction_speed).tanh();
+            let sure = ((speed - off).max(0.0) / self.friction_speed).tanh();
             let (moving, rest) = (self.friction(i), joints.servos.friction_at_rest(i, self.given[i]));
             let share = errors.friction * (sure * moving + (1.0 - sure) * rest);
             let dry = rest * (1.0 + believed - 2.0 * sure) + share;

@@ -102,6 +102,7 @@ impl Contact {
             velocity_error: &motion.velocity_error,
             acceleration: &motion.acceleration,
             noise: &motion.noise,
+            friction_speed: controller.settings().friction_speed,
         };
         let errors = Errors {
             given: if measured.is_some() { self.options.load_error } else { self.errors.given },
@@ -181,6 +182,8 @@ impl Contact {
                 }
                 let least = options.guard() * typical[axis];
                 if value < least {
+                    // Rounded up: the number that is said is enough when it is typed.
+                    let least = (1e3 * least).ceil() / 1e3;
                     let unit = if axis < 3 { "N" } else { "N·m" };
                     return Err(Error::limit(
                         format!("{name}.{} [{unit}]", AXIS_NAMES[axis]),
@@ -211,6 +214,7 @@ impl Contact {
             velocity_error: &zero,
             acceleration: &zero,
             noise: &Noise { reading: self.reading_noise(controller.settings().rate.recip()), ..Noise::default() },
+            friction_speed: controller.settings().friction_speed,
         };
         let resistance = balance.resistance_error(&self.errors);
         let open = self.open(&self.errors, &resistance, &seen.gravity, &seen.gravity);

@@ -4,10 +4,10 @@ use crate::MAX_AXES;
 use crate::command::goal::fade_beyond;
 use crate::command::limits::Load;
 use crate::kinematics::View;
-use crate::law::feedforward::Resistance;
+use crate::law::feedforward::Fed;
 use crate::law::inverse::transpose_times;
 use crate::law::singular::Condition;
-use crate::law::{Motion, Tick};
+use crate::law::{Motion, Pacing, Tick};
 use crate::number::{Arithmetic, Axes, Lanes, Scalar, Spread};
 use crate::plan::Plan;
 use crate::settings::{Law, Settings};
@@ -64,6 +64,7 @@ pub(crate) struct Given<'a, J: Lanes> {
     pub(crate) condition: &'a Condition<Scalar<J>>,
     /// λ² of each row.
     pub(crate) damping: J::Axes,
+    pub(crate) pacing: Pacing<J::Axes>,
 }
 
 /// What the law came to.
@@ -104,11 +105,12 @@ impl<'a, J: Lanes> Given<'a, J> {
             scaled_rows: self.scaled_rows,
             condition: self.condition,
             damping: self.damping,
+            pacing: self.pacing,
             wish,
             velocity: self.velocity,
             gradient: self.gradient,
             gravity: seen.gravity_in_goal,
-            resistance: resist(plan, settings, self.velocity, self.condition.gamma),
+            fed: fed::<J>(settings, self.condition.gamma),
             integral: self.integral,
         }
     }
@@ -182,13 +184,15 @@ impl<J: Lanes> Solution<J> {
     }
 }
 
-/// Line 10; law `paper` has no feed-forward.
+/// What of line 10 is fed forward; law `paper` does not ask.
 #[inline(always)]
-fn resist<J: Lanes>(plan: &Plan, settings: &Settings, v: J, gamma: Scalar<J>) -> Resistance<J> {
-    if plan.law == Law::Paper {
-        return Resistance::none();
+fn fed<J: Lanes>(settings: &Settings, gamma: Scalar<J>) -> Fed<Scalar<J>> {
+    let share = |of: f64| gamma * J::One::splat(of);
+    Fed {
+        friction: share(settings.friction_share),
+        damping: share(settings.damping_share),
+        speed: settings.friction_speed,
     }
-    Resistance::new(v, &plan.servos, (settings.friction_share, settings.damping_share), settings.friction_speed, gamma)
 }
 
 /// How far the goals may lead under law `paper` [rad]: what the limit can use and a little more.

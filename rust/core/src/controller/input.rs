@@ -51,39 +51,25 @@ impl Controller {
 
     /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
     pub(crate) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
-        let (mut out, mut fine, [least, most]) = ([0.0; MAX_JOINTS], values.len() == self.plan.n, &self.plan.readable);
-        for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
-            fine &= least[i] < value && value < most[i];
-            *slot = if value.abs() < NEGLIGIBLE { 0.0 } else { value };
-        }
-        if fine { Ok(out) } else { self.explain(what, values) }
+        let [least, most] = &self.plan.readable;
+        self.model.joints_between(what, values, least, most)
     }
 
-    /// What is wrong with joint positions that cannot be.
-    #[cold]
-    fn explain(&self, what: &str, values: &[f64]) -> Result<JointVec> {
-        let q = self.joints(what, values, COORDINATE_BOUND)?;
-        for i in 0..self.plan.n {
-            let (lower, upper) = (self.plan.lower[i], self.plan.upper[i]);
-            let prismatic = self.model.prismatic().get(i).copied().unwrap_or(false);
-            let (least, most) = (self.plan.readable[0][i], self.plan.readable[1][i]);
-            if q[i] <= least || q[i] >= most {
-                let name = self.model.joint_names().get(i).map_or("", String::as_str);
-                let (unit, hint) = if prismatic { ("m", "; is it in mm?") } else { ("rad", "; is it in degrees?") };
-                return Err(Error::limit(
-                    format!("{what}[{i}] ({name}) [{unit}]"),
-                    q[i],
-                    format!("({least:.3}, {most:.3}), far beyond the limits [{lower}, {upper}] of this joint{hint}"),
-                ));
-            }
-        }
-        Ok(q)
+    /// Whether a tool pose may be a target of this task.
+    pub(crate) fn check_target(&self, what: &str, target: &Pose) -> Result<()> {
+        self.model.check_target_in(what, target, &self.plan.workspace)
+    }
+
+    /// Reads joint positions that are a target.
+    pub(crate) fn joint_target(&self, what: &str, values: &[f64]) -> Result<JointVec> {
+        let [least, most] = &self.plan.joint_targets;
+        self.model.joints_between(what, values, least, most)
     }
 
     /// Why a step refused these positions and this target.
     #[cold]
     pub(super) fn refusal(&self, q: &[f64], target: &Pose) -> Error {
-        match self.positions("q", q).map(|_| ()).and_then(|()| target.check("target")) {
+        match self.positions("q", q).map(|_| ()).and_then(|()| self.check_target("target", target)) {
             Err(error) => error,
             Ok(()) => {
                 Error::config("step", "the command is not finite for this q, target and settings: nothing was sent")

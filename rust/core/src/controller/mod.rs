@@ -370,7 +370,7 @@ impl Controller {
     /// # Errors
     /// As [`Controller::step`].
     pub fn step_joints(&mut self, q: &[f64], q_target: &[f64], input: &StepInput<'_>) -> Result<&Command> {
-        let wanted = self.positions("q_target", q_target)?;
+        let wanted = self.joint_target("q_target", q_target)?;
         let mut frames = Frames::default();
         self.model.chain().forward(&wanted, &mut frames);
         self.advance(q, &frames.tool, &StepInput { posture: Some(q_target), ..*input })

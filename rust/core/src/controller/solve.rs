@@ -10,7 +10,7 @@ use crate::law::inverse::{Factor, Square, rows_array, times, weighted_gram};
 use crate::law::nullspace::fade_squared;
 use crate::law::singular::{Condition, SingularValues};
 use crate::law::takeover::{Share, Takeover};
-use crate::law::{motion, weighted_manipulability};
+use crate::law::{Pacing, motion, weighted_manipulability};
 use crate::number::Joints;
 use crate::plan::Plan;
 use crate::settings::Settings;
@@ -45,6 +45,7 @@ pub(super) fn solve<J: Joints>(
     wish: &Wish<J::Axes>,
     memory: &Memory,
     filtered: &Filtered<J>,
+    pacing: Pacing<J::Axes>,
     singular: &mut SingularValues,
 ) -> Solved<J> {
     let scaled;
@@ -58,7 +59,8 @@ pub(super) fn solve<J: Joints>(
     let gradient = cost_gradient(plan, input, &memory.rest, seen, scaled_rows, condition.mu_squared);
     let integral = J::load(&memory.integral);
     let damping = row_damping::<J>(plan, &condition);
-    let given = Given { velocity: filtered.velocity, gradient, integral, scaled_rows, condition: &condition, damping };
+    let given =
+        Given { velocity: filtered.velocity, gradient, integral, scaled_rows, condition: &condition, damping, pacing };
     let law = motion(&given.tick(plan, settings, seen, wish));
     let mut solved = Solved {
         solution: Solution::new(plan, &given, seen, law),

@@ -12,16 +12,18 @@ use crate::controller::solve::{Solved, solve, without_locked};
 use crate::controller::{Command, Controller, StepInput};
 use crate::error::{Error, Result};
 use crate::kinematics::{Frames, LookScratch, Masses};
+use crate::law::Pacing;
 use crate::law::feedforward::Filtered;
-use crate::law::inverse::{axes, rows_array};
+use crate::law::inverse::{axes, rows_array, times, wide};
 use crate::law::singular::SingularValues;
 use crate::model::Chain;
-use crate::number::{Arithmetic, EveryJoint, Joints, Kernel, LANES, Machine};
+use crate::number::{Arithmetic, Axes, EveryJoint, Joints, Kernel, LANES, Machine};
 use crate::plan::Plan;
 use crate::pose::Pose;
 use crate::settings::{LimitRule, Settings};
 use crate::task::deviation::pose_error_by;
 use crate::task::deviation_limit::Pushed;
+use crate::task::governor::Governor;
 use crate::task::wish::Wish;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
@@ -142,7 +144,7 @@ impl Cycle<'_> {
         let dt = self.input.dt.min(LONGEST_SLEW);
 
         let measured = without_negligible(J::read(self.q));
-        if !readable(plan, measured) || self.target.is_refused::<J::One>() {
+        if !readable(plan, measured) || self.target.is_refused::<J::One>(&plan.workspace) {
             return false;
         }
         let filtered = self.filter(measured);
@@ -173,8 +175,9 @@ impl Cycle<'_> {
             None => J::Axes::splat(0.0),
         };
         let wish = Wish::new(plan, settings, aim.deviation, twist);
+        let pacing = self.pacing(&seen, &filtered, &governor, dt);
         let mut singular = self.memory.singular;
-        let solved = solve(plan, settings, self.input, &seen, &wish, self.memory, &filtered, &mut singular);
+        let solved = solve(plan, settings, self.input, &seen, &wish, self.memory, &filtered, pacing, &mut singular);
         let solution = &solved.solution;
 
         let wanted = self.wanted_limits(measured, &seen, &wish, &solved, &singular);
@@ -262,6 +265,30 @@ impl Cycle<'_> {
         }
         let ahead = self.memory.gamma * self.settings.prediction_share * self.delay;
         J::fma(J::splat(ahead), filtered.velocity, q)
+    }
+
+    /// What gives the tool the speed and the acceleration of its reference.
+    #[inline(always)]
+    fn pacing<J: Joints>(
+        &self,
+        seen: &Seen<'_, J>,
+        filtered: &Filtered<J>,
+        governor: &Governor,
+        dt: f64,
+    ) -> Pacing<J::Axes> {
+        let (plan, pace) = (self.plan, &self.plan.pace);
+        let governed = self.settings.max_tool_speed.iter().any(|speed| speed.is_finite());
+        if !(pace.on && governed) {
+            return Pacing::none();
+        }
+        let (velocity, before) = (governor.own_velocity(), self.memory.governor.own_velocity());
+        let change: [f64; 6] = std::array::from_fn(|i| (velocity[i] - before[i]) / dt);
+        let speed: J::Axes = plan.in_rows(&seen.base_from_task, &velocity);
+        let acceleration: J::Axes = plan.in_rows(&seen.base_from_task, &change);
+        let own: J::Axes = wide(&times(seen.rows, filtered.velocity));
+        let driven = J::Axes::constant(&pace.inertia) * J::Axes::clip(acceleration, J::Axes::constant(&pace.driven));
+        let displacement = J::Axes::fma(J::Axes::constant(&pace.damping), speed - own, driven);
+        Pacing { displacement, velocity: speed }
     }
 
     /// Line 12 before floor, ceiling and slew, or (11).

@@ -83,7 +83,13 @@ pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
         softness: tick.wish.softness,
         cap: tick.wish.strength,
     };
-    tick.exert(demand.wrench(plan.follow), tick.null_motion())
+    let mut wrench = demand.wrench(plan.follow);
+    let mut ahead = J::splat(0.0);
+    if plan.pace.on {
+        let (force, speed) = tick.paced(diagonal(demand.compliance));
+        (wrench.stiff, ahead) = (wrench.stiff + force, speed);
+    }
+    tick.exert(wrench, tick.null_motion(), tick.resistance(ahead))
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Velocity, prediction over the known delay, and what the joints themselves resist: lines 1 and 10.
 
-use crate::number::{Arithmetic, Joints, Lanes, NEGLIGIBLE, Scalar, tanh};
+use crate::number::{Joints, Lanes, NEGLIGIBLE, Scalar, tanh};
 use crate::servos::ServoArrays;
 use crate::{JointVec, MAX_JOINTS};
 
@@ -53,6 +53,16 @@ pub(crate) struct Filtered<J> {
     pub(crate) velocity: J,
 }
 
+/// How much of it is fed forward.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Fed<S> {
+    /// γ b_f and γ b_d.
+    pub(crate) friction: S,
+    pub(crate) damping: S,
+    /// v₀ [rad/s].
+    pub(crate) speed: f64,
+}
+
 /// What the joints resist with, as far as it is fed forward.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Resistance<J> {
@@ -63,23 +73,18 @@ pub(crate) struct Resistance<J> {
 }
 
 impl<J: Lanes> Resistance<J> {
-    /// Of nothing.
-    #[inline(always)]
-    pub(crate) fn none() -> Self {
-        Self { idle: J::splat(0.0), loaded: J::splat(0.0) }
-    }
-
     /// `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and `γ b_f (μ + s μ_s) tanh(v/v₀)`, `s = 1/(1 + x + x²)`, `x = |v|/v_s`:
-    /// what friction at rest has more than in motion fades with the speed.
+    /// what friction at rest has more than in motion fades with the speed. `toward` stands for v in `tanh(v/v₀)`: a joint that
+    /// sticks does not say where it is to go.
     #[inline(always)]
-    pub(crate) fn new(v: J, servos: &ServoArrays, shares: (f64, f64), friction_speed: f64, gamma: Scalar<J>) -> Self {
+    pub(crate) fn new([v, toward]: [J; 2], servos: &ServoArrays, fed: Fed<Scalar<J>>) -> Self {
         let one = J::splat(1.0);
         let x = J::abs(v) * J::load(&servos.stribeck_slowness);
         let at_rest = one / J::fma(x, x, one + x);
-        let way = tanh::<J>(v * J::splat(1.0 / friction_speed)) * J::spread(gamma * J::One::splat(shares.0));
+        let way = tanh::<J>(toward * J::splat(1.0 / fed.speed)) * J::spread(fed.friction);
         let dry = J::fma(at_rest, J::load(&servos.stribeck), J::load(&servos.friction));
         let per_load = J::fma(at_rest, J::load(&servos.load_stribeck), J::load(&servos.load_friction));
-        let damping = J::load(&servos.damping) * v * J::spread(gamma * J::One::splat(shares.1));
+        let damping = J::load(&servos.damping) * v * J::spread(fed.damping);
         Self { idle: J::fma(dry, way, damping), loaded: per_load * way }
     }
 

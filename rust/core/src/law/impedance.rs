@@ -1,6 +1,6 @@
 //! Law `impedance`: a spring and a damper on each task axis, no solve. Takes the place of lines 6 to 8 of the control step.
 
-use crate::law::inverse::{axes, load_rows, times, weighted_gram, wide};
+use crate::law::inverse::{axes, diagonal, load_rows, times, weighted_gram, wide};
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
 use crate::number::{Arithmetic, Axes, AxisScalar, EveryJoint, Lanes, Scalar, Spread};
@@ -71,14 +71,20 @@ fn share<J: Lanes>(tick: &Tick<'_, J>, gains: J::Axes, bound: f64) -> Scalar<J> 
 /// `F = clip(f K ẽ + f_D D (twist − v), ±most)` per axis, and `f` ≤ 1; f and f_D keep `f ρ(K)` and `f_D ρ(D)` within
 /// their bounds at this pose.
 #[inline(always)]
-fn force<J: Lanes>(tick: &Tick<'_, J>) -> (J::Axes, Scalar<J>) {
+fn force<J: Lanes>(tick: &Tick<'_, J>) -> (J::Axes, J, Scalar<J>) {
     let (wish, [most_stiff, most_damped]) = (tick.wish, tick.plan.impedance_bounds);
     let stiff = share(tick, wish.stiffness, most_stiff);
     let damped = share(tick, wish.viscosity, most_damped);
     let velocity: J::Axes = wide(&times(tick.rows, tick.velocity));
     let spring = J::Axes::spread(stiff) * wish.stiffness * wish.adapted;
-    let force = J::Axes::fma(J::Axes::spread(damped) * wish.viscosity, wish.twist - velocity, spring);
-    (J::Axes::clip(force, wish.most), stiff)
+    let mut force = J::Axes::fma(J::Axes::spread(damped) * wish.viscosity, wish.twist - velocity, spring);
+    let mut ahead = J::splat(0.0);
+    if tick.plan.pace.on {
+        let gram = weighted_gram(tick.rows, J::load(&tick.plan.servos.compliance));
+        let (paced, speed) = tick.paced(diagonal(&gram));
+        (force, ahead) = (force + paced, speed);
+    }
+    (J::Axes::clip(force, wish.most), ahead, stiff)
 }
 
 /// f_D of the dampers as they are set, of the firmer side where sides differ.
@@ -94,7 +100,7 @@ pub(crate) fn damping_factor(plan: &Plan, rows: &Rows) -> f64 {
 /// Goals' lead of law `impedance`: `K_p⁻¹ Jᵀ F`, scaled to torque ceilings and speed limits.
 #[inline(always)]
 pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
-    let (force, gain_factor) = force(tick);
+    let (force, ahead, gain_factor) = force(tick);
     let softness = tick.wish.softness;
     let wrench = Wrench { soft: softness * force, stiff: (J::Axes::splat(1.0) - softness) * force };
     let null = match tick.plan.null_stiffness {
@@ -105,7 +111,7 @@ pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
         }
         None => tick.null_motion(),
     };
-    Motion { gain_factor, ..tick.exert(wrench, null) }
+    Motion { gain_factor, ..tick.exert(wrench, null, tick.resistance(ahead)) }
 }
 
 #[cfg(test)]

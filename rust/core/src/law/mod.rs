@@ -13,12 +13,12 @@ pub(crate) mod svd;
 pub(crate) mod takeover;
 pub(crate) mod wrench;
 
-use crate::law::feedforward::Resistance;
-use crate::law::inverse::axes;
+use crate::law::feedforward::{Fed, Resistance};
+use crate::law::inverse::{axes, transpose_times};
 use crate::law::nullspace::{NullSpace, manipulability_gradient};
 use crate::law::singular::Condition;
 use crate::law::wrench::Wrench;
-use crate::number::{Arithmetic, Lanes, Scalar};
+use crate::number::{Arithmetic, Axes, Lanes, Scalar};
 use crate::plan::Plan;
 use crate::settings::{Law, Projector};
 use crate::task::wish::Wish;
@@ -38,6 +38,7 @@ pub(crate) struct Tick<'a, J: Lanes> {
     pub(crate) condition: &'a Condition<Scalar<J>>,
     /// λ² of each row.
     pub(crate) damping: J::Axes,
+    pub(crate) pacing: Pacing<J::Axes>,
     /// What each axis wants.
     pub(crate) wish: &'a Wish<J::Axes>,
     /// Filtered joint velocity.
@@ -46,9 +47,27 @@ pub(crate) struct Tick<'a, J: Lanes> {
     pub(crate) gradient: J,
     /// Gravity in the goals.
     pub(crate) gravity: J,
-    pub(crate) resistance: Resistance<J>,
+    /// γ b_f, γ b_d and v₀ of the feed-forward.
+    pub(crate) fed: Fed<Scalar<J>>,
     /// Lead that the integrating goal has stored [rad].
     pub(crate) integral: J,
+}
+
+/// What gives the stiff axes the speed and the acceleration of their reference.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pacing<W> {
+    /// On the servos' springs [m, rad].
+    pub(crate) displacement: W,
+    /// Velocity of the reference [m/s, rad/s].
+    pub(crate) velocity: W,
+}
+
+impl<W: Axes> Pacing<W> {
+    /// Of references without a speed of their own.
+    #[inline(always)]
+    pub(crate) fn none() -> Self {
+        Self { displacement: W::splat(0.0), velocity: W::splat(0.0) }
+    }
 }
 
 /// What a law hands to the command floor.
@@ -84,6 +103,22 @@ pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, Option<J>) {
 }
 
 impl<J: Lanes> Tick<'_, J> {
+    /// Force [N, N·m] that keeps the stiff axes at the speed of their reference, and the joint speeds [rad/s] that this
+    /// speed asks for, about; `own` is the diagonal of C.
+    #[inline(always)]
+    pub(crate) fn paced(&self, own: J::Axes) -> (J::Axes, J) {
+        let own = J::Axes::at_least(own, J::Axes::splat(f64::MIN_POSITIVE));
+        let stiffness = (J::Axes::splat(1.0) - self.wish.softness) / own;
+        let along = transpose_times(self.rows, &(stiffness * self.pacing.velocity).axes());
+        (stiffness * self.pacing.displacement, along * J::load(&self.plan.servos.compliance))
+    }
+
+    /// Line 10; `ahead` [rad/s] is where the joints are to go beside where they go.
+    #[inline(always)]
+    pub(crate) fn resistance(&self, ahead: J) -> Resistance<J> {
+        Resistance::new([self.velocity, self.velocity + ahead], &self.plan.servos, self.fed)
+    }
+
     /// The null-space projector that the settings ask for.
     #[inline(always)]
     pub(crate) fn null_space(&self) -> NullSpace<'_, J> {

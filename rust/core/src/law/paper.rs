@@ -3,7 +3,7 @@
 use crate::command::goal::scale_to_fit;
 use crate::law::activation::{Activation, null_column};
 use crate::law::cap::Demand;
-use crate::law::inverse::{Factor, axes, damped, transpose_times, weighted_gram, wide};
+use crate::law::inverse::{Factor, axes, damped, diagonal, transpose_times, weighted_gram, wide};
 use crate::law::nullspace::NullSpace;
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
@@ -47,6 +47,14 @@ fn free_lead<J: Lanes>(tick: &Tick<'_, J>, step: J::Axes) -> J {
     compliance * transpose_times(tick.rows, &(demand.stiff_force() + soft).axes())
 }
 
+/// Lead [rad] that keeps the stiff axes at the speed of their reference.
+#[inline(always)]
+fn pacing_lead<J: Lanes>(tick: &Tick<'_, J>) -> J {
+    let compliance = J::load(&tick.plan.servos.compliance);
+    let own = diagonal(&weighted_gram(tick.rows, compliance));
+    compliance * transpose_times(tick.rows, &tick.paced(own).0.axes())
+}
+
 /// Goals' lead of law `paper`, `h K_q (J⁺Δx − α N∇g)`, and the joint budgets τ^q of (11).
 ///
 /// With `budget_on_goal` each axis' step is clamped to its τ^x.
@@ -62,6 +70,7 @@ pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, J) {
         Follow::Hold => transpose_times(&pinv, &step.axes()),
         Follow::Free => free_lead(tick, step),
     };
+    let task = if plan.pace.on { task + pacing_lead(tick) } else { task };
     let (null_space, along) = match plan.projector {
         Projector::Paper => (damped, damped.project_by(&pinv, tick.gradient)),
         Projector::Exact => {

@@ -1,6 +1,7 @@
 //! From a wrench to the goals' lead, within torque ceilings and joint speeds: shared by the laws that speak of forces.
 
 use crate::command::goal::scale_to_fit;
+use crate::law::feedforward::Resistance;
 use crate::law::inverse::transpose_times;
 use crate::law::{Motion, Tick};
 use crate::number::{Arithmetic, Axes, Lanes, Spread};
@@ -29,7 +30,7 @@ impl<W: Axes> Wrench<W> {
 impl<J: Lanes> Tick<'_, J> {
     /// Goals' lead that exerts `wrench`, with `null` [rad] beside it; what does not fit gives way in its order.
     #[inline(always)]
-    pub(crate) fn exert(&self, wrench: Wrench<J::Axes>, null: J) -> Motion<J> {
+    pub(crate) fn exert(&self, wrench: Wrench<J::Axes>, null: J, resistance: Resistance<J>) -> Motion<J> {
         let (plan, servos) = (self.plan, &self.plan.servos);
         let null = self.bound_null(null);
         let (kp, compliance, torque) = (J::load(&servos.kp), J::load(&servos.compliance), J::load(&servos.torque));
@@ -37,7 +38,7 @@ impl<J: Lanes> Tick<'_, J> {
         // Torque ceilings: the soft part gives way first, then the stiff one, gravity never.
         let soft = transpose_times(self.rows, &wrench.soft.axes());
         let stiff = transpose_times(self.rows, &wrench.stiff.axes());
-        let feed_forward = self.resistance.under(J::clip(self.gravity + soft + stiff, torque));
+        let feed_forward = resistance.under(J::clip(self.gravity + soft + stiff, torque));
         let base = J::fma(kp, null + self.integral, self.gravity + feed_forward);
         let [soft_torque, stiff_torque] = scale_to_fit(base, [soft, stiff], torque);
         // Joint speeds: the null part first.

@@ -13,6 +13,7 @@ mod names;
 mod options;
 mod parts;
 mod roles;
+mod targets;
 mod text;
 mod tree;
 mod urdf;
@@ -28,6 +29,7 @@ use crate::kinematics::Frames;
 use names::some;
 pub(crate) use options::finite_vector;
 use options::{need_limits, override_limits};
+pub(crate) use targets::{Workspace, joint_targets};
 use text::Source;
 use tree::Tree;
 
@@ -68,9 +70,23 @@ impl Model {
     /// # }
     /// ```
     pub fn from_urdf_file(path: impl AsRef<Path>, options: &ModelOptions) -> Result<Self> {
+        Self::from_urdf_file_with_text(path, options).map(|(model, _)| model)
+    }
+
+    /// [`Model::from_urdf_file`], and the text that was read.
+    ///
+    /// # Errors
+    /// As [`Model::from_urdf_file`].
+    pub fn from_urdf_file_with_text(path: impl AsRef<Path>, options: &ModelOptions) -> Result<(Self, String)> {
         let path = path.as_ref();
         let name = path.display().to_string();
         let unreadable = |message: String| Error::Urdf { source_name: name.clone(), at: Position(None), message };
+        // A pipe without a writer would never end.
+        if std::fs::metadata(path).is_ok_and(|data| !data.is_file()) {
+            return Err(unreadable(
+                "cannot be read: it is not a file; for text from a pipe there is from_urdf_str".into(),
+            ));
+        }
         let mut bytes = Vec::new();
         // One byte more than is allowed, so that too long a file is seen as such.
         std::fs::File::open(path)
@@ -78,7 +94,8 @@ impl Model {
             .map_err(|error| unreadable(format!("cannot be read: {error}")))?;
         let text = String::from_utf8(bytes)
             .map_err(|error| unreadable(format!("is not UTF-8 text (byte {})", error.utf8_error().valid_up_to())))?;
-        Self::read(&name, &text, options)
+        let model = Self::read(&name, &text, options)?;
+        Ok((model, text))
     }
 
     /// Reads URDF text.

@@ -41,10 +41,12 @@ pub(crate) use scalar::Plain;
 pub(crate) use stream::{PAST_THE_CACHES, Stream};
 pub(crate) use triple::{Cell, Kept, Real, Three, Triple};
 #[cfg(target_arch = "x86_64")]
-pub(crate) use x86::{
+pub(crate) use x86::sse2::{Sse2, Two};
+#[cfg(target_arch = "x86_64")]
+// Private: their methods are safe, and run instructions that `Instructions` alone knows the processor to have.
+use x86::{
     avx2::{Avx2, Four},
     avx512::Avx512,
-    sse2::{Sse2, Two},
 };
 
 /// Positions [rad, m] and velocities below this are 0 where they are read or kept: a filter that decays would come to

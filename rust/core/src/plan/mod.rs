@@ -2,6 +2,7 @@
 
 mod checks;
 mod lanes;
+mod pace;
 mod rows;
 mod scales;
 mod stiffness;
@@ -12,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::kinematics::spatial::Mat3;
 use crate::law::clearance::clearance;
 use crate::law::nullspace::Cost;
-use crate::model::Model;
+use crate::model::{Model, Workspace, joint_targets};
 use crate::pose::Pose;
 use crate::servos::{ServoArrays, Servos};
 use crate::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
@@ -23,6 +24,7 @@ use crate::task::deviation_limit::DeviationLimit;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 use checks::{check_axes, check_gain, check_gravity, check_kp, check_null_torque};
 pub(crate) use lanes::{AxisLanes, RowLanes};
+pub(crate) use pace::Pace;
 pub(crate) use rows::Row;
 use rows::{deviation_limits, resolve_rows};
 
@@ -62,6 +64,7 @@ pub(crate) struct Plan {
     pub(crate) rows: [Row; MAX_AXES],
     /// The same for vector code.
     pub(crate) lanes: RowLanes,
+    pub(crate) pace: Pace,
     /// Axes with a deviation limit; where there are none, a step knows nothing of them.
     pub(crate) deviation_limits: Vec<DeviationLimit>,
     /// 1 / length for translations, 1 for rotations: what makes singular values of mixed rows comparable.
@@ -100,6 +103,10 @@ pub(crate) struct Plan {
     pub(crate) upper: JointVec,
     /// Smallest and largest positions that are taken for real readings.
     pub(crate) readable: [JointVec; 2],
+    /// Least and largest joint targets [rad or m].
+    pub(crate) joint_targets: [JointVec; 2],
+    /// Where the tool's target may lie.
+    pub(crate) workspace: Workspace,
     /// How far goals may pass the position limits [rad]: the lead that the servo's whole torque takes.
     pub(crate) beyond: JointVec,
     /// By how much a lead that serves a force fades per rad that its joint is beyond the limits, at most.
@@ -159,6 +166,7 @@ impl Plan {
             frame: settings.task.frame,
             fixed_axes: settings.task.frame.base_from_task(&Pose::IDENTITY.rotation),
             lanes: RowLanes::new(&rows[..k], &damping_scale, &kx),
+            pace: Pace::new(model, settings, &arrays, &axes, surveyed),
             rows,
             deviation_limits: deviation_limits(settings, &axes),
             row_scale,
@@ -188,6 +196,8 @@ impl Plan {
             lower,
             upper,
             readable: scales::readable(model),
+            joint_targets: joint_targets(model),
+            workspace: if settings.task.axes[..3].contains(&true) { Workspace::of(model) } else { Workspace::ANY },
             beyond: joints(n, 0.0, |i| beyond(&arrays, i)),
             stop_slope: gain_bound(well_damped, settings.delay, 1.0 / settings.rate) - 1.0,
             clearance: if posture_lets_go { clearance(&lower, &upper) } else { [f64::NEG_INFINITY; MAX_JOINTS] },
@@ -225,6 +235,7 @@ impl Plan {
         self.kx_derating = if self.law == Law::Cap && gain > bound { bound / gain } else { 1.0 };
         self.impedance_bounds = stiffness::bounds(settings, delay, self.servos.well_damped(self.n));
         self.stop_slope = bound - 1.0;
+        self.pace.derate(settings, delay);
     }
 }
 

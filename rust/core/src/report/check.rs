@@ -86,6 +86,9 @@ impl Controller {
             let expected = format!("(N, {}) with N of at least 1", self.plan.n);
             return Err(Error::Shape { what: "path".into(), got: format!("(0, {})", self.plan.n), expected });
         }
+        for (index, q) in path.iter().enumerate() {
+            self.joint_target("q", q).map_err(|error| error.in_row("path", index))?;
+        }
         let (k, n, torque) = (self.plan.k, self.plan.n, self.plan.servos.torque);
         let mut lack = vec![[Worst::NONE; 2]; k];
         let mut rub = vec![Worst::NONE; k];
@@ -182,6 +185,7 @@ impl Controller {
     /// # Errors
     /// As [`Controller::step`].
     pub fn check_pose(&self, target: &ToolPose, q0: &[f64]) -> Result<Check> {
+        self.check_target("target", target)?;
         let task = &self.settings().task;
         let mut axes = task.axes;
         if task.frame != Frame::Base {

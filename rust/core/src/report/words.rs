@@ -1,6 +1,6 @@
 //! The report in sentences and as a table.
 
-use std::fmt;
+use std::fmt::{self, Write as _};
 
 use crate::command::dead_host::TRAVEL;
 use crate::report::Report;
@@ -103,13 +103,35 @@ impl Report {
                 ));
             }
         }
-        let mut meets = Vec::new();
+        let (mut meets, mut fixed) = (Vec::new(), Vec::new());
         for (row, axis) in self.axes.iter().enumerate() {
             for side in [1, 0] {
-                meets.push(format!("{}{axis} {} {}", SIDES[side], number(self.dead_host[row][side]), self.unit(row)));
+                let (sign, force) = (SIDES[side], self.dead_host[row][side]);
+                if force.is_finite() {
+                    meets.push(format!("{sign}{axis} {} {}", number(force), self.unit(row)));
+                } else {
+                    fixed.push(format!("{sign}{axis}"));
+                }
             }
         }
-        out.push(format!("If the host dies now, a hand meets at most: {}.", meets.join(", ")));
+        let mut dies = "If the host dies now, the servos keep their goals and limits".to_owned();
+        if !meets.is_empty() {
+            let _ = write!(
+                dies,
+                ": a hand that moves the tool by {} mm or {} rad from there meets at most {}",
+                1e3 * TRAVEL[0],
+                TRAVEL[1],
+                meets.join(", ")
+            );
+        }
+        if !fixed.is_empty() {
+            let _ = write!(
+                dies,
+                "; it cannot move it so far along {}: the arm is stretched out or at a stop",
+                fixed.join(", ")
+            );
+        }
+        out.push(dies + ".");
         out.extend(self.dead_host_sentence());
         out
     }

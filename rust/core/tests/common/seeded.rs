@@ -80,6 +80,13 @@ impl Random {
                 pose.rotation[i][j] = (0..3).map(|k| turn[i][k] * before[k][j]).sum();
             }
         }
+        // One that is refused for its distance is pulled in until it is just taken.
+        let centre = model.reach_from();
+        while model.check_target(&pose).is_err() {
+            for (value, from) in pose.position.iter_mut().zip(centre) {
+                *value += 0.01 * (from - *value);
+            }
+        }
         pose
     }
 }

@@ -1,0 +1,183 @@
+"""What is said while an arm is left: why, how far it is, and how it was left."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant.arm.signals import name_of, signal_of
+from pliant.arm.speaker import SPEAKER
+
+if TYPE_CHECKING:
+    from pliant.arm.cycle import Cycle
+    from pliant.arm.lowering import Lowering
+    from pliant.arm.speaker import Message
+
+#: Time between two lines of progress [s].
+PROGRESS = 1.0
+#: Least torque that counts as carrying [N·m].
+LEAST = 1e-3
+#: Longest reason that is repeated in full [characters].
+LONGEST = 160
+#: What each phase of a descent is called.
+PHASES = {"rest": "to its rest pose", "down": "down", "ramp": "at rest, giving up its weight"}
+#: How to go on from an arm that was left with torque on.
+RECOVER = (
+    "`pliant run ARM`, or your program started again, takes it over and lowers it at its end; or "
+    "support the arm and cut the supply"
+)
+
+
+class Ending:
+    """One way out of an arm.
+
+    An ending that the program planned is logged as INFO, for an arm in simulated time as DEBUG; any
+    other as WARNING.
+
+    Args:
+        name: The arm's.
+        cycle: The arm.
+        cause: Why it is left; None: as planned.
+    """
+
+    def __init__(self, name: str, cycle: Cycle, cause: str | None) -> None:
+        """Note where the arm stands; nothing is said yet."""
+        self._name, self._cycle, self._cause = name, cycle, cause
+        is_real = bool(getattr(cycle.clock, "real_time", False))
+        planned = logging.INFO if is_real else logging.DEBUG
+        self._level = planned if cause is None else logging.WARNING
+        self._detail = logging.INFO if is_real else logging.DEBUG
+        self._begin, self._spoke = cycle.clock.now(), time.monotonic()
+        self._from: float | None = None
+
+    def begin(self, *, interrupted: bool = False) -> Message:
+        """Say that the arm is being lowered, and what Ctrl-C does meanwhile.
+
+        Args:
+            interrupted: Whether one Ctrl-C is why.
+        """
+        why = "" if self._cause is None else f" ({self._cause})"
+        again = "Ctrl-C again leaves" if interrupted else "Ctrl-C twice leaves"
+        return SPEAKER.say(
+            f"{self._name} is being lowered{why}. {again} at once, torque ON", self._level
+        )
+
+    def progress(self, lowering: Lowering) -> None:
+        """Say how far the arm is, at most once a second."""
+        now = time.monotonic()
+        if self._from is None:
+            self._from = self._height()
+        if now - self._spoke < PROGRESS:
+            return
+        self._spoke = now
+        # No fault in a message may end a descent.
+        with contextlib.suppress(Exception):
+            where = PHASES.get(lowering.phase, lowering.phase)
+            SPEAKER.say(
+                f"{self._name}: {where}, {self._fallen()}, {self._passed():.0f} s",
+                self._detail,
+                progress=True,
+            )
+
+    def down(self, *, heard: bool = False) -> str:
+        """Say that the arm rests and torque is off.
+
+        Args:
+            heard: Whether a signal came meanwhile, whose sender waits for this.
+        """
+        return self._say(
+            f"{self._name} was lowered: torque OFF, {self._fallen()}, {self._passed():.1f} s",
+            logging.WARNING if heard else self._level,
+        )
+
+    def stays(self, *, stopped: bool = False) -> str:
+        """Say that torque stays on, which joints carry the arm, and how to go on.
+
+        Args:
+            stopped: Whether it was being lowered.
+        """
+        return self._say(
+            f"{self._name} stays where it is, torque ON: {self._carrying()}. {RECOVER}",
+            logging.WARNING if stopped else self._level,
+        )
+
+    def failed(self, error: BaseException, on: list[str] | None) -> str:
+        """Say what ended a descent, and what is known of torque.
+
+        Args:
+            error: The reason.
+            on: Joints that have torque; None: not known, the servos no longer answer.
+        """
+        if on is None:
+            return self._say(
+                f"{self._name} was not lowered, the bus is gone: servos that have power keep their "
+                "last goal and limit, torque ON. Mend the connection and start again, which takes "
+                "the arm over; or support the arm and cut the supply",
+                logging.WARNING,
+            )
+        state = f"torque is ON in {', '.join(on)}. {RECOVER}" if on else "torque is OFF"
+        return self._say(f"{self._name} was not lowered ({brief(error)}): {state}", logging.WARNING)
+
+    def _say(self, text: str, level: int) -> str:
+        SPEAKER.say(text, level)
+        return text
+
+    def _carrying(self) -> str:
+        """Return the joints whose load is above their friction, the largest first."""
+        with contextlib.suppress(Exception):
+            cycle = self._cycle
+            load = np.abs(cycle.gravity())
+            friction = np.broadcast_to(np.asarray(cycle.servos.friction), load.shape)
+            names = [
+                cycle.model.joint_names[joint]
+                for joint in np.argsort(-load)
+                if load[joint] > max(float(friction[joint]), LEAST)
+            ]
+            if names:
+                verb = "carry" if len(names) > 1 else "carries"
+                return f"{', '.join(names)} {verb} it"
+        return "no joint carries much"
+
+    def _passed(self) -> float:
+        """Return the time since the ending began [s], on the arm's clock."""
+        return self._cycle.clock.now() - self._begin
+
+    def _height(self) -> float:
+        """Return the height of the tool [m], against gravity; NaN where it is not known."""
+        with contextlib.suppress(Exception):
+            model = self._cycle.model
+            gravity = np.asarray(model.gravity_vector)
+            up = -gravity / max(float(np.linalg.norm(gravity)), 1e-9)
+            return float(np.asarray(model.forward_kinematics(self._cycle.q))[:3, 3] @ up)
+        return float("nan")
+
+    def _fallen(self) -> str:
+        height = self._height()
+        fallen = 100.0 * ((height if self._from is None else self._from) - height)
+        if not np.isfinite(fallen):
+            return "height not known"
+        way = "higher" if fallen < -0.5 else "lower"
+        return f"tool {abs(fallen):.0f} cm {way}"
+
+
+def cause_of(error: BaseException | None) -> str | None:
+    """Return why an arm is left that an exception leaves; None without one."""
+    if error is None or isinstance(error, GeneratorExit):
+        return None
+    number = signal_of(error)
+    if number is not None:
+        return name_of(number)
+    if isinstance(error, SystemExit):
+        return None
+    return brief(error)
+
+
+def brief(error: BaseException) -> str:
+    """Return the first line of an error, cut at `LONGEST` characters."""
+    lines = str(error).strip().splitlines()
+    text = f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."

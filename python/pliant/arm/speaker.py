@@ -1,0 +1,143 @@
+"""Messages about an arm, written by a thread of their own: no reader can hold up a descent."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import queue
+import sys
+import threading
+import time
+from typing import NoReturn
+
+#: Messages go here. Where no handler is configured, INFO and above go to standard error.
+LOGGER = logging.getLogger("pliant.arm")
+#: Without a terminal, a progress line follows the line before it no sooner than this [s].
+SPARSE = 5.0
+#: Of a terminal that does not know its width.
+WIDTH = 80
+#: Longest wait for messages at the end of a descent [s].
+FLUSH = 0.3
+
+
+class Message:
+    """A line on its way to its reader.
+
+    Attributes:
+        text: The line.
+        level: As in `logging`.
+        progress: Whether a later line may take its place on a terminal.
+        told: Whether it was written, or could not be: its reader is gone.
+    """
+
+    __slots__ = ("level", "progress", "text", "told")
+
+    def __init__(self, text: str, level: int, *, progress: bool = False) -> None:
+        """Hold a line; nothing is written yet."""
+        self.text, self.level, self.progress, self.told = text, level, progress, False
+
+
+class Speaker:
+    """Queue of messages and the thread that writes them.
+
+    `say` never blocks and never raises: signal handlers and the thread that lowers an arm call it.
+    """
+
+    def __init__(self) -> None:
+        """Start nothing yet."""
+        self._process = 0
+        self._queue: queue.SimpleQueue[Message] = queue.SimpleQueue()
+        self._last: Message | None = None
+        self._stuck: Message | None = None
+        self._line_open, self._written = False, -SPARSE
+
+    def start(self) -> None:
+        """Start the thread, once per process; a signal handler could not."""
+        if self._process == os.getpid():
+            return
+        self._queue, self._last = queue.SimpleQueue(), None
+        # Without a thread the arm comes down in silence.
+        with contextlib.suppress(RuntimeError):
+            threading.Thread(
+                target=self._run, args=(self._queue,), name="pliant-speaker", daemon=True
+            ).start()
+            self._process = os.getpid()
+
+    def say(self, text: str, level: int = logging.INFO, *, progress: bool = False) -> Message:
+        """Queue a line."""
+        message = Message(text, level, progress=progress)
+        if self._process == os.getpid():
+            self._last = message
+            self._queue.put(message)
+        else:
+            message.told = True
+        return message
+
+    def flush(self, within: float = FLUSH) -> None:
+        """Wait until all lines are written, at most `within` [s]; a blocked reader only once."""
+        last = self._last
+        if last is None or (self._stuck is not None and not self._stuck.told):
+            return
+        deadline = time.monotonic() + within
+        while not last.told and time.monotonic() < deadline:
+            time.sleep(0.002)
+        self._stuck = None if last.told else last
+
+    def _run(self, lines: queue.SimpleQueue[Message]) -> NoReturn:
+        """Write one line after another."""
+        while True:
+            message = lines.get()
+            with contextlib.suppress(Exception):
+                self._write(message)
+            message.told = True
+
+    def _write(self, message: Message) -> None:
+        """Hand a line to `logging`, or write it to standard error."""
+        now = time.monotonic()
+        sparse = message.progress and now - self._written < SPARSE
+        if LOGGER.hasHandlers():
+            if not sparse:
+                self._written = now
+                LOGGER.log(message.level, message.text)
+            return
+        stream = sys.stderr
+        if stream is None or not _is_enabled(message.level):
+            return
+        text = f"pliant: {message.text}"
+        # The interpreter's own stream has a lock, which a blocked writer would keep for ever.
+        own = sys.__stderr__
+        number = own.fileno() if own is not None and stream is own else None
+        if number is not None and os.isatty(number) and os.environ.get("TERM") != "dumb":
+            if message.progress:
+                width = os.get_terminal_size(number).columns or WIDTH
+                text = f"\r\x1b[K{text[: width - 1]}"
+            else:
+                text = ("\r\x1b[K" if self._line_open else "") + f"{text}\r\n"
+            self._line_open = message.progress
+        elif sparse:
+            return
+        else:
+            text = f"{text}\n"
+        self._written = now
+        if number is None:
+            stream.write(text)
+            stream.flush()
+            return
+        left = text.encode(errors="replace")
+        while left:
+            left = left[os.write(number, left) :]
+
+
+def _is_enabled(level: int) -> bool:
+    """Whether standard error takes this level, where `logging` has no handler."""
+    if LOGGER.disabled or logging.root.manager.disable >= level:
+        return False
+    for logger in (LOGGER, logging.getLogger("pliant")):
+        if logger.level:
+            return level >= logger.level
+    return level >= logging.INFO
+
+
+#: The one of this process.
+SPEAKER = Speaker()

@@ -1,0 +1,84 @@
+"""Servo tables cut, spread over joints and joined: every field goes along."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pliant import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant import Servos
+
+#: Fields of a servo table with one number per joint.
+COLUMNS = (
+    "kp",
+    "torque",
+    "friction",
+    "load_friction",
+    "stribeck",
+    "load_stribeck",
+    "stribeck_speed",
+    "damping",
+    "kv",
+    "armature",
+    "count",
+)
+#: No-load speed that stands for none [rad/s].
+UNREACHABLE = 1e6
+
+
+def take(table: Servos, n: int, places: ArrayLike) -> Servos:
+    """Return the entries at some places of a table for n joints, with all its fields.
+
+    Raises:
+        ConfigError: The table is for another number of joints.
+    """
+    return table.replace(**_columns(table, n, np.asarray(places, dtype=int)))
+
+
+def spread(table: Servos, n: int) -> Servos:
+    """Return a table with n entries in every field.
+
+    Raises:
+        ConfigError: The table is for another number of joints.
+    """
+    return take(table, n, np.arange(n))
+
+
+def join(first: Servos, rest: Sequence[Servos]) -> Servos:
+    """Return one table of several: limit kind and `kp_known` are those of the first.
+
+    Where the first is of kind `duty`, a servo of another kind counts with an unreachable no-load
+    speed, that is without back-EMF.
+    """
+    tables = [first, *rest]
+    sizes = [np.size(table.kp) for table in tables]
+
+    def column(name: str) -> NDArray[np.float64]:
+        values = [getattr(table, name) for table in tables]
+        values = [UNREACHABLE if value is None else value for value in values]
+        rows = zip(values, sizes, strict=True)
+        return np.concatenate([np.broadcast_to(value, size) for value, size in rows])
+
+    joined: dict[str, Any] = {name: column(name) for name in COLUMNS}
+    if first.no_load_speed is not None:
+        joined["no_load_speed"] = column("no_load_speed")
+    return first.replace(**joined)
+
+
+def _columns(table: Servos, n: int, places: NDArray[np.int_]) -> dict[str, Any]:
+    """Every field of a table that has one number per joint, at some places."""
+    names = [*COLUMNS, *(["no_load_speed"] if table.no_load_speed is not None else [])]
+    out = {}
+    for name in names:
+        value = np.asarray(getattr(table, name), dtype=np.float64)
+        if value.shape not in {(), (1,), (n,)}:
+            raise ConfigError(f"servos.{name} has {value.size} entries for {n} joints")
+        out[name] = np.broadcast_to(value, n)[places]
+    return out

@@ -1,0 +1,108 @@
+"""Files that are written: never over an input or another kind of file, whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pliant import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+#: Bytes of a file that tell its kind.
+HEAD = 4096
+#: What each kind of file begins with; an empty file may become any kind.
+KINDS: dict[str, Callable[[bytes], bool]] = {
+    "log": lambda head: head.startswith(b"\x89MCAP0\r\n"),
+    "motion": lambda head: b"pliant motion" in head,
+    "picture": lambda head: (
+        head.startswith((b"\x89PNG\r\n", b"%PDF-")) or b"<svg" in head or b"<!DOCTYPE svg" in head
+    ),
+    "table": lambda head: head.startswith((b"PK\x03\x04", b"PAR1")),
+    "page": lambda head: head.lstrip().lower().startswith((b"<!doctype html", b"<html")),
+}
+
+
+def check_output(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()) -> bool:
+    """Check that a file can be written without loss of another one; nothing is changed.
+
+    Args:
+        path: File to write.
+        kind: Key of `KINDS`.
+        inputs: Files that are read; those that are None or not there do not count.
+
+    Returns:
+        Whether a file of the same kind is there, which will be replaced.
+
+    Raises:
+        ConfigError: It is one of the inputs, a folder, or a file of another kind; its folder is not
+            there; or it must not be written.
+    """
+    for other in inputs:
+        if other is not None and _is_same(path, Path(other)):
+            raise ConfigError(f"{path} is read by this command: name another file to write")
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise ConfigError(f"there is no folder {folder}")
+    if path.is_dir():
+        raise ConfigError(f"{path} cannot be written: it is a folder; name a file")
+    if path.exists() and not path.is_file():
+        return False  # a device or a pipe: only writing would tell
+    try:
+        # A file beside it: whether a folder takes one, only trying tells.
+        with replacing(path, keep=False):
+            pass
+        if not path.exists():
+            return False
+        with path.open("r+b") as stream:
+            head = stream.read(HEAD)
+    except OSError as error:
+        raise ConfigError(
+            f"{path} cannot be written: {error.strerror}; name another file"
+        ) from error
+    if head and not KINDS[kind](head):
+        raise ConfigError(
+            f"{path} is there and is no {kind}: name another file, or remove this one first"
+        )
+    return bool(head)
+
+
+@contextmanager
+def replacing(path: Path, *, keep: bool = True) -> Iterator[Path]:
+    """Give a temporary file beside `path` that takes its place at the end; on errors it is removed.
+
+    Args:
+        path: File to write.
+        keep: Whether it takes its place; else it is removed.
+
+    Raises:
+        OSError: The folder or the disk does not take it.
+    """
+    if path.exists() and not path.is_file():
+        yield path  # a device or a pipe
+        return
+    beside = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
+    try:
+        beside.touch(mode=0o666)
+        yield beside
+        if not keep:
+            beside.unlink()
+            return
+        if path.exists():
+            beside.chmod(path.stat().st_mode & 0o777)
+        beside.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            beside.unlink()
+        raise
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    """Whether two paths are one file, also through links."""
+    with suppress(OSError):
+        if path.samefile(other):
+            return True
+    return path.absolute() == other.absolute()

@@ -1,0 +1,172 @@
+//! Targets that an arm of these dimensions cannot mean: in other units, or in other axes than the base's.
+
+use crate::error::{Error, Result};
+use crate::model::Model;
+use crate::number::NEGLIGIBLE;
+use crate::pose::{COORDINATE_BOUND, DOUBT, POSITION_BOUND, Pose};
+use crate::{JointVec, MAX_JOINTS};
+
+/// Farthest that a target may lie from the first joint, in multiples of [`Model::reach`].
+///
+/// The arm stretches toward a target out of reach, which is a use: twice the reach lets the target of a 0.7 m arm jump by a metre,
+/// as in the fault tables. Feet, inches, centimetres and millimetres are factors of 3.3 to 1000.
+const REACH_FACTOR: f64 = 2.0;
+
+/// Added to that distance [m], for arms whose tool lies in the axis of their one joint.
+const REACH_MARGIN: f64 = 0.1;
+
+/// How far a joint target may lie beyond the position limits [rad].
+///
+/// Goals end at the limits anyway. The margin is for leader arms and policies, whose zeros are off by some degrees;
+/// degrees are a factor of 57.
+const ANGLE_MARGIN: f64 = 0.2;
+
+/// The same of a prismatic joint, as a share of its travel.
+const TRAVEL_MARGIN: f64 = 0.1;
+
+/// Where targets may lie: a ball around the first joint.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Workspace {
+    /// Origin of the first joint at q = 0, in the base [m].
+    pub(crate) centre: [f64; 3],
+    /// Largest distance from it [m].
+    pub(crate) radius: f64,
+    /// [`DOUBT`] by the radius [1/m].
+    pub(crate) doubt: f64,
+}
+
+impl Workspace {
+    /// No bound but [`POSITION_BOUND`], for tasks without translations.
+    pub(crate) const ANY: Self = Self { centre: [0.0; 3], radius: POSITION_BOUND, doubt: DOUBT / POSITION_BOUND };
+
+    /// Of an arm; a slide without limits reaches everything.
+    pub(crate) fn of(model: &Model) -> Self {
+        let bounded = |i: usize| (model.upper[i] - model.lower[i]).is_finite();
+        if (0..model.n()).any(|i| model.prismatic[i] && !bounded(i)) {
+            return Self::ANY;
+        }
+        let radius = (REACH_FACTOR * model.reach + REACH_MARGIN).min(POSITION_BOUND);
+        Self { centre: model.reach_from(), radius, doubt: DOUBT / radius }
+    }
+
+    /// Distance of a position from the centre [m].
+    pub(crate) fn distance(&self, position: &[f64; 3]) -> f64 {
+        // Scaled by hand: squares of 1e300 are infinite.
+        let apart = std::array::from_fn::<f64, 3, _>(|i| position[i] - self.centre[i]);
+        apart[0].hypot(apart[1]).hypot(apart[2])
+    }
+
+    /// Whether a position is outside; NaN is.
+    pub(crate) fn excludes(&self, position: &[f64; 3]) -> bool {
+        !(self.distance(position) <= self.radius)
+    }
+}
+
+/// Least and largest joint targets, ±∞ behind the last joint.
+pub(crate) fn joint_targets(model: &Model) -> [JointVec; 2] {
+    let mut out = [[f64::NEG_INFINITY; MAX_JOINTS], [f64::INFINITY; MAX_JOINTS]];
+    for (i, (&lower, &upper)) in model.lower.iter().zip(&model.upper).enumerate().take(MAX_JOINTS) {
+        let margin = if model.prismatic[i] { TRAVEL_MARGIN * (upper - lower) } else { ANGLE_MARGIN };
+        out[0][i] = (lower - margin).max(-COORDINATE_BOUND);
+        out[1][i] = (upper + margin).min(COORDINATE_BOUND);
+    }
+    out
+}
+
+impl Model {
+    /// Checks that a pose may be a target of this arm: one that is far out of reach is in other units.
+    ///
+    /// [`Controller::step`](crate::Controller::step) does so for tasks with translations.
+    ///
+    /// # Errors
+    /// As [`Pose::validate`]; [`Error::Limit`] for a position farther from the first joint than 2 × [`Model::reach`] + 0.1 m.
+    pub fn check_target(&self, target: &Pose) -> Result<()> {
+        self.check_target_in("target", target, &Workspace::of(self))
+    }
+
+    /// [`Model::check_target`] with the argument's name and the bound.
+    pub(crate) fn check_target_in(&self, name: &str, target: &Pose, workspace: &Workspace) -> Result<()> {
+        if target.position.iter().all(|value| value.is_finite()) && workspace.excludes(&target.position) {
+            return Err(self.too_far(name, &target.position, workspace));
+        }
+        target.check(name)
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn too_far(&self, name: &str, position: &[f64; 3], workspace: &Workspace) -> Error {
+        let bound = if workspace.radius < POSITION_BOUND {
+            format!(
+                "[0, {:.3}]: the arm reaches {:.3} m; is it in millimetres? A position is in metres, in the axes of '{}'",
+                workspace.radius,
+                self.reach,
+                self.base()
+            )
+        } else {
+            format!("[0, {POSITION_BOUND}]; is it in millimetres?")
+        };
+        let from = self.joint_names.first().map_or("the base", String::as_str);
+        let from = if workspace.radius < POSITION_BOUND { from } else { self.base() };
+        // Four digits tell what is wrong with the number.
+        let shown = |value: f64| {
+            if value.abs() < 1e6 { format!("{}", (1e4 * value).round() / 1e4) } else { format!("{value:e}") }
+        };
+        let [x, y, z] = position.map(shown);
+        let distance = workspace.distance(position);
+        let distance = if distance < 1e6 { (1e3 * distance).round() / 1e3 } else { distance };
+        Error::limit(format!("{name}: distance of position [{x}, {y}, {z}] from {from} [m]"), distance, bound)
+    }
+
+    /// Checks that joint positions (`n`) [rad or m] may be a target of this arm: far beyond the limits they are in other units.
+    ///
+    /// [`Controller::step_joints`](crate::Controller::step_joints) does so.
+    ///
+    /// # Errors
+    /// [`Error::Shape`]; [`Error::Limit`] for a joint beyond its limits by more than 0.2 rad, or a tenth of its travel.
+    pub fn check_joint_target(&self, q: &[f64]) -> Result<()> {
+        let [least, most] = joint_targets(self);
+        self.joints_between("q", q, &least, &most).map(|_| ())
+    }
+
+    /// Reads joint positions that lie between two bounds; next to nothing is 0.
+    #[inline]
+    pub(crate) fn joints_between(
+        &self,
+        what: &str,
+        values: &[f64],
+        least: &JointVec,
+        most: &JointVec,
+    ) -> Result<JointVec> {
+        let (mut out, mut fine) = ([0.0; MAX_JOINTS], values.len() == self.n());
+        for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
+            fine &= least[i] < value && value < most[i];
+            *slot = if value.abs() < NEGLIGIBLE { 0.0 } else { value };
+        }
+        if fine { Ok(out) } else { Err(self.not_between(what, values, least, most)) }
+    }
+
+    /// What is wrong with joint positions that are not.
+    #[cold]
+    #[inline(never)]
+    fn not_between(&self, what: &str, values: &[f64], least: &JointVec, most: &JointVec) -> Error {
+        if values.len() != self.n() {
+            return Error::length(what, values.len(), self.n());
+        }
+        let named = |i: usize| self.joint_names.get(i).map_or("", String::as_str);
+        if let Some(i) = values.iter().position(|value| !(value.abs() <= COORDINATE_BOUND)) {
+            return Error::limit(format!("{what}[{i}] ({})", named(i)), values[i], format!("±{COORDINATE_BOUND:e}"));
+        }
+        let outside = |&i: &usize| !(least[i] < values[i] && values[i] < most[i]);
+        let i = (0..self.n().min(MAX_JOINTS)).find(outside).unwrap_or(0);
+        let (lower, upper) = (self.lower[i], self.upper[i]);
+        let (unit, hint) = if self.prismatic[i] { ("m", "millimetres") } else { ("rad", "degrees") };
+        Error::limit(
+            format!("{what}[{i}] ({}) [{unit}]", named(i)),
+            values[i],
+            format!(
+                "({:.3}, {:.3}), beyond the limits [{lower}, {upper}] of this joint; is it in {hint}?",
+                least[i], most[i]
+            ),
+        )
+    }
+}

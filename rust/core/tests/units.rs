@@ -1,0 +1,75 @@
+//! Targets in other units are refused by every call, whatever instructions it runs on, and leave no trace.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
+
+use std::sync::Arc;
+
+use pliant_core::{Controller, Error, Instructions, Model, Pose, Servos, Settings, StepInput};
+
+#[path = "common/mod.rs"]
+mod common;
+
+const Q: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+
+fn controller(model: &Arc<Model>) -> Controller {
+    Controller::new(Arc::clone(model), Settings::default(), Some(Servos::new(vec![150.0], vec![10.7]))).unwrap()
+}
+
+/// A pose at a distance from the first joint [m].
+fn at(model: &Model, distance: f64, way: [f64; 3]) -> Pose {
+    let size = way.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let centre = model.reach_from();
+    Pose { position: std::array::from_fn(|i| centre[i] + distance * way[i] / size), ..Pose::IDENTITY }
+}
+
+#[test]
+fn the_bound_is_the_same_ball_on_all_instructions() {
+    let model = Arc::new(common::arm7());
+    let bound = 2.0 * model.reach() + 0.1;
+    for instructions in Instructions::available() {
+        let mut controller = controller(&model);
+        controller.set_instructions(instructions);
+        for way in [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 1.0], [-2.0, 1.0, 0.5]] {
+            for distance in [0.5 * bound, bound / 3.0_f64.sqrt(), bound - 1e-9] {
+                controller.step(&Q, &at(&model, distance, way), &StepInput::default()).unwrap();
+            }
+            let before = controller.carried();
+            for distance in [bound + 1e-9, 10.0 * bound, 1e3, 1e9, 1e300] {
+                let error = controller.step(&Q, &at(&model, distance, way), &StepInput::default()).unwrap_err();
+                assert!(matches!(&error, Error::Limit { value, .. } if *value >= bound - 1e-3), "{error}");
+                assert!(error.to_string().contains("millimetres?"), "{error}");
+                assert_eq!(error, model.check_target(&at(&model, distance, way)).unwrap_err());
+            }
+            assert_eq!(controller.carried(), before);
+        }
+    }
+}
+
+#[test]
+fn what_is_no_number_is_said_before_distance() {
+    let model = Arc::new(common::arm7());
+    let mut controller = controller(&model);
+    for strange in [f64::NAN, f64::INFINITY] {
+        let target = Pose { position: [strange, 0.0, 90.0], ..Pose::IDENTITY };
+        let error = controller.step(&Q, &target, &StepInput::default()).unwrap_err();
+        assert!(error.to_string().starts_with("target: position x"), "{error}");
+    }
+}
+
+#[test]
+fn joint_targets_end_a_little_beyond_the_limits() {
+    let model = Arc::new(common::arm7());
+    let mut controller = controller(&model);
+    for i in 0..7 {
+        for (limit, sign) in [(model.upper()[i], 1.0), (model.lower()[i], -1.0)] {
+            let mut wanted = Q;
+            wanted[i] = limit + sign * 0.199;
+            controller.step_joints(&Q, &wanted, &StepInput::default()).unwrap();
+            let before = controller.carried();
+            wanted[i] = limit + sign * 0.201;
+            let error = controller.step_joints(&Q, &wanted, &StepInput::default()).unwrap_err();
+            assert!(error.to_string().contains("degrees?") && error.to_string().contains(&model.joint_names()[i]));
+            controller.check(&[wanted.to_vec()]).unwrap_err();
+            assert_eq!(controller.carried(), before);
+        }
+    }
+}

@@ -1,0 +1,65 @@
+"""One clock that starts with the loop: simulated and over bytes, in ticks, events and logs."""
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rustypot", reason="servo buses need the extra servo")
+pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
+
+import pliant
+from pliant.log import Recorder, read
+from pliant.reactions import Call, Force, Reaction, Watch
+
+from .test_over_bytes import arm_over_bytes
+
+START = np.array([0.0, -0.3, 0.3, 0.9, 0.0])
+
+
+@contextmanager
+def simulated():
+    with pliant.connect("sim:so101", q=START, exit="hold") as arm:
+        yield arm
+
+
+@contextmanager
+def over_bytes():
+    with arm_over_bytes("sts", START, rate=50.0) as (bus, arm):
+        bus.advance(37.0)  # the servos have been on for a while
+        with arm:
+            yield arm
+            arm.hold()
+
+
+@pytest.mark.parametrize("backend", [simulated, over_bytes])
+def test_time_begins_with_the_loop(backend, tmp_path):
+    called = []
+    with backend() as arm:
+        controller = pliant.Controller(
+            arm.model, pliant.Settings.firm(task="xyz").replace(rate=50.0), arm.servos
+        )
+        watch = Watch(controller, [Reaction(Force("z", above=90.0), Call(called.append))])
+        arm.clock.wait_until(arm.clock.now() + 0.7)  # the program does something else before
+        with Recorder(tmp_path / "run.mcap", arm, controller) as recorder:
+            ticks, watched, began = [], [], []
+            target = None
+            for tick in pliant.Loop(arm, recorder.controller, rate=50.0, duration=1.0):
+                if target is None:
+                    target = arm.model.forward_kinematics(tick.q)
+                watch.update(tick.q, target, dt=tick.dt)
+                command = recorder.controller.step(tick.q, target, dt=tick.dt)
+                tick.write(command)
+                recorder.add(tick, command)
+                ticks.append(tick.time)
+                began.append(tick.began)
+                watched.append(watch._time)
+            again = next(iter(pliant.Loop(arm, controller, rate=50.0)))
+            again.hold()
+    assert ticks[0] == 0.0
+    assert again.time == 0.0
+    assert np.allclose(np.diff(ticks), np.diff(began))
+    assert ticks[-1] == pytest.approx(0.98, abs=0.021)
+    log = read(tmp_path / "run.mcap")
+    assert np.allclose(log.time + log.lag, ticks, atol=1e-9)
+    assert np.allclose(watched, ticks, atol=0.02), "events are of the same clock"

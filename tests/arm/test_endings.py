@@ -1,0 +1,366 @@
+"""Endings speak, and happen whatever becomes of the reader: each in a process of its own."""
+
+import contextlib
+import logging
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extra sim")
+
+import pliant
+import pliant.arm.arm
+from pliant.arm.ending import Ending
+from pliant.arm.speaker import LOGGER, SPEAKER, Speaker
+
+pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
+
+BEGIN = """
+import os, signal, sys, threading, time, pliant
+import numpy as np
+for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
+    default = signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
+    signal.signal(getattr(signal, name), default)
+
+def connect(**options):
+    global arm, start
+    arm = pliant.connect("sim:koch", q=np.array([0.0, 1.2, 0.0, 0.0, 0.0]), **options)
+    start = arm.drive.plant.tool[2, 3]
+    return arm
+
+def report():
+    plant = arm.drive.plant
+    on = arm.drive.enabled.any()
+    print("torque", "on" if on else "off", "down" if plant.tool[2, 3] < start - 0.02 else "up")
+    sys.stdout.flush()
+
+def kill(name):
+    os.kill(os.getpid(), getattr(signal, name))
+
+def once(action, turns=20):
+    # Run an action after some turns of the descent.
+    left = [turns]
+    def count():
+        left[0] -= 1
+        if left[0] == 0:
+            action()
+    arm.clock.on_tick = count
+"""
+
+
+@contextlib.contextmanager
+def begin(program, stderr=subprocess.PIPE):
+    process = subprocess.Popen(
+        [sys.executable, "-c", BEGIN + textwrap.dedent(program)],
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()  # one that never ends is what some of these tests ask about
+        process.communicate()
+
+
+def run(program, stderr=subprocess.PIPE):
+    with begin(program, stderr) as process:
+        said, complained = process.communicate(timeout=100)
+    return said.split(), complained, process.returncode
+
+
+@contextlib.contextmanager
+def reader(kind):
+    """The write end of a standard error that is gone, full, or that nobody drains."""
+    if kind == "full":
+        with open("/dev/full", "w", encoding="utf-8") as file:
+            yield file
+        return
+    get, put = os.pipe()
+    if kind == "gone":
+        os.close(get)
+    else:
+        os.set_blocking(put, False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(put, bytes(4096))
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(put, bytes(1))
+        os.set_blocking(put, True)
+    try:
+        yield put
+    finally:
+        os.close(put)
+        if kind != "gone":
+            os.close(get)
+
+
+DEAD = ["gone", pytest.param("full", marks=pytest.mark.full), "blocked"]
+
+
+@pytest.mark.parametrize("kind", DEAD)
+def test_a_signal_lowers_whatever_became_of_the_reader(kind):
+    with reader(kind) as stderr:
+        said, _, _ = run(
+            """
+            try:
+                with connect():
+                    once(lambda: kill("SIGINT"))
+                    kill("SIGHUP")
+            finally:
+                report()
+                os._exit(0)  # Python writes its own last words to the same reader
+            """,
+            stderr,
+        )
+    assert said == ["torque", "off", "down"]
+
+
+@pytest.mark.parametrize("kind", DEAD)
+def test_a_stalled_program_is_lowered_whatever_became_of_the_reader(kind):
+    with reader(kind) as stderr:
+        said, _, _ = run(
+            """
+            def wait():
+                while arm.enabled:
+                    time.sleep(0.01)
+                report()
+                os._exit(0)
+            with connect(real_time=True, hold_for=0.1, dt=0.005):
+                for tick in pliant.Loop(arm):
+                    tick.hold()
+                    if tick.index == 5:
+                        wait()
+            """,
+            stderr,
+        )
+    assert said == ["torque", "off", "down"]
+
+
+def test_a_program_that_blocks_after_ctrl_c_is_lowered():
+    said, complained, _ = run("""
+        with connect(real_time=True, hold_for=0.1, dt=0.005):
+            def look():
+                while arm.enabled:
+                    time.sleep(0.01)
+                report()
+                os._exit(0)
+            threading.Thread(target=look, daemon=True).start()
+            try:
+                arm.drive.read, read = lambda: (kill("SIGINT"), read())[1], arm.drive.read
+                for tick in pliant.Loop(arm):
+                    tick.hold()
+            finally:
+                threading.Event().wait()  # as a terminal that is stopped blocks a print
+    """)
+    assert said == ["torque", "off", "down"], complained
+
+
+@pytest.mark.parametrize(
+    ("signals", "code"),
+    [
+        pytest.param(["SIGINT", 0.005, "SIGINT"], 130, marks=pytest.mark.full),
+        pytest.param(["SIGTERM", 0.005, "SIGTERM", 1.0, "SIGTERM"], 143, marks=pytest.mark.full),
+        (["SIGINT", *[0.033, "SIGINT"] * 25], 130),
+        (["SIGHUP", 1.0, "SIGHUP", 0.005, "SIGTERM", 1.0, "SIGTERM"], 129),
+        (["SIGINT", 0.2, "SIGTERM", 1.0, "SIGQUIT"], 143),
+        (["SIGTERM", 0.3, "SIGINT", 0.005, "SIGINT"], 143),
+        pytest.param(["SIGQUIT", 0.005, "SIGQUIT"], 131, marks=pytest.mark.full),
+    ],
+)
+def test_no_signals_but_two_deliberate_interrupts_leave_torque_on(signals, code):
+    said, complained, left = run(
+        f"""
+        def send():
+            for step in {signals!r}[1:]:
+                time.sleep(step) if isinstance(step, float) else kill(step)
+        try:
+            with connect():
+                once(send, 3)
+                kill({signals[0]!r})
+        finally:
+            report()
+        """
+    )
+    assert said == ["torque", "off", "down"], complained
+    assert left in {code, -signal.SIGINT if code == 130 else code}
+    assert "torque OFF" in complained
+
+
+def test_a_second_interrupt_says_what_it_leaves_and_how_to_go_on():
+    said, complained, code = run("""
+        try:
+            with connect():
+                once(lambda: (time.sleep(1.0), kill("SIGINT")))
+                kill("SIGINT")
+        finally:
+            plant, q = arm.drive.plant, arm.drive.plant.read().q
+            report()
+            arm.clock.on_tick = None
+            arm.clock.wait_until(arm.clock.now() + 2.0)
+            print(np.abs(plant.read().q - q).max() < 0.02)
+    """)
+    assert said == ["torque", "on", "up", "True"], complained
+    first, second = [line for line in complained.splitlines() if line.startswith("pliant: ")]
+    assert "is being lowered (Ctrl-C). Ctrl-C again leaves at once, torque ON" in first
+    assert "torque ON: shoulder_lift" in second
+    assert "carry it" in second
+    for remedy in ("`pliant run ARM`", "support the arm and cut the supply"):
+        assert remedy in second
+    assert code == 130
+
+
+def test_a_third_interrupt_leaves_a_bus_that_hangs():
+    said, complained, code = run("""
+        def press():
+            for _ in range(3):
+                time.sleep(1.3)
+                kill("SIGINT")
+        try:
+            with connect():
+                arm.drive.write = lambda *_: threading.Event().wait()
+                threading.Thread(target=press, daemon=True).start()
+                kill("SIGINT")
+        finally:
+            report()
+    """)
+    assert said == ["torque", "on", "up"], complained
+    assert "was not lowered (SystemExit: 130): torque is ON in shoulder_pan" in complained
+    assert code == 130
+
+
+def test_an_interrupt_is_neither_buried_nor_swallowed():
+    said, complained, code = run("""
+        def step():
+            with connect() as arm:
+                arm.drive.read, read = lambda: (kill("SIGINT"), read())[1], arm.drive.read
+                for tick in pliant.Loop(arm):
+                    tick.hold()
+        try:
+            step()
+        finally:
+            report()
+    """)
+    assert said == ["torque", "off", "down"]
+    lines = complained.splitlines()
+    trace = lines[lines.index("Traceback (most recent call last):") :]
+    assert not any("signals.py" in line or "loop.py" in line for line in trace)
+    assert trace[-2:] == ["KeyboardInterrupt", next(s for s in lines if "torque OFF" in s)]
+    assert code in {130, -signal.SIGINT}
+
+
+def test_endings_are_logged_where_the_program_configures_logging():
+    said, complained, _ = run("""
+        import logging
+        class Lines(logging.Handler):
+            def emit(self, record):
+                print(record.levelname, record.name, "torque" in record.getMessage(), flush=True)
+        logging.getLogger("pliant").addHandler(Lines())
+        try:
+            with connect():
+                raise KeyError("policy")
+        except KeyError as error:
+            print(len(error.__notes__), flush=True)
+    """)
+    assert said == ["WARNING", "pliant.arm", "True"] * 2 + ["1"]
+    assert complained == ""
+
+
+@pytest.mark.parametrize(
+    ("silence", "spoken"),
+    [
+        ("", True),
+        ("logging.getLogger('pliant').addHandler(logging.NullHandler())", False),
+        ("logging.getLogger('pliant').setLevel(logging.CRITICAL)", False),
+        ("logging.disable(logging.CRITICAL)", False),
+    ],
+)
+def test_silence_is_had_by_the_means_of_logging(silence, spoken):
+    said, complained, _ = run(f"""
+        import logging
+        {silence}
+        with connect():
+            pass
+        print("quiet")
+        try:
+            with connect():
+                raise KeyError("policy")
+        except KeyError:
+            report()
+    """)
+    assert said == ["quiet", "torque", "off", "down"]
+    lines = complained.splitlines()
+    if spoken:
+        assert len(lines) == 2
+        assert "lowered (KeyError: 'policy')" in lines[0]
+    else:
+        assert not lines
+
+
+def test_what_breaks_on_the_way_down_leaves_the_arm_carried(make, grasp, monkeypatch, caplog):
+    def fail(*_, **__):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(pliant.arm.arm, "descend", fail)
+    arm = make()
+    caplog.set_level(logging.DEBUG)
+    with pytest.raises(ZeroDivisionError), arm:
+        arm.write(grasp, np.zeros(7))
+    SPEAKER.flush(5.0)
+    arm.clock.wait_until(arm.clock.now() + 3.0)
+    assert np.abs(arm.drive.plant.read().q - grasp).max() < 0.1
+    assert arm.drive.enabled.all()
+    assert "was not lowered (ZeroDivisionError: a bug): torque is ON in" in caplog.text
+
+
+def test_progress_never_disturbs_a_descent(make, monkeypatch):
+    arm = make()
+    ending = Ending("arm", arm._cycle, None)
+    monkeypatch.setattr(pliant.arm.ending, "PROGRESS", 0.0)
+    ending.progress(None)
+    monkeypatch.setattr(SPEAKER, "say", lambda *_, **__: 1 / 0)
+    ending.progress(None)
+
+
+def test_a_blocked_reader_is_waited_for_once():
+    with reader("blocked") as stderr:
+        said, _, _ = run(
+            """
+            from pliant.arm.speaker import SPEAKER
+            SPEAKER.start()
+            message = SPEAKER.say("text", 40)
+            for _ in range(20):
+                SPEAKER.flush(0.05)
+            print(message.told)
+            """,
+            stderr,
+        )
+    assert said == ["False"]
+
+
+def test_a_message_of_a_process_without_the_thread_counts_as_told():
+    assert Speaker().say("nothing is started").told
+
+
+def test_progress_comes_seldom_where_it_cannot_be_overwritten(capfd, monkeypatch):
+    monkeypatch.setattr(LOGGER, "hasHandlers", lambda: False)
+    monkeypatch.setattr(sys, "stderr", sys.__stderr__)
+    speaker = Speaker()
+    speaker.start()
+    for second in range(12):
+        monkeypatch.setattr(time, "monotonic", lambda second=second: float(second))
+        message = speaker.say(f"second {second}", progress=True)
+        while not message.told:
+            pass
+    assert capfd.readouterr().err.splitlines() == [
+        "pliant: second 0",
+        "pliant: second 5",
+        "pliant: second 10",
+    ]

@@ -1,0 +1,237 @@
+"""Any sequence of life-cycle calls and signals, with one arm or two: what a signal does, always."""
+
+import signal
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="these arms are simulated: extra sim")
+
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+
+import pliant
+import pliant.arm.arm
+import pliant.arm.signals
+from pliant.arm.simulated import SimDrive
+from pliant.sim import Plant
+
+CAUGHT = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+NUMBERS = [getattr(signal, name) for name in CAUGHT if hasattr(signal, name)]
+#: Two signals this near to each other are one request, and this far two [s].
+REPEATED, DELIBERATE = 0.1, 2.0
+LOW = np.array([0.0, 1.5, 0.0, 0.0, 0.0])
+#: Turns of a descent in this test; what a real one does is asked elsewhere.
+TURNS = 12
+
+
+def expected(number):
+    return KeyboardInterrupt if number == signal.SIGINT else SystemExit
+
+
+class Life(RuleBasedStateMachine):
+    """Beside the arms a model of them: who has torque, and what has come."""
+
+    def __init__(self):
+        super().__init__()
+        self.patch = pytest.MonkeyPatch()
+        self.time, self.during, self.heard = 100.0, [], []
+        clock = SimpleNamespace(monotonic=lambda: self.time)
+        self.patch.setattr(pliant.arm.signals, "time", clock, raising=False)
+        self.patch.setattr(pliant.arm.arm, "descend", self.descend)
+        self.patch.setattr(pliant.arm.arm, "take_up", lambda _, stood, *__: np.full(5, np.nan))
+        self.former = lambda number, _: self.heard.append(number)
+        self.before = {number: signal.signal(number, self.former) for number in NUMBERS}
+        self.last = (0, -10.0)
+
+    def teardown(self):
+        self.during.clear()
+        for arm in getattr(self, "arms", []):
+            arm.close()
+        for number, handler in self.before.items():
+            signal.signal(number, handler)
+        self.patch.undo()
+
+    @initialize(two=st.booleans())
+    def make(self, two):
+        self.arms = []
+        for _ in range(1 + two):
+            plant = Plant(pliant.robots.koch(), dt=0.005)
+            plant.reset(LOW)
+            self.arms.append(pliant.arm.Arm(plant.model, SimDrive(plant)))
+        self.on = [False] * len(self.arms)
+
+    def descend(self, cycle, points, rest, rate, unwanted, **_):
+        """Wait for some turns, in which signals come."""
+        for _ in range(TURNS):
+            if self.during:
+                number, gap = self.during.pop(0)
+                self.wait(gap)
+                signal.raise_signal(number)
+            if unwanted():
+                return False
+            cycle.clock.wait_until(cycle.clock.now() + 1.0 / rate)
+        return True
+
+    def wait(self, seconds):
+        self.time += seconds
+        if speaker := getattr(pliant.arm.signals, "SPEAKER", None):
+            speaker.flush(5.0)
+
+    def which(self, data):
+        return data.draw(st.integers(0, len(self.arms) - 1), label="arm")
+
+    @rule(data=st.data())
+    def enable(self, data):
+        index = self.which(data)
+        if not self.on[index]:
+            self.last = (0, -10.0)
+        self.arms[index].enable()
+        self.on[index] = True
+
+    @rule(data=st.data(), verb=st.sampled_from(["hold", "limp", "close"]))
+    def leave(self, data, verb):
+        index = self.which(data)
+        getattr(self.arms[index], verb)()
+        self.on[index] = False
+
+    @rule(
+        data=st.data(),
+        park=st.booleans(),
+        come=st.lists(
+            st.tuples(st.sampled_from(NUMBERS), st.sampled_from([REPEATED, DELIBERATE])), max_size=4
+        ),
+    )
+    def lower(self, data, park, come):
+        index = self.which(data)
+        arm = self.arms[index]
+        self.during = list(come)
+        if self.on[index]:
+            kind, stopped = self.foresee(come)
+        else:
+            kind, stopped, self.during = None, False, []
+        drive_on = arm.drive.enabled.any()
+
+        def run():
+            arm.park(LOW) if park else arm.lower()
+
+        if kind is None:
+            run()
+        else:
+            with pytest.raises(kind):
+                run()
+        if self.on[index]:
+            assert arm.drive.enabled.any() == stopped
+        else:
+            assert arm.drive.enabled.any() == drive_on
+        self.on[index] = False
+        self.during = []
+
+    def foresee(self, come):
+        """What signals during a descent must lead to: an exception, and whether torque stays on."""
+        time, last, interrupts, kind = self.time, self.last, 0, None
+        for number, gap in come:
+            time += gap
+            repeated = last[0] == number and time - last[1] < 0.5
+            last = (number, time)
+            if number != signal.SIGINT:
+                kind = SystemExit
+            elif interrupts == 0:
+                interrupts, kind = 1, kind or KeyboardInterrupt
+            elif not repeated:
+                self.last = last
+                return SystemExit, True
+        self.last = last
+        return kind, False
+
+    @rule(number=st.sampled_from(NUMBERS), gap=st.sampled_from([REPEATED, DELIBERATE]))
+    def signal(self, number, gap):
+        self.wait(gap)
+        repeated = self.last[0] == number and self.time - self.last[1] < 0.5
+        if not any(self.on):
+            heard = len(self.heard)
+            signal.raise_signal(number)
+            assert len(self.heard) == heard + 1
+        else:
+            self.last = (number, self.time)
+            if repeated:
+                signal.raise_signal(number)
+            else:
+                with pytest.raises(expected(number)):
+                    signal.raise_signal(number)
+
+    @precondition(lambda self: len(getattr(self, "arms", [])) == 2)
+    @rule(number=st.sampled_from(NUMBERS), swap=st.booleans())
+    def with_both(self, number, swap):
+        """A signal in the body of nested `with` lowers both, whoever is inside."""
+        first, second = self.arms[::-1] if swap else self.arms
+        self.last = (0, -10.0)
+
+        def run():
+            with first, second:
+                self.time += DELIBERATE
+                signal.raise_signal(number)
+
+        with pytest.raises(expected(number)):
+            run()
+        assert not any(arm.drive.enabled.any() for arm in self.arms)
+        self.last = (number, self.time)
+        self.on = [False, False]
+
+    @rule(data=st.data())
+    def lower_elsewhere(self, data):
+        """Another thread lowers it; signals in the main thread are for those that are left."""
+        index = self.which(data)
+        thread = threading.Thread(target=self.arms[index].lower)
+        thread.start()
+        thread.join()
+        self.on[index] = False
+
+    @invariant()
+    def belief_holds(self):
+        if not hasattr(self, "arms"):
+            return
+        assert [arm.enabled for arm in self.arms] == self.on
+        for number in NUMBERS:
+            if any(self.on):
+                assert signal.getsignal(number) != self.former
+
+
+@pytest.mark.parametrize("examples", [60, pytest.param(1500, marks=pytest.mark.full)])
+def test_a_signal_does_the_same_in_every_life(examples):
+    run_state_machine_as_test(
+        Life,
+        settings=settings(
+            max_examples=examples,
+            stateful_step_count=20,
+            deadline=None,
+            derandomize=examples < 100,
+            suppress_health_check=list(HealthCheck),
+        ),
+    )
+
+
+def test_a_handler_that_a_program_puts_back_later_acts_as_the_former_one():
+    heard = []
+    before = signal.signal(signal.SIGTERM, lambda *_: heard.append("former"))
+    try:
+        arm = pliant.connect("sim:koch", q=LOW)
+        arm.enable()
+        ours = signal.signal(signal.SIGTERM, lambda *_: heard.append("program"))
+        arm.hold()
+        signal.raise_signal(signal.SIGTERM)
+        signal.signal(signal.SIGTERM, ours)
+        signal.raise_signal(signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert heard == ["program", "former"]

@@ -1,0 +1,132 @@
+"""Commands on the emulator: what they load between two ticks, and what Ctrl-C leaves of them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="these commands drive an emulated arm: extra sim")
+pytest.importorskip("rustypot")
+
+import pliant
+from pliant.teach import Motion
+
+PROGRAM = """
+import json, os, signal, sys
+import pliant.cli, pliant.loop, pliant.teach.teacher
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+turns, loaded = pliant.loop.Loop._turns, set()
+start, recorded = pliant.teach.teacher.Teacher.start, []
+
+def started(self):
+    recorded.append(1)
+    start(self)
+
+pliant.teach.teacher.Teacher.start = started
+
+def watched(self):
+    before = set(sys.modules)
+    try:
+        for tick in turns(self):
+            yield tick
+            {each}
+    finally:
+        loaded.update(set(sys.modules) - before)
+
+pliant.loop.Loop._turns = watched
+code = pliant.cli.main(sys.argv[1:])
+sys.stdout.flush()
+print()
+print(json.dumps([code, sorted(loaded)]))
+"""
+
+
+@pytest.fixture
+def command(tmp_path):
+    """Run a command over an emulated SO-101 that is left standing."""
+    arm = tmp_path / "arm.toml"
+    life = '[loop]\npatience = 0.2\nhold_for = 10.0\n\n[life]\nexit = "hold"\n'
+    arm.write_text(pliant.config.ready.text("so101").replace("[life]\n", life))
+
+    def run(name, *flags, each="pass", backend="emulator"):
+        done = subprocess.run(
+            [
+                sys.executable,
+                "-c",
+                PROGRAM.replace("{each}", each),
+                *(name, str(arm), *flags, "--backend", backend),
+            ],
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert done.stdout, done.stderr
+        code, loaded = json.loads(done.stdout.splitlines()[-1])
+        return code, loaded, done
+
+    return run
+
+
+def moved(path):
+    model = pliant.robots.so101()
+    time = np.linspace(0.0, 1.0, 51)
+    q = np.tile([0.0, -0.3, 0.3, 0.9, 0.0], (51, 1))
+    q[:, 0] = 0.1 * time
+    Motion(model.joint_names, time, q).save(path)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    "name", ["teach", *(pytest.param(n, marks=pytest.mark.full) for n in ("run", "replay"))]
+)
+def test_nothing_is_loaded_between_two_ticks(command, tmp_path, name):
+    flags = {
+        "teach": [str(tmp_path / "m.json"), "--hand"],
+        "run": ["--duration", "1"],
+        "replay": [moved(tmp_path / "r.json")],
+    }
+    code, loaded, done = command(name, *flags[name])
+    assert code == 0, done.stderr
+    assert not loaded
+
+
+def test_a_recording_outlives_ctrl_c(command, tmp_path):
+    file = tmp_path / "m.json"
+    each = (
+        "recorded and (recorded.append(1), "
+        "len(recorded) == 300 and os.kill(os.getpid(), signal.SIGINT))"
+    )
+    code, _, done = command("teach", str(file), "--hand", each=each, backend="sim")
+    assert code == 130, done.stderr
+    motion = Motion.load(file)
+    assert 0.5 < motion.duration < 4.0
+    assert f"{file}: " in done.stdout
+    assert "a rest of 3 s ends the recording" in done.stdout
+
+
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_a_run_that_a_signal_ends_has_its_summary_and_code(command, name, code):
+    each = f"if tick.index == 20: os.kill(os.getpid(), signal.{name})"
+    left, _, done = command("run", each=each, backend="sim")
+    assert left == code, done.stderr
+    assert "ticks, late by" in done.stdout
+    assert "torque ON" in done.stderr
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
+@pytest.mark.parametrize("name", ["SIGHUP", pytest.param("SIGTERM", marks=pytest.mark.full)])
+def test_an_emulator_takes_its_folder_with_it(name):
+    with subprocess.Popen(
+        [sys.executable, "-m", "pliant.cli", "emulate", "so101"], stdout=subprocess.PIPE, text=True
+    ) as process:
+        path = process.stdout.readline().partition(": ")[2].strip()
+        assert os.path.exists(path)
+        process.send_signal(getattr(signal, name))
+        assert process.wait(60) == 128 + getattr(signal, name)
+    assert not os.path.exists(os.path.dirname(path))

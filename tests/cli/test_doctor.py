@@ -1,0 +1,103 @@
+"""`pliant doctor` on files that are wrong in ways that only the arm would have shown."""
+
+import os
+import re
+
+import pytest
+
+import pliant
+from pliant import config
+from pliant.arm.checks import posture
+from pliant.cli import main
+from pliant.config import assemble
+from pliant.config.doctor import examine
+from pliant.config.emulation import emulated
+
+
+def findings(text, folder, level="bad"):
+    read = config.parse(text, source="arm.toml", folder=folder)
+    return {f.about: f.text for f in examine(read) if f.level == level}
+
+
+def so101_of(urdf):
+    servos = "\n".join(
+        f'{joint} = {{ model = "STS3215-7.4V", id = {i} }}'
+        for i, joint in enumerate(config.load("so101").servo, 1)
+    )
+    robot = f'urdf = "{urdf}"\nbase = "base"\ntip = "tool"'
+    return f'backend = "sim"\n[robot]\n{robot}\n[servo]\n{servos}\n'
+
+
+@pytest.mark.parametrize(("factor", "is_bad"), [(1.0, False), (1000.0, True)])
+def test_a_urdf_with_masses_in_grams_is_not_ready(factor, is_bad, tmp_path):
+    from importlib.resources import files
+
+    text = files("pliant.robots").joinpath("so101_like.urdf").read_text("utf-8")
+    heavy = re.sub(r'mass value="([\d.]+)"', lambda m: f'mass value="{factor * float(m[1])}"', text)
+    (tmp_path / "arm.urdf").write_text(heavy, "utf-8")
+    bad = findings(so101_of("arm.urdf"), tmp_path)
+    assert ("model" in bad) == is_bad
+    if is_bad:
+        assert "gravity takes all the torque" in bad["model"]
+    notes = findings(so101_of("arm.urdf"), tmp_path, "note")
+    assert "6 axes on an arm of 5 joints" in notes["settings"]
+    assert "settings" not in findings(config.ready.text("so101").replace("auto", "/x"), tmp_path)
+
+
+def test_a_rest_pose_inside_the_table_is_bad(tmp_path):
+    text = so101_of("arm.urdf").replace(
+        'urdf = "arm.urdf"\nbase = "base"\ntip = "tool"', 'builtin = "so101"\ntable = 0.0'
+    )
+    assert findings(text + "[life]\nrest = [0, 0, 0, 0, 0]\n", tmp_path) == {}
+    bad = findings(text + "[life]\nrest = [0, 1.5, 1.2, 0, 0]\n", tmp_path)
+    assert "inside the table" in bad["rest pose"]
+
+
+def test_a_gain_that_the_servo_has_not_is_said():
+    with emulated(config.load("so101", backend="emulator"), clock="steps") as bus:
+        read = config.load("so101", port=bus.port)
+        chain = assemble.chain(read, {"main": bus.port})
+        chain.open()
+        try:
+            assert chain.gains == dict.fromkeys(chain.names, 16)
+        finally:
+            chain.close()
+    text = config.ready.text("so101").replace("id = 2, gain = 16", "id = 2, gain = 32")
+    with emulated(config.parse(f'backend = "emulator"\n{text}')) as bus:
+        read = config.load("so101", port=bus.port)
+        said = {f.about: f.text for f in examine(read) if f.level == "note"}
+    assert said["shoulder_lift"].startswith("its P gain is 32, the file says 16")
+    assert "shoulder_pan" not in said
+
+
+def test_the_watch_ends_with_a_rest_pose_to_paste(capsys):
+    with emulated(config.load("so101", backend="emulator")) as bus:
+        assert main(["doctor", "so101", "--port", bus.port, "--watch", "--seconds", "0.3"]) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    pasted = config.parse(config.ready.text("so101").partition("[life]")[0] + f"[life]\n{line}\n")
+    model = pasted.model()
+    assert posture(model, pasted.life.rest, "rest") == pytest.approx([0.0] * 5, abs=0.02)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
+def test_a_calibration_that_may_not_be_read_is_not_called_something_else(tmp_path):
+    file = tmp_path / "cal.json"
+    file.write_text("{}")
+    file.chmod(0)
+    with pytest.raises(pliant.ConfigError, match=r"cal\.json cannot be read: Permission denied"):
+        config.read_calibration(file)
+
+
+def test_a_calibration_that_is_a_folder_cannot_be_read(tmp_path):
+    with pytest.raises(pliant.ConfigError, match="is a folder: name a file"):
+        config.read_calibration(tmp_path)
+
+
+def test_mistakes_stand_one_to_a_line(tmp_path, capsys):
+    file = tmp_path / "arm.toml"
+    file.write_text('bakend = 1\n[robot]\nbuiltin = "so101"\n[loop]\nrate = -1\nhold_for = 99\n')
+    assert main(["doctor", str(file)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].endswith("arm.toml has 3 mistakes:")
+    assert len(lines) == 4
+    assert all(len(line) < 200 for line in lines)

@@ -1,0 +1,163 @@
+"""What a command writes never takes the place of what it reads, nor of a file of another kind."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="runs need the extra sim")
+pytest.importorskip("mcap_ros2", reason="logs need the extra log")
+
+import pliant
+from pliant.cli import main
+from pliant.log import Recorder
+from pliant.outputs import KINDS, check_output, replacing
+from pliant.teach import Motion
+
+TOML = """
+backend = "sim"
+[robot]
+urdf = "arm.urdf"
+tip = "tool"
+"""
+GOOD = '{"position": [0.2, 0.0, 0.2]}\n'
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """One of each kind of file that a command reads."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.urdf").write_text(pliant.robots.koch().source[0])
+    (tmp_path / "mine.toml").write_text(TOML)
+    (tmp_path / "targets.jsonl").write_text(GOOD)
+    calibration = {
+        name: {"id": i, "drive_mode": 0, "homing_offset": 0, "range_min": 0, "range_max": 4095}
+        for i, name in enumerate((*pliant.robots.so101().joint_names, "gripper"), 1)
+    }
+    (tmp_path / "my_arm.json").write_text(json.dumps(calibration))
+    time = np.linspace(0.0, 1.0, 20)
+    q = np.zeros((20, 5))
+    Motion(pliant.robots.so101().joint_names, time, q).save(tmp_path / "wave.json")
+    (tmp_path / "link.mcap").symlink_to("mine.toml")
+    os.link(tmp_path / "mine.toml", tmp_path / "hard.mcap")
+    return tmp_path
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "teach so101 my_arm.json --calibration my_arm.json --backend sim --hand",
+        "teach so101 ./my_arm.json --backend sim --hand",
+        "teach mine.toml arm.urdf",
+        "run mine.toml --duration 0.2 --quiet --log mine.toml",
+        "run mine.toml --duration 0.2 --quiet --log arm.urdf",
+        "run mine.toml --duration 0.2 --quiet --log link.mcap",
+        "run mine.toml --duration 0.2 --quiet --log hard.mcap",
+        "run so101 --backend sim --duration 0.2 --quiet --log wave.json",
+        "run so101 --backend sim --duration 0.2 --quiet --log new.log",
+        "run so101 --backend sim --duration 0.2 --targets targets.jsonl --log targets.jsonl",
+        "run so101 --backend sim --calibration my_arm.json --quiet --log my_arm.json",
+        "replay so101 wave.json --backend sim --log wave.json",
+        "view mine.toml --log mine.toml",
+    ],
+)
+def test_no_input_and_no_other_kind_is_written_over(words, folder, capsys):
+    before = contents(folder)
+    assert main(words.split()) == 2
+    assert contents(folder) == before
+    said = capsys.readouterr().err
+    assert "name another file" in said or ".json" in said or ".mcap" in said
+
+
+def test_pictures_and_tables_keep_to_their_kind(folder, capsys):
+    with pliant.connect("sim:koch", exit="hold") as arm:
+        controller = pliant.Controller(arm.model, pliant.Settings.firm(task="xyz"), arm.servos)
+        with Recorder("run.mcap", arm, controller) as recorder:
+            for tick in pliant.Loop(arm, recorder.controller, duration=0.1):
+                command = recorder.controller.step(tick.q, arm.model.forward_kinematics(tick.q))
+                tick.write(command)
+                recorder.add(tick, command)
+    (folder / "letter.png").write_text("a letter")
+    (folder / "numbers.npz").write_text("a letter")
+    (folder / "run_report").write_text("a letter")
+    before = contents(folder)
+    for words in (
+        "log plot run.mcap --output letter.png",
+        "log export run.mcap --output numbers.npz",
+        "report run.mcap",
+    ):
+        assert main(words.split()) == 2
+        assert "is there and is no" in capsys.readouterr().err
+    assert contents(folder) == before
+    for words, made in (
+        ("log plot run.mcap", "run.png"),
+        ("log export run.mcap", "run.npz"),
+    ):
+        assert main(words.split()) == 0
+        assert "will be replaced" not in capsys.readouterr().err
+        assert main(words.split()) == 0
+        assert f"{made}: the" in capsys.readouterr().err
+    assert not [name for name in contents(folder) if name.startswith(".")]
+
+
+def test_a_log_is_replaced_by_a_log_and_it_is_said(folder, capsys):
+    words = ["run", "koch", "--backend", "sim", "--duration", "0.2", "--quiet", "--log", "run.mcap"]
+    assert main(words) == 0
+    assert "replaced" not in capsys.readouterr().err
+    assert main(words) == 0
+    assert "run.mcap: the log that is there will be replaced" in capsys.readouterr().err
+    assert (folder / "run.mcap").read_bytes().startswith(b"\x89MCAP0")
+
+
+def test_recorder_and_motion_keep_to_their_kind_without_the_shell(folder):
+    before = contents(folder)
+    motion = Motion.load("wave.json")
+    for name in ("my_arm.json", "mine.toml", "targets.jsonl"):
+        with pytest.raises(pliant.ConfigError, match="is no motion"):
+            motion.save(name)
+        with (
+            pliant.connect("sim:koch", exit="hold") as arm,
+            pytest.raises(pliant.ConfigError, match="is no log"),
+        ):
+            Recorder(name, arm)
+    motion.save("wave.json")
+    assert contents(folder) == before
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "wave.json"
+    path.write_text("old")
+    path.chmod(0o640)
+
+    def fail():
+        with replacing(path) as beside:
+            beside.write_text("half")
+            raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        fail()
+    assert contents(tmp_path) == {"wave.json": b"old"}
+    with replacing(path) as beside:
+        beside.write_text("new")
+        assert path.read_text() == "old"
+    assert contents(tmp_path) == {"wave.json": b"new"}
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_cannot_be_written_says_why(kind, tmp_path):
+    with pytest.raises(pliant.ConfigError, match="there is no folder"):
+        check_output(tmp_path / "no" / "file", kind)
+    with pytest.raises(pliant.ConfigError, match="is a folder"):
+        check_output(tmp_path, kind)
+    (tmp_path / "empty").touch()
+    assert not check_output(tmp_path / "empty", kind)
+    if os.geteuid() != 0:
+        tmp_path.chmod(0o500)
+        with pytest.raises(pliant.ConfigError, match="permission denied"):
+            check_output(tmp_path / "file", kind)

@@ -1,0 +1,126 @@
+"""What the file says of its servos is what the arm believes on every backend."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant import config
+from pliant.arm.tables import COLUMNS
+from pliant.config import assemble
+from pliant.config.emulation import emulated
+from pliant.servo import ServoChain
+from pliant.servo.emulator import StepClock
+
+ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
+#: Ready files, and robots that are not ours with a file of their own.
+OWN = ("arm7", "koch", "so100", "so101")
+KOCH = """
+[robot]
+urdf = "{urdf}"
+[supply]
+voltage = {volts}
+[servo]
+"Revolute 2" = {{ model = "STS3215-7.4V", id = 1, kp = 14.7, friction = 0.29 }}
+"Revolute 3" = {{ model = "STS3215-7.4V", id = 2, kp = 9.0, damping = 0.3, sign = -1 }}
+"Revolute 5" = {{ model = "STS3215-7.4V", id = 3, kp = 8.0, gear = 2.0, gain = 20 }}
+"Revolute 6" = {{ model = "STS3215-7.4V", id = 4, kp = 7.0, stall = 1.5 }}
+"Revolute 7" = {{ model = "STS3215-7.4V", id = 5, kp = 6.0, twin = {{ id = 7 }} }}
+"""
+
+
+def read(name, tmp_path, backend):
+    """The configuration of a ready file, or of a robot of the collection."""
+    if name in OWN:
+        return config.load(name, backend=backend)
+    if name == "vx300s":
+        urdf = ROBOTS / "vx300s" / "vx300s.urdf"
+        if not urdf.is_file():
+            pytest.skip(f"no {urdf}")
+        return config.load("vx300s", backend=backend, urdf=urdf)
+    urdf = ROBOTS / "koch_low_cost" / "low-cost-arm.urdf"
+    if not urdf.is_file():
+        pytest.skip(f"no {urdf}")
+    file = tmp_path / "arm.toml"
+    file.write_text(KOCH.format(urdf=urdf, volts=7.4), "utf-8")
+    return config.load(file, backend=backend)
+
+
+def on_bytes(own, model):
+    """What the driver of a real bus reads from such servos."""
+    with emulated(own, clock="steps") as bus:
+        chain = ServoChain(assemble.specs(own, bus.ports), patience=0.5, clock=StepClock(bus))
+        arm = pliant.connect(model, chain, grippers=assemble.jaws(own), signals=False)
+        arm.open()
+        try:
+            return arm.servos, bus.plant.gains, arm.model.servos
+        finally:
+            arm.close()
+
+
+@pytest.mark.parametrize("name", [*OWN, "vx300s", "koch by its URDF"])
+def test_the_arm_believes_the_same_servos_on_every_backend(name, tmp_path):
+    own = read(name, tmp_path, "sim")
+    model = own.model()
+    arm = own.arm(signals=False)
+    simulated, truth = arm.servos, arm.drive.plant.gains
+    heard, _, _ = on_bytes(read(name, tmp_path, "emulator"), model)
+    for table in (heard, model.servos, arm.model.servos):
+        for field in (*COLUMNS, "no_load_speed"):
+            mine, other = getattr(simulated, field), getattr(table, field)
+            assert (mine is None) == (other is None), field
+            if mine is not None:
+                np.testing.assert_allclose(mine, other, rtol=1e-9, err_msg=field)
+        assert (simulated.kind, simulated.kp_known) == (table.kind, table.kp_known)
+    # The plant is what the arm believes, unless the caller says otherwise.
+    np.testing.assert_array_equal(truth.kp, simulated.kp)
+    np.testing.assert_array_equal(truth.torque, simulated.torque)
+    np.testing.assert_array_equal(truth.friction, simulated.friction)
+    np.testing.assert_array_equal(truth.armature, simulated.armature)
+    assert simulated.kp_known == (name == "koch by its URDF")
+
+
+def test_what_the_caller_says_of_the_plant_is_not_believed():
+    table = config.load("so101").model().servos
+    options = {"backend": "sim", "signals": False}
+    arms = [
+        pliant.connect("so101", kp_scale=2.0, friction_scale=0.5, **options),
+        pliant.connect("so101", servos=table.replace(kp=2.0 * table.kp), **options),
+    ]
+    for arm in arms:
+        np.testing.assert_allclose(arm.drive.plant.gains.kp, 2.0 * table.kp)
+        np.testing.assert_array_equal(arm.servos.kp, table.kp)
+        np.testing.assert_array_equal(arm.servos.friction, table.friction)
+        assert not arm.servos.kp_known
+
+
+def test_the_gripper_of_the_simulator_has_the_servo_of_the_file():
+    own = config.load("koch", backend="sim")
+    arm = own.arm(signals=False)
+    drive = arm.drive
+    at = drive.names.index("gripper")
+    servo = drive.plant.mj_model.actuator("gripper")
+    assert drive.servos.kp[at] == pytest.approx(0.72, rel=0.01)
+    assert servo.gainprm[0] == pytest.approx(drive.servos.kp[at])
+    assert arm.gripper.largest == pytest.approx(drive.servos.torque[at])
+
+
+@pytest.mark.parametrize("kp", [True, False])
+def test_k_p_is_known_where_the_file_has_it_for_the_whole_chain(kp):
+    ready = tomllib.loads((Path(config.__file__).parent / "arms" / "so101.toml").read_text("utf-8"))
+    lines = [
+        f'{joint} = {{ model = "STS3215-7.4V", id = {servo["id"]}'
+        + (", kp = 5.0 }" if kp or joint != "wrist_roll" else " }")
+        for joint, servo in ready["servo"].items()
+    ]
+    text = (
+        'backend = "{}"\nrobot.builtin = "so101"\n[servo]\n' + "\n".join(lines) + "\n[gripper]\n"
+        'servo = {{ model = "STS3215-7.4V", id = 6 }}\n'
+    )
+    simulated = config.parse(text.replace("{{", "{").replace("}}", "}").replace("{}", "sim"))
+    assert simulated.arm(signals=False).servos.kp_known is kp
+    wired = config.parse(text.replace("{{", "{").replace("}}", "}").replace("{}", "emulator"))
+    heard, _, _ = on_bytes(wired, wired.model())
+    assert heard.kp_known is kp

@@ -1,0 +1,199 @@
+"""Ready arms stand on a table and know where to lie down on it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant import config
+from pliant.arm.points import Points
+from pliant.arm.rest import STEPS, obstacle
+from pliant.config import assemble
+from pliant.sim import Plant, Tabletop
+
+ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
+OWN = ("arm7", "koch", "so100", "so101")
+
+
+def load(name, **options):
+    if name != "vx300s":
+        return config.load(name, **options)
+    urdf = ROBOTS / "vx300s" / "vx300s.urdf"
+    if not urdf.is_file():
+        pytest.skip(f"no {urdf}")
+    return config.load(name, urdf=urdf, **options)
+
+
+def test_every_ready_file_has_a_rest_pose_and_says_whether_it_stands_on_a_table():
+    for name in config.names():
+        read = config.load(name)
+        assert read.life.rest is not None, name
+        assert (read.robot.table is None) == (name == "arm7"), name
+    for name in pliant.robots.names():
+        read = config.load(name)
+        np.testing.assert_array_equal(pliant.robots.rest(name), read.life.rest)
+        assert pliant.robots.table(name) == read.robot.table
+
+
+@pytest.mark.parametrize("name", [*OWN, "vx300s"])
+def test_a_rest_pose_lies_within_limits_above_the_table_and_presses_on_nothing(name):
+    read = load(name)
+    model, rest = read.model(), np.array(read.life.rest)
+    assert np.all(rest >= model.lower)
+    assert np.all(rest <= model.upper)
+    if read.robot.table is None:
+        weight = np.abs(model.gravity(rest))
+        assert np.all(weight < model.servos.friction), "gears hold it where it hangs"
+        return
+    table = Tabletop(height=read.robot.table)
+    plant = Plant(model, scene=[table])
+    plant.reset(rest)
+    assert table.clearance() >= 0.0
+    off = dict.fromkeys(plant.read().extra, (0.0, 0.0))
+    for _ in range(300):
+        plant.write(plant.q, np.zeros(plant.n), off)
+        plant.advance()
+    # Without torque it sinks onto the table or its stops, the tool never into it.
+    assert table.clearance() > -1e-3
+    assert plant.tool[2, 3] > read.robot.table
+    assert np.abs(plant.dq).max() < 0.05
+
+
+@pytest.mark.parametrize("name", ["koch", "so101", "vx300s"])
+def test_an_arm_of_a_ready_file_is_parked_and_lies_on_its_table(name):
+    read = load(name, backend="sim")
+    arm = read.arm(signals=False)
+    plant = arm.drive.plant
+    (table,) = plant.fixtures
+    rest = np.array(read.life.rest)
+    lowest, gone = np.inf, []
+
+    def look():
+        nonlocal lowest
+        lowest = min(lowest, table.clearance())
+        gone.append(np.abs(plant.q - rest).max())
+
+    with arm:
+        assert np.abs(plant.q).max() < 0.05, "it starts in a pose to work from"
+        arm.clock.on_tick = look
+    assert arm.detour is None
+    assert min(gone) < 0.15, "it went by its rest pose"
+    assert lowest > -2e-3
+    assert np.abs(plant.dq).max() < 0.05
+    assert not arm.enabled
+
+
+#: Bent over forward: half way to the rest pose the tool would be 5 cm below the table.
+BARRED = [0.0, 1.24, 1.23, 1.24, 0.0]
+
+
+def test_a_way_through_the_table_is_found():
+    model = pliant.robots.so101()
+    points, rest = Points(model), pliant.robots.rest("so101")
+
+    def lowest(share):
+        return points(np.array(BARRED) + share * (rest - BARRED)).position[:, 2].min()
+
+    way = [lowest(share) for share in np.linspace(0.0, 1.0, STEPS)]
+    assert min(way[0], way[-1]) > 0.0 > -0.008 > min(way)
+    said = obstacle(model, points, np.array(BARRED), rest, 0.0)
+    assert said == f"the way to the rest pose leads the tool {-min(way):.3f} m into the table"
+    for free, table in ((np.zeros(5), 0.0), (np.array(BARRED), None), (np.array(BARRED), -0.1)):
+        assert obstacle(model, points, free, rest, table) is None
+    # A point that begins below the table may come out, and no deeper.
+    inside, out = np.array([0.0, 1.3, 0.9, 0.0, 0.0]), np.array([0.0, 1.3, 1.7, 0.0, 0.0])
+    assert points(inside).position[:, 2].min() < -0.09
+    assert obstacle(model, points, inside, out, 0.0) is None
+    assert "the tool 0.1" in obstacle(model, points, inside, np.array([0.0, 1.3, 0.3, 0, 0]), 0.0)
+
+
+def test_an_arm_whose_way_to_rest_is_barred_is_lowered_straight_down():
+    arm = pliant.connect("so101", backend="sim", q=BARRED, signals=False)
+    plant = arm.drive.plant
+    (table,) = plant.fixtures
+    with arm:
+        lift = plant.q[1]
+    assert arm.detour.startswith("the way to the rest pose leads the tool 0.0")
+    assert plant.q[1] > lift - 0.1, "it did not lean back"
+    assert table.clearance() > -2e-3
+    assert table.touching
+
+
+def test_a_rest_pose_inside_the_table_is_refused():
+    with pytest.raises(pliant.LimitError, match=r"rest: the tool would be 0\.\d+ m inside the tab"):
+        pliant.connect("so101", backend="sim", rest=[0.0, 1.5, 1.2, 0.0, 0.0])
+    arm = pliant.connect("so101", backend="sim", signals=False)
+    with arm:
+        with pytest.raises(pliant.LimitError, match="inside the table"):
+            arm.park([0.0, 1.5, 1.2, 0.0, 0.0])
+        arm.limp()
+
+
+def test_the_table_can_be_taken_away_moved_and_added_to():
+    options = {"backend": "sim", "signals": False}
+    assert pliant.connect("so101", table=False, **options).drive.plant.fixtures == ()
+    (lower,) = pliant.connect("so101", table=-0.3, **options).drive.plant.fixtures
+    assert lower.height == -0.3
+    push = pliant.sim.Push(force_vector=(1.0, 0.0, 0.0))
+    arm = pliant.connect("so101", scene=[push], **options)
+    assert len(arm.drive.plant.fixtures) == 1
+    assert [felt.hand for felt in arm.drive.plant.hands] == [push]
+    assert pliant.connect("arm7", **options).drive.plant.fixtures == ()
+    assert pliant.connect("sim:so101", signals=False).drive.plant.fixtures == ()
+    read = config.load("so101", backend="sim")
+    assert pliant.connect(read, table=False, signals=False).drive.plant.fixtures == ()
+    assert pliant.connect(read, table=-0.3, signals=False).table == -0.3
+    assert read.robot.table == 0.0
+    with pytest.raises(pliant.ConfigError, match=r"table is a height \[m\], or False"):
+        pliant.connect("so101", table=True, **options)
+
+
+@pytest.mark.parametrize("backend", ["sim", "emulator"])
+def test_an_arm_that_would_start_inside_its_table_is_refused(backend):
+    with pytest.raises(pliant.ConfigError, match=r"start 0\.\d+ m inside its table.*table=False"):
+        pliant.connect("so101", backend=backend, q=[0.0, 1.5, 1.2, 0.0, 0.0])
+
+
+def test_an_emulated_arm_stands_on_the_table_of_its_file():
+    from pliant.config.emulation import emulated
+
+    bus = emulated(config.load("koch", backend="emulator"), clock="steps")
+    assert [fixture.height for fixture in bus.plant.fixtures] == [0.0]
+    bus = emulated(config.load("koch", backend="emulator", table=False), clock="steps")
+    assert bus.plant.fixtures == ()
+
+
+def test_a_simulated_arm_begins_at_its_rest_pose_where_zero_is_in_the_table():
+    read = config.parse(
+        'backend = "sim"\nrobot = { builtin = "so101", table = 0.3 }\n[life]\n'
+        "rest = [0.0, -0.3, -1.0, 0.0, 0.0]\n"
+    )
+    np.testing.assert_array_equal(assemble.start(read, read.model()), read.life.rest)
+
+
+def test_backend_sim_takes_the_options_of_the_simulator():
+    q = [0.1, -0.3, 0.3, 0.9, 0.0]
+    options = {"q": q, "kp_scale": 1.2, "seed": 3, "payload": (0.1, (0.0, 0.0, 0.0))}
+    arm = pliant.connect("so101", backend="sim", rate=50.0, signals=False, **options)
+    np.testing.assert_allclose(arm.drive.plant.q, q)
+    assert (arm.rate, arm.drive.plant.rate) == (50.0, 50.0)
+    simulated = {"backend": "sim", "signals": False}
+    assert pliant.connect("so101", real_time=True, **simulated).clock.real_time
+    with pytest.raises(pliant.ConfigError, match=r"'scen'.*did you mean 'scene'"):
+        pliant.connect("so101", scen=[], **simulated)
+    for backend in ("bus", "emulator"):
+        with pytest.raises(pliant.ConfigError, match=rf"'scene' is an option.*{backend}.*\"sim\""):
+            pliant.connect("so101", backend=backend, scene=[])
+    with pytest.raises(pliant.ShapeError, match="q has shape"):
+        pliant.connect("so101", backend="sim", q=[0.0])
+
+
+def test_a_ready_file_that_is_no_built_in_model_is_named_with_the_way_to_simulate_it():
+    with pytest.raises(pliant.ConfigError, match=r'connect\("so100", backend="sim"\)'):
+        pliant.connect("sim:so100")
+    assert pliant.connect("so100", backend="sim", signals=False).model.n == 5
+
+
+def test_the_kind_of_a_simulated_arms_servos_is_no_kind_of_arm():
+    assert pliant.connect("sim:so101", kind="current").servos.kind == "current"

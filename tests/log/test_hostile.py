@@ -1,0 +1,206 @@
+"""Logs that were made by hand, with right checksums: typed errors, bounded memory, plain text."""
+
+import json
+import os
+import struct
+import zlib
+
+import pytest
+
+pytest.importorskip("mujoco", reason="runs need the extra sim")
+pytest.importorskip("mcap_ros2", reason="logs need the extra log")
+
+import pliant
+from pliant.cli import main
+from pliant.config.lerobot import read_calibration
+from pliant.inputs import printable
+from pliant.log import Recorder, layout, read, rerun
+from pliant.teach import Motion
+
+HEAD = struct.Struct("<BQ")
+CHUNK, ATTACHMENT = 0x06, 0x09
+ODD = [None, True, 0, -1, 1.5, "x", "", [], [1], {}, {"table": []}, {"tuple": [None]}, {"table": 3}]
+ODD += [
+    {"type": "Settings", "fields": {}},
+    {"type": "Nothing", "fields": {}},
+    {"type": "Task"},
+    1e400,
+]
+
+
+@pytest.fixture(scope="module")
+def content(tmp_path_factory):
+    """Bytes of a whole log."""
+    path = tmp_path_factory.mktemp("logs") / "run.mcap"
+    with pliant.connect("sim:koch", exit="hold") as arm:
+        controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
+        with Recorder(path, arm, controller, note="[/x] [the] \x1b]0;title\x07") as recorder:
+            recorder.controller.set_delay(0.01)
+            for tick in pliant.Loop(arm, recorder.controller, duration=0.2):
+                target = arm.model.forward_kinematics(tick.q)
+                command = recorder.controller.step(tick.q, target, dt=tick.dt)
+                tick.write(command)
+                recorder.add(tick, command)
+    return path.read_bytes()
+
+
+def records(content):
+    """Kind and body of every record between the magics."""
+    at = 8
+    while at < len(content) - 8:
+        kind, length = HEAD.unpack_from(content, at)
+        yield kind, content[at + HEAD.size : at + HEAD.size + length]
+        at += HEAD.size + length
+
+
+def rebuilt(content, change):
+    """The file with records changed by a function of kind and body."""
+    out = [content[:8]]
+    for kind, body in records(content):
+        new = change(kind, body)
+        out += [HEAD.pack(kind, len(new)), new]
+    return b"".join([*out, content[-8:]])
+
+
+def with_run(content, run):
+    """The file with another description of the run, its checksum made right."""
+
+    def change(kind, body):
+        if kind != ATTACHMENT:
+            return body
+        at = 16
+        size = struct.unpack_from("<I", body, at)[0]
+        name = body[at + 4 : at + 4 + size].decode()
+        if name != layout.RUN:
+            return body
+        at += 4 + size
+        at += 4 + struct.unpack_from("<I", body, at)[0]
+        text = json.dumps(run).encode()
+        body = body[:at] + struct.pack("<Q", len(text)) + text
+        return body + struct.pack("<I", zlib.crc32(body))
+
+    return rebuilt(content, change)
+
+
+def described(content):
+    for kind, body in records(content):
+        if kind == ATTACHMENT and layout.RUN.encode() in body[:100]:
+            return json.loads(body[body.index(b"{") : -4])
+    raise AssertionError("no description")
+
+
+def mutants(run):
+    """Every entry left out, and replaced by odd things; those of the model too."""
+    table = run["table"]
+    for i, (key, _) in enumerate(table):
+        yield f"without {key}", {"table": table[:i] + table[i + 1 :]}
+        for odd in ODD:
+            yield f"{key} = {odd!r}", {"table": [*table[:i], [key, odd], *table[i + 1 :]]}
+    at = next(i for i, (key, _) in enumerate(table) if key == "model")
+    inner = table[at][1]["table"]
+    for i, (key, _) in enumerate(inner):
+        for odd in ODD:
+            model = {"table": [*inner[:i], [key, odd], *inner[i + 1 :]]}
+            yield (
+                f"model {key} = {odd!r}",
+                {"table": [*table[:at], ["model", model], *table[at + 1 :]]},
+            )
+
+
+def test_a_log_read_as_written(content, tmp_path):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(with_run(content, described(content)))
+    assert rerun(read(path)).same
+
+
+def test_crafted_descriptions_are_typed_errors(content, tmp_path):
+    path, count, taken = tmp_path / "run.mcap", 0, []
+    for name, run in mutants(described(content)):
+        path.write_bytes(with_run(content, run))
+        count += 1
+        try:
+            log = read(path)
+        except pliant.PliantError:
+            continue
+        taken.append(name)
+        for use in (
+            log.model,
+            lambda log=log: log.settings,
+            lambda log=log: log.servos,
+            lambda log=log: rerun(log),
+            lambda log=log: Motion.logged(log),
+            lambda log=log: repr(log),
+        ):
+            try:
+                use()
+            except pliant.PliantError:
+                continue
+        assert main(["log", "info", str(path), "--rerun"]) in (0, 2), name
+    assert count > 200
+    assert len(taken) < 0.4 * count, taken
+
+
+@pytest.mark.parametrize("gigabytes", [0.08, 6.0])
+def test_a_chunk_that_unpacks_to_too_much_is_refused(content, gigabytes, tmp_path):
+    """Both where the chunk says its size and where it lies."""
+    import zstandard
+
+    size = int(gigabytes * 2**30)
+    zeros = zstandard.ZstdCompressor(level=1).compressobj(size=size)
+    block = bytes(1 << 24)
+    packed, left = [], size
+    while left:
+        packed.append(zeros.compress(block[: min(left, len(block))]))
+        left -= min(left, len(block))
+    data = b"".join([*packed, zeros.flush()])
+
+    for said in (size, 1000):
+        first = []
+
+        def change(kind, body, said=said, first=first):
+            if kind != CHUNK or first:
+                return body
+            first.append(1)
+            name = b"zstd"
+            return (
+                body[:16]
+                + struct.pack("<QI", said, 0)
+                + struct.pack("<I", len(name))
+                + name
+                + struct.pack("<Q", len(data))
+                + data
+            )
+
+        path = tmp_path / "bomb.mcap"
+        path.write_bytes(rebuilt(content, change))
+        log = read(path)
+        assert "unpacks to" in log.damage
+        assert len(log) == 0
+
+
+def test_notes_are_plain_text(content, tmp_path, capsys):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    assert main(["log", "info", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "[/x] [the]" in said
+    assert "\x1b" not in said
+    assert "\x07" not in said
+    assert printable("a\x9bb\tc\u202ed") == "a�b\tc�d"
+
+
+def test_files_without_an_end_are_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.json")
+    os.mkfifo(tmp_path / "pipe.toml")
+    (tmp_path / "folder.json").mkdir()
+    with (tmp_path / "large.json").open("wb") as stream:
+        stream.truncate(1 << 30)
+    for name in (
+        "/dev/zero",
+        *(str(tmp_path / f"{kind}.json") for kind in ("pipe", "folder", "large")),
+    ):
+        for take in (read_calibration, Motion.load):
+            with pytest.raises(pliant.ConfigError, match=r"pipe or a device|a folder|larger than"):
+                take(name)
+    with pytest.raises(pliant.ConfigError):
+        pliant.config.load(tmp_path / "pipe.toml")

@@ -1,0 +1,112 @@
+"""A calibration file is compared with what the servos say, before torque."""
+
+import json
+
+import pytest
+
+import pliant
+from pliant import config
+from pliant.config import assemble
+from pliant.config.doctor import examine
+from pliant.config.emulation import emulated, mounts
+from pliant.servo import ServoChain
+from pliant.servo.emulator import StepClock, emulate
+
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+
+
+def lerobot_file(folder, **changes):
+    """What lerobot-calibrate writes, with some joints' entries changed."""
+    table = {
+        joint: {
+            "id": i,
+            "drive_mode": 0,
+            "homing_offset": 100 * i - 300,
+            "range_min": 700 + 10 * i,
+            "range_max": 3300 + 10 * i,
+        }
+        for i, joint in enumerate(JOINTS, 1)
+    }
+    for joint, entry in changes.items():
+        table[joint] |= entry
+    file = folder / f"{len(list(folder.iterdir()))}.json"
+    file.write_text(json.dumps(table), "utf-8")
+    return file
+
+
+def opened(name, folder, **wrong):
+    """Open the arm of a ready file whose servos were calibrated, with a file that is changed."""
+    good = config.load(name, backend="emulator", calibration=lerobot_file(folder))
+    theirs = config.load(name, backend="emulator", calibration=lerobot_file(folder, **wrong))
+    with emulated(good, clock="steps") as bus:
+        before = bus.log.order(1)
+        chain = ServoChain(assemble.specs(theirs, bus.ports), patience=0.5, clock=StepClock(bus))
+        try:
+            chain.open()
+            return [note for found in chain.found for note in found.notes], chain
+        finally:
+            chain.close()
+            assert bus.log.order(1) == before, "nothing was written"
+            assert not bus.log.eeprom_writes()
+
+
+@pytest.mark.parametrize("name", ["so101", "koch"])
+def test_a_file_that_lerobot_wrote_passes(name, tmp_path):
+    notes, chain = opened(name, tmp_path)
+    assert chain.found
+    assert not [note for note in notes if "calibration" in note]
+
+
+@pytest.mark.parametrize("name", ["so101", "koch"])
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ({"homing_offset": -1200}, r"elbow_flex .*homing_offset -1200, the servo 0: .*off by 105°"),
+        ({"homing_offset": 1}, r"homing_offset 1, the servo 0: its zero would be off by 0.0879°"),
+        ({"range_min": 1000}, r"range_min 1000, the servo 730: its zero would be off by 11.9°"),
+        ({"range_max": 3000}, r"range_max 3000, the servo 3330: its zero would be off by 14.5°"),
+    ],
+)
+def test_a_file_of_another_arm_is_refused_with_the_angle(name, entry, said, tmp_path):
+    with pytest.raises(pliant.ServoError, match=said) as caught:
+        opened(name, tmp_path, elbow_flex=entry)
+    assert "lerobot-calibrate" in str(caught.value)
+    assert "shoulder_pan" not in str(caught.value)
+
+
+def test_every_joint_that_differs_is_named(tmp_path):
+    moved = {joint: {"homing_offset": 900} for joint in JOINTS}
+    with pytest.raises(pliant.ServoError) as caught:
+        opened("so101", tmp_path, **moved)
+    for joint in JOINTS:
+        assert f"{joint} (id" in str(caught.value)
+
+
+def test_a_direction_that_the_servo_has_not_is_refused_and_one_of_lerobots_own_is_said(tmp_path):
+    turned = {"wrist_flex": {"drive_mode": 1}}
+    with pytest.raises(pliant.ServoError, match=r"drive_mode 1, the servo 0: it counts the other"):
+        opened("koch", tmp_path, **turned)
+    notes, _ = opened("so101", tmp_path, **turned)
+    assert len([note for note in notes if "drive_mode 1" in note and "`sign`" in note]) == 1
+
+
+def test_a_joint_with_a_zero_of_its_own_needs_no_file(tmp_path):
+    text = 'backend = "emulator"\nrobot.builtin = "so101"\n[servo]\n' + "\n".join(
+        f'{joint} = {{ model = "STS3215-7.4V", id = {i}, zero = 2000 }}'
+        for i, joint in enumerate(JOINTS[:5], 1)
+    )
+    file = lerobot_file(tmp_path)
+    read = config.parse(f'calibration = "{file.name}"\n{text}', folder=tmp_path)
+    assert {spec.calibration for spec in assemble.specs(read, {"main": "/dev/none"})} == {None}
+
+
+def test_doctor_says_it_joint_by_joint(tmp_path, monkeypatch):
+    bare = config.load("so101", backend="emulator")
+    read = config.load("so101", calibration=lerobot_file(tmp_path))
+    with emulate(bare.model(), mounts(bare), [0.0] * 5, held=True) as bus:
+        wired = config.load("so101", calibration=read.calibration, port=bus.ports["main"])
+        bad = [finding.text for finding in examine(wired) if finding.level == "bad"]
+    said = [text for text in bad if "homing_offset" in text]
+    # Every joint but the third, whose offset in the file is 0 as delivered.
+    assert len(said) == 5
+    assert any("shoulder_pan" in text and "off by 17.6°" in text for text in said)

@@ -1,0 +1,202 @@
+"""Torque on with one packet lost, what bounds torque, and what is handed back afterwards."""
+
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from tests.servo.conftest import JOINTS, devices
+
+from pliant import ServoError
+from pliant.servo import ServoChain, ServoSpec
+from pliant.servo.emulator import Emulator, StepClock
+
+KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
+#: Old goals are this far off [counts]: 44° on most encoders.
+OFF = 500
+
+
+def chain_on(bus, kind, n, patience=0.005):
+    specs = [
+        ServoSpec(
+            name=f"joint{i}", model=JOINTS[kind][1], id=i + 1, port=bus.port, lower=-1.0, upper=1.0
+        )
+        for i in range(n)
+    ]
+    return ServoChain(specs, patience=patience, clock=StepClock(bus))
+
+
+def strike(bus, fault, place):
+    """Let the request of this number, or its answer, get lost; count the requests."""
+    line, count = bus.lines["main"], [0]
+
+    def chance():
+        count[0] += 1
+        return fault if count[0] == place else None
+
+    line.faults.chance = chance
+    return count
+
+
+def enable_with_old_goals(kind, fault, place):
+    """Largest way of a shaft [rad] while torque comes on and in the second after, and requests."""
+    with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
+        for servo in bus.servos:
+            servo.put("goal_position", servo.position - OFF if kind != "rx" else 100)
+            speeds = {"moving_speed", "profile_velocity", "goal_velocity"}
+            for name in speeds & {register.name for register in servo.table}:
+                servo.put(name, 0)
+        start = np.array([servo.shaft.angle for servo in bus.servos])
+        goal = chain.read().position
+        count = strike(bus, fault, place)
+        ways = []
+        try:
+            chain.enable(goal, 0.5 * chain.servos.torque)
+        except ServoError:
+            assert not any(servo.enabled for servo in bus.servos)
+        requests = count[0]
+        for _ in range(10):
+            bus.advance(0.02)
+            ways.append(
+                max(abs(servo.shaft.angle - start[i]) for i, servo in enumerate(bus.servos))
+            )
+        assert not bus.log.eeprom_writes()
+        return max(ways), requests
+
+
+@pytest.mark.parametrize("fault", ["deaf", pytest.param("lose", marks=pytest.mark.full)])
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_single_lost_packet_switches_torque_on_with_an_old_goal(kind, fault):
+    _, requests = enable_with_old_goals(kind, fault, 0)
+    assert requests > 10
+    for place in range(1, requests + 1):
+        way, _ = enable_with_old_goals(kind, fault, place)
+        assert way < 0.005, f"request {place} of {requests}"
+
+
+def registers(servo):
+    """RAM that bounds torque or motion, by name, as it stands."""
+    names = [
+        "torque_limit", "goal_current", "goal_pwm", "moving_speed", "goal_velocity", "goal_time",
+        "profile_velocity", "profile_acceleration", "acceleration", "goal_acceleration",
+        "bus_watchdog",
+    ]  # fmt: skip
+    there = {register.name for register in servo.table}
+    return {name: servo.get(name) for name in names if name in there}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_registers_are_handed_back_as_they_were_found(emulated, enabled, kind):
+    with emulated(kind, 2, clock="steps", is_open=False) as (bus, chain):
+        for servo in bus.servos:
+            for name, value in registers(servo).items():
+                servo.put(name, value - 7 if name in {"torque_limit", "goal_current"} else 3)
+        before = [registers(servo) for servo in bus.servos]
+        chain.open()
+        for _ in range(2):
+            limit = enabled(chain)
+            chain.watchdog(0.2)
+            for k in range(5):
+                chain.read()
+                chain.write([0.01 * k, 0.0], 0.01 * limit, velocity=[0.1, 0.1])
+                bus.advance(0.01)
+            assert [registers(servo) for servo in bus.servos] != before
+            chain.disable()
+            bus.sync()
+            assert [registers(servo) for servo in bus.servos] == before
+        assert not bus.log.eeprom_writes()
+
+
+@pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
+def test_limits_that_a_killed_program_left_are_not_handed_back(emulated, enabled, kind):
+    with emulated(kind, 1, clock="steps") as (bus, chain):
+        name = {"sts": "torque_limit", "xm": "goal_current", "mx": "torque_limit"}[kind]
+        full = bus.servos[0].get(name)
+        limit = enabled(chain)
+        chain.write([0.0], 0.01 * limit, velocity=[0.1])
+        chain.close()  # as a program that is killed: torque on
+        chain.open()
+        enabled(chain)
+        chain.disable()
+        bus.sync()
+        assert bus.servos[0].get(name) == full
+
+
+def test_lerobot_moves_an_arm_after_pliant_as_before(emulated, enabled):
+    """LeRobot writes Torque_Enable and Goal_Position, and neither limits nor speeds."""
+
+    def lerobot(bus, goal):
+        for servo in bus.servos:
+            servo.write(40, bytes([1]))
+            servo.write(42, goal.to_bytes(2, "little"))
+        bus.advance(1.5)
+        places = [servo.position for servo in bus.servos]
+        for servo in bus.servos:
+            servo.write(40, bytes([0]))
+        return places
+
+    with emulated("sts", 2, clock="steps") as (bus, chain):
+        for servo in bus.servos:
+            servo.load.torque = -0.5
+        before = lerobot(bus, 2300)
+        lerobot(bus, 2048)
+        enabled(chain)
+        chain.write([0.0, 0.0], [0.002, 0.002], velocity=[0.01, 0.01])
+        chain.read()
+        chain.disable()
+        for servo in bus.servos:
+            servo.shaft.angle = 2048 * servo.model.count
+        assert lerobot(bus, 2300) == pytest.approx(before, abs=2)
+
+
+def test_a_goal_pwm_that_was_left_low_does_not_weaken_a_current_limited_servo(emulated, enabled):
+    with emulated("xm", 1, clock="steps", is_open=False) as (bus, chain):
+        bus.servos[0].put("goal_pwm", 150)
+        chain.open()
+        enabled(chain, share=1.0)
+        bus.sync()
+        assert bus.servos[0].drive().ceiling == pytest.approx(chain.servos.torque[0], rel=0.01)
+        chain.disable()
+        bus.sync()
+        assert bus.servos[0].get("goal_pwm") == 150
+
+
+def test_a_pwm_limit_bounds_the_torque_that_is_reported():
+    from pliant.servo.emulator import Device
+
+    part = Device("XM430-W350", 1, operating_mode=5, return_delay_time=0, pwm_limit=300)
+    with Emulator([part], clock="steps") as bus, chain_on(bus, "xm", 1, patience=0.1) as chain:
+        assert chain.servos.torque[0] == pytest.approx(4.1 * 300 / 885, rel=0.01)
+        assert any("PWM Limit" in note and "34%" in note for note in chain.found[0].notes)
+        chain.enable(chain.read().position, chain.servos.torque)
+        bus.sync()
+        ceiling = bus.servos[0].drive().ceiling
+        assert ceiling == pytest.approx(chain.servos.torque[0], rel=0.01)
+
+
+@pytest.mark.filterwarnings("ignore:torque is off, but")
+@pytest.mark.parametrize("trouble", ["hum", "echo"])
+@pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
+def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, trouble):
+    with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.01) as chain:
+        enabled(chain)
+        getattr(bus, trouble)()
+        # An echo may look like a confirmation; what cannot be confirmed is said.
+        with suppress(ServoError):
+            chain.disable()
+        bus.sync()
+        assert not any(servo.enabled for servo in bus.servos)
+
+
+@pytest.mark.parametrize("trouble", ["hum", "echo"])
+@pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
+def test_a_line_that_is_never_silent_is_told_at_open(kind, trouble):
+    with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.01) as chain:
+        chain.close()
+        getattr(bus, trouble)()
+        with pytest.raises(ServoError, match=r"never silent|echo") as caught:
+            chain.open()
+        assert "id of its own" not in str(caught.value)
+        assert "Two servos on one id" not in str(caught.value)
+        getattr(bus, trouble)(False)
+        chain.open()
+        assert chain.read().ok.all()

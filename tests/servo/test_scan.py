@@ -1,0 +1,62 @@
+"""Scans over lines that are slow, late or broken: the ids that are there, and no others."""
+
+import pytest
+
+pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
+
+from pliant import ServoError
+from pliant.servo.emulator import Device, Emulator, Timing
+from pliant.servo.scan import scan
+
+MODELS = {"xl": "XL430-W250", "sts": "STS3215", "mx": "MX-64"}
+
+
+def found(bus, baud):
+    return [(seen.id, seen.note) for seen in scan(bus.port, baudrates=(baud,), ids=range(12))]
+
+
+def answers(kind, ids, delay=250):
+    return [Device(MODELS[kind], id=i, return_delay_time=delay) for i in ids]
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.016])
+@pytest.mark.parametrize(
+    ("kind", "baud"), [("xl", 57_600), ("xl", 1_000_000), ("sts", 1_000_000), ("mx", 57_600)]
+)
+def test_the_ids_that_are_there_are_seen_and_no_others(kind, baud, latency):
+    ids, timing = [1, 2, 3, 4, 6, 11], Timing(wire=True, usb_latency=latency)
+    with Emulator(answers(kind, ids), timing=timing, baud=baud) as bus:
+        assert found(bus, baud) == [(i, "") for i in ids]
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_answers_that_are_late_once_are_not_booked_on_other_ids(kind):
+    with Emulator(answers(kind, range(1, 7))) as bus:
+        for id, seconds in ((2, 0.012), (4, 0.03), (6, None)):
+            bus.faults.inject("late", id, seconds=seconds)
+        bus.faults.inject("lose", 5)
+        assert found(bus, 1_000_000) == [(i, "") for i in range(1, 7)]
+
+
+def test_two_servos_on_one_id_are_told_from_a_line_that_breaks_every_answer():
+    parts = [*answers("sts", [1, 2]), Device("STS3215", id=2, angle=1.0)]
+    with Emulator(parts) as bus:
+        one, two = found(bus, 1_000_000)
+        assert one == (1, "")
+        assert two[0] == 2
+        assert "two servos on this id?" in two[1]
+    with Emulator(answers("sts", [1, 2, 3])) as bus:
+        bus.faults.by_chance(noise=1.0)
+        notes = [note for _, note in found(bus, 1_000_000)]
+        assert notes
+        assert all("two servos" not in note for note in notes)
+        assert all("adapter" in note for note in notes)
+
+
+@pytest.mark.parametrize("trouble", ["hum", "echo"])
+@pytest.mark.parametrize("kind", ["sts", "xl"])
+def test_a_line_that_is_never_silent_is_told(kind, trouble):
+    with Emulator(answers(kind, [1, 2])) as bus:
+        getattr(bus, trouble)()
+        with pytest.raises(ServoError, match="never silent"):
+            scan(bus.port, baudrates=(1_000_000,), ids=range(3))

@@ -1,0 +1,86 @@
+"""The settings of the page: every preset, law and switch on every kind of task."""
+
+from __future__ import annotations
+
+import pytest
+
+import pliant
+from pliant.view import orders
+from pliant.view.desk import LAWS, OWN, Desk
+
+TASKS = {
+    "arm7": ("x y z roll pitch yaw", "xyz", "x y yaw"),
+    "so101": ("xyz", "x z pitch", "x z", "y"),
+    "koch": ("xyz", "z pitch"),
+}
+CASES = [(robot, task) for robot, tasks in TASKS.items() for task in tasks]
+
+
+def own_files(task):
+    """Settings of a configuration: soft, firm, two axes by hand, and none at all."""
+    names = pliant.Task(axes=task).names
+    return {
+        "soft all": pliant.Settings.soft(" ".join(names), task=task),
+        "firm": pliant.Settings.firm(task=task),
+        "by hand": pliant.Settings(
+            task=task,
+            axes={names[-1]: pliant.Axis(hold=1.0), names[0]: pliant.Axis(yields="+", eta=0.5)},
+        ),
+        "nothing": pliant.Settings(task=task),
+    }
+
+
+def begin(robot, task, own=None):
+    model = pliant.robots.load(robot)
+    desk = Desk(task, 100.0, own)
+    return desk, pliant.Controller(model, desk.effective)
+
+
+@pytest.mark.parametrize(("robot", "task"), CASES)
+def test_every_preset_law_and_switch_works(robot, task):
+    desk, controller = begin(robot, task)
+    for preset in desk.presets:
+        for law in LAWS:
+            desk.take(orders.Preset(1, preset), controller)
+            desk.take(orders.Law(2, law), controller)
+            soft = {n: a.yields for n, a in controller.strengths.items()}
+            desk.take(orders.Firm(3, True), controller)
+            assert controller.settings.law == law
+            assert {a.yields for a in controller.strengths.values()} == {"none"}
+            desk.take(orders.Firm(4, False), controller)
+            assert {n: a.yields for n, a in controller.strengths.items()} == soft
+
+
+@pytest.mark.parametrize("kind", ["soft all", "firm", "by hand", "nothing"])
+@pytest.mark.parametrize(("robot", "task"), CASES)
+def test_own_settings_take_every_law_and_every_edit(robot, task, kind):
+    desk, controller = begin(robot, task, own_files(task)[kind])
+    plain = kind in {"firm", "nothing"}
+    assert desk.preset == (desk.presets[1] if plain else OWN)
+    for law in LAWS:
+        desk.take(orders.Law(1, law), controller)
+        for name in pliant.Task(axes=task).names:
+            for yields in ("both", "+", "-", "none"):
+                desk.take(orders.Change(2, name, {"yields": yields, "eta": 0.5}), controller)
+                assert controller.strengths[name].yields == yields
+        desk.take(orders.Eta(3, 0.7), controller)
+        desk.take(orders.Firm(4, True), controller)
+        desk.take(orders.Firm(5, False), controller)
+    desk.take(orders.Preset(6, OWN), controller)
+
+
+def test_file_that_names_no_soft_axis_begins_like_the_simulated_arm():
+    own = pliant.Settings(task="xyz", max_tool_speed=0.1, posture_weights=[1.0, 2.0, 1.0, 1.0, 1.0])
+    ready, _ = begin("so101", "xyz", own)
+    bare, _ = begin("so101", "xyz")
+    assert (ready.preset, ready.settings.axes) == (bare.preset, bare.settings.axes)
+    assert ready.settings.max_tool_speed[0] == 0.1
+    assert list(ready.settings.posture_weights) == list(own.posture_weights)
+
+
+def test_no_preset_goes_faster_than_the_file():
+    own = pliant.Settings(task="xyz", max_tool_speed=(0.1, 0.2))
+    desk, controller = begin("so101", "xyz", own)
+    for preset in desk.presets:
+        desk.take(orders.Preset(1, preset), controller)
+        assert controller.settings.max_tool_speed <= (0.1, 0.2)
