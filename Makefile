@@ -104,10 +104,14 @@ test-rust: setup ## Tests of the Rust core, its doc tests and its pages
 	$(call say,pages of the Rust core)
 	@RUSTDOCFLAGS='-D warnings' cargo doc $(LOCKED) --quiet --no-deps
 
+# Emulated buses, pages and programs run in real time: on a busy machine one may answer too late. A test
+# that fails is run once more, and the summary names it; what fails for a cause fails twice.
+RERUN := --reruns=1 -rR
+
 test-py: setup ## Tests from Python; ARGS='-k door' picks
 	$(call say,pytest)
 	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || $(call skip,no browser: the page of pliant view is not tested in one (apt-get install -y chromium))
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(BIN)/python -m pytest $(RERUN) $(ARGS)
 
 lint: lint-rust lint-py stubs ## Formats, clippy, ruff, mypy, stubs against the binary
 

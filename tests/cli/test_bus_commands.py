@@ -46,6 +46,22 @@ def test_scan_without_servos_says_what_to_look_at(arm, capsys):
     assert "power" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("kind", ["deaf", "lose", "late", "corrupt"])
+def test_setup_asks_again_where_a_packet_is_lost(arm, tmp_path, kind, capsys):
+    bus, file = arm
+    for number in range(1, 7):
+        for skip in (0, 5, 9):
+            bus.faults.inject(kind, number, skip=skip)
+    backup = tmp_path / "old.json"
+    assert main(["setup", str(file), "--backup", str(backup), "--yes"]) == 0
+    asked = [fault for packet in bus.log for fault in packet.faults]
+    assert len(asked) >= 12, "packets were lost"
+    count = len(json.loads(backup.read_text())["changes"])
+    assert f"{count} registers written and read back" in capsys.readouterr().out
+    assert main(["setup", str(file)]) == 0
+    assert "nothing to change" in capsys.readouterr().out
+
+
 def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
     bus, file = arm
     backup = tmp_path / "old.json"

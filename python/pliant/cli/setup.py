@@ -15,11 +15,11 @@ from pliant.cli import backup as kept
 from pliant.cli.flags import ArmName, File, Ids, Wired
 from pliant.config import assemble
 from pliant.servo import RustypotTransport
+from pliant.servo.guard import Guard
+from pliant.servo.port import latency_timer
 from pliant.servo.settle import Change, apply, changes, check_rename, rename, restore
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from pliant.config import Config
     from pliant.servo import ServoSpec, Transport
 
@@ -140,29 +140,29 @@ def _say(console: Console, line: str) -> None:
 
 
 class _Ports:
-    """The open ports by path."""
+    """The open ports by path; a request that is not answered is sent again."""
 
     def __init__(self, config: Config, specs: list[ServoSpec]) -> None:
         paths = assemble.paths(config)
         bauds = {paths[port.name]: port.baud for port in config.port}
         protocols = {spec.port: spec.row.family.protocol for spec in specs}
         self._wanted = {path: (bauds[path], protocol) for path, protocol in protocols.items()}
-        self._open: dict[str, Transport] = {}
+        self._open: list[Transport] = []
+        self._guards: dict[str, Guard] = {}
 
     def __enter__(self) -> _Ports:
         for path, (baud, protocol) in self._wanted.items():
-            self._open[path] = RustypotTransport(path, baud, protocol, timeout=0.05)
+            self._open.append(RustypotTransport(path, baud, protocol))
+            latency = latency_timer(path) or 0.001
+            self._guards[path] = Guard(self._open[-1], protocol, baudrate=baud, latency=latency)
         return self
 
     def __exit__(self, *_: object) -> None:
-        for io in self._open.values():
+        for io in self._open:
             io.close()
 
-    def __getitem__(self, path: str) -> Transport:
-        return self._open[path]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._open)
+    def __getitem__(self, path: str) -> Guard:
+        return self._guards[path]
 
 
 def _show(console: Console, wanted: list[Change]) -> None:

@@ -16,8 +16,8 @@ from pliant.servo.transport import BusError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from pliant.servo.guard import Guard
     from pliant.servo.models import Family, ServoModel
-    from pliant.servo.transport import Transport
 
 #: Registers that a set-up writes.
 SETS = (
@@ -58,12 +58,12 @@ class Change:
 
 
 def changes(
-    io: Transport, joint: str, id: int, row: ServoModel, *, overload: bool = True
+    io: Guard, joint: str, id: int, row: ServoModel, *, overload: bool = True
 ) -> list[Change]:
     """What should change on one servo.
 
     Args:
-        io: The open port.
+        io: Transactions of the open port.
         joint: Its joint, for the words.
         id: Its id.
         row: Its model.
@@ -78,12 +78,12 @@ def changes(
 
 
 def restore(
-    io: Transport, joint: str, id: int, row: ServoModel, former: Iterable[Change]
+    io: Guard, joint: str, id: int, row: ServoModel, former: Iterable[Change]
 ) -> list[Change]:
     """What should change on one servo so that it is again as it was.
 
     Args:
-        io: The open port.
+        io: Transactions of the open port.
         joint: Its joint.
         id: Its id.
         row: Its model.
@@ -100,7 +100,7 @@ def restore(
     return _differing(io, joint, id, row, wanted)
 
 
-def _is(io: Transport, joint: str, id: int, row: ServoModel) -> None:
+def _is(io: Guard, joint: str, id: int, row: ServoModel) -> None:
     """See that a servo is the model that the configuration says."""
     number = read(io, id, row.family, "model")
     if number != row.number:
@@ -109,7 +109,7 @@ def _is(io: Transport, joint: str, id: int, row: ServoModel) -> None:
 
 
 def _differing(
-    io: Transport, joint: str, id: int, row: ServoModel, wanted: Mapping[str, tuple[int, str]]
+    io: Guard, joint: str, id: int, row: ServoModel, wanted: Mapping[str, tuple[int, str]]
 ) -> list[Change]:
     """Those of the wanted values, with reasons, that the servo has not got."""
     out = []
@@ -120,7 +120,7 @@ def _differing(
     return out
 
 
-def _wanted(io: Transport, id: int, row: ServoModel, overload: bool) -> dict[str, tuple[int, str]]:
+def _wanted(io: Guard, id: int, row: ServoModel, overload: bool) -> dict[str, tuple[int, str]]:
     """Values by register, and why."""
     family = row.family
     out: dict[str, tuple[int, str]] = {}
@@ -150,7 +150,7 @@ def _wanted(io: Transport, id: int, row: ServoModel, overload: bool) -> dict[str
     return out
 
 
-def apply(io: Transport, family: Family, wanted: Sequence[Change]) -> None:
+def apply(io: Guard, family: Family, wanted: Sequence[Change]) -> None:
     """Write the changes of one servo: torque off, write, read back.
 
     Raises:
@@ -177,11 +177,11 @@ def apply(io: Transport, family: Family, wanted: Sequence[Change]) -> None:
         _lock(io, first.id, family, locked=True)
 
 
-def rename(io: Transport, joint: str, row: ServoModel, old: int, new: int) -> None:
+def rename(io: Guard, joint: str, row: ServoModel, old: int, new: int) -> None:
     """Give the only servo that answers to an id another one.
 
     Args:
-        io: The open port.
+        io: Transactions of the open port.
         joint: The joint that the new id belongs to, for the words.
         row: Its model.
         old: The id it answers to.
@@ -202,7 +202,7 @@ def rename(io: Transport, joint: str, row: ServoModel, old: int, new: int) -> No
     _lock(io, new, family, locked=True)
 
 
-def check_rename(io: Transport, joint: str, row: ServoModel, old: int, new: int) -> None:
+def check_rename(io: Guard, joint: str, row: ServoModel, old: int, new: int) -> None:
     """See that `rename` can be done; writes nothing.
 
     Raises:
@@ -218,7 +218,7 @@ def check_rename(io: Transport, joint: str, row: ServoModel, old: int, new: int)
         )
 
 
-def read(io: Transport, id: int, family: Family, name: str) -> int:
+def read(io: Guard, id: int, family: Family, name: str) -> int:
     """Value of a register.
 
     Raises:
@@ -226,13 +226,13 @@ def read(io: Transport, id: int, family: Family, name: str) -> int:
     """
     register = family.registers[name]
     try:
-        data, _ = io.read(id, register.address, register.size)
+        reply = io.read(id, family.block(name))
     except BusError as error:
         raise ServoError(f"{error}: is it powered, is its id as configured?") from error
-    return register.decode(data)
+    return register.decode(reply.data)
 
 
-def _write(io: Transport, id: int, family: Family, name: str, value: int) -> None:
+def _write(io: Guard, id: int, family: Family, name: str, value: int) -> None:
     """Write a register; whether it took the value is read back, as not every write is answered."""
     register = family.registers[name]
     try:
@@ -242,7 +242,7 @@ def _write(io: Transport, id: int, family: Family, name: str, value: int) -> Non
             raise
 
 
-def _lock(io: Transport, id: int, family: Family, *, locked: bool) -> None:
+def _lock(io: Guard, id: int, family: Family, *, locked: bool) -> None:
     """Feetech keeps EEPROM writes only while unlocked; Dynamixel's lock is its torque."""
     if "lock" in family.registers:
         _write(io, id, family, "lock", int(locked))
