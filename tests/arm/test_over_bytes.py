@@ -64,7 +64,7 @@ def switches(bus, id):
 
 
 def unknown(load):
-    """A load [kg] that the arm's model does not have; its emulated servos are as the arm reads them."""
+    """A load [kg] that the model does not have, on emulated servos as the arm reads them."""
     return Mismatch(plant=Parameters(payload=load), assumed=Parameters(), compared=("payload",))
 
 

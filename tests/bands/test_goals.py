@@ -7,7 +7,7 @@ from mismatch import under
 
 from pliant.experiments import goals, laws, merits, rates
 
-
+#: The preset under test.
 KX = {"kx": 4.8}
 
 
