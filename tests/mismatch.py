@@ -75,7 +75,9 @@ def under(conditions: Conditions) -> Mismatch | nullcontext[None]:
     if conditions.believed == 1.0 and (conditions.gears is None or conditions.gears_known):
         return nullcontext()
     share = conditions.believed
-    return Mismatch(plant=plant, assumed=Parameters(delay=delay, friction=share, damping=share))
+    known = conditions.gears if conditions.gears_known else None
+    assumed = Parameters(delay=delay, friction=share, damping=share, gears=known)
+    return Mismatch(plant=plant, assumed=assumed)
 
 
 class Mismatch:

@@ -83,7 +83,7 @@ def test_hand_over(conditions):
         seen = skills.hand_over(Settings.hand_over(), conditions=conditions)
     assert seen.released is not None
     assert seen.effort < 25.0  # [N] (19.7, 22)
-    assert seen.sag < 0.010  # [m] (0.007), 0.3 kg that nobody told the controller of
+    assert 0.003 < seen.sag < 0.010  # [m] (0.007; 0.0001 if it was told of the 0.3 kg)
     assert seen.fastest < 0.5  # [m/s] (0.36)
     stiff = skills.hand_over(STIFF, conditions=conditions)
     assert stiff.effort > 2.0 * seen.effort  # (2.8)
@@ -118,6 +118,7 @@ def test_plug(holes, conditions):
     assert max(each.across for each in seen) < 5.0  # [N] (2.1)
     assert max(each.off for each in seen) < 0.003  # [m] (0.001)
     assert max(each.across for each in stiff) > 3.0 * max(each.across for each in seen)  # (15)
+    assert max(each.across for each in stiff) > 12.0  # [N] (20; 8.5 if the holes are as believed)
 
 
 def test_a_blocked_plug_pushes_with_its_cap():
