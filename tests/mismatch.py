@@ -11,7 +11,7 @@ with them, so that a drive or an experiment that hands out the plant's own numbe
 from __future__ import annotations
 
 import functools
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
@@ -68,12 +68,10 @@ def differs(plant: ArrayLike, assumed: ArrayLike) -> bool:
     return not np.allclose(one, other, rtol=SAME, atol=SAME)
 
 
-def under(conditions: Conditions) -> Mismatch | nullcontext[None]:
-    """Hold what is made in a block to the mismatch of these conditions, where they have one."""
+def under(conditions: Conditions) -> Mismatch:
+    """Hold what is made in a block to the mismatch of these conditions; they must have one."""
     delay = sum(conditions.delay) / conditions.rate
     plant = Parameters(delay=delay, gears=conditions.gears)
-    if conditions.believed == 1.0 and (conditions.gears is None or conditions.gears_known):
-        return nullcontext()
     share = conditions.believed
     known = conditions.gears if conditions.gears_known else None
     assumed = Parameters(delay=delay, friction=share, damping=share, gears=known)

@@ -126,13 +126,17 @@ def cases():
             gap, bench = contact_gap(case), contacts_bench.Bench(case)
             yield f"contact {case.name}", gap, lambda bench=bench: bench.contact(0)
     for name, one in presets.UNDER.items():
+        if "believed" not in name:
+            continue
         for preset, (law, scene) in presets.SCENES.items():
             yield f"{preset} {name}", under(one), lambda o=one, law=law, s=scene: s(law, o)
     for entry in goals._ENTRIES:
         tried = any(second is not None for _, second in entry.goals.values())
-        for one in goals.UNCERTAIN if tried else ():
+        for one in (goals.UNCERTAIN[0], goals.UNCERTAIN[2]) if tried else ():
             yield f"goals {entry.scenario}", under(one), lambda e=entry, o=one: e.measure(o)
     for one in rates.conditions():
+        if one.believed == 1.0:
+            continue
         yield (
             f"rates {one}",
             under(one),
@@ -174,7 +178,11 @@ def cases():
         yield example, plant(**differs), lambda file=file: runpy.run_path(str(file))
 
 
-CASES = [case for case in cases() if isinstance(case[1], Mismatch)]
+CASES = list(cases())
+
+
+def test_no_row_has_lost_what_differs():
+    assert len(CASES) == 108
 
 
 @pytest.mark.parametrize(("gap", "run"), [case[1:] for case in CASES], ids=[c[0] for c in CASES])

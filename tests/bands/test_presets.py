@@ -1,5 +1,7 @@
 """Each preset in its scene, in the same run against the same task with all axes stiff."""
 
+from contextlib import nullcontext
+
 import pytest
 from mismatch import under
 
@@ -20,7 +22,7 @@ conditions = pytest.mark.parametrize(
 @conditions
 @pytest.mark.parametrize("degrees", [0.0, pytest.param(10.0), 20.0])
 def test_drawer(degrees, conditions):
-    with under(conditions):
+    with nullcontext() if conditions is NOMINAL else under(conditions):
         seen = skills.pull_drawer(Settings.drawer(), degrees=degrees, conditions=conditions)
     assert seen.way > 0.249  # [m], of 0.25
     assert seen.force < 17.5  # [N] (15.4); the promise is the arm's `firm`, 15 N
@@ -66,7 +68,7 @@ def test_soft():
 
 @conditions
 def test_wipe(conditions):
-    with under(conditions):
+    with nullcontext() if conditions is NOMINAL else under(conditions):
         seen = skills.wipe(Settings.wipe(press=5.0), conditions=conditions)
     assert seen.mean == pytest.approx(5.0, abs=0.5)  # (4.9-5.0)
     assert seen.least > 0.5  # [N] (2.7, believed 0.7: 0.9): it never leaves the surface
@@ -79,7 +81,7 @@ def test_wipe(conditions):
 
 @conditions
 def test_hand_over(conditions):
-    with under(conditions):
+    with nullcontext() if conditions is NOMINAL else under(conditions):
         seen = skills.hand_over(Settings.hand_over(), conditions=conditions)
     assert seen.released is not None
     assert seen.effort < 25.0  # [N] (19.7, 22)
@@ -110,7 +112,7 @@ def plugged(law, holes, conditions):
 )
 @conditions
 def test_plug(holes, conditions):
-    with under(conditions):
+    with nullcontext() if conditions is NOMINAL else under(conditions):
         seen = plugged(Settings.plug(push=10.0), holes, conditions)
     stiff = plugged(STIFF, holes, conditions)
     assert all(each.inside for each in seen)
@@ -134,7 +136,7 @@ def test_a_blocked_plug_pushes_with_its_cap():
 
 @conditions
 def test_hand_guiding(conditions):
-    with under(conditions):
+    with nullcontext() if conditions is NOMINAL else under(conditions):
         seen = hands.drag(Settings.hand_guiding(), conditions=conditions)
     assert seen.moved > 0.14  # [m], of 0.15
     assert seen.force < 11.0  # [N] (6.1)
