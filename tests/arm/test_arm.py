@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant.arm import Arm, Jaw
@@ -189,8 +190,10 @@ def test_a_joint_that_is_believed_outside_its_limits_gets_no_torque(make, grasp,
         return sample
 
     arm.drive.read = misplaced
+    assert arm.drive.read().position[3] != pytest.approx(arm.drive.plant.q[3], abs=abs(way) / 2)
     if starts:  # one that lies on its stop
         arm.enable()
+        assert arm.read().q[3] == (high if way > 0.0 else low) + way
         arm.limp()
         return
     said = (
@@ -322,7 +325,8 @@ def test_what_is_made_from_the_model_believes_the_arms_servos():
     assert arm.model.servos.kp.tolist() == arm.servos.kp.tolist()
     assert arm.model.servos.kp.tolist() != pliant.robots.so101().servos.kp.tolist()
     # What is true of the simulated servos is not told to the arm.
-    arm = pliant.connect("sim:so101", kp_scale=2.0)
+    with Mismatch(plant=Parameters(kp=2.0), assumed=Parameters()):
+        arm = pliant.connect("sim:so101", kp_scale=2.0)
     assert arm.servos.kp.tolist()[:5] == model.servos.kp.tolist()
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from mismatch import under
 
 from pliant.experiments import hands, laws, merits
 from pliant.experiments.campaign_jobs import REAL_GEARS
@@ -13,7 +14,8 @@ KNOWN = Conditions(gears=REAL_GEARS["arm7"], gears_known=True)
 
 def test_a_known_load_is_fed_forward():
     drag = merits.light(laws.cap())
-    assert drag(UNKNOWN)["force [N]"] > 14.0  # (15.0): the hand's most
+    with under(UNKNOWN):
+        assert drag(UNKNOWN)["force [N]"] > 14.0  # (15.0): the hand's most
     assert drag(KNOWN)["force [N]"] < 8.5  # (7.6)
 
 

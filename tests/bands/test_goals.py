@@ -3,8 +3,12 @@
 import dataclasses
 
 import numpy as np
+from mismatch import under
 
-from pliant.experiments import goals, laws, rates
+from pliant.experiments import goals, laws, merits, rates
+
+#: The preset under test.
+KX = {"kx": 4.8}
 
 
 def test_table_measures_and_judges():
@@ -22,6 +26,13 @@ def test_a_stiffer_hold_keeps_the_drift_where_friction_is_believed_too_high():
     rows = [row for row in goals.table("15 N hand, η 0.999") if row.preset == "cap(kx=4.8)"]
     assert [row.figure for row in rows] == ["force [N]", "drift [mm]"]
     assert all(row.met for row in rows)  # (7.36 N of 7.5, 3.33 mm of 4.0)
+    (too_high,) = (one for one in goals.UNCERTAIN if one.believed > 1.0)
+    with under(too_high):
+        stiffer, default = (
+            merits.light(laws.cap(**options))(too_high)["drift [mm]"] for options in (KX, {})
+        )
+    assert stiffer == rows[1].reached_uncertain
+    assert default > 4.0
 
 
 def test_drag_and_door_are_tried_at_every_rate_delay_and_belief():

@@ -1,6 +1,9 @@
 """Each preset in its scene, in the same run against the same task with all axes stiff."""
 
+from contextlib import nullcontext
+
 import pytest
+from mismatch import under
 
 from pliant import Settings
 from pliant.experiments import doors, hands, skills
@@ -19,7 +22,8 @@ conditions = pytest.mark.parametrize(
 @conditions
 @pytest.mark.parametrize("degrees", [0.0, pytest.param(10.0), 20.0])
 def test_drawer(degrees, conditions):
-    seen = skills.pull_drawer(Settings.drawer(), degrees=degrees, conditions=conditions)
+    with nullcontext() if conditions is NOMINAL else under(conditions):
+        seen = skills.pull_drawer(Settings.drawer(), degrees=degrees, conditions=conditions)
     assert seen.way > 0.249  # [m], of 0.25
     assert seen.force < 17.5  # [N] (15.4); the promise is the arm's `firm`, 15 N
     assert seen.across < 10.5  # [N] (8.4)
@@ -64,7 +68,8 @@ def test_soft():
 
 @conditions
 def test_wipe(conditions):
-    seen = skills.wipe(Settings.wipe(press=5.0), conditions=conditions)
+    with nullcontext() if conditions is NOMINAL else under(conditions):
+        seen = skills.wipe(Settings.wipe(press=5.0), conditions=conditions)
     assert seen.mean == pytest.approx(5.0, abs=0.5)  # (4.9-5.0)
     assert seen.least > 0.5  # [N] (2.7, believed 0.7: 0.9): it never leaves the surface
     assert seen.most < 9.0  # [N] (6.8, 8.4)
@@ -76,10 +81,11 @@ def test_wipe(conditions):
 
 @conditions
 def test_hand_over(conditions):
-    seen = skills.hand_over(Settings.hand_over(), conditions=conditions)
+    with nullcontext() if conditions is NOMINAL else under(conditions):
+        seen = skills.hand_over(Settings.hand_over(), conditions=conditions)
     assert seen.released is not None
     assert seen.effort < 25.0  # [N] (19.7, 22)
-    assert seen.sag < 0.010  # [m] (0.007), 0.3 kg that nobody told the controller of
+    assert 0.003 < seen.sag < 0.010  # [m] (0.007; 0.0001 if it was told of the 0.3 kg)
     assert seen.fastest < 0.5  # [m/s] (0.36)
     stiff = skills.hand_over(STIFF, conditions=conditions)
     assert stiff.effort > 2.0 * seen.effort  # (2.8)
@@ -106,13 +112,15 @@ def plugged(law, holes, conditions):
 )
 @conditions
 def test_plug(holes, conditions):
-    seen = plugged(Settings.plug(push=10.0), holes, conditions)
+    with nullcontext() if conditions is NOMINAL else under(conditions):
+        seen = plugged(Settings.plug(push=10.0), holes, conditions)
     stiff = plugged(STIFF, holes, conditions)
     assert all(each.inside for each in seen)
     assert max(each.along for each in seen) < 11.5  # [N] (4.0), cap 10
     assert max(each.across for each in seen) < 5.0  # [N] (2.1)
     assert max(each.off for each in seen) < 0.003  # [m] (0.001)
     assert max(each.across for each in stiff) > 3.0 * max(each.across for each in seen)  # (15)
+    assert max(each.across for each in stiff) > 12.0  # [N] (20; 8.5 if the holes are as believed)
 
 
 def test_a_blocked_plug_pushes_with_its_cap():
@@ -128,7 +136,8 @@ def test_a_blocked_plug_pushes_with_its_cap():
 
 @conditions
 def test_hand_guiding(conditions):
-    seen = hands.drag(Settings.hand_guiding(), conditions=conditions)
+    with nullcontext() if conditions is NOMINAL else under(conditions):
+        seen = hands.drag(Settings.hand_guiding(), conditions=conditions)
     assert seen.moved > 0.14  # [m], of 0.15
     assert seen.force < 11.0  # [N] (6.1)
     assert seen.fastest < 1.0  # [rad/s] (0.56)

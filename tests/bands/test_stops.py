@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from mismatch import DRAWN, Mismatch, Parameters
 
 import pliant
 from pliant import robots
@@ -26,16 +27,19 @@ def limited(name, q, room):
 def beyond_the_limit(name, cap, ticks, law="cap"):
     """How far y, soft, its target out of reach, drives a joint out: most, at the end, ringing."""
     q, room = ARMS[name][0], 0.05
-    model, plant = limited(name, q, room), Plant(robots.load(name), delay=(ticks, ticks))
+    model, late = limited(name, q, room), 2 * ticks / 100.0
+    gap = Mismatch(plant=Parameters(delay=late), assumed=Parameters(delay=late, reach=DRAWN))
+    plant = gap.build(robots.load(name), delay=(ticks, ticks))
     spring = {"stiffness": 500.0} if law == "impedance" else {}
     settings = pliant.Settings(
         task="xyz" if model.n == 5 else "xyz rpy",
         axes={"y": pliant.Axis(soft=cap, firm=cap, **spring)},
         law=law,
-        delay=2 * ticks / plant.rate,
+        delay=late,
         **UNBLURRED,
     )
     controller = pliant.Controller(model, settings)
+    gap.check(controller)
     target = model.forward_kinematics(q)
     target[1, 3] += 0.3 * np.sign(model.jacobian(q)[1, 0])
     plant.reset(q)

@@ -87,8 +87,12 @@ def test_a_moved_joint_is_named_with_the_way_of_the_tool(arm, capsys):
     assert not bus.log.eeprom_writes()
     # The arm sank; the mirrored file says that it should have risen.
     out = watch_while_lifted(bus, mirrored, capsys)
-    fell = next(line for line in out.splitlines() if "shoulder_lift fell by 0.40 rad" in line)
-    assert "+z (up)" in fell
+    first, second = (
+        line for line in out.splitlines() if "shoulder_lift" in line and " by " in line
+    )
+    assert "shoulder_lift fell by 0.40 rad" in first
+    assert "+z (up)" in first
+    assert "shoulder_lift grew by 0.40 rad" in second
 
 
 def test_torque_that_is_on_is_in_the_way(capsys):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant import config
@@ -85,10 +86,10 @@ def test_the_arm_believes_the_same_servos_on_every_backend(name, tmp_path):
 def test_what_the_caller_says_of_the_plant_is_not_believed():
     table = config.load("so101").model().servos
     options = {"backend": "sim", "signals": False}
-    arms = [
-        pliant.connect("so101", kp_scale=2.0, friction_scale=0.5, **options),
-        pliant.connect("so101", servos=table.replace(kp=2.0 * table.kp), **options),
-    ]
+    with Mismatch(plant=Parameters(kp=2.0, friction=0.5), assumed=Parameters()):
+        arms = [pliant.connect("so101", kp_scale=2.0, friction_scale=0.5, **options)]
+    with Mismatch(plant=Parameters(kp=2.0), assumed=Parameters()):
+        arms += [pliant.connect("so101", servos=table.replace(kp=2.0 * table.kp), **options)]
     for arm in arms:
         np.testing.assert_allclose(arm.drive.plant.gains.kp, 2.0 * table.kp)
         np.testing.assert_array_equal(arm.servos.kp, table.kp)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant import config
@@ -175,7 +176,8 @@ def test_a_simulated_arm_begins_at_its_rest_pose_where_zero_is_in_the_table():
 def test_backend_sim_takes_the_options_of_the_simulator():
     q = [0.1, -0.3, 0.3, 0.9, 0.0]
     options = {"q": q, "kp_scale": 1.2, "seed": 3, "payload": (0.1, (0.0, 0.0, 0.0))}
-    arm = pliant.connect("so101", backend="sim", rate=50.0, signals=False, **options)
+    with Mismatch(plant=Parameters(kp=1.2, payload=0.1), assumed=Parameters()):
+        arm = pliant.connect("so101", backend="sim", rate=50.0, signals=False, **options)
     np.testing.assert_allclose(arm.drive.plant.q, q)
     assert (arm.rate, arm.drive.plant.rate) == (50.0, 50.0)
     simulated = {"backend": "sim", "signals": False}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from mismatch import DRAWN, Mismatch, Parameters
 
 pytest.importorskip("mujoco", reason="contacts are felt in the simulator: extra sim")
 
@@ -19,17 +20,19 @@ def controller(**settings):
     return pliant.Controller(arm(), pliant.Settings.soft("y").replace(**settings))
 
 
-def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, **plant):
-    """Estimates of every tick; the push ramps up at 0.5 s within 0.2 s."""
+def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None):
+    """Estimates of every tick; the push ramps up at 0.5 s within 0.2 s, a tare comes at a tick."""
     course = Course(start=0.5, rise=0.2, end=10.0)
-    plant = Plant(arm(), scene=[Push(force_vector=force, course=course)], **plant)
+    plant = build(arm(), scene=[Push(force_vector=force, course=course)])
     ctl = contact.controller
     plant.reset(VERTICAL)
     ctl.reset(VERTICAL)
     target = arm().forward_kinematics(VERTICAL)
     seen = []
-    for _ in range(ticks):
+    for tick in range(ticks):
         reading = plant.read().q
+        if tick == tare:
+            contact.tare()
         seen.append(contact.update(reading))
         command = ctl.step(reading, target)
         plant.write(command.goal, command.torque_limit)
@@ -74,12 +77,15 @@ def test_saturated_joints_are_named_and_the_estimate_stands():
 
 def test_a_tare_takes_a_wrong_stiffness_out():
     contact = pliant.Contact(controller(), kp_error=0.2, gravity_error=0.0)
-    before = pushed(contact, kp_scale=1.15, ticks=45)[-1]
-    contact.tare()
-    after = contact.update(VERTICAL, sent=None)
+    gap = Mismatch(plant=Parameters(kp=1.15), assumed=Parameters())
+    seen = pushed(contact, (0.0, 0.0, 8.0), build=gap.build, tare=45)
+    gap.check(contact.controller)
     assert contact.tared
+    before, after, pressed = seen[44], seen[49], seen[-1]
     assert np.abs(before.force[:3]).max() > 1.0  # [N]: feels like a weight
-    assert after.uncertainty.shape == (6,)
+    assert np.abs(after.force[:3]).max() < 0.3
+    error = np.abs(pressed.force_base[:3] - (0.0, 0.0, 8.0))
+    assert (error <= pressed.uncertainty_base[:3]).all()
     contact.clear_tare()
     assert not contact.tared
 
@@ -129,8 +135,10 @@ def test_events_of_the_experiment_are_those_of_the_core():
 
 def test_free_motion_stays_within_the_bound_and_strong_contacts_are_seen():
     bench = Bench(MAIN)
-    free = [bench.free(number, 20.0) for number in range(2)]
-    met = [bench.contact(number) for number in range(12)]
+    drawn = Parameters(friction=DRAWN, damping=DRAWN)
+    with Mismatch(plant=Parameters(), assumed=drawn):
+        free = [bench.free(number, 20.0) for number in range(2)]
+        met = [bench.contact(number) for number in range(12)]
     facts = table.honesty(free, met)
     assert facts["free beyond"] < 0.001  # (.0000 in an hour)
     assert facts["free rms"] < 1.5  # [N] (.77)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from mismatch import Mismatch, Parameters
 
 import pliant
 import pliant.robots
@@ -13,15 +14,23 @@ COUNT = np.deg2rad(0.088)
 FOLLOWING = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, eta=0.999)}, accept=("eta",))
 
 
-def standing(arm, q, **options):
-    plant = Plant(arm, count=COUNT, **options)
+def standing(arm, q, settings=FOLLOWING, **differs):
+    """An arm that differs so from what its controller assumes, and the controller."""
+    if differs:
+        gap = Mismatch(plant=Parameters(**differs), assumed=Parameters())
+        plant = gap.build(arm, count=COUNT)
+    else:
+        plant = Plant(arm, count=COUNT)
     plant.reset(q)
-    return plant, pliant.Controller(arm, FOLLOWING, arm.servos.replace(count=COUNT))
+    controller = pliant.Controller(arm, settings, arm.servos.replace(count=COUNT))
+    if differs:
+        gap.check(controller)
+    return plant, controller
 
 
 @pytest.mark.parametrize("kp", [0.5, 0.8, 1.25, 2.0])
 def test_an_arm_that_would_walk_stays_after_the_capture(arm, grasp, kp):
-    plant, controller = standing(arm, grasp, kp_scale=kp)
+    plant, controller = standing(arm, grasp, kp=kp)
     found = identify.capture(plant, controller)
     assert found.stays, str(found)
     assert found.drift < 2e-3  # (.0007)
@@ -34,10 +43,8 @@ def test_an_arm_that_would_walk_stays_after_the_capture(arm, grasp, kp):
 def test_an_arm_that_walks_is_stopped_and_told_what_helps():
     """k_p twice the believed one: twice the friction is fed forward, and the tool walks."""
     so101 = pliant.robots.so101()
-    plant = Plant(so101, count=COUNT, kp_scale=2.0)
-    plant.reset([0.2, -0.3, 0.3, 0.9, 0.0])
     settings = FOLLOWING.replace(task="xyz", axes={"y": pliant.Axis(yields="both", eta=0.999)})
-    controller = pliant.Controller(so101, settings, so101.servos.replace(count=COUNT))
+    plant, controller = standing(so101, [0.2, -0.3, 0.3, 0.9, 0.0], settings, kp=2.0)
     start = plant.tool[:3, 3]
     found = identify.capture(plant, controller)
     assert not found.stays
@@ -50,7 +57,7 @@ def test_an_arm_that_walks_is_stopped_and_told_what_helps():
 
 
 def test_a_wrong_payload_is_said_to_be_clipped(arm, grasp):
-    plant, controller = standing(arm, grasp, payload=(1.2, (0.0, 0.0, 0.0)), kp_scale=0.4)
+    plant, controller = standing(arm, grasp, payload=1.2, kp=0.4)
     found = identify.capture(plant, controller, check=0.0)
     assert found.clipped.any()
     assert not found.stays
@@ -90,6 +97,7 @@ def test_numbers_out_of_range_are_refused(arm):
 
 @pytest.mark.parametrize("kp", [0.8, 2.0])
 def test_what_the_call_says_is_what_comes_of_it(kp):
-    seen = tried("arm7", 0, kp)
+    with Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
+        seen = tried("arm7", 0, kp)
     assert seen.stays or seen.remedied
     assert seen.later < 5e-3

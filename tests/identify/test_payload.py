@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant import identify, robots
 from pliant.experiments.identification import COUNT, LIFTS, STARTS
 from pliant.identify.slides import first_moments, payload_rows
-from pliant.sim import Plant
 
 
 def test_rows_are_what_a_payload_adds_to_gravity(arm, grasp):
@@ -23,17 +23,15 @@ def weighed(name, seed):
     rng, model = np.random.default_rng(seed), robots.load(name)
     mass, com = rng.uniform(0.15, 1.0) * LIFTS[name], rng.uniform(-0.05, 0.05, 3)
     table = model.servos.replace(count=COUNT)
-    plant = Plant(
-        model,
-        table,
-        count=COUNT,
-        payload=(mass, com),
-        kp_scale=rng.normal(1.0, 0.04, model.n),
-        friction_scale=rng.uniform(0.7, 1.5),
+    side = Parameters(
+        kp=rng.normal(1.0, 0.04, model.n), friction=rng.uniform(0.7, 1.5), payload=mass
     )
+    gap = Mismatch(plant=side, assumed=Parameters())
+    plant = gap.build(model, table, count=COUNT, payload=(mass, com))
     plant.reset(STARTS[name] + rng.uniform(-0.15, 0.15, model.n))
     task = "xyz rpy" if model.n > 5 else "xyz"
     controller = pliant.Controller(model, pliant.Settings(task=task), table)
+    gap.check(controller)
     found = identify.payload(plant, controller)
     truth = first_moments(mass, com)
     return (found.moments - truth) / np.sqrt(np.diag(found.covariance)), found, mass, controller
@@ -63,9 +61,11 @@ def test_error_bars_hold_the_truth_as_often_as_they_claim(name):
 def test_poses_that_cannot_tell_say_so():
     """With a vertical tool axis in every pose nothing tells the height of the centre."""
     model = robots.so101()
-    plant = Plant(model, payload=(0.1, (0.0, 0.0, 0.05)))
+    gap = Mismatch(plant=Parameters(payload=0.1), assumed=Parameters())
+    plant = gap.build(model, payload=(0.1, (0.0, 0.0, 0.05)))
     plant.reset(STARTS["so101"])
     controller = pliant.Controller(model, pliant.Settings(task="xyz"), model.servos)
+    gap.check(controller)
     found = identify.payload(plant, controller, poses=1)
     weak = [text for text in found.sentences() if "cannot be told" in text]
     assert (found.separated < 0.5).sum() >= 1

@@ -40,6 +40,7 @@ class Lowered:
 
     Attributes:
         speed: Highest speed of the tool until torque was off [m/s].
+        rise: How far the tool rose above its start until then [m].
         after: Highest speed within the second after [m/s].
         force: Largest mean over a tick of the force on one point of the table [N].
         resting: Force on the table a second after torque was off: the weight that rests there [N].
@@ -47,6 +48,7 @@ class Lowered:
     """
 
     speed: float
+    rise: float
     after: float
     force: float
     resting: float
@@ -62,6 +64,7 @@ def lower(
     rest: Array | None = None,
     robot: str = "arm7",
     kp_scale: float = 1.0,
+    kp_known: bool = True,
     blind: bool = False,
 ) -> Lowered:
     """Enable an arm in q (n,) [rad], let it hold for half a second, and lower it.
@@ -74,6 +77,7 @@ def lower(
         rest: Where to go first (n,) [rad].
         robot: A built-in arm.
         kp_scale: True over believed stiffness of the servos.
+        kp_known: Whether the arm is told that it is known within 10 %.
         blind: Let no position arrive any more.
 
     Returns:
@@ -90,26 +94,36 @@ def lower(
     if over_table:
         scene: Sequence[Hand] = table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE)
         plant.set_hands(scene)
-    drive = SickDrive(plant)
+    drive = SickDrive(plant, plant.table.replace(kp_known=kp_known))
     arm = Arm(model, drive, rest=rest, signals=False)
     speeds: list[float] = []
+    heights: list[float] = []
     forces: list[float] = [0.0]
 
     def look() -> None:
         twist = plant.truth.frame("tool").twist()
         speeds.append(float(np.linalg.norm(twist[:3])))
+        heights.append(float(plant.tool[2, 3]))
         forces.extend(float(np.linalg.norm(felt.force)) for felt in plant.hands)
 
     arm.enable()
     drive.clock.on_tick = look
     drive.silent = set(drive.names) if blind else set()
-    begin = plant.time
+    begin, high = plant.time, float(plant.tool[2, 3])
     arm.lower()
     seconds, speed, force = plant.time - begin, max(speeds), max(forces)
+    rise = max(max(heights) - high, 0.0)
     speeds.clear()
     drive.clock.wait_until(plant.time + AFTER)
     resting = sum(float(np.linalg.norm(felt.force)) for felt in plant.hands)
-    return Lowered(speed=speed, after=max(speeds), force=force, resting=resting, seconds=seconds)
+    return Lowered(
+        speed=speed,
+        rise=rise,
+        after=max(speeds),
+        force=force,
+        resting=resting,
+        seconds=seconds,
+    )
 
 
 def postures(count: int, *, seed: int = 0, robot: str = "arm7", load: float = LOAD) -> list[Array]:

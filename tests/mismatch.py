@@ -1,0 +1,269 @@
+"""Plant-model mismatch: what an arm is and what its controller assumes, stated and read back.
+
+A test in which something is assumed wrongly states both sides. Equal sides are refused, and at the
+end of the block every plant and every consumer of a servo table that was made in it is compared
+with them, so that a drive or an experiment that hands out the plant's own numbers fails:
+
+    with Mismatch(plant=Parameters(kp=1.25), assumed=Parameters()):
+        run = lower(grasp, kp_scale=1.25)
+"""
+
+from __future__ import annotations
+
+import functools
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
+
+import numpy as np
+
+import pliant
+from pliant.arm.arm import Arm
+from pliant.identify.rig import Rig
+from pliant.sim import Plant
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pliant.experiments.conditions import Conditions
+    from pliant.sim.friction import Friction
+
+#: Drawn at random: only a difference from the other side is asked for.
+DRAWN = float("nan")
+#: Relative difference below which two numbers are one.
+SAME = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameters:
+    """One side.
+
+    Attributes:
+        kp, friction, damping, torque: Over the robot's servo table, scalars or (n,). Damping is
+            that of gears and back-EMF.
+        payload: Mass at the tool [kg].
+        delay: From sampling to reading and from a write to the servo, together [s]; of the
+            assumptions only a controller's are read.
+        reach: Upper less lower position limits over those of the plant's model, scalar or (n,).
+        gears: Friction by speed and load in place of the table's, None where it is constant.
+    """
+
+    kp: ArrayLike = 1.0
+    friction: ArrayLike = 1.0
+    damping: ArrayLike = 1.0
+    torque: ArrayLike = 1.0
+    payload: float = 0.0
+    delay: float = 0.0
+    reach: ArrayLike = 1.0
+    gears: Friction | None = None
+
+
+NUMBERS = ("kp", "friction", "damping", "torque", "payload", "delay", "reach")
+
+
+def differs(plant: ArrayLike, assumed: ArrayLike) -> bool:
+    """Whether two numbers, or some entries of two arrays, are different ones."""
+    one, other = np.broadcast_arrays(np.asarray(plant, float), np.asarray(assumed, float))
+    return not np.allclose(one, other, rtol=SAME, atol=SAME)
+
+
+def under(conditions: Conditions) -> Mismatch:
+    """Hold what is made in a block to the mismatch of these conditions; they must have one."""
+    delay = sum(conditions.delay) / conditions.rate
+    plant = Parameters(delay=delay, gears=conditions.gears)
+    share = conditions.believed
+    known = conditions.gears if conditions.gears_known else None
+    assumed = Parameters(delay=delay, friction=share, damping=share, gears=known)
+    return Mismatch(plant=plant, assumed=assumed)
+
+
+class Mismatch:
+    """Builds plant and assumptions apart, and holds what is made in its block to them.
+
+    Attributes:
+        plant, assumed: The two sides.
+        plants, consumers: What was made in the block: plants; controllers, arms and the rigs of
+            identification and float mode.
+    """
+
+    def __init__(
+        self, *, plant: Parameters, assumed: Parameters, compared: tuple[str, ...] = NUMBERS
+    ) -> None:
+        """State both; `compared`: the numbers that can be read, all but behind emulated servos.
+
+        Raises:
+            AssertionError: They are equal.
+        """
+        self.plant, self.assumed, self.compared = plant, assumed, compared
+        self.plants: list[Plant] = []
+        self.consumers: list[Any] = []
+        self._stack = ExitStack()
+        assert any(differs(getattr(plant, name), getattr(assumed, name)) for name in NUMBERS) or (
+            plant.gears is not assumed.gears
+        ), f"plant and assumptions are equal: the test would be given the plant's own {plant}"
+
+    def build(
+        self, model: pliant.Model, servos: pliant.Servos | None = None, **options: Any
+    ) -> Plant:
+        """Make the plant; `options` of `Plant` beside those that are stated."""
+        side = self.plant
+        if side.payload:
+            options.setdefault("payload", (side.payload, (0.0, 0.0, 0.0)))
+        if side.gears is not None:
+            options["friction"] = side.gears
+        made = Plant(
+            model,
+            servos,
+            kp_scale=side.kp,
+            friction_scale=side.friction,
+            damping_scale=side.damping,
+            **options,
+        )
+        self.plants.append(made)
+        return made
+
+    def servos(self, model: pliant.Model) -> pliant.Servos:
+        """Servo table that is assumed."""
+        side, table = self.assumed, model.servos
+        return table.replace(
+            kp=np.multiply(side.kp, table.kp),
+            friction=np.multiply(side.friction, table.friction),
+            damping=np.multiply(side.damping, table.damping),
+            torque=np.multiply(side.torque, table.torque),
+        )
+
+    def __enter__(self) -> Mismatch:
+        """Record from now on."""
+        for cls, made in ((Plant, self.plants), (Arm, self.consumers), (Rig, self.consumers)):
+            self._stack.enter_context(patch.object(cls, "__init__", _recorded(cls, made)))
+        self._stack.enter_context(patch.object(pliant, "Controller", _recorder(self.consumers)))
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        """Compare, unless something was raised."""
+        self._stack.close()
+        if kind is None:
+            self.check()
+
+    def check(self, *consumers: Any) -> None:
+        """Compare plants and consumers, also those named here, with what was stated.
+
+        Raises:
+            AssertionError: One is not as stated, or there is no pair.
+        """
+        pairs = [
+            (plant, consumer)
+            for plant in self.plants
+            for consumer in (*self.consumers, *consumers)
+            if consumer.model.joint_names == plant.model.joint_names
+        ]
+        assert pairs, "no plant with a consumer of its servo table was made"
+        for plant, consumer in pairs:
+            self._compare(plant, _of_plant(plant), self.plant, self.assumed)
+            self._compare(consumer, _of_consumer(consumer, plant), self.assumed, self.plant)
+
+    def _compare(
+        self, whose: Any, found: dict[str, Any], stated: Parameters, other: Parameters
+    ) -> None:
+        name = type(whose).__name__
+        for field in self.compared:
+            if field not in found or (field == "friction" and self.plant.gears is not None):
+                continue
+            is_, meant = found[field], getattr(stated, field)
+            if np.isnan(meant).any():
+                assert differs(is_, getattr(other, field)), f"{name}: {field} is the other side's"
+            else:
+                assert not differs(is_, meant), f"{name}: {field} is {is_}, stated is {meant}"
+        has, meant = found["gears"], stated.gears is not None
+        assert has == meant, f"{name}: friction by speed and load is {has}, stated is {meant}"
+
+
+def _of_plant(plant: Plant) -> dict[str, Any]:
+    gains, table = plant.gains, plant.model.servos
+    return {
+        "kp": gains.kp / table.kp,
+        "friction": _over(gains.friction, table.friction),
+        "damping": _over(gains.damping, _damping(table, plant.n)),
+        "torque": gains.torque / table.torque,
+        "payload": _mass(plant) - _mass(Plant(plant.model)),
+        "delay": sum(plant._bus._delay) * plant.period,
+        "reach": 1.0,
+        "gears": plant._gears is not None,
+    }
+
+
+def _of_consumer(consumer: Any, plant: Plant) -> dict[str, Any]:
+    own, table, n = consumer.servos, plant.model.servos, plant.n
+    model, load = consumer.model, consumer.model.payload
+    heard = getattr(consumer, "settings", None)
+    return {
+        **({} if heard is None else {"delay": heard.delay}),
+        "kp": _chain(own.kp, n) / table.kp,
+        "friction": _over(_chain(own.friction, n), table.friction),
+        "damping": _over(_damping(own, n), _damping(table, n)),
+        "torque": _chain(own.torque, n) / table.torque,
+        "payload": 0.0 if load is None else load.mass,
+        "reach": _over(
+            np.subtract(model.upper, model.lower),
+            np.subtract(plant.model.upper, plant.model.lower),
+        ),
+        "gears": bool(np.any(_chain(own.load_friction, n) > table.load_friction)),
+    }
+
+
+def _chain(column: ArrayLike, n: int) -> np.ndarray:
+    """Entries of the chain's joints (n,); an arm's table has those of its gripper after them."""
+    values = np.asarray(column, dtype=float)
+    return values[:n] if values.size > n else np.broadcast_to(values, n)
+
+
+def _over(one: ArrayLike, other: ArrayLike) -> np.ndarray:
+    """Ratio, 1 where both are equal, as 0 and 0 or two infinities are."""
+    one, other = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
+    ratio = np.ones(np.broadcast_shapes(one.shape, other.shape))
+    return np.divide(one, other, out=ratio, where=(one != other) & (other != 0.0))
+
+
+def _damping(table: pliant.Servos, n: int) -> np.ndarray:
+    """Damping of gears and back-EMF (n,) [N·m·s/rad]."""
+    total = _chain(table.damping, n)
+    if table.kind == "duty" and table.no_load_speed is not None:
+        total = total + _chain(table.torque, n) / _chain(table.no_load_speed, n)
+    return total
+
+
+def _mass(plant: Plant) -> float:
+    """Mass of the robot with what it carries [kg]; nothing else of the scene."""
+    model, body = plant.mj_model, plant.truth.frame("tool").body
+    while model.body_parentid[body]:
+        body = model.body_parentid[body]
+    return float(model.body_subtreemass[body])
+
+
+def _recorded(cls: type, made: list[Any]) -> Any:
+    """`__init__` of a class that notes what it makes."""
+    init = cls.__init__
+
+    @functools.wraps(init)
+    def recording(self: Any, *args: Any, **options: Any) -> None:
+        init(self, *args, **options)
+        made.append(self)
+
+    return recording
+
+
+def _recorder(made: list[Any]) -> type:
+    """Stand in for the compiled controller class, whose `__init__` cannot be replaced."""
+    compiled = pliant.Controller
+
+    class Meta(type):
+        def __instancecheck__(cls, instance: object) -> bool:
+            return isinstance(instance, compiled)
+
+    class Controller(metaclass=Meta):
+        def __new__(cls, *args: Any, **options: Any) -> pliant.Controller:
+            made.append(compiled(*args, **options))
+            return made[-1]
+
+    return Controller

@@ -1,0 +1,247 @@
+"""Every experiment, example and documented row in which something is assumed wrongly is built so.
+
+Each is run up to its first tick of physics; then its plant and what its controller, arm or
+identification was given are compared.
+"""
+
+import runpy
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+
+pytest.importorskip("mujoco", reason="plants are simulated: extra sim")
+
+from mismatch import DRAWN, Mismatch, Parameters, under
+
+import pliant
+from pliant.arm import Arm
+from pliant.arm.simulated import SimDrive
+from pliant.experiments import (
+    campaign_bench,
+    campaign_jobs,
+    capturing,
+    contacts,
+    contacts_bench,
+    descent,
+    doors,
+    floating,
+    goals,
+    hands,
+    identification,
+    laws,
+    lifecycle,
+    merits,
+    presets,
+    rates,
+    steps,
+    teaching,
+)
+from pliant.experiments.campaign_arms import load
+from pliant.experiments.chapters import comparison_stress
+from pliant.experiments.conditions import NOMINAL, Conditions
+from pliant.experiments.setups import VERTICAL
+from pliant.sim import LIGHT, Plant
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+GEARS = campaign_jobs.REAL_GEARS["arm7"]
+
+
+class Built(Exception):
+    """Everything is made: physics is about to begin."""
+
+
+def build(gap, run):
+    """Run until physics begins, and compare."""
+    begins = patch.object(Plant, "advance", side_effect=Built)
+    with gap, begins, pytest.raises(Built):
+        run()
+    for arm in gap.consumers:
+        if isinstance(arm, Arm):
+            arm.limp()
+
+
+def plant(**differs):
+    return Mismatch(plant=Parameters(**differs), assumed=Parameters())
+
+
+def promise(disturbance):
+    """One promise of the campaign."""
+    arm = load("arm7")
+    bench = campaign_bench.Bench(arm, disturbance)
+    return bench.keep(0, arm.poses(1)[0], "y", 1.0, 5.0, guided=False)
+
+
+def contact_gap(case):
+    gears = campaign_jobs.REAL_GEARS[case.arm] if case.gears else None
+    drawn = {"friction": DRAWN, "damping": DRAWN, **({"kp": DRAWN} if case.kp else {})}
+    late = sum(case.delay) / contacts_bench.RATE
+    return Mismatch(
+        plant=Parameters(gears=gears, delay=late),
+        assumed=Parameters(gears=gears if case.identified else None, delay=late, **drawn),
+    )
+
+
+def stress_gap(conditions):
+    share = conditions.plant["friction_scale"]
+    return plant(friction=share, damping=share)
+
+
+def cases():
+    """Name, what differs, and what is run."""
+    for title, options in lifecycle.CASES:
+        differs = {
+            name: options[key]
+            for key, name in (("kp_scale", "kp"), ("load", "payload"))
+            if key in options
+        }
+        if differs:
+            differs["delay"] = 0.02 * options.get("ticks", 0)
+            yield (
+                f"lower: {title}",
+                plant(**differs),
+                lambda o=options: lifecycle.lower(VERTICAL, **o),
+            )
+    for job in descent.jobs("arm7", 6):
+        known = job.truth
+        gap = plant(
+            kp=known.stiffness,
+            friction=known.friction,
+            payload=known.load,
+            delay=0.01 * sum(known.delay),
+        )
+        yield f"descent {job.number} {job.over_table}", gap, job.run
+    for kp in (0.5, 0.8, 1.25, 2.0):
+        yield f"capture {kp}", plant(kp=kp), lambda kp=kp: capturing.tried("arm7", 0, kp)
+    for kp in (0.5, 2.0):
+        yield f"float {kp}", plant(kp=kp), lambda kp=kp: floating.floated("so101", 0, kp)
+    for arm in teaching.ARMS:
+        yield f"teach {arm}", plant(kp=0.8), lambda arm=arm: teaching.played(arm, 0.8, True, 1.0)
+    for one in (*campaign_bench.DISTURBANCES, *campaign_jobs.gears("arm7")):
+        if one.wrong or one.payload or (one.gears is not None and not one.gears_known):
+            gap = plant(kp=one.kp, payload=one.payload, gears=one.gears)
+            yield f"campaign {one.name}", gap, lambda one=one: promise(one)
+    for case in (contacts.MAIN, *contacts.OTHERS):
+        if case.friction or case.kp:
+            gap, bench = contact_gap(case), contacts_bench.Bench(case)
+            yield f"contact {case.name}", gap, lambda bench=bench: bench.contact(0)
+    for name, one in presets.UNDER.items():
+        if "believed" not in name:
+            continue
+        for preset, (law, scene) in presets.SCENES.items():
+            yield f"{preset} {name}", under(one), lambda o=one, law=law, s=scene: s(law, o)
+    for entry in goals._ENTRIES:
+        tried = any(second is not None for _, second in entry.goals.values())
+        for one in (goals.UNCERTAIN[0], goals.UNCERTAIN[2]) if tried else ():
+            yield f"goals {entry.scenario}", under(one), lambda e=entry, o=one: e.measure(o)
+    for one in rates.conditions():
+        if one.believed == 1.0:
+            continue
+        yield (
+            f"rates {one}",
+            under(one),
+            lambda one=one: hands.drag(laws.cap(), LIGHT, conditions=one),
+        )
+    for one in (Conditions(gears=GEARS), Conditions(gears=GEARS, gears_known=True, believed=0.7)):
+        yield f"gears {one.believed}", under(one), lambda one=one: merits.door("door")(one)
+    for name, one in comparison_stress._stresses(NOMINAL).items():
+        if name != "stall":
+            yield (
+                f"gears {name}",
+                stress_gap(one),
+                lambda o=one: hands.drag(laws.cap(), conditions=o),
+            )
+    for name, kp, friction, _ in steps.DISTURBED:
+        if (kp, friction) != (1.0, 1.0):
+            options = {"kp_scale": kp, "friction_scale": friction}
+            gap = plant(kp=kp, friction=friction)
+            step, law = steps.steps("so101", 1)[0], steps.settings("so101", "cap", 0.1)
+            yield (
+                f"steps {name}",
+                gap,
+                lambda s=step, law=law, o=options: steps.run("so101", s, law, o),
+            )
+    wrong = {"kp": 1.25, "friction": 1.4, "damping": 1.3, "delay": 0.02}
+    yield "identified, rows", plant(**wrong), identification.rows
+    believing = identification.Believing(
+        table=identification.believed(pliant.robots.arm7()),
+        delay=(1, 1),
+        plant=identification.WRONG,
+    )
+    yield "a wrong table", plant(**wrong), lambda: doors.open_door(laws.cap, conditions=believing)
+    for example, differs in {
+        "06_capture_gravity": {"kp": 0.8},
+        "17_identify": {"kp": 0.8, "friction": 1.4, "payload": 0.2, "delay": 0.01},
+        "18_float": {"kp": 0.5},
+    }.items():
+        file = EXAMPLES / f"{example}.py"
+        yield example, plant(**differs), lambda file=file: runpy.run_path(str(file))
+
+
+CASES = list(cases())
+
+
+def test_no_row_has_lost_what_differs():
+    assert len(CASES) == 108
+
+
+@pytest.mark.parametrize(("gap", "run"), [case[1:] for case in CASES], ids=[c[0] for c in CASES])
+def test_what_is_assumed_wrongly_differs(gap, run):
+    build(gap, run)
+
+
+def connected(**options):
+    return Arm(
+        pliant.robots.so101(), SimDrive(Plant(pliant.robots.so101(), **options)), signals=False
+    )
+
+
+def test_equal_sides_are_refused():
+    with pytest.raises(AssertionError, match="plant and assumptions are equal"):
+        plant(kp=1.0)
+
+
+@pytest.mark.parametrize(
+    "differs", [{"kp": 1.25}, {"friction": 0.7}, {"payload": 0.1}, {"delay": 0.01}]
+)
+def test_a_plant_that_is_as_assumed_is_noticed(differs):
+    said = pytest.raises(AssertionError, match=f"Plant: {next(iter(differs))} is .* stated is")
+    with said, plant(**differs):
+        connected()
+
+
+def test_a_drive_that_hands_out_the_plant_s_stiffness_is_noticed():
+    class Telling(SimDrive):
+        def __init__(self, plant):
+            super().__init__(plant, servos=plant.table.replace(kp=plant.gains.kp))
+
+    with pytest.raises(AssertionError, match=r"Arm: kp is .* stated is"), plant(kp=1.25):
+        Arm(
+            pliant.robots.so101(),
+            Telling(Plant(pliant.robots.so101(), kp_scale=1.25)),
+            signals=False,
+        )
+
+
+def test_a_controller_that_was_told_is_noticed():
+    model = pliant.robots.so101()
+    told = pliant.robots.so101(payload=(0.1, (0.0, 0.0, 0.0)))
+    settings = pliant.Settings(task="xyz")
+    for gap, controller in (
+        (plant(payload=0.1), pliant.Controller(told, settings)),
+        (plant(delay=0.02), pliant.Controller(model, settings.replace(delay=0.02))),
+        (
+            plant(friction=0.5),
+            pliant.Controller(
+                model, settings, model.servos.replace(friction=0.5 * model.servos.friction)
+            ),
+        ),
+    ):
+        gap.build(model, delay=(1, 1) if gap.plant.delay else (0, 0))
+        with pytest.raises(AssertionError, match=r"Controller: .* stated is"):
+            gap.check(controller)
+
+
+def test_a_block_in_which_nothing_is_compared_fails():
+    with pytest.raises(AssertionError, match="no plant with a consumer"), plant(kp=2.0):
+        Plant(pliant.robots.so101(), kp_scale=2.0)
