@@ -323,4 +323,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    # Other processes find this module's jobs by its name, not as `__main__`.
+    from pliant.experiments import descent
+
+    descent.main()
