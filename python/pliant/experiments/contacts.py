@@ -126,6 +126,6 @@ def main(options: Options) -> None:
 
 if __name__ == "__main__":
     # Other processes find this module's jobs by its name, not as `__main__`.
-    from pliant.experiments import contacts
+    from pliant.experiments import contacts  # noqa: PLW0406 -- by name
 
     contacts.main(tyro.cli(contacts.Options))

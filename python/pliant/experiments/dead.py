@@ -247,6 +247,6 @@ def main(options: Options) -> None:
 
 if __name__ == "__main__":
     # Other processes find this module's jobs by its name, not as `__main__`.
-    from pliant.experiments import dead
+    from pliant.experiments import dead  # noqa: PLW0406 -- by name
 
     dead.main(tyro.cli(dead.Options))

@@ -324,6 +324,6 @@ def main() -> None:
 
 if __name__ == "__main__":
     # Other processes find this module's jobs by its name, not as `__main__`.
-    from pliant.experiments import descent
+    from pliant.experiments import descent  # noqa: PLW0406 -- by name
 
     descent.main()

@@ -199,6 +199,6 @@ def main(options: Options) -> None:
 
 if __name__ == "__main__":
     # Other processes find this module's jobs by its name, not as `__main__`.
-    from pliant.experiments import quiet
+    from pliant.experiments import quiet  # noqa: PLW0406 -- by name
 
     quiet.main(tyro.cli(quiet.Options))
