@@ -6,12 +6,12 @@ pytest.importorskip("mujoco", reason="descents run on the simulator: extra sim")
 
 from pliant.experiments import descent
 
-#: Runs of `descent.jobs` that always take place, by arm. They are not the worst ones: `arm7` 4 over
-#: a table pressed with 20.5 N where 13.3 rest, `so101` 5 with 15.5 N, before the last changes.
-RUNS = {"arm7": (0, 1, 3), "so101": (0, 1, 2, 5), "koch": (0, 3, 4)}
-#: What rests on a table may weigh more than this [N].
-FORCE = {"arm7": 15.0}
-SMALL = 10.0
+#: Runs of `descent.jobs` that always take place, by arm; odd ones over a table. `so101` 7 pressed
+#: with 11.4 N where 5 rest, 11 with 12.1, before the press was bounded by its force.
+RUNS = {"arm7": (0, 1, 3), "so101": (0, 2, 7, 11), "koch": (0, 3, 4)}
+#: What an arm may press with, where what comes to rest there is not heavier itself [N].
+FORCE = {"so101": 10.0, "koch": 10.0}
+LARGE = 15.0
 
 
 def check(job, run):
@@ -22,10 +22,12 @@ def check(job, run):
     assert run.woken < 0.020
     assert run.stir < 0.10
     assert run.rise < 0.015
-    assert run.speed < 0.20
     assert run.after < 0.10
+    if run.strain > 1.0:
+        pytest.xfail("on its way down the arm needs more torque than its servos have")
+    assert run.speed < 0.20
     if job.over_table:
-        assert run.force < max(FORCE.get(job.arm, SMALL), run.resting) + 1.0
+        assert run.force < max(FORCE.get(job.arm, LARGE), run.resting)
     assert run.height > 0.0
 
 

@@ -170,6 +170,19 @@ def test_an_arm_that_stands_on_something_is_left_soon_though_its_encoders_flicke
     assert np.all(np.abs(left) < np.asarray(model.servos.friction))
 
 
+def test_a_joint_with_a_short_lever_presses_with_no_more_force_than_the_others():
+    model = pliant.robots.load("so101")
+    q = np.array([0.0, 0.3, 0.3, 1.5, 0.0])
+    kp, points = np.asarray(model.servos.kp), Points(model)
+    lever = np.abs(points(q).jacobian[-1, 2])
+    assert 0.02 < lever[2] < 0.04
+    _, orders = descend(model, q, lambda tick: q, ticks=1500)
+    pressing = -kp * (np.array([goal for _, goal, _ in orders]) - q) * np.sign(model.gravity(q))
+    play = kp * np.asarray(model.servos.count)
+    assert np.all(pressing.max(axis=0) <= 1.5 * lever + play)
+    assert pressing.max() > 0.1, "it was put to the test"
+
+
 def test_a_leaning_arm_keeps_its_torque_until_it_has_come_down():
     """What an arm leaned on goes away while its limits fall: it is caught, and goes on slowly."""
     model = pliant.robots.arm7()
@@ -212,7 +225,7 @@ def test_a_stall_of_the_lowering_itself_moves_the_goal_no_further_than_a_tick(mo
 
 def test_goals_of_a_blind_descent_are_caught_up_with_no_faster_than_it_goes(model, grasp):
     lowering = Lowering(model, model.servos, grasp)
-    for _ in range(50):
+    for _ in range(10):  # It would count as resting later: it does not move.
         before, _ = lowering.step(grasp, 0.01)
         assert lowering.velocity is None
     seen = []

@@ -50,10 +50,12 @@ ARRIVED = 0.02
 #: and arm at a standstill, after which a phase is over [s].
 NEARER, STUCK = 0.01, 1.5
 #: Largest force [N] that a thing of this stiffness [N/m] may feel where a point of the arm meets
-#: it, with a load at the tool that the model does not know [kg].
-IMPACT, HARD, UNKNOWN = 11.0, 2e4, 0.5
-#: Downward torque over friction, by believed stiffness.
-PRESS = 2.0
+#: it, with a load at the tool that the model does not know [kg]. Arms of less reach than this [m]
+#: have as much less.
+IMPACT, HARD, UNKNOWN, REACH = 10.0, 2e4, 0.5, 0.55
+#: Downward torque over friction, by believed stiffness, and the largest force with which it may
+#: press the lowest point that the joint moves on what is below it [N].
+PRESS, PUSH = 2.0, 1.5
 #: Gravity torque at which the downward press is fully there, over friction.
 CLEAR = 0.5
 #: A limit that lets a joint sink rises from nothing to all that the servo has in this time [s].
@@ -127,6 +129,7 @@ class Lowering:
         self._friction = np.asarray(servos.friction, dtype=np.float64)
         self._count = np.asarray(servos.count, dtype=np.float64)
         self._servos = servos
+        self._impact = IMPACT * min(model.reach / REACH, 1.0)
         self._points = Points(model, servos.armature) if points is None else points
         self._rest = None if rest is None else np.asarray(rest, dtype=np.float64)
         gravity_vector = np.asarray(model.gravity_vector, dtype=np.float64)
@@ -204,14 +207,17 @@ class Lowering:
         if self.phase == "ramp":
             self._let_go(dt, seen, lost)
         else:
-            u = self._toward_rest(dt) if self.phase == "rest" else self._downward(gravity)
+            u = self._toward_rest(dt) if self.phase == "rest" else self._downward(here, gravity)
             blocked = self._is_outward(u) | (lost & ~self.blind)
-            u = self._paced(here, np.where(blocked, 0.0, u), speeds, dt)
+            u = np.where(blocked, 0.0, u)
+            if self.phase == "down":
+                u = self._without_rise(here, gravity, u)
+            u = self._paced(here, u, speeds, dt)
             self._goal = self._goal + dt * u
             if self.phase == "rest":
                 self._leash(gravity, u)
             self._limit = self._next_limit(dt, gravity)
-            self._change_phase(dt, gravity, np.logical_or(blocked, lost), seen)
+            self._change_phase(dt, here, gravity, np.logical_or(blocked, lost), seen)
         if self.blind:
             self._follow(gravity)
             way = np.abs(self._goal - before) / dt if dt > 0.0 else np.zeros_like(before)
@@ -219,17 +225,25 @@ class Lowering:
         else:
             self.velocity = None
 
-    def _downward(self, gravity: Array) -> Array:
+    def _downward(self, here: Geometry, gravity: Array) -> Array:
         """Joint velocities (n,) [rad/s] of the descent, before they are paced."""
-        carried, half = self._carried(gravity), 0.5 * self._count
+        carried, half = self._carried(here, gravity), 0.5 * self._count
         return -DOWN * (carried - np.clip(carried, -half, half))
 
-    def _carried(self, gravity: Array) -> Array:
+    def _carried(self, here: Geometry, gravity: Array) -> Array:
         """How far the lead (n,) [rad] is from one that carries nothing and presses a little."""
-        press = PRESS * self._friction / self._kp if self._presses else 0.0
+        press = np.minimum(PRESS * self._friction, PUSH * self._lever(here)) * self._presses
         clear = np.maximum(CLEAR * self._friction, 1e-9)
-        excess: Array = self._lead + press * np.clip(gravity / clear, -1.0, 1.0)
+        excess: Array = self._lead + press / self._kp * np.clip(gravity / clear, -1.0, 1.0)
         return excess
+
+    def _lever(self, here: Geometry) -> Array:
+        """Lever (n,) [m] with which each joint lowers the lowest of the points that it moves."""
+        moves = (here.jacobian**2).sum(axis=1) > 1e-12
+        height = np.where(moves, (here.position @ self._up)[:, None], np.inf)
+        rise = np.abs(self._up @ here.jacobian)
+        lever: Array = rise[height.argmin(axis=0), np.arange(rise.shape[1])]
+        return lever
 
     def _goal_before(self, age: float) -> Array:
         """Goals (n,) [rad] that were in force when the present positions were sampled."""
@@ -263,18 +277,27 @@ class Lowering:
         )
         return outward
 
+    def _without_rise(self, here: Geometry, gravity: Array, u: Array) -> Array:
+        """Return u (n,) [rad/s] without what raises the tool."""
+        rise = self._up @ here.jacobian[-1]
+        climb = float(rise @ u)
+        if climb <= 0.0:
+            return u
+        soft = np.where(u == 0.0, 0.0, rise / self._kp)
+        u = u - soft * (climb / max(float(rise @ soft), 1e-9))
+        # A joint that presses enough does not press more to keep the tool down.
+        pressed = self._carried(here, gravity) * np.sign(gravity) < -0.5 * self._count
+        u = np.where(pressed & (u * gravity < 0.0), 0.0, u)
+        lifts = np.maximum(rise * u, 0.0)
+        climb, lift = float(rise @ u), float(lifts.sum())
+        return u if climb <= 0.0 else np.where(lifts > 0.0, u * (1.0 - climb / lift), u)
+
     def _paced(self, here: Geometry, u: Array, speeds: Array, dt: float) -> Array:
-        """Return u (n,) [rad/s] without what raises the tool, as slow as the arm may move."""
-        if self.phase == "down":
-            rise = self._up @ here.jacobian[-1]
-            climb = float(rise @ u)
-            if climb > 0.0:
-                soft = np.where(u == 0.0, 0.0, rise / self._kp)
-                u = u - soft * (climb / max(float(rise @ soft), 1e-9))
+        """Return u (n,) [rad/s] as slow as the arm may move."""
         velocity = here.velocity(u)
         speed = np.sqrt((velocity**2).sum(axis=1))
         mass = here.effective_mass(velocity)
-        most = np.minimum(self._speed, IMPACT / np.sqrt(HARD * (mass + UNKNOWN)))
+        most = np.minimum(self._speed, self._impact / np.sqrt(HARD * (mass + UNKNOWN)))
         self._demand = float((speed / most).max())
         scale = min(
             1.0,
@@ -301,16 +324,19 @@ class Lowering:
         limit = np.where(sunk, self._limit + change, np.maximum(calm, SUPPORT * weight))
         return np.minimum(limit, self._usable)
 
-    def _change_phase(self, dt: float, gravity: Array, idle: Flags, seen: float) -> None:
+    def _change_phase(
+        self, dt: float, here: Geometry, gravity: Array, idle: Flags, seen: float
+    ) -> None:
         """Go on to the next phase where this one is over."""
         if self.phase == "rest":
             if self._nearest < ARRIVED or self._stuck > STUCK:
                 self._enter("down")
             return
-        carried = self._carried(gravity) * np.sign(gravity)
+        carried = self._carried(here, gravity) * np.sign(gravity)
         little = np.maximum(NOTHING, 1.5 * self._count)
         waits = seen < STILL and self._led < STILL / 2.0
-        self._stuck = self._stuck + dt if waits else 0.0
+        # Flickering encoders make goals tremble, which counts as waiting in the long run.
+        self._stuck = max(self._stuck + (dt if waits else -dt), 0.0)
         light = bool((idle | (carried < little)).all()) or self._stuck > STUCK
         calm = self._demand < 0.5 and seen < LOOSE if self._presses else seen < STILL
         self._light = self._light + dt if light and calm else 0.0

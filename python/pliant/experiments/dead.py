@@ -246,4 +246,7 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    # Other processes find this module's jobs by its name, not as `__main__`.
+    from pliant.experiments import dead  # noqa: PLW0406 -- by name
+
+    dead.main(tyro.cli(dead.Options))

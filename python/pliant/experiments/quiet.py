@@ -198,4 +198,7 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    # Other processes find this module's jobs by its name, not as `__main__`.
+    from pliant.experiments import quiet  # noqa: PLW0406 -- by name
+
+    quiet.main(tyro.cli(quiet.Options))

@@ -260,4 +260,7 @@ def main(robot: str = "so101", poses: int = 12, disturbed: bool = False, jobs: i
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    # Other processes find this module's jobs by its name, not as `__main__`.
+    from pliant.experiments import steps as module  # noqa: PLW0406 -- by name
+
+    tyro.cli(module.main)
