@@ -66,9 +66,12 @@ def run(
         raise pliant.ConfigError(f"--duration must be above 0 s, got {duration:g}")
     model = read.model()
     settings = softened(settings, soft, model, holds=False)
+    connected = read.arm()
+    # What does not go together is said before torque comes on.
+    pliant.Controller(connected.model, settings, connected.servos)
     made: list[tuple[Arm, pliant.Loop]] = []
     try:
-        with open_targets(targets, model) as source, read.arm() as live:
+        with open_targets(targets, model) as source, connected as live:
             controller = pliant.Controller(live.model, settings, live.servos)
             begin = partial(_loop, made, live, source=source, duration=duration, quiet=quiet)
             if log is None:
