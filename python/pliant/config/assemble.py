@@ -68,14 +68,17 @@ def arm(config: Config, **options: Any) -> Arm:
 
 def _fixed(model: Model, made: Drive) -> dict[str, Jaw]:
     """Joints beside the chain to which the model gives no ends: they stay where they are."""
-    ends = {joint.name: (joint.lower, joint.upper) for joint in model.joints}
-    known = {name for name, pair in ends.items() if None not in pair and np.isfinite(pair).all()}
+    known = {joint.name for joint in model.joints if _has_ends(joint.lower, joint.upper)}
     places = zip(made.names, made.read().position.tolist(), strict=True)
     return {
         name: Jaw(opened=place, closed=place)
         for name, place in places
         if name not in known and name not in model.joint_names
     }
+
+
+def _has_ends(*ends: float | None) -> bool:
+    return all(end is not None and np.isfinite(end) for end in ends)
 
 
 def _on_table(config: Config, height: float | bool | None) -> Config:
