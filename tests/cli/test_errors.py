@@ -210,3 +210,14 @@ def test_torque_that_is_on_already_is_said_and_kept(tmp_path, capsys):
             arm.limp()
         steps = [w.values["torque_enable"] for w in bus.log.writes("torque_enable", id=2)]
         assert steps == [0], "switched off by limp alone"
+
+
+@pytest.mark.parametrize("command", [["run", "--quiet"], ["view", "--page", "8943"]])
+def test_settings_that_no_controller_takes_are_said_before_torque(
+    command, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(pliant.arm.Arm, "enable", lambda _: pytest.fail("torque came on"))
+    file = tmp_path / "arm.toml"
+    file.write_text('backend = "sim"\nrobot.builtin = "so101"\n')
+    assert main([command[0], str(file), *command[1:]]) == 2
+    assert "6 axes on an arm of 5 joints" in capsys.readouterr().err

@@ -219,3 +219,23 @@ def test_a_flood_of_datagrams_does_not_hold_a_tick():
         finally:
             over.set()
             thread.join()
+
+
+def test_a_target_that_was_not_reached_is_said(tmp_path, capsys):
+    file = tmp_path / "targets"
+    file.write_bytes(GOOD)
+    words = ["run", "so101", "--backend", "sim", "--quiet", "--targets", str(file)]
+    assert main([*words, "--duration", "0.1"]) == 0
+    assert re.search(r"the tool is 1\d\d mm off its last target\n", capsys.readouterr().out)
+
+
+def test_joints_at_their_limits_are_named_where_a_target_was_not_reached():
+    """From the folded rest pose an SO-101 cannot lift its tool: that would take it through."""
+    from pliant.cli.run import _missed
+
+    folded = np.array([0.0, -1.75, 1.7, 0.0, 0.0])
+    target = MODEL.forward_kinematics([0.0, -0.3, 0.3, 0.9, 0.0])
+    (said,) = _missed(MODEL, folded, target)
+    assert "at their limits: shoulder_lift, elbow_flex" in said
+    assert "another pose" in said
+    assert not _missed(MODEL, folded, MODEL.forward_kinematics(folded))

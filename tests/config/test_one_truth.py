@@ -125,3 +125,25 @@ def test_k_p_is_known_where_the_file_has_it_for_the_whole_chain(kp):
     wired = config.parse(text.replace("{{", "{").replace("}}", "}").replace("{}", "emulator"))
     heard, _, _ = on_bytes(wired, wired.model())
     assert heard.kp_known is kp
+
+
+def test_a_finger_without_ends_that_no_file_describes_stays(tmp_path):
+    """As on the bus, where such a joint has no servo; the simulator refused the arm."""
+    link = '<link name="{0}"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" \
+izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    joint = '<joint name="{2}" type="{3}"><parent link="{0}"/><child link="{1}"/><origin \
+xyz="0 0 0.1"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="2" velocity="3"/></joint>'
+    parts = [link.format(name) for name in ("base", "arm", "tool", "finger")]
+    parts.append(joint.format("base", "arm", "one", "revolute"))
+    parts.append(joint.format("arm", "tool", "two", "revolute"))
+    parts.append(joint.format("tool", "finger", "jaw", "continuous"))
+    (tmp_path / "arm.urdf").write_text(f'<robot name="r">{"".join(parts)}</robot>')
+    file = tmp_path / "arm.toml"
+    file.write_text(
+        'robot = { urdf = "arm.urdf", base = "base", tip = "tool" }\n'
+        'servo.one = { model = "XL430-W250", id = 1 }\n'
+        'servo.two = { model = "XL430-W250", id = 2 }\n'
+    )
+    with pliant.connect(file, backend="sim", signals=False) as arm:
+        assert arm.gripper.opened == arm.gripper.closed
+        arm.limp()

@@ -73,6 +73,24 @@ def test_no_single_lost_packet_switches_torque_on_with_an_old_goal(kind, fault):
         assert way < 0.005, f"request {place} of {requests}"
 
 
+@pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
+def test_torque_that_could_not_be_taken_back_is_said(kind):
+    """Everything is lost from the moment at which the first servo has its torque on."""
+    with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
+        goal, faults = chain.read().position, bus.lines["main"].faults
+        # Silent before that, nothing has torque and nothing of the kind is said.
+        faults.chance = lambda: "deaf"
+        with pytest.raises(ServoError, match=r"\A(?!.*may still be on)"):
+            chain.enable(goal, 0.5 * chain.servos.torque)
+        faults.chance = lambda: "deaf" if any(servo.enabled for servo in bus.servos) else None
+        with pytest.raises(
+            ServoError, match=r"(?s)torque may still be on: .*cut the supply"
+        ) as told:
+            chain.enable(goal, 0.5 * chain.servos.torque)
+        assert bus.servos[0].enabled
+        assert "joint0 did not confirm torque_enable = 0" in str(told.value)
+
+
 def registers(servo):
     """RAM that bounds torque or motion, by name, as it stands."""
     names = [

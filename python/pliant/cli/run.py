@@ -30,6 +30,8 @@ AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 FRAMES = 5.0
 #: How long the last of the targets is held without --duration [s].
 LINGER = 2.0
+#: A tool that ends farther from its target is said [m], with joints as near to a limit [rad].
+MISSED, AT_LIMIT = 0.02, 0.05
 
 
 def run(
@@ -66,9 +68,12 @@ def run(
         raise pliant.ConfigError(f"--duration must be above 0 s, got {duration:g}")
     model = read.model()
     settings = softened(settings, soft, model, holds=False)
-    made: list[tuple[Arm, pliant.Loop]] = []
+    connected = read.arm()
+    # What does not go together is said before torque comes on.
+    pliant.Controller(connected.model, settings, connected.servos)
+    made: list[tuple[Arm, pliant.Loop, list[str]]] = []
     try:
-        with open_targets(targets, model) as source, read.arm() as live:
+        with open_targets(targets, model) as source, connected as live:
             controller = pliant.Controller(live.model, settings, live.servos)
             begin = partial(_loop, made, live, source=source, duration=duration, quiet=quiet)
             if log is None:
@@ -85,7 +90,7 @@ def run(
 
 
 def _loop(
-    made: list[tuple[Arm, pliant.Loop]],
+    made: list[tuple[Arm, pliant.Loop, list[str]]],
     arm: Arm,
     controller: pliant.Controller,
     *,
@@ -97,10 +102,11 @@ def _loop(
     """Control the arm; its loop goes into `made` for the summary."""
     rate = controller.settings.rate
     loop = pliant.Loop(arm, controller, rate=rate, duration=duration)
-    made.append((arm, loop))
+    notes: list[str] = []
+    made.append((arm, loop, notes))
     every = max(round(rate / FRAMES), 1)
     pose: NDArray[np.float64] | None = None
-    told = 0.0
+    told, is_led = 0.0, False
     with Live(console=Console(), auto_refresh=False, transient=True) as live:
         for tick in loop:
             here = arm.model.forward_kinematics(tick.q)
@@ -108,7 +114,7 @@ def _loop(
             wanted = source.latest()
             if wanted is not None:
                 pose = wanted.pose(arm.model, pose)
-                told = tick.time
+                told, is_led = tick.time, True
             if source.done and duration is None and tick.time - told > LINGER:
                 break
             command = controller.step(tick.q, pose, dt=tick.dt)
@@ -117,9 +123,27 @@ def _loop(
                 recorder.add(tick, command)
             if not quiet and tick.index % every == 0:
                 live.update(_table(arm, controller, tick, command, here), refresh=True)
+    if is_led and pose is not None:
+        notes += _missed(arm.model, tick.q, pose)
 
 
-def _summary(arm: Arm, loop: pliant.Loop) -> None:
+def _missed(model: pliant.Model, q: NDArray[np.float64], target: NDArray[np.float64]) -> list[str]:
+    """A sentence on a tool that is not at its target, and on joints that may be why."""
+    off = float(np.linalg.norm((model.forward_kinematics(q) - target)[:3, 3]))
+    if off <= MISSED:
+        return []
+    room = np.minimum(q - model.lower, model.upper - q)
+    names = [name for name, left in zip(model.joint_names, room, strict=True) if left < AT_LIMIT]
+    why = (
+        f"; at their limits: {', '.join(names)}. The tool goes straight to its target and looks "
+        "for no way round: begin in another pose"
+    )
+    return [f"the tool is {off * 1e3:.0f} mm off its last target{why if names else ''}"]
+
+
+def _summary(arm: Arm, loop: pliant.Loop, notes: list[str]) -> None:
+    for note in notes:
+        Console().print(note, highlight=False, markup=False, soft_wrap=True)
     counts = ", ".join(f"{name} {count}" for name, count in arm.counters.items() if count)
     Console().print(
         f"{len(loop.lateness)} ticks, late by {loop.lateness}; {loop.missed} missed; bus: {counts}",

@@ -95,7 +95,7 @@ class Watch:
         pose = [known[name] for name in self.model.joint_names]
         if np.isnan(pose).any():
             return ""
-        return f"rest = [{', '.join(f'{q:.2f}' for q in pose)}]"
+        return f"rest = [{', '.join(f'{round(q, 2) + 0.0:.2f}' for q in pose)}]"
 
     def _sentence(self, joint: int, way: float) -> str:
         name = self.names[joint]
@@ -158,6 +158,7 @@ def _end(console: Console, look: Watch | None) -> None:
         console.print(
             "If this is where the arm shall rest, write it under [life] of its file:",
             highlight=False,
+            markup=False,
             soft_wrap=True,
         )
         console.print(look.rest, highlight=False, markup=False, soft_wrap=True)
@@ -177,6 +178,7 @@ def _begin(console: Console, on: list[str]) -> None:
         console.print(
             f"torque is on already, they cannot be moved by hand: {', '.join(on)}",
             highlight=False,
+            markup=False,
             soft_wrap=True,
         )
 

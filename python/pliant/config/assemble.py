@@ -60,7 +60,25 @@ def arm(config: Config, **options: Any) -> Arm:
     }
     if config.backend == "sim":
         beside.setdefault("rate", given["rate"])
-    return Arm(model, drive(config, model, **beside), **given)
+    made = drive(config, model, **beside)
+    if config.backend == "sim" and "grippers" not in options:
+        given["grippers"] = _fixed(model, made) | given["grippers"]
+    return Arm(model, made, **given)
+
+
+def _fixed(model: Model, made: Drive) -> dict[str, Jaw]:
+    """Joints beside the chain to which the model gives no ends: they stay where they are."""
+    known = {joint.name for joint in model.joints if _has_ends(joint.lower, joint.upper)}
+    places = zip(made.names, made.read().position.tolist(), strict=True)
+    return {
+        name: Jaw(opened=place, closed=place)
+        for name, place in places
+        if name not in known and name not in model.joint_names
+    }
+
+
+def _has_ends(*ends: float | None) -> bool:
+    return all(end is not None and np.isfinite(end) for end in ends)
 
 
 def _on_table(config: Config, height: float | bool | None) -> Config:

@@ -37,6 +37,7 @@ REBOOT = 2.0
 _BEFORE = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
 #: How often torque off is sent where no answer comes, and how often that is tried.
 UNHEARD, UNHEARD_TRIES = 3, 30
+MAY_BE_ON = "torque may still be on: "
 
 
 def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, cap: Array) -> None:
@@ -45,6 +46,7 @@ def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, c
     for device in devices:
         before[id(device)] = _look(device, ports, goal)
     switched = [d for d in devices if not before[id(d)]["torque_enable"]]
+    is_ordered = False
     try:
         for device in devices:
             if _tripped(device, before):
@@ -62,6 +64,8 @@ def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, c
             order = Order(register, device.limit, device.units.speed_register(speed))
             orders[id(device)] = order
             packets.setdefault(ports[id(device)], []).append((device, *order))
+        # On some servos a goal is enough to switch torque on.
+        is_ordered = True
         for port, group in packets.items():
             port.write(group)
         for device in devices:
@@ -70,9 +74,12 @@ def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, c
                 _set(device, ports, "torque_enable", 1)
         for device in devices:
             _stayed(device, ports, here[id(device)])
-    except BaseException:
-        for device in switched:
-            _try_off(device, ports)
+    except BaseException as error:
+        left = [why for device in switched if (why := _try_off(device, ports))]
+        if left and is_ordered and isinstance(error, ServoError):
+            raise ServoError(
+                f"{error}\n{MAY_BE_ON}{'; '.join(left)}\nsupport the arm and cut the supply"
+            ) from error
         raise
     for device in devices:
         device.enabled = device.torque_on = True
@@ -202,7 +209,7 @@ def disable(devices: Sequence[Device], ports: Ports) -> None:
         _off_unheard(device, ports)
     if failed:
         problems = (problem for _, problem in failed.values())
-        raise ServoError("torque may still be on: " + "; ".join(problems))
+        raise ServoError(MAY_BE_ON + "; ".join(problems))
 
 
 def reboot(devices: Sequence[Device], ports: Ports) -> None:

@@ -103,6 +103,8 @@ class Session:
         self._pace = Pace(arm.clock) if self._source.paced else None
         self.look.at(arm, self._body, tap, self._pace)
         tap.on_read = self.look.on_read
+        # What does not go together is said before torque comes on.
+        pliant.Controller(arm.model, self.desk.effective, arm.servos)
         with arm:
             try:
                 self._control(arm)
