@@ -148,7 +148,7 @@ class Emulator:
             ConfigError: The clock is real, or the time is no number.
         """
         if self._clock != "steps":
-            raise ConfigError("the real clock cannot be advanced: use Emulator(clock='steps')")
+            raise ConfigError("the real clock cannot be advanced: use Emulator(..., clock='steps')")
         self.sync()
         with self._server.lock:
             self.world.advance(seconds)
