@@ -129,9 +129,12 @@ def _simulated(
     model = robots.load(robot) if isinstance(robot, str) else robot
     of_the_arm = {key: value for key, value in options.items() if key in OF_THE_ARM}
     if wrong := sorted(OF_THE_FILE & set(options)):
+        from pliant.config import names
+
+        other = f', or connect("{robot}", backend="sim")' if robot in names() else ""
         raise ConfigError(
-            f"{wrong[0]!r} belongs to a configuration, not to a built-in arm on the simulator: "
-            "connect('so101', backend='sim'), or 'sim:so101' without it"
+            f"{wrong[0]!r} is for the file of an arm, and this is a simulated arm without a file: "
+            f"leave it out{other}"
         )
     check_options(options, {"robot", "q", "real_time", *plant_options(), *OF_THE_ARM})
     plant = Plant(model, **{k: v for k, v in options.items() if k not in OF_THE_ARM or k == "rate"})
