@@ -136,6 +136,15 @@ def test_gallery_is_of_this_law(number, tmp_path):
     assert all(near(a, b) for a, b in zip(*numbers, strict=True)), stale
 
 
+def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():
+    """A slice of it is sound only as long as its caller keeps a promise."""
+    text = (ROOT / "rust" / "py" / "src" / "convert.rs").read_text(encoding="utf-8")
+    signatures = re.findall(r"^(?:pub\(crate\) )?(?:unsafe )?fn [^{;]*", text, re.MULTILINE)
+    lenders = [s for s in signatures if re.search(r"->[^{]*&'?\w* ?(mut )?\[f64\]", s)]
+    assert len(lenders) == 2
+    assert all(s.startswith(("unsafe fn", "pub(crate) unsafe fn")) for s in lenders), lenders
+
+
 def built(pattern: str) -> Path:
     """The file that `make wheel` left."""
     files = sorted((ROOT / "build" / "wheels").glob(pattern))

@@ -129,6 +129,11 @@ class Emulator:
         return self._server.lag
 
     @property
+    def late(self) -> float:
+        """Longest that an answer waited for a busy computer, under the real clock [s]."""
+        return self._server.late
+
+    @property
     def time(self) -> float:
         """Time of the emulated world [s]."""
         return self.world.time
