@@ -9,7 +9,7 @@ pytest.importorskip("joblib", reason="experiments share their work by the extra 
 pytest.importorskip("mujoco", reason="experiments need the extra sim")
 
 from joblib import parallel_config, register_parallel_backend
-from joblib._parallel_backends import SequentialBackend
+from joblib._parallel_backends import ThreadingBackend
 
 from pliant.experiments import campaign_arms
 from pliant.experiments.parallel import parallel
@@ -23,7 +23,7 @@ class Square:
         return self.side**2
 
 
-class ListOnly(SequentialBackend):
+class ListOnly(ThreadingBackend):
     """A backend that returns a list alone, as Ray's does."""
 
     supports_return_generator = False
