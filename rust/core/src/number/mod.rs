@@ -38,7 +38,7 @@ pub(crate) use lanes::{Axes, AxisScalar, Joints, Lanes, Scalar};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use scalar::Fused;
 pub(crate) use scalar::Plain;
-pub(crate) use stream::{PAST_THE_CACHES, Stream};
+pub(crate) use stream::{PAST_THE_CACHES, Stream, streaming};
 pub(crate) use triple::{Cell, Kept, Real, Three, Triple};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::sse2::{Sse2, Two};
