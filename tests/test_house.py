@@ -176,8 +176,31 @@ def test_wheel_is_complete_and_small(wheel):
     imported = re.compile(rf"pliant\.experiments(\.| import )({'|'.join(modules)})\b")
     for name in sorted(n for n in names if n.endswith(".py")):
         assert not imported.search((ROOT / "python" / name).read_text(encoding="utf-8")), name
-    assert any(name.endswith("licenses/LICENSE") for name in names)
+    for licence in ("LICENSE", "THIRD_PARTY_LICENSES"):
+        assert any(name.endswith(f"licenses/{licence}") for name in names)
+    assert not any("/sboms/" in name for name in names)
     assert wheel.stat().st_size <= LARGEST_WHEEL
+
+
+def test_a_wheel_for_others_names_no_folder_of_its_builder(wheel):
+    if not os.environ.get("CI"):
+        pytest.skip("only CI builds wheels for others")
+    opened = zipfile.ZipFile(wheel)
+    (module,) = [name for name in opened.namelist() if name.endswith(".so")]
+    binary = opened.read(module)
+    assert str(Path.home()).encode() + b"/" not in binary
+    assert str(ROOT).encode() not in binary
+
+
+def test_notices_are_of_the_crates_that_are_linked():
+    sys.path.insert(0, str(ROOT / "tools"))
+    try:
+        import notices
+    finally:
+        sys.path.pop(0)
+    said = (ROOT / "THIRD_PARTY_LICENSES").read_text(encoding="utf-8")
+    assert said == notices.notices(), "the crates changed: make notices"
+    assert "Toshiki Teramura" in said
 
 
 def test_wheel_works_away_from_the_sources(wheel, tmp_path):
@@ -193,6 +216,7 @@ def test_source_distribution_can_be_built(wheel):
     with tarfile.open(archive) as opened:
         names = {name.partition("/")[2] for name in opened.getnames()}
     needed = {"Cargo.toml", "Cargo.lock", "pyproject.toml", "LICENSE", "README.md"}
+    needed |= {".cargo/config.toml", "THIRD_PARTY_LICENSES"}
     crates = {
         f"rust/{crate}/{file}" for crate in ("core", "py") for file in ("Cargo.toml", "src/lib.rs")
     }
