@@ -136,6 +136,14 @@ def test_gallery_is_of_this_law(number, tmp_path):
     assert all(near(a, b) for a, b in zip(*numbers, strict=True)), stale
 
 
+def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
+    """Their methods are safe and need a processor that only `Instructions` has asked."""
+    text = (ROOT / "rust" / "core" / "src" / "number" / "mod.rs").read_text(encoding="utf-8")
+    shared = "".join(re.findall(r"^ *pub[^;]*;", text, re.MULTILINE))
+    assert "Sse2" in shared, "every x86-64 processor has it"
+    assert not re.search(r"Avx|Four\b|mod x86", shared)
+
+
 def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():
     """A slice of it is sound only as long as its caller keeps a promise."""
     text = (ROOT / "rust" / "py" / "src" / "convert.rs").read_text(encoding="utf-8")
