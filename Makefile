@@ -35,6 +35,8 @@ ifneq ($(strip $(CI)),)
 LOCKED := --locked
 NEXTEST_PROFILE := --profile ci
 export CARGO_INCREMENTAL := 0
+# A wheel for others names no folder of its builder.
+export CARGO_BUILD_RUSTFLAGS := --remap-path-prefix=$(or $(CARGO_HOME),$(HOME)/.cargo)/registry/src= --remap-path-prefix=$(CURDIR)=
 endif
 
 WHEELS := build/wheels
@@ -47,7 +49,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs gallery bench browser counts counts-check aarch64 peers soak wheel fmt clean FORCE
+.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs gallery bench browser counts counts-check aarch64 peers soak wheel notices fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -173,13 +175,16 @@ peers: setup ## The same work by NumPy, Numba, Pinocchio, ... and C++ beside our
 
 wheel: setup $(WHEELS)/.built ## Build wheel and source distribution into build/wheels
 
-$(WHEELS)/.built: $(RUST) $(PY_SOURCES) pyproject.toml README.md LICENSE
+$(WHEELS)/.built: $(RUST) $(PY_SOURCES) pyproject.toml README.md LICENSE THIRD_PARTY_LICENSES
 	$(call say,wheel)
 	@rm -rf $(WHEELS)
 	@$(BIN)/maturin build --release $(LOCKED) --quiet --interpreter $(BIN)/python --out $(WHEELS) \
 	  --compression-level 9
 	@$(BIN)/maturin sdist --out $(WHEELS)
 	@touch $@
+
+notices: setup ## Write THIRD_PARTY_LICENSES for the crates of Cargo.lock
+	@$(BIN)/python tools/notices.py
 
 fmt: setup ## Format all sources
 	@cargo fmt --all

@@ -1,16 +1,23 @@
-"""Experiments that are started with `python -m` and share their jobs out to other processes."""
+"""What the experiments share: jobs for other processes, workers, and where robots are found."""
 
 import importlib
 import runpy
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-pytest.importorskip("mujoco", reason="experiments run on the simulator: extra sim")
+pytest.importorskip("joblib", reason="experiments share their work by the extra sweep")
+pytest.importorskip("mujoco", reason="experiments need the extra sim")
+
+from joblib import parallel_config, register_parallel_backend
+from joblib._parallel_backends import ThreadingBackend
 
 import pliant.experiments
+from pliant.experiments import campaign_arms
 from pliant.experiments import parallel as shared
+from pliant.experiments.parallel import parallel
 
 FOLDER = Path(pliant.experiments.__file__).parent
 #: Options with which a module makes its jobs within a second.
@@ -42,3 +49,44 @@ def test_another_process_finds_the_jobs_by_their_module(name, monkeypatch):
     monkeypatch.setattr(sys, "argv", [name, *FEW.get(name, [])])
     with pytest.raises(Started):
         runpy.run_module(f"pliant.experiments.{name}", run_name="__main__")
+
+
+@dataclass(frozen=True)
+class Square:
+    side: int
+
+    def run(self):
+        return self.side**2
+
+
+class ListOnly(ThreadingBackend):
+    """A backend that returns a list alone, as Ray's does."""
+
+    supports_return_generator = False
+
+
+@pytest.mark.parametrize("backend", ["list-only", "threading"])
+def test_results_come_in_order_from_every_backend(backend, capsys):
+    register_parallel_backend("list-only", ListOnly)
+    with parallel_config(backend=backend):
+        found = list(parallel([Square(side) for side in range(5)], 2, "squares"))
+    assert found == [0, 1, 4, 9, 16]
+    assert "squares: 5 of 5" in capsys.readouterr().err
+
+
+def test_robots_are_looked_for_beside_a_checkout_only(tmp_path, monkeypatch):
+    monkeypatch.delenv("PLIANT_ROBOTS", raising=False)
+    for root in ("checkout/python", "venv/lib/python3.11/site-packages"):
+        file = tmp_path / root / "pliant" / "experiments" / "campaign_arms.py"
+        monkeypatch.setattr(campaign_arms, "__file__", str(file))
+        beside = file.resolve().parents[3].parent / "shared" / "robots"
+        beside.mkdir(parents=True)
+        file.parent.mkdir(parents=True)
+        if root.startswith("checkout"):
+            (tmp_path / "checkout" / "pyproject.toml").touch()
+            assert campaign_arms._robots() == beside
+        else:
+            assert not campaign_arms._robots().is_absolute(), "nothing beside an environment"
+        monkeypatch.setenv("PLIANT_ROBOTS", "/elsewhere")
+        assert campaign_arms._robots() == Path("/elsewhere")
+        monkeypatch.delenv("PLIANT_ROBOTS")

@@ -136,6 +136,23 @@ def test_gallery_is_of_this_law(number, tmp_path):
     assert all(near(a, b) for a, b in zip(*numbers, strict=True)), stale
 
 
+def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
+    """Their methods are safe and need a processor that only `Instructions` has asked."""
+    text = (ROOT / "rust" / "core" / "src" / "number" / "mod.rs").read_text(encoding="utf-8")
+    shared = "".join(re.findall(r"^ *pub[^;]*;", text, re.MULTILINE))
+    assert "Sse2" in shared, "every x86-64 processor has it"
+    assert not re.search(r"Avx|Four\b|mod x86", shared)
+
+
+def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():
+    """A slice of it is sound only as long as its caller keeps a promise."""
+    text = (ROOT / "rust" / "py" / "src" / "convert.rs").read_text(encoding="utf-8")
+    signatures = re.findall(r"^(?:pub\(crate\) )?(?:unsafe )?fn [^{;]*", text, re.MULTILINE)
+    lenders = [s for s in signatures if re.search(r"->[^{]*&'?\w* ?(mut )?\[f64\]", s)]
+    assert len(lenders) == 2
+    assert all(s.startswith(("unsafe fn", "pub(crate) unsafe fn")) for s in lenders), lenders
+
+
 def built(pattern: str) -> Path:
     """The file that `make wheel` left."""
     files = sorted((ROOT / "build" / "wheels").glob(pattern))
@@ -167,8 +184,31 @@ def test_wheel_is_complete_and_small(wheel):
     imported = re.compile(rf"pliant\.experiments(\.| import )({'|'.join(modules)})\b")
     for name in sorted(n for n in names if n.endswith(".py")):
         assert not imported.search((ROOT / "python" / name).read_text(encoding="utf-8")), name
-    assert any(name.endswith("licenses/LICENSE") for name in names)
+    for licence in ("LICENSE", "THIRD_PARTY_LICENSES"):
+        assert any(name.endswith(f"licenses/{licence}") for name in names)
+    assert not any("/sboms/" in name for name in names)
     assert wheel.stat().st_size <= LARGEST_WHEEL
+
+
+def test_a_wheel_for_others_names_no_folder_of_its_builder(wheel):
+    if not os.environ.get("CI"):
+        pytest.skip("only CI builds wheels for others")
+    opened = zipfile.ZipFile(wheel)
+    (module,) = [name for name in opened.namelist() if name.endswith(".so")]
+    binary = opened.read(module)
+    assert str(Path.home()).encode() + b"/" not in binary
+    assert str(ROOT).encode() not in binary
+
+
+def test_notices_are_of_the_crates_that_are_linked():
+    sys.path.insert(0, str(ROOT / "tools"))
+    try:
+        import notices
+    finally:
+        sys.path.pop(0)
+    said = (ROOT / "THIRD_PARTY_LICENSES").read_text(encoding="utf-8")
+    assert said == notices.notices(), "the crates changed: make notices"
+    assert "Toshiki Teramura" in said
 
 
 def test_wheel_works_away_from_the_sources(wheel, tmp_path):
@@ -184,6 +224,7 @@ def test_source_distribution_can_be_built(wheel):
     with tarfile.open(archive) as opened:
         names = {name.partition("/")[2] for name in opened.getnames()}
     needed = {"Cargo.toml", "Cargo.lock", "pyproject.toml", "LICENSE", "README.md"}
+    needed |= {".cargo/config.toml", "THIRD_PARTY_LICENSES"}
     crates = {
         f"rust/{crate}/{file}" for crate in ("core", "py") for file in ("Cargo.toml", "src/lib.rs")
     }

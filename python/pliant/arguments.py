@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -100,3 +101,9 @@ def vector(value: ArrayLike, n: int, name: str, unit: str = "") -> NDArray[np.fl
     if array.shape != (n,) or not np.isfinite(array).all():
         raise ShapeError(f"{name} must be {n} finite numbers{of}, got {given(value)}")
     return array
+
+
+def rounded_up(value: float) -> str:
+    """Return a lower bound as three digits, rounded up so that the shown number is accepted."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return f"{math.ceil(value / digit) * digit:.3g}"

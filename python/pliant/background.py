@@ -1,11 +1,11 @@
-"""Processes beside the loop that have time: the page, the writer of a log."""
+"""Priority of processes beside the loop: some have time, the emulator has deadlines."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 
-#: How much they step back where the loop wants the processor too.
+#: Steps by which a process with time gives way, and by which one with deadlines goes first.
 NICE = 10
 
 
@@ -19,3 +19,9 @@ def step_back() -> None:
     if hasattr(os, "SCHED_BATCH"):
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def step_forward() -> None:
+    """Let threads that start from here go before others, where the system allows it."""
+    with contextlib.suppress(OSError):
+        os.nice(-NICE)

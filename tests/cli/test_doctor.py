@@ -8,9 +8,9 @@ import pytest
 import pliant
 from pliant import config
 from pliant.arm.checks import posture
-from pliant.cli import main
+from pliant.cli import doctor, main
 from pliant.config import assemble
-from pliant.config.doctor import examine
+from pliant.config.doctor import Diagnosis, examine
 from pliant.config.emulation import emulated
 
 
@@ -101,3 +101,11 @@ def test_mistakes_stand_one_to_a_line(tmp_path, capsys):
     assert lines[0].endswith("arm.toml has 3 mistakes:")
     assert len(lines) == 4
     assert all(len(line) < 200 for line in lines)
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "1 problem to fix"), (2, "2 problems to fix")])
+def test_it_ends_with_the_number_of_problems(count, said, monkeypatch, capsys):
+    found = [Diagnosis("bad", "servo", "it is not there")] * count
+    monkeypatch.setattr(doctor, "examine", lambda _: [Diagnosis("good", "file", "read"), *found])
+    assert main(["doctor", "so101", "--backend", "sim"]) == 2
+    assert capsys.readouterr().err == f"error: not ready: {said}\n"

@@ -160,6 +160,20 @@ def test_an_emulator_that_is_ended_leaves_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_an_emulator_goes_first_and_says_when_it_answers_late(monkeypatch, capsys):
+    pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
+    asked = []
+    monkeypatch.setattr(os, "nice", asked.append)
+    late = iter([0.001, 0.150, 0.160, *[0.350] * 1000])
+    monkeypatch.setattr(Emulator, "late", property(lambda _: next(late)))
+    assert main(["emulate", "so101", "--duration", "1"]) == 0
+    assert asked == [-10]
+    out = " ".join(capsys.readouterr().out.split())
+    assert "an answer left 150 ms late" in out
+    assert "an answer left 350 ms late" in out
+    assert out.count("this computer is busy") == 2
+
+
 def test_another_model(said):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
         texts = said(toml(bus.port, model="MX-28"))

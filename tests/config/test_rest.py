@@ -199,3 +199,16 @@ def test_a_ready_file_that_is_no_built_in_model_is_named_with_the_way_to_simulat
 
 def test_the_kind_of_a_simulated_arms_servos_is_no_kind_of_arm():
     assert pliant.connect("sim:so101", kind="current").servos.kind == "current"
+    mapping = {"kind": "sim", "robot": "so101"}
+    assert pliant.connect(mapping, kind="current").servos.kind == "current"
+
+
+@pytest.mark.parametrize("option", ["backend", "port", "urdf", "calibration"])
+def test_options_of_a_file_are_refused_for_an_arm_without_one(option):
+    with pytest.raises(pliant.ConfigError) as error:
+        pliant.connect("sim:koch", **{option: "sim"})
+    said = str(error.value)
+    assert said.startswith(f"{option!r} is for the file of an arm")
+    assert "did you mean" not in said
+    remedy = said.rpartition("or ")[2]
+    assert eval(remedy, {"connect": pliant.connect}).model.n == pliant.robots.koch().n

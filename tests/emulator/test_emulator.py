@@ -239,3 +239,13 @@ def test_errors_of_life():
     with emulator, pytest.raises(ServoError, match="already"):
         emulator.start()
     emulator.stop()
+
+
+def test_an_answer_that_waits_for_the_computer_is_noticed():
+    with sts(clock="real") as emulator, Host(emulator.port) as host:
+        with ThreadPoolExecutor() as pool:
+            with emulator._server.lock:
+                answer = pool.submit(host.ask, p1(1, 1), 6)
+                time.sleep(0.2)
+            assert answer.result() == p1(1, 0)
+        assert emulator.late > 0.15

@@ -50,6 +50,28 @@ def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):
     assert np.ptp(goals, axis=0).max() == 0.0
 
 
+@pytest.mark.parametrize("dt", [0.005, 0.02])
+def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
+    """The first swing takes as long, and a joint led at 0.2 rad/s is seen to move at that."""
+    hundred, other = pliant.Float(arm), pliant.Float(arm)
+    times, speeds = [], []
+    for floating, step in ((hundred, 0.01), (other, dt)):
+        ticks = 0
+        while not floating.ready:
+            floating.step(grasp, dt=step)
+            ticks += 1
+        times.append(ticks * step)
+        q = np.array(grasp)
+        for _ in range(round(0.5 / step)):
+            q[0] += 0.2 * step
+            floating.step(q, dt=step)
+        speeds.append(floating._speed[0])
+    assert times[0] == pytest.approx(times[1], abs=0.5)
+    assert speeds == pytest.approx([0.2, 0.2], rel=0.02)
+    with pytest.raises(pliant.LimitError, match="dt"):
+        other.step(grasp, dt=0.0)
+
+
 def test_a_known_stiffness_is_believed_and_an_unknown_one_not(arm):
     known = pliant.Float(arm, arm.servos.replace(kp_known=True)).stiffness
     open_ = pliant.Float(arm, arm.servos.replace(kp_known=False)).stiffness

@@ -96,7 +96,8 @@ def registers(servo):
     names = [
         "torque_limit", "goal_current", "goal_pwm", "moving_speed", "goal_velocity", "goal_time",
         "profile_velocity", "profile_acceleration", "acceleration", "goal_acceleration",
-        "bus_watchdog",
+        "bus_watchdog", "cw_compliance_margin", "ccw_compliance_margin", "ccw_compliance_slope",
+        "punch",
     ]  # fmt: skip
     there = {register.name for register in servo.table}
     return {name: servo.get(name) for name in names if name in there}
@@ -176,6 +177,31 @@ def test_a_goal_pwm_that_was_left_low_does_not_weaken_a_current_limited_servo(em
         chain.disable()
         bus.sync()
         assert bus.servos[0].get("goal_pwm") == 150
+
+
+@pytest.mark.parametrize(("kind", "punch"), [("ex", 0), ("rx", 32)])
+def test_compliance_that_another_program_left_does_not_weaken_a_servo(
+    emulated, enabled, kind, punch
+):
+    """Within a margin of 200 counts the servo would let the joint sag."""
+    left = {
+        "cw_compliance_margin": 200,
+        "ccw_compliance_margin": 150,
+        "ccw_compliance_slope": 254,
+        "punch": 900,
+    }
+    with emulated(kind, 1, clock="steps", is_open=False) as (bus, chain):
+        (servo,) = bus.servos
+        for name, value in left.items():
+            servo.put(name, value)
+        chain.open()
+        enabled(chain, share=1.0)
+        bus.sync()
+        assert servo.drive().dead == servo.model.count
+        assert [servo.get(name) for name in left] == [1, 1, servo.get("cw_compliance_slope"), punch]
+        chain.disable()
+        bus.sync()
+        assert {name: servo.get(name) for name in left} == left
 
 
 def test_a_pwm_limit_bounds_the_torque_that_is_reported():

@@ -61,3 +61,12 @@ def test_whoever_gives_something_else_is_told_what_would_do(make, text):
 def test_another_arms_positions_end_a_procedure():
     with pytest.raises(pliant.ShapeError, match="7 finite numbers"):
         identify.capture(Plant(pliant.robots.so101()), pliant.Controller(ARM))
+
+
+def test_a_simulation_that_diverges_is_no_error_of_a_configuration(monkeypatch):
+    plant = Plant(ARM)
+    monkeypatch.setattr(plant, "_is_passive", lambda: False)
+    monkeypatch.setattr(plant, "_step", lambda: plant.mj_data.qpos.fill(np.nan))
+    with pytest.raises(pliant.PliantError, match=r"diverged at t = 0\.0\d+ s with dt") as error:
+        plant.advance()
+    assert error.type is pliant.PliantError

@@ -1,4 +1,5 @@
 import io
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -102,8 +103,14 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
     assert rows[stopped, 0].min() < 4.5
     assert np.ptp(rows[stopped, 1]) == 0.0
     assert replay.done
-    with pytest.raises(pliant.LimitError, match="touch"):
-        Replay(pliant.Controller(MODEL, SETTINGS), settled, stop=0.1)
+    controller = pliant.Controller(MODEL, SETTINGS)
+    for stop in (0.1, np.nan, np.inf):
+        with pytest.raises(pliant.LimitError, match=r"stop \[N\] = .* is outside") as error:
+            Replay(controller, settled, stop=stop)
+    said = str(error.value)
+    # Nothing that only a `Contact` takes; and the bound that is shown is accepted.
+    assert not {"accept", "guard", "touch", "kp_error"} & set(re.findall(r"\w+", said))
+    Replay(controller, settled, stop=float(said.split("[")[2].split(",", maxsplit=1)[0]))
 
 
 def test_a_press_of_the_gripper_counts_once():
@@ -162,8 +169,19 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
         Motion.load(tmp_path / "no.json")
     with pliant.connect("sim:so101", q=START, exit="hold") as arm:
         teacher = Teacher(arm)
-        with pytest.raises(pliant.ConfigError, match="swings"):
+        with pytest.raises(pliant.PliantError, match="swings") as error:
             teacher.start()
+        assert error.type is pliant.PliantError, "nothing is wrong with a configuration"
+
+
+def test_a_recording_in_which_nothing_was_led_is_no_error_of_a_configuration():
+    with pliant.connect("sim:so101", q=START, exit="hold") as arm:
+        with pytest.raises(pliant.PliantError, match="nothing was recorded") as error:
+            Teacher(arm).stop()
+        assert error.type is pliant.PliantError
+        with pytest.raises(pliant.PliantError, match=r"nobody led the arm within 0\.1 s") as error:
+            teach(arm, wait=0.1)
+        assert error.type is pliant.PliantError
 
 
 def test_an_arm_whose_joints_have_the_same_names_is_told_apart_by_its_tool(tmp_path):
@@ -229,7 +247,7 @@ def test_a_missing_file_is_named_with_those_that_are_there(tmp_path, capsys):
         (["--soft", "y=-2"], "--soft y=-2: a cap is a number from 0 up"),
         (["--soft", "y=nan"], "got nan"),
         (["--soft", "y=1 y=2"], "--soft 'y=1 y=2' names y twice"),
-        (["--stop", "0.1"], "stop: touch.x [N] = 0.1 is outside"),
+        (["--stop", "0.1"], "stop [N] = 0.1 is outside [1.87, ∞): this arm"),
         (["--speed", "50"], "speed must be in [0.05, 3]"),
     ],
 )

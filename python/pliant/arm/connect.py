@@ -20,7 +20,7 @@ OF_THE_ARM = frozenset(
 )
 
 #: Arguments that replace words of a configuration file.
-_OF_THE_FILE = frozenset(("port", "backend", "urdf", "calibration"))
+OF_THE_FILE = frozenset(("port", "backend", "urdf", "calibration"))
 
 
 def connect(
@@ -65,9 +65,9 @@ def connect(
     if isinstance(what, str | Path) and str(what).partition(":")[0] != "sim":
         from pliant.config import load
 
-        known = OF_THE_ARM | _OF_THE_FILE
+        known = OF_THE_ARM | OF_THE_FILE
         check_options(options, known | {"q", "real_time", *plant_options()})
-        return load(what, **{k: options.pop(k) for k in _OF_THE_FILE & set(options)}).arm(**options)
+        return load(what, **{k: options.pop(k) for k in OF_THE_FILE & set(options)}).arm(**options)
     if isinstance(what, str | Path):
         # `kind` is an option of the plant too: the kind of its servos.
         _, _, robot = str(what).partition(":")
@@ -128,10 +128,13 @@ def _simulated(
             )
     model = robots.load(robot) if isinstance(robot, str) else robot
     of_the_arm = {key: value for key, value in options.items() if key in OF_THE_ARM}
-    if wrong := sorted(_OF_THE_FILE & set(options)):
+    if wrong := sorted(OF_THE_FILE & set(options)):
+        from pliant.config import names
+
+        other = f', or connect("{robot}", backend="sim")' if robot in names() else ""
         raise ConfigError(
-            f"{wrong[0]!r} belongs to a configuration, not to a built-in arm on the simulator: "
-            "connect('so101', backend='sim'), or 'sim:so101' without it"
+            f"{wrong[0]!r} is for the file of an arm, and this is a simulated arm without a file: "
+            f"leave it out{other}"
         )
     check_options(options, {"robot", "q", "real_time", *plant_options(), *OF_THE_ARM})
     plant = Plant(model, **{k: v for k, v in options.items() if k not in OF_THE_ARM or k == "rate"})

@@ -225,6 +225,6 @@ def strange_leads(cycle: Cycle, leads: Array) -> str | None:
     found = [f"{names[i]} {ratio[i]:.2g} x" for i in np.flatnonzero(strange)]
     return (
         f"servos are stiffer or softer than their table, or weights differ from the model: "
-        f"{', '.join(found)} the believed k_p; forces are wrong by as much: `pliant identify` "
-        "measures k_p, set_payload tells of a load"
+        f"{', '.join(found)} the believed k_p; forces are wrong by as much: "
+        "pliant.identify.run(arm, model) measures k_p, controller.set_payload tells of a load"
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.markup import escape
 
-from pliant import ConfigError
+from pliant import ConfigError, PliantError
 from pliant.cli.flags import ArmName, Override, Seconds
 from pliant.cli.watch import watch as look
 from pliant.config.doctor import examine
@@ -52,5 +52,5 @@ def run(
             highlight=False,
         )
     if bad:
-        raise ConfigError(f"{bad} to be mended")
+        raise PliantError(f"not ready: {bad} {'problem' if bad == 1 else 'problems'} to fix")
     console.print("ready" if read.backend == "sim" else READY, highlight=False)

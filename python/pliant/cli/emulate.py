@@ -9,6 +9,7 @@ from typing import Literal
 from rich.console import Console
 
 from pliant import ConfigError
+from pliant.background import step_forward
 from pliant.cli.flags import ArmName, Files, Seconds
 from pliant.servo.emulator import Faults, Timing
 
@@ -16,6 +17,9 @@ from pliant.servo.emulator import Faults, Timing
 ENDS = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
 )
+
+#: An answer that is later than this is said: LeRobot gives up after 50 ms [s].
+LATE = 0.020
 
 
 def run(
@@ -51,6 +55,7 @@ def run(
     chosen = Timing(wire=timing != "off", usb_latency=latency)
     console = Console()
     # However it is ended, its ports go with it, as after Ctrl-C.
+    step_forward()
     former = {number: signal.signal(number, _ended) for number in ENDS}
     try:
         with emulated(read, timing=chosen, faults=Faults(seed=seed, lose=lose)) as bus:
@@ -59,8 +64,16 @@ def run(
             said = "somebody holds the arm until its torque comes on; Ctrl-C ends"
             console.print(said, style="dim")
             end = None if duration is None else time.monotonic() + duration
+            told = LATE
             while end is None or time.monotonic() < end:
                 time.sleep(0.1)
+                if (late := bus.late) > told:
+                    told = 2.0 * late  # not for every millisecond more
+                    console.print(
+                        f"this computer is busy: an answer left {late * 1e3:.0f} ms late, and "
+                        "drivers may take that for a lost one",
+                        style="yellow",
+                    )
     finally:
         for number, handler in former.items():
             signal.signal(number, handler)

@@ -64,7 +64,7 @@ class Float:
         model: The arm.
         servos: What is believed of its servos; None for the model's. With `kp_known=True` k_p is
             taken to be right within 10 %, else within a factor of 2.
-        rate: Control rate [Hz].
+        rate: Control rate [Hz] where `step` is given no `dt`.
         delay: From reading to arrival of the goal [s].
         payload: What the tool carries beside the model: a `pliant.Payload` or (mass, com).
         swing: Size of the first swing [rad], before what friction takes.
@@ -82,7 +82,7 @@ class Float:
     Example:
         >>> floating = pliant.Float(model)
         >>> for tick in pliant.Loop(arm, rate=100.0):
-        ...     tick.write(floating.step(tick.q))
+        ...     tick.write(floating.step(tick.q, dt=tick.dt))
     """
 
     def __init__(
@@ -107,7 +107,8 @@ class Float:
         swing = number(swing, "swing", 0.01, 0.3, "rad")
         torque_share = number(torque_share, "torque_share", 0.05, 1.0)
         n = self._n = model.n
-        self._model, self._dt, self._delay, self._share = model, 1.0 / rate, delay, torque_share
+        self._model, self._period, self._delay, self._share = model, 1.0 / rate, delay, torque_share
+        self._dt = self._period
         self._table, self._swing = table, swing
         self._rig = Rig(model, table, self._dt, doubt=KNOWN if table.kp_known else UNKNOWN)
         self._torque, self._count = self._rig.torque, self._rig.count
@@ -134,22 +135,29 @@ class Float:
     def reset(self, q: ArrayLike) -> None:
         """Start anew at q (n,) [rad], with a swing; what has been learnt is forgotten."""
         q = self._positions(q)
-        self._rig = Rig(self._model, self._table, self._dt, doubt=self._wrong)
+        # A first tick may be early or late; the rig takes no such period.
+        period = min(max(self._dt, 1e-3), 0.1)
+        self._rig = Rig(self._model, self._table, period, doubt=self._wrong)
         self._rig.carried = payload_rows(self._model, q) @ self._moments
         self._begin, self.ready = self._swinging(q), False
         self._order = next(self._begin)
 
-    def step(self, q: ArrayLike) -> Order:
+    def step(self, q: ArrayLike, *, dt: float | None = None) -> Order:
         """One tick: goals and torque limits for measured positions q (n,) [rad].
 
-        The first call resets to q.
+        The first call resets to q. The swing keeps the `dt` of its first tick.
+
+        Args:
+            q: Measured positions (n,) [rad].
+            dt: Time since the step before [s], at most 1; None: 1/rate.
 
         Raises:
             ShapeError: Not n finite positions; nothing has changed then.
-            LimitError: The first swing would leave the position limits.
+            LimitError: `dt` is out of range, or the first swing would leave the position limits.
             ServoError: A joint does not follow the first swing.
         """
         q = self._positions(q)
+        self._dt = self._period if dt is None else number(dt, "dt", 1e-6, 1.0, "s")
         if self._begin is None:
             self.reset(q)
         elif self.ready:
@@ -165,7 +173,7 @@ class Float:
         """Swing slowly, return to where it began, and be still."""
         rig, home = self._rig, q
         _, q = yield from wide_enough(rig, q, self._swing)
-        for _ in range(round(REST / self._dt)):
+        for _ in range(round(REST / rig.period)):
             q = yield from rig.send(q, home + rig.lead(home), rig.limits(home), np.zeros(self._n))
         return q
 

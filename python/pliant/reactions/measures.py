@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,18 +10,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 import pliant
-from pliant.arguments import given, number, positive
+from pliant.arguments import given, number, positive, rounded_up
 from pliant.reactions.conditions import Condition, Judge
 from pliant.reactions.moment import AXES, indices
 
 if TYPE_CHECKING:
     from pliant.reactions.moment import Moment
-
-
-def _rounded_up(value: float) -> str:
-    """Three digits of a bound, so that what is shown is enough when it is typed."""
-    digit = 10.0 ** (math.floor(math.log10(value)) - 2)
-    return f"{math.ceil(value / digit) * digit:.3g}"
 
 
 def _one_side(above: float | None, below: float | None, what: str) -> None:
@@ -81,7 +74,7 @@ class Force(Condition):
                 unit = "N" if axis < 3 else "N·m"
                 raise pliant.LimitError(
                     f"{self!r}: {AXES[axis]} = {self.above:g} {unit} is outside "
-                    f"[{_rounded_up(least[axis])}, ∞): below it this arm, at rest in the median "
+                    f"[{rounded_up(least[axis])}, ∞): below it this arm, at rest in the median "
                     "pose, cannot tell a contact from friction, k_p and gravity; raise it, say in "
                     "Contact(...) how well the arm is known, or accept=('thresholds',)"
                 )

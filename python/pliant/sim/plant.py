@@ -245,7 +245,7 @@ class Plant:
         Every call is one tick of the bus, however long.
 
         Raises:
-            ConfigError: The physics diverged.
+            PliantError: The physics diverged.
         """
         steps = self.steps if n_steps is None else int(n_steps)
         self._bank.apply(self._bus.deliver(self.time), self.period)

@@ -9,6 +9,7 @@ import numpy as np
 
 import pliant
 from pliant import LimitError
+from pliant.arguments import rounded_up
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -85,11 +86,15 @@ class Replay:
         if stop is not None:
             axes = "".join(name for name in names if name in "xyz")
             inner = getattr(controller, "inner", controller)
-            try:
-                self._contact = pliant.Contact(inner, touch={axes: stop}, min_time=LASTING)
-            except LimitError as error:
-                # The core speaks of what it was given, `touch` by axis.
-                raise LimitError(f"stop: {error}") from error
+            contact = pliant.Contact(inner)
+            felt = contact.typical_uncertainty()[[AXES.index(name) for name in axes]]
+            least = rounded_up(contact.guard * felt.max(initial=1e-3))
+            if not float(least) <= stop < math.inf:
+                raise LimitError(
+                    f"stop [N] = {stop:g} is outside [{least}, ∞): this arm, at rest in the median "
+                    "pose, cannot tell a smaller force from friction, k_p and gravity"
+                )
+            self._contact = pliant.Contact(inner, touch={axes: stop}, min_time=LASTING)
         self.time, self.pace, self.waited, self.stops = 0.0, 1.0, 0.0, 0
         self._offset: Array | None = None
         self._left = self._way = 0.0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
-from pliant import ConfigError, PliantError
+from pliant import PliantError
 from pliant.teach.motion import Motion
 
 if TYPE_CHECKING:
@@ -64,21 +64,26 @@ class Teacher:
         """Whether the first swing is over and the arm may be touched."""
         return self._float.ready
 
-    def step(self, state: State) -> Order:
-        """One tick: goals and limits that let the arm be led."""
-        order = self._float.step(state.q)
+    def step(self, state: State, *, dt: float | None = None) -> Order:
+        """One tick: goals and limits that let the arm be led.
+
+        Args:
+            state: What the arm reports.
+            dt: Time since the step before [s]; None: 1/rate.
+        """
+        order = self._float.step(state.q, dt=dt)
         if self.recording:
-            self._keep(state)
+            self._keep(state, self._dt if dt is None else dt)
         return order
 
     def start(self) -> None:
         """Keep from now on; what was kept before is forgotten.
 
         Raises:
-            ConfigError: The first swing is not over.
+            PliantError: The first swing is not over.
         """
         if not self.ready:
-            raise ConfigError("the arm still swings to find its weight: wait until it is ready")
+            raise PliantError("the arm still swings to find its weight: wait until it is ready")
         self._rows.clear()
         self.recording, self.still, self.moved, self._where = True, 0.0, False, None
 
@@ -86,11 +91,11 @@ class Teacher:
         """Keep no more; the motion as led, neither trimmed nor smoothed.
 
         Raises:
-            ConfigError: Less than two ticks were kept.
+            PliantError: Less than two ticks were kept.
         """
         self.recording = False
         if len(self._rows) < 2:
-            raise ConfigError("nothing was recorded")
+            raise PliantError("nothing was recorded")
         times, positions, beside = zip(*self._rows, strict=True)
         extra = {name: np.array([row[name] for row in beside]) for name in beside[0]}
         names = tuple(self._arm.model.joint_names)
@@ -112,13 +117,13 @@ class Teacher:
         just, self._closed = closed and not self._closed, closed
         return just
 
-    def _keep(self, state: State) -> None:
+    def _keep(self, state: State, dt: float) -> None:
         if not self._rows or state.time > self._rows[-1][0]:
             self._rows.append((state.time, state.q.copy(), dict(state.extra)))
         if self._where is None or (np.abs(state.q - self._where) > MOVED).any():
             self.moved |= self._where is not None
             self._where, self.still = state.q.copy(), 0.0
-        self.still += self._dt
+        self.still += dt
 
 
 def teach(
@@ -193,7 +198,7 @@ def _record(
     begun = 0.0
     for tick in pliant.Loop(arm, rate=rate):
         before = teacher.ready
-        tick.write(teacher.step(tick.state), teacher.extra(tick.state))
+        tick.write(teacher.step(tick.state, dt=tick.dt), teacher.extra(tick.state))
         if not teacher.ready:
             continue
         if not before:

@@ -1,9 +1,8 @@
 //! Arrays with one row per configuration: read in place where they are plain, copied otherwise, results into the caller's.
 
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::convert::{memory, view, view_mut, writable, zeros};
+use crate::convert::{Lent, rows, share_memory, writable, zeros};
 use crate::error::{shape, tuple, wrong_type};
 use crate::read::numbers;
 
@@ -24,8 +23,8 @@ impl<'a, 'py> Rows<'a, 'py> {
         part: &'a [usize],
         outs: &[&Bound<'_, PyAny>],
     ) -> PyResult<Self> {
-        if let Some((count, _)) = view(array, part)
-            && !outs.iter().any(|out| shared(array, out))
+        if let Some(count) = rows(array, part)
+            && !outs.iter().any(|out| share_memory(array, out))
         {
             return Ok(Self { count, name, array, part, copy: None });
         }
@@ -36,14 +35,11 @@ impl<'a, 'py> Rows<'a, 'py> {
         }
     }
 
-    /// The numbers. To be asked for last: reading another argument may run code that makes another array of this one.
-    pub(crate) fn values(&self) -> PyResult<&[f64]> {
-        if let Some(copy) = &self.copy {
-            return Ok(copy);
-        }
-        match view(self.array, self.part) {
-            Some((count, values)) if count == self.count => Ok(values),
-            _ => Err(PyValueError::new_err(format!("{} changed while the other arguments were read", self.name))),
+    /// The numbers, for [`crate::convert::lend`].
+    pub(crate) fn lent(&self) -> Lent<'_, 'py> {
+        match &self.copy {
+            Some(copy) => Lent::Numbers(copy),
+            None => Lent::Array(self.name, self.array, shape_of(self.count, self.part)),
         }
     }
 }
@@ -52,26 +48,6 @@ impl<'a, 'py> Rows<'a, 'py> {
 pub(crate) fn rows_of(part: &[usize]) -> String {
     let sizes: Vec<String> = std::iter::once("N".into()).chain(part.iter().map(ToString::to_string)).collect();
     format!("({})", sizes.join(", "))
-}
-
-/// Whether two plain arrays share memory.
-fn shared(a: &Bound<'_, PyAny>, b: &Bound<'_, PyAny>) -> bool {
-    match (memory(a), memory(b)) {
-        (Some(a), Some(b)) => a.start < b.end && b.start < a.end,
-        _ => false,
-    }
-}
-
-/// Refuses arrays to write into that share memory.
-pub(crate) fn disjoint(outs: &[&Bound<'_, PyAny>]) -> PyResult<()> {
-    for (j, second) in outs.iter().enumerate() {
-        for (i, first) in outs[..j].iter().enumerate() {
-            if shared(first, second) {
-                return Err(PyValueError::new_err(format!("out[{i}] and out[{j}] must not share memory")));
-            }
-        }
-    }
-    Ok(())
 }
 
 /// The caller's array, or a new one, of (`count`, `part`).
@@ -90,12 +66,8 @@ pub(crate) fn target<'py>(
     }
 }
 
-/// The memory of an array that [`target`] gave.
-pub(crate) fn target_of<'a>(array: &'a Bound<'_, PyAny>, count: usize, part: &[usize]) -> &'a mut [f64] {
-    view_mut(array, &shape_of(count, part)).unwrap_or_default()
-}
-
-fn shape_of(count: usize, part: &[usize]) -> Vec<usize> {
+/// Shape of `count` rows.
+pub(crate) fn shape_of(count: usize, part: &[usize]) -> Vec<usize> {
     std::iter::once(count).chain(part.iter().copied()).collect()
 }
 

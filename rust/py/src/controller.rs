@@ -5,7 +5,8 @@ use std::sync::Arc;
 use pliant_core::settings::Law;
 use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis};
 use pliant_core::{
-    Carried, Command as CoreCommand, Controller as CoreController, Payload as CorePayload, Settings as CoreSettings,
+    Carried, Command as CoreCommand, Controller as CoreController, MAX_JOINTS, Payload as CorePayload,
+    Settings as CoreSettings,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -18,7 +19,7 @@ use crate::extras::{Extras, SECONDS};
 use crate::in_use::{exclusive, shared};
 use crate::model::Model;
 use crate::pickle::{self, Reduced};
-use crate::read::{self, joints, joints_in_place, pose, real, vector3};
+use crate::read::{self, array_into, joints, pose, real, vector3};
 use crate::record::readings;
 use crate::report::{Check, Report, check_with};
 use crate::servos::Servos;
@@ -115,15 +116,15 @@ readings! {
             out: Option<&Bound<'_, PyAny>>,
         ) -> PyResult<Py<Command>> {
             let (n, position_only) = sizes(slf)?;
-            let mut slot = None;
             let target = pose("target", target, position_only)?;
             let mut extras = Extras::default();
             extras.read(n, dt, dq, twist, gradient)?;
-            // Last, and in place: reading the others may run code that makes another array of q.
-            let q = joints_in_place("q", q, n, &mut slot)?;
+            // Last: reading the others may run code that makes another array of q.
+            let mut position = [0.0; MAX_JOINTS];
+            array_into("q", q, &[n], &mut position)?;
             let out = out.map(|out| Command::writable(out, n)).transpose()?;
             let Self { core, pool, .. } = &mut *exclusive(slf)?;
-            let command = core.step(q, &target, &extras.input(n)).or_raise()?;
+            let command = core.step(&position[..n], &target, &extras.input(n)).or_raise()?;
             hand_out(py, pool, command, out)
         }
 

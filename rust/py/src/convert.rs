@@ -1,8 +1,8 @@
 //! NumPy arrays by their C structure: with [`crate::docs`] the only unsafe code of the binding.
 //!
 //! What is read and written here is checked first: exact type `numpy.ndarray`, native float64, aligned, C order, the
-//! shape asked for. Everything else is refused here and converted or explained by [`crate::read`]. A step reads
-//! each number once, so that another thread that writes into an array during a call changes numbers and nothing else.
+//! shape asked for. Everything else is refused here and converted or explained by [`crate::read`]. The safe functions
+//! copy while they hold the interpreter lock; [`lend`] alone works on arrays in place without it.
 #![expect(unsafe_code, reason = "NumPy's C structure is read directly: a checked borrow costs four times as much")]
 #![expect(clippy::cast_ptr_alignment, reason = "the flag ALIGNED of the array is checked before its data are cast")]
 
@@ -14,6 +14,7 @@ use numpy::npyffi::{
 };
 use numpy::{PyArray2, PyArrayDyn, PyArrayMethods};
 use pliant_core::MAX_JOINTS;
+use pyo3::exceptions::PyValueError;
 use pyo3::ffi::Py_REFCNT;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -98,27 +99,37 @@ unsafe fn copy_numbers(from: *const f64, to: *mut f64, count: usize) {
     }
 }
 
-/// The numbers of a plain array of this shape where they lie; `None` for any other object.
+/// The numbers of a plain array of this shape in place; `None` for any other object.
 ///
-/// For calls that hold the interpreter lock and read each number once: who writes without that lock meanwhile changes
-/// numbers and nothing else.
+/// # Safety
+/// While the slice is in use, the array keeps its memory and nobody writes to it: no Python code runs in this thread, and
+/// the caller writes to no array that may share this memory.
 #[inline]
-pub(crate) fn read<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a [f64]> {
+unsafe fn read<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a [f64]> {
     let fields = structure(array, shape, READABLE)?;
-    // SAFETY: the array is C-contiguous, aligned and holds as many float64 values, as long as `array` is held.
+    // SAFETY: the array is C-contiguous, aligned and holds as many float64 values; it stays so as the caller promises.
     Some(unsafe { std::slice::from_raw_parts(fields.data.cast::<f64>().cast_const(), shape.iter().product()) })
 }
 
 /// Copies the numbers of a plain array of this shape; `false` and nothing done for any other object.
 #[inline]
 pub(crate) fn copy(array: &Bound<'_, PyAny>, shape: &[usize], out: &mut [f64]) -> bool {
-    let Some(values) = read(array, shape) else { return false };
+    // SAFETY: the slice is read before anything else runs; `out` is Rust's memory.
+    let Some(values) = (unsafe { read(array, shape) }) else { return false };
     if out.len() < values.len() {
         return false;
     }
     // SAFETY: `out` has room and is ours alone.
     unsafe { copy_numbers(values.as_ptr(), out.as_mut_ptr(), values.len()) };
     true
+}
+
+/// The first `N` numbers of a plain array of this shape, by value so that registers can keep them; `None` for any other
+/// object.
+#[inline(always)]
+pub(crate) fn first_numbers<const N: usize>(array: &Bound<'_, PyAny>, shape: &[usize]) -> Option<[f64; N]> {
+    // SAFETY: the slice is copied before anything else runs.
+    unsafe { read(array, shape) }?.first_chunk().copied()
 }
 
 /// Whether [`write`] would write.
@@ -156,11 +167,8 @@ pub(crate) fn write_rows<const R: usize, const C: usize>(
     true
 }
 
-/// How many rows of shape `part` a plain array has, and its numbers, without a copy; `None` for any other object.
-///
-/// Meant for batches, which other Python threads may run beside: as with NumPy's own functions, one that writes into the
-/// array meanwhile gets numbers computed from old and new ones.
-pub(crate) fn view<'a>(array: &'a Bound<'_, PyAny>, part: &[usize]) -> Option<(usize, &'a [f64])> {
+/// Number of rows of shape `part` in a plain array; `None` for any other object.
+pub(crate) fn rows(array: &Bound<'_, PyAny>, part: &[usize]) -> Option<usize> {
     let fields = structure_of(array)?;
     if fields.flags & READABLE != READABLE || usize::try_from(fields.nd) != Ok(part.len() + 1) {
         return None;
@@ -176,22 +184,92 @@ pub(crate) fn view<'a>(array: &'a Bound<'_, PyAny>, part: &[usize]) -> Option<(u
         }
         count = count.checked_mul(size)?;
     }
-    // SAFETY: the array is C-contiguous, aligned and holds `count` float64 values, as long as `array` is held.
-    Some((rows, unsafe { std::slice::from_raw_parts(fields.data.cast::<f64>().cast_const(), count) }))
+    Some(rows)
+}
+
+/// Numbers for [`lend`]: a plain array by its name and shape, or Rust's own.
+pub(crate) enum Lent<'a, 'py> {
+    Array(&'a str, &'a Bound<'py, PyAny>, Vec<usize>),
+    Numbers(&'a [f64]),
+}
+
+/// Runs `work` on the numbers of arrays in place, without the interpreter lock; `outs` are the arrays to write into, by
+/// name and shape.
+///
+/// As with NumPy's own functions, Python threads must leave these arrays alone meanwhile: a write by one is a data race,
+/// a resize frees memory in use. Nothing here can see it.
+///
+/// # Errors
+/// `ValueError` where an array is not as it was when its argument was read, or one of `outs` shares memory with another.
+pub(crate) fn lend<const I: usize, const O: usize, T: Send>(
+    py: Python<'_>,
+    inputs: &[Lent<'_, '_>; I],
+    outs: [(&str, &Bound<'_, PyAny>, &[usize]); O],
+    work: impl FnOnce([&[f64]; I], [&mut [f64]; O]) -> T + Send,
+) -> PyResult<T> {
+    check_lent(inputs, &outs)?;
+    let mut numbers = [&[][..]; I];
+    for (slot, input) in numbers.iter_mut().zip(inputs) {
+        *slot = match input {
+            Lent::Numbers(values) => values,
+            // SAFETY: `work` has no token of the interpreter, and no array to be written shares this memory.
+            Lent::Array(_, array, shape) => unsafe { read(array, shape) }.unwrap_or_default(),
+        };
+    }
+    // SAFETY: as above, and `outs` share no memory with each other.
+    let places = outs.map(|(_, array, shape)| unsafe { read_mut(array, shape) }.unwrap_or_default());
+    Ok(py.detach(|| work(numbers, places)))
+}
+
+/// Checks that arrays are as they were when they were read, and that none of `outs` shares memory with another.
+#[inline(never)]
+fn check_lent(inputs: &[Lent<'_, '_>], outs: &[(&str, &Bound<'_, PyAny>, &[usize])]) -> PyResult<()> {
+    let changed =
+        |name: &str| Err(PyValueError::new_err(format!("{name} changed while the other arguments were read")));
+    for input in inputs {
+        if let Lent::Array(name, array, shape) = input
+            && structure(array, shape, READABLE).is_none()
+        {
+            return changed(name);
+        }
+    }
+    for (i, (name, array, shape)) in outs.iter().enumerate() {
+        let read = inputs.iter().filter_map(|input| match input {
+            Lent::Array(name, array, _) => Some((*name, *array)),
+            Lent::Numbers(_) => None,
+        });
+        let mut others = outs[..i].iter().map(|(name, array, _)| (*name, *array)).chain(read);
+        if let Some((other, _)) = others.find(|(_, other)| share_memory(other, array)) {
+            return Err(PyValueError::new_err(format!("{other} and {name} must not share memory")));
+        }
+        if !writable(array, shape) {
+            return changed(name);
+        }
+    }
+    Ok(())
 }
 
 /// The numbers of a plain, writable array of this shape, to be written; `None` for any other object.
 ///
-/// As [`view`]; whoever calls makes sure that no two of them, and no `view`, are of the same memory.
+/// # Safety
+/// As [`read`], and no other slice in use is of the same memory.
 #[expect(clippy::mut_from_ref, reason = "the memory is the array's, not the reference's")]
-pub(crate) fn view_mut<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a mut [f64]> {
+unsafe fn read_mut<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a mut [f64]> {
     let fields = structure(array, shape, WRITABLE)?;
-    // SAFETY: as in `view`.
+    // SAFETY: as in `read`; the array is writable.
     Some(unsafe { std::slice::from_raw_parts_mut(fields.data.cast::<f64>(), shape.iter().product()) })
 }
 
+/// Whether two plain arrays share memory.
+pub(crate) fn share_memory(a: &Bound<'_, PyAny>, b: &Bound<'_, PyAny>) -> bool {
+    match (memory(a), memory(b)) {
+        (Some(a), Some(b)) => a.start < b.end && b.start < a.end,
+        _ => false,
+    }
+}
+
 /// Where the numbers of a plain array lie.
-pub(crate) fn memory(array: &Bound<'_, PyAny>) -> Option<std::ops::Range<usize>> {
+fn memory(array: &Bound<'_, PyAny>) -> Option<std::ops::Range<usize>> {
     let fields = structure_of(array)?;
     let start = fields.data.addr();
     let mut size = std::mem::size_of::<f64>();

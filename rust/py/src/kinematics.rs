@@ -4,8 +4,8 @@ use pliant_core::{JointVec, MAX_AXES, MAX_JOINTS, Model as CoreModel, Pose, Refe
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-use crate::batch::{Rows, disjoint, target, target_of, unfit};
-use crate::convert::{new_rows, write, write_rows};
+use crate::batch::{Rows, shape_of, target, unfit};
+use crate::convert::{lend, new_rows, write, write_rows};
 use crate::error::{OrRaise, wrong_type};
 use crate::pose::matrix;
 use crate::read::joints;
@@ -74,15 +74,16 @@ pub(crate) fn both_batch<'py>(
     let (py, n) = (q.py(), core.n());
     let own = out.map(pair).transpose()?;
     let outs: Vec<_> = own.iter().flat_map(|(first, second)| [first, second]).collect();
-    disjoint(&outs)?;
     let part = [n];
     let batch = Rows::read("Q", q, &part, &outs)?;
     let count = batch.count;
     let poses = target(py, "out[0]", own.as_ref().map(|own| &own.0), count, &[4, 4])?;
     let jacobians = target(py, "out[1]", own.as_ref().map(|own| &own.1), count, &[6, n])?;
-    let (to_poses, to_jacobians) = (target_of(&poses, count, &[4, 4]), target_of(&jacobians, count, &[6, n]));
-    let values = batch.values()?;
-    py.detach(|| core.kinematics_batch(values, reference, to_poses, to_jacobians)).or_raise()?;
+    let targets = [("out[0]", &poses, &[count, 4, 4][..]), ("out[1]", &jacobians, &[count, 6, n])];
+    lend(py, &[batch.lent()], targets, |[q], [to_poses, to_jacobians]| {
+        core.kinematics_batch(q, reference, to_poses, to_jacobians)
+    })?
+    .or_raise()?;
     Ok((poses, jacobians))
 }
 
@@ -98,8 +99,8 @@ fn one_batch<'py>(
     let width = [core.n()];
     let batch = Rows::read("Q", q, &width, &out.into_iter().collect::<Vec<_>>())?;
     let array = target(py, "out", out, batch.count, part)?;
-    let (values, to) = (batch.values()?, target_of(&array, batch.count, part));
-    py.detach(|| fill(values, to)).or_raise()?;
+    let shape = shape_of(batch.count, part);
+    lend(py, &[batch.lent()], [("out", &array, &shape)], |[q], [to]| fill(q, to))?.or_raise()?;
     Ok(array)
 }
 

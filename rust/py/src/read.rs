@@ -67,22 +67,6 @@ fn array_slowly(name: &str, value: &Bound<'_, PyAny>, expected: &[usize], out: &
     Ok(())
 }
 
-/// One number per joint where they lie, or in `slot` where they had to be converted.
-#[inline]
-pub(crate) fn joints_in_place<'a>(
-    name: &str,
-    value: &'a Bound<'_, PyAny>,
-    n: usize,
-    slot: &'a mut Option<JointVec>,
-) -> PyResult<&'a [f64]> {
-    if let Some(values) = convert::read(value, &[n]) {
-        return Ok(values);
-    }
-    let slot = &mut slot.insert([0.0; MAX_JOINTS])[..n.min(MAX_JOINTS)];
-    array_slowly(name, value, &[n], slot)?;
-    Ok(slot)
-}
-
 /// One number per joint; entries beyond `n` are 0.
 #[inline]
 pub(crate) fn joints(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult<JointVec> {
@@ -128,8 +112,8 @@ pub(crate) fn vector(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>>
 /// Whether its rotation is one, the core checks. Inlined, or a step would wait for a copy of what was just written.
 #[inline(always)]
 pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
-    match convert::read(value, &[4, 4]).and_then(|m| m.first_chunk()) {
-        Some(m) => from_numbers(name, m),
+    match convert::first_numbers(value, &[4, 4]) {
+        Some(m) => from_numbers(name, &m),
         None => pose_slowly(name, value, position_only),
     }
 }

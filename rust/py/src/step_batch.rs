@@ -6,9 +6,9 @@ use pliant_core::{
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use crate::batch::{Rows, disjoint, rows_of, target, target_of};
+use crate::batch::{Rows, rows_of, target};
 use crate::command::Command;
-use crate::convert::{new_array, view};
+use crate::convert::{Lent, lend, new_array, rows};
 use crate::error::{OrRaise, shape, wrong_type};
 use crate::in_use::{exclusive, shared};
 use crate::kinds::Kind;
@@ -146,10 +146,9 @@ impl<'py> BatchCall<'_, 'py> {
         let n = core.model().n();
         let own = self.out.map(arrays_of).transpose()?;
         let outs: Vec<&Bound<'_, PyAny>> = own.iter().flatten().collect();
-        disjoint(&outs)?;
         let part = [n];
-        let rows = Rows::read("Q", q, &part, &outs)?;
-        let count = rows.count;
+        let q = Rows::read("Q", q, &part, &outs)?;
+        let count = q.count;
         let wanted = self.wanted(count, &outs)?;
         let dq = self.dq.map(|dq| Rows::read("dq", dq, &part, &outs)).transpose()?;
         if let Some(dq) = &dq
@@ -163,22 +162,26 @@ impl<'py> BatchCall<'_, 'py> {
             let own = own.as_ref().map(|own| &own[i]);
             arrays.push(target(py, &format!("out[{i}]"), own, count, &[n])?);
         }
-        let [goal, torque_limit, velocity] = [0, 1, 2].map(|i| target_of(&arrays[i], count, &[n]));
-        let input = BatchInput {
-            q: rows.values()?,
-            targets: match &wanted {
-                Wanted::One(pose) => Targets::One(pose),
-                Wanted::Poses(rows) => Targets::Poses(rows.values()?),
-                Wanted::Positions(rows) => Targets::Positions(rows.values()?),
-            },
-            dt: self.dt,
-            dq: dq.as_ref().map(Rows::values).transpose()?,
-            invalid,
+        let (one, targets, are_positions) = match &wanted {
+            Wanted::One(pose) => (Some(pose), Lent::Numbers(&[]), false),
+            Wanted::Poses(rows) => (None, rows.lent(), false),
+            Wanted::Positions(rows) => (None, rows.lent(), true),
         };
-        let out = BatchCommand { goal, torque_limit, velocity };
+        let (has_dq, dq, dt) = (dq.is_some(), dq.as_ref().map_or(Lent::Numbers(&[]), Rows::lent), self.dt);
         let mut state = state.map(exclusive).transpose()?;
         let state = state.as_deref_mut().map(|state| &mut state.0);
-        py.detach(|| core.step_batch(&input, state, out)).or_raise()?;
+        let (names, shape) = (["out[0]", "out[1]", "out[2]"], [count, n]);
+        let outs = [0, 1, 2].map(|i| (names[i], &arrays[i], &shape[..]));
+        lend(py, &[q.lent(), targets, dq], outs, |[q, targets, dq], [goal, torque_limit, velocity]| {
+            let targets = match one {
+                Some(pose) => Targets::One(pose),
+                None if are_positions => Targets::Positions(targets),
+                None => Targets::Poses(targets),
+            };
+            let input = BatchInput { q, targets, dt, dq: has_dq.then_some(dq), invalid };
+            core.step_batch(&input, state, BatchCommand { goal, torque_limit, velocity })
+        })?
+        .or_raise()?;
         match self.out.and_then(|out| out.cast::<Command>().ok()) {
             Some(command) => Ok(command.clone().unbind()),
             None => Py::new(py, Command::of([0, 1, 2].map(|i| arrays[i].clone().unbind()))),
@@ -189,7 +192,7 @@ impl<'py> BatchCall<'_, 'py> {
         let (name, targets) = ("targets", self.targets);
         let parts: &'static [&'static [usize]] = if self.position_only { &[&[4, 4], &[3]] } else { &[&[4, 4]] };
         let fits = |got: &[usize]| parts.iter().find(|part| got.split_first().is_some_and(|(_, rest)| rest == **part));
-        let plain = parts.iter().find_map(|part| view(targets, part).map(|(rows, _)| (rows, *part)));
+        let plain = parts.iter().find_map(|part| rows(targets, part).map(|count| (count, *part)));
         let (got, part) = match plain {
             Some(found) => found,
             // Neither one pose nor an array of many: what it is, NumPy says.

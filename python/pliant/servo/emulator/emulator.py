@@ -129,6 +129,11 @@ class Emulator:
         return self._server.lag
 
     @property
+    def late(self) -> float:
+        """Longest that an answer waited for a busy computer, under the real clock [s]."""
+        return self._server.late
+
+    @property
     def time(self) -> float:
         """Time of the emulated world [s]."""
         return self.world.time
@@ -148,7 +153,7 @@ class Emulator:
             ConfigError: The clock is real, or the time is no number.
         """
         if self._clock != "steps":
-            raise ConfigError("the real clock cannot be advanced: use Emulator(clock='steps')")
+            raise ConfigError("the real clock cannot be advanced: use Emulator(..., clock='steps')")
         self.sync()
         with self._server.lock:
             self.world.advance(seconds)

@@ -55,6 +55,7 @@ class Server:
     Attributes:
         lock: Held while lines, servos or physics are at work.
         lag: Time dropped because the computer was too slow [s].
+        late: Longest that an answer waited for the computer, under the real clock [s].
     """
 
     def __init__(self, world: World, lines: Mapping[str, Line], clock: Clock) -> None:
@@ -65,7 +66,7 @@ class Server:
         self._failed: BaseException | None = None
         self._errand: Callable[[], None] | None = None
         self._done = threading.Event()
-        self.lock, self.lag = threading.RLock(), 0.0
+        self.lock, self.lag, self.late = threading.RLock(), 0.0, 0.0
         self._marking = threading.Lock()
 
     def start(self) -> None:
@@ -181,6 +182,7 @@ class Server:
 
     def _run(self) -> None:
         while not self._stopping:
+            looked = time.perf_counter()
             with self.lock:
                 masters = {
                     port.pty.master: port
@@ -199,11 +201,17 @@ class Server:
                     self._done.set()
                 for end in ready:
                     if end in masters and masters[end].pty.master == end:
+                        self._note(looked, pause)
                         self._serve(masters[end])
                 for port in self._ports.values():
                     self._flush(port)
                     if port.line.noisy:
                         port.pty.write(NOISE)
+
+    def _note(self, looked: float, pause: float | None) -> None:
+        """Note how long a request may have stood since the thread last looked for one."""
+        if pause is not None:
+            self.late = max(self.late, time.perf_counter() - looked - pause)
 
     def _now(self) -> float:
         real = self._clock == "real"

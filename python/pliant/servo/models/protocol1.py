@@ -5,7 +5,12 @@ Control tables and data: ROBOTIS e-Manual. Duty per radian of the MX: oscillosco
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel, scaled, windows
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 _COMMON = {
     "model": Register(0, 2),
@@ -33,8 +38,7 @@ _COMMON = {
 }
 
 
-def _family(name: str, **own: Register) -> Family:
-    unbound = {"acceleration_cap": 0} if "acceleration_cap" in own else {}
+def _family(name: str, *, unbound: Mapping[str, int | str], **own: Register) -> Family:
     return Family(
         name=name,
         protocol="p1",
@@ -54,10 +58,27 @@ def _family(name: str, **own: Register) -> Family:
 
 # Register 28 is the clockwise compliance slope of EX and RX and the P gain of the MX.
 _GAIN, _DUAL, _ACCELERATION = Register(28, 1), Register(10, 1), Register(73, 1)
-RX = _family("RX-64", gain=_GAIN)
-EX = _family("EX-106+", gain=_GAIN, drive_mode=_DUAL)
-MX = _family("MX-28, MX-64", gain=_GAIN, acceleration_cap=_ACCELERATION)
-MX_DUAL = _family("MX-106", gain=_GAIN, drive_mode=_DUAL, acceleration_cap=_ACCELERATION)
+#: Compliance of EX and RX beside the slope: no torque within a margin, at least the punch beyond.
+_COMPLIANCE = {
+    "margin_cw": Register(26, 1),
+    "margin_ccw": Register(27, 1),
+    "slope_ccw": Register(29, 1),
+    "punch": Register(48, 2),
+}
+
+
+def _compliance(punch: int) -> dict[str, int | str]:
+    """The maker's margins and punch, and one slope on both sides."""
+    return {"margin_cw": 1, "margin_ccw": 1, "slope_ccw": "gain", "punch": punch}
+
+
+RX = _family("RX-64", unbound=_compliance(32), gain=_GAIN, **_COMPLIANCE)
+EX = _family("EX-106+", unbound=_compliance(0), gain=_GAIN, drive_mode=_DUAL, **_COMPLIANCE)
+_FREE = {"acceleration_cap": 0}
+MX = _family("MX-28, MX-64", unbound=_FREE, gain=_GAIN, acceleration_cap=_ACCELERATION)
+MX_DUAL = _family(
+    "MX-106", unbound=_FREE, gain=_GAIN, drive_mode=_DUAL, acceleration_cap=_ACCELERATION
+)
 
 MODELS = (
     ServoModel(

@@ -90,7 +90,7 @@ class Family:
         ceiling: EEPROM field that bounds the limit from above.
         multi_turn: Whether goals may leave one turn, so that software keeps the position limits.
         unbound: Further registers in RAM that limit torque or motion, and what they are while we
-            drive: a number, or the field that holds their largest value.
+            drive: a number, or the field that holds their value.
     """
 
     name: str

@@ -30,7 +30,7 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 /// Longest time [s] for which a slew or the integrating goal is advanced at once: a stalled host must not lunge.
 const LONGEST_SLEW: f64 = 0.1;
 
-/// Where the tool is to go. Nobody is handed its address: it stays in registers, which are not waited for.
+/// Reference pose of the tool in this step, and the error to it.
 struct Aim<W> {
     reference: Pose,
     /// Deviation, one number per task row.

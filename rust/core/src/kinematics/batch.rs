@@ -6,7 +6,9 @@ use super::jacobian::turn_to_tool;
 use super::{Frames, Masses, Reference};
 use crate::error::{Error, Result};
 use crate::model::{Chain, Model};
-use crate::number::{Arithmetic, Instructions, Kernel, LANES, Machine, Many, PAST_THE_CACHES, Packed, Stream};
+use crate::number::{
+    Arithmetic, Instructions, Kernel, LANES, Machine, Many, PAST_THE_CACHES, Packed, Stream, streaming,
+};
 use crate::pose::COORDINATE_BOUND;
 use crate::threads::on_every_core;
 use crate::{MAX_AXES, MAX_JOINTS};
@@ -35,7 +37,10 @@ impl Model {
         let chain = self.chain();
         let past_the_caches = size_of_val(poses) + size_of_val(jacobians) >= PAST_THE_CACHES;
         self.pieces(q, [(poses, pose), (jacobians, jacobian)], |q, [poses, jacobians]| {
-            Instructions::chosen().run(PosePiece { chain, q, reference, past_the_caches, poses, jacobians });
+            // Outside of the kernel: a closure within it would be compiled for the plainest machine.
+            streaming(past_the_caches, |past| {
+                Instructions::chosen().run(PosePiece { chain, q, reference, past, poses, jacobians });
+            });
         })
     }
 
@@ -179,16 +184,16 @@ fn write<'a>(rows: &[f64], out: &'a mut [f64], past: Option<&Stream<'a>>) {
 const STAGED: usize = 8;
 
 /// Poses and Jacobians of a piece.
-struct PosePiece<'a> {
+struct PosePiece<'a, 'out> {
     chain: &'a Chain,
     q: &'a [f64],
     reference: Reference,
-    past_the_caches: bool,
-    poses: &'a mut [f64],
-    jacobians: &'a mut [f64],
+    past: Option<&'a Stream<'out>>,
+    poses: &'out mut [f64],
+    jacobians: &'out mut [f64],
 }
 
-impl Kernel for PosePiece<'_> {
+impl Kernel for PosePiece<'_, '_> {
     type Output = ();
 
     #[inline(always)]
@@ -198,7 +203,6 @@ impl Kernel for PosePiece<'_> {
         let mut rows = [[zero; MAX_JOINTS]; MAX_AXES];
         let mut flat = [zero; MAX_AXES * MAX_JOINTS];
         let (with_poses, with_jacobians) = (!self.poses.is_empty(), !self.jacobians.is_empty());
-        let past = self.past_the_caches.then(Stream::new);
         let mut outs = (self.poses.chunks_mut(16 * STAGED), self.jacobians.chunks_mut(6 * n * STAGED));
         let (mut poses, mut jacobians) = ([0.0; 16 * STAGED + LANES], [0.0; MAX_AXES * MAX_JOINTS * STAGED + LANES]);
         let total = self.q.len() / n;
@@ -232,10 +236,10 @@ impl Kernel for PosePiece<'_> {
                 }
             }
             if let Some(out) = outs.0.next() {
-                write(&poses, out, past.as_ref());
+                write(&poses, out, self.past);
             }
             if let Some(out) = outs.1.next() {
-                write(&jacobians, out, past.as_ref());
+                write(&jacobians, out, self.past);
             }
         }
     }

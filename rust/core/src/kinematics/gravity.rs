@@ -40,7 +40,7 @@ impl Chain {
         self.gravity_by::<Plain>(frames, masses, &g, out);
     }
 
-    /// [`Chain::gravity`] of one configuration or of eight.
+    /// [`Chain::gravity`] of one configuration or several.
     #[inline(always)]
     pub(crate) fn gravity_by<A: Arithmetic>(
         &self,

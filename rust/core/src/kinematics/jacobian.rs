@@ -30,7 +30,7 @@ impl Chain {
         self.jacobian_by::<Plain>(frames, rows);
     }
 
-    /// [`Chain::jacobian`] of one configuration or of eight.
+    /// [`Chain::jacobian`] of one configuration or several.
     #[inline(always)]
     pub(crate) fn jacobian_by<A: Arithmetic>(
         &self,

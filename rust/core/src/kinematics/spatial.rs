@@ -1,4 +1,4 @@
-//! Small fixed-size algebra of the hot path: 3-vectors and 3×3 matrices of one configuration or of eight.
+//! Small fixed-size algebra of the hot path: 3-vectors and 3×3 matrices of one configuration or several.
 
 use crate::number::Arithmetic;
 

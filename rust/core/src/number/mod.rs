@@ -1,4 +1,4 @@
-//! Numbers of the hot path: formulas are written once, for one configuration or for eight, and compiled for each machine.
+//! Numbers of the hot path: formulas are written once, for one configuration or several, and compiled per instruction set.
 //!
 //! [`Arithmetic`] says how to count: with one `f64` or with several lanes, with or without fused multiply-add. Rust never
 //! fuses by itself, and `mul_add` without the instruction is a slow call, so it is the type that decides. [`Machine`] is the
@@ -38,7 +38,7 @@ pub(crate) use lanes::{Axes, AxisScalar, Joints, Lanes, Scalar};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use scalar::Fused;
 pub(crate) use scalar::Plain;
-pub(crate) use stream::{PAST_THE_CACHES, Stream};
+pub(crate) use stream::{PAST_THE_CACHES, Stream, streaming};
 pub(crate) use triple::{Cell, Kept, Real, Three, Triple};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::sse2::{Sse2, Two};
@@ -76,12 +76,12 @@ impl<T> Number for T where
 {
 }
 
-/// A way to count with real numbers: one configuration (`Real = f64`) or eight at once.
+/// Arithmetic of real numbers: one value (`Real = f64`) or several at once.
 pub(crate) trait Arithmetic: Copy + Debug + 'static {
     /// The number: one value per configuration.
     type Real: Number;
 
-    /// Whether a number holds [`LANES`] configurations.
+    /// Whether a number holds several values, of joints, axes or configurations.
     const WIDE: bool;
 
     /// The same value in every configuration.

@@ -7,16 +7,40 @@ use std::marker::PhantomData;
 /// of it is of more use than they are.
 pub(crate) const PAST_THE_CACHES: usize = 1 << 25;
 
-/// Copies past the caches. What it writes to stays borrowed until it is dropped, and then all threads see it: such stores are
-/// ordered by a fence alone.
-pub(crate) struct Stream<'a>(PhantomData<&'a mut [f64]>);
+/// Copies past the caches; [`streaming`] alone makes one. `'a` is invariant: what is copied to stays borrowed for all of it.
+pub(crate) struct Stream<'a>(PhantomData<fn(&'a ()) -> &'a ()>);
 
-#[expect(clippy::unused_self, reason = "whoever copies holds what fences")]
-impl<'a> Stream<'a> {
-    pub(crate) fn new() -> Self {
-        Self(PhantomData)
+/// Orders the copies of a [`Stream`] before everything that follows.
+struct Fence;
+
+impl Drop for Fence {
+    #[inline(always)]
+    fn drop(&mut self) {
+        #[cfg(test)]
+        tests::FENCES.with(|count| count.set(count.get() + 1));
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: every x86-64 processor has the instruction.
+        unsafe {
+            std::arch::x86_64::_mm_sfence();
+        }
     }
+}
 
+/// Runs `work` with a stream where it is `wanted`, and fences before returning or unwinding.
+///
+/// The fence is in this function's frame: `work` gets a reference, which it cannot leak past the fence. `'a` outlives this
+/// call, so other threads read what was copied to only after the fence.
+#[inline(always)]
+pub(crate) fn streaming<'a, T>(wanted: bool, work: impl FnOnce(Option<&Stream<'a>>) -> T) -> T {
+    if !wanted {
+        return work(None);
+    }
+    let (stream, _fence) = (Stream(PhantomData), Fence);
+    work(Some(&stream))
+}
+
+#[expect(clippy::unused_self, reason = "a stream is the proof that a fence follows")]
+impl<'a> Stream<'a> {
     /// Copies in whole lines of the caches.
     #[cfg(target_arch = "x86_64")]
     #[inline(always)]
@@ -32,7 +56,7 @@ impl<'a> Stream<'a> {
         for (line, place) in lines.iter().zip(places) {
             for pair in 0..LINE / 2 {
                 // SAFETY: every x86-64 processor has the instruction; both have eight numbers, and the place of the first is
-                // aligned. The fence follows when `self` goes, before which nobody else can read what is borrowed for `'a`.
+                // aligned. `streaming` fences before `'a` ends, and until then `to` is borrowed.
                 unsafe { _mm_stream_pd(place.as_mut_ptr().add(2 * pair), _mm_loadu_pd(line.as_ptr().add(2 * pair))) };
             }
         }
@@ -46,20 +70,37 @@ impl<'a> Stream<'a> {
     }
 }
 
-impl Drop for Stream<'_> {
-    #[inline(always)]
-    fn drop(&mut self) {
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: every x86-64 processor has the instruction.
-        unsafe {
-            std::arch::x86_64::_mm_sfence();
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
     use super::*;
+
+    thread_local! {
+        /// Fences of this thread.
+        pub(super) static FENCES: Cell<usize> = const { Cell::new(0) };
+    }
+
+    fn fences() -> usize {
+        FENCES.with(Cell::get)
+    }
+
+    #[test]
+    fn a_fence_follows_every_stream_also_where_the_work_panics() {
+        let (from, mut to) = ([1.0; 32], [0.0; 32]);
+        let before = fences();
+        streaming(false, |stream| assert!(stream.is_none()));
+        assert_eq!(fences(), before, "nothing was copied past the caches");
+        streaming(true, |stream| stream.map(|stream| stream.copy(&from, &mut to)));
+        assert_eq!(fences(), before + 1);
+        let mut shorter = [0.0; 8];
+        let failed = catch_unwind(AssertUnwindSafe(|| {
+            streaming(true, |stream| stream.map(|stream| stream.copy(&from, &mut shorter)));
+        }));
+        assert!(failed.is_err());
+        assert_eq!(fences(), before + 2);
+    }
 
     #[test]
     fn numbers_arrive_wherever_they_begin_and_end() {
@@ -67,7 +108,8 @@ mod tests {
         for first in 0..9 {
             for length in [0, 1, 7, 8, 9, 63, 150] {
                 let mut to = vec![0.0; 200];
-                Stream::new().copy(&from[..length], &mut to[first..first + length]);
+                let place = &mut to[first..first + length];
+                streaming(true, |stream| stream.map(|stream| stream.copy(&from[..length], place)));
                 assert!(to[..first].iter().chain(&to[first + length..]).all(|value| value.to_bits() == 0));
                 assert!(to[first..].iter().zip(&from[..length]).all(|(a, b)| a.to_bits() == b.to_bits()));
             }

@@ -137,7 +137,7 @@ fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], spring: f64
             given.eta,
             format!(
                 "[0, {ETA_UNPROVEN}] while k_p is not known within 10 %: a gravity error would walk the arm away. \
-                 Identify k_p (Servos(kp_known=True)), capture gravity, or take the risk by name: Settings(accept=(\"eta\",))"
+                 Identify k_p (Servos(..., kp_known=True)), capture gravity, or take the risk by name: Settings(accept=(\"eta\",))"
             ),
         ));
     }

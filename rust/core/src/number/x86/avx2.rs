@@ -107,7 +107,7 @@ fn columns([[a, e], [b, f], [c, g], [d, h]]: [[Register; 2]; 4]) -> [Register; L
 
 /// The components of the four vectors from `first` on.
 #[inline(always)]
-pub(super) fn components_of_four(cells: &[Cell; LANES], first: usize) -> [Register; 3] {
+fn components_of_four(cells: &[Cell; LANES], first: usize) -> [Register; 3] {
     // SAFETY: as above; a cell has four.
     let rows = unsafe {
         [

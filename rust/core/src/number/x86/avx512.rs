@@ -3,28 +3,23 @@
 // SAFETY of every `unsafe` below: see the module above.
 
 use std::arch::x86_64::{
-    __m256d, __m512d as Register, __mmask8 as Mask, _CMP_LT_OQ, _mm256_add_pd, _mm512_add_epi64, _mm512_add_pd as add,
-    _mm512_and_pd as and, _mm512_andnot_pd as andnot, _mm512_castpd_si512, _mm512_castpd256_pd512,
-    _mm512_castpd512_pd256, _mm512_castsi512_pd, _mm512_cmp_pd_mask, _mm512_div_pd as div, _mm512_extractf64x4_pd,
-    _mm512_fmadd_pd as fmadd, _mm512_fnmadd_pd as fnmadd, _mm512_insertf64x4, _mm512_loadu_pd as loadu,
-    _mm512_mask_blend_pd, _mm512_maskz_loadu_pd, _mm512_max_pd as max, _mm512_min_pd as min, _mm512_mul_pd as mul,
-    _mm512_or_pd as or, _mm512_set1_epi64, _mm512_set1_pd as set1, _mm512_shuffle_f64x2 as shuffle, _mm512_slli_epi64,
+    __m512d as Register, __mmask8 as Mask, _CMP_LT_OQ, _mm512_add_epi64, _mm512_add_pd as add, _mm512_and_pd as and,
+    _mm512_andnot_pd as andnot, _mm512_castpd_si512, _mm512_castsi512_pd, _mm512_cmp_pd_mask, _mm512_div_pd as div,
+    _mm512_fmadd_pd as fmadd, _mm512_fnmadd_pd as fnmadd, _mm512_loadu_pd as loadu, _mm512_mask_blend_pd,
+    _mm512_maskz_loadu_pd, _mm512_max_pd as max, _mm512_min_pd as min, _mm512_mul_pd as mul, _mm512_or_pd as or,
+    _mm512_set1_epi64, _mm512_set1_pd as set1, _mm512_shuffle_f64x2 as shuffle, _mm512_slli_epi64,
     _mm512_sqrt_pd as sqrt, _mm512_storeu_pd as storeu, _mm512_sub_pd as sub, _mm512_test_epi64_mask,
     _mm512_unpackhi_pd as high, _mm512_unpacklo_pd as low, _mm512_xor_pd as xor,
 };
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use super::avx2::{Four, components_of_four};
-use super::sums_of_four as sums;
-use crate::number::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide, eight, eight_mut};
+use crate::number::{Arithmetic, LANES, Many, Packed, Spread, eight, eight_mut};
 
 numbers! {
     /// Eight numbers in one register.
     Avx512, 8 in registers of 8: 0
 }
-
-wide! { Avx512 beside Fused and Four }
 
 many! { Avx512, each row an Avx512: 0 1 2 3 4 5 6 7 }
 
@@ -75,26 +70,6 @@ unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register
     }
 }
 
-#[inline(always)]
-fn halves(n: Register) -> [__m256d; 2] {
-    // SAFETY: as above.
-    unsafe { [_mm512_castpd512_pd256(n), _mm512_extractf64x4_pd::<1>(n)] }
-}
-
-#[inline(always)]
-fn folded([n]: [Register; 1]) -> __m256d {
-    let [low, high] = halves(n);
-    // SAFETY: as above.
-    unsafe { _mm256_add_pd(low, high) }
-}
-
-/// Products, folded.
-#[inline(always)]
-fn dotted([a]: [Register; 1], [b]: [Register; 1]) -> __m256d {
-    // SAFETY: as above.
-    folded(unsafe { [mul(a, b)] })
-}
-
 /// Eight rows of eight, turned.
 #[inline(always)]
 fn turned_eight(n: [Register; LANES]) -> [Register; LANES] {
@@ -128,16 +103,4 @@ fn turned(n: [Register; LANES]) -> [[Register; 1]; LANES] {
 #[inline(always)]
 fn columns([[a], [b], [c], [d], [e], [f], [g], [h]]: [[Register; 1]; LANES]) -> [Register; LANES] {
     turned_eight([a, b, c, d, e, f, g, h])
-}
-
-#[inline(always)]
-fn components(cells: &[Cell; LANES]) -> [[Register; 1]; 3] {
-    let (low, high) = (components_of_four(cells, 0), components_of_four(cells, 4));
-    // SAFETY: as above.
-    let mut out = unsafe { [[set1(0.0)]; 3] };
-    for i in 0..3 {
-        // SAFETY: as above.
-        out[i] = unsafe { [_mm512_insertf64x4::<1>(_mm512_castpd256_pd512(low[i]), high[i])] };
-    }
-    out
 }

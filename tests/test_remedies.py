@@ -1,0 +1,528 @@
+"""Every remedy that an error text names exists: commands, flags, calls, keywords, keys, pages."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import inspect
+import re
+import tomllib
+import warnings
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="texts name parts of the extra sim")
+pytest.importorskip("rustypot", reason="texts name parts of the extra servo")
+pytest.importorskip("mcap", reason="texts name parts of the extra log")
+
+import tyro
+
+import pliant
+from pliant.arm.connect import OF_THE_ARM, OF_THE_FILE, plant_options
+from pliant.cli import COMMANDS
+from pliant.cli import main as cli_main
+from pliant.config.schema import Config
+
+ROOT = Path(__file__).resolve().parents[1]
+MODULES = [pliant] + [
+    import_module(f"pliant.{name}")
+    for name in (
+        *("arm", "config", "identify", "log", "loop", "reactions", "robots", "servo", "sim"),
+        *("servo.emulator", "teach", "view"),
+    )
+]
+#: What texts call an object of a class.
+OBJECTS = {
+    "arm": import_module("pliant.arm").Arm,
+    "controller": pliant.Controller,
+    "model": pliant.Model,
+    "servos": pliant.Servos,
+    "settings": pliant.Settings,
+    "task": pliant.Task,
+    "payload": pliant.Payload,
+    "tick": import_module("pliant.loop").Tick,
+    "recorder": import_module("pliant.log").Recorder,
+    "found": import_module("pliant.identify").Captured,
+    "array": np.ma.MaskedArray,
+}
+#: Words that follow "pliant" in a sentence and are no commands.
+WORDS = {"arm", "counts", "does", "motion", "reads", "task", "was"}
+#: Brackets that are units or rich's markup, and words that may follow a section of a file.
+UNITS = {"m", "mm", "ms", "kg", "rad", "s", "bold", "dim", "green", "red", "yellow"}
+BESIDE_SECTION = {"a", "and", "in", "of", "the"}
+#: What stands for a value in the words of a command.
+STAND_INS = {"ARM": "so101", "OLD:NEW": "1:2"}
+#: Commands of the system that texts name.
+SYSTEM = {"lsusb", "sudo", "usermod"}
+
+
+def python_texts(path: Path) -> list[str]:
+    """Strings of a module that are sentences, docstrings aside; a placeholder is an ellipsis."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    docs, parts, texts = set(), set(), []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            docs.add(id(node.value))
+        if isinstance(node, ast.JoinedStr):
+            parts |= {id(part) for part in node.values}
+            texts.append(
+                "".join(
+                    getattr(part, "value", "…") if isinstance(part, ast.Constant) else "…"
+                    for part in node.values
+                )
+            )
+    texts += [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and id(node) not in docs | parts
+    ]
+    return [text for text in texts if " " in text and not is_markup(text)]
+
+
+def is_markup(text: str) -> bool:
+    """Whether a string is HTML, CSS or JavaScript."""
+    return re.search(r"</|/>|<\w+ |\bfunction\b|\w+:has\(|rgba\(|charset=", text) is not None
+
+
+RUST = re.compile(
+    r"""//[^\n]*|'(?:\\.|[^'\\\n])'|r(\#*)".*?"\1|"(?P<text>(?:[^"\\]|\\.)*)\"""", re.DOTALL
+)
+
+
+def rust_texts(path: Path) -> list[str]:
+    """String literals of a file outside of its tests that are sentences."""
+    code = path.read_text(encoding="utf-8").split("#[cfg(test)]")[0]
+    found = [match["text"] for match in RUST.finditer(code) if match["text"] is not None]
+    joined = [re.sub(r"\\\n\s*", "", text).replace('\\"', '"') for text in found]
+    return [re.sub(r"\{[^{}]*\}", "…", text) for text in joined if " " in text]
+
+
+@cache
+def texts() -> dict[str, str]:
+    """Texts of the package, by themselves, with the file they stand in."""
+    python = [
+        path
+        for path in sorted((ROOT / "python" / "pliant").rglob("*.py"))
+        if "experiments" not in path.parts
+    ]
+    rust = sorted(
+        path for crate in ("core", "py") for path in (ROOT / "rust" / crate / "src").rglob("*.rs")
+    )
+    found = {}
+    for paths, read in ((python, python_texts), (rust, rust_texts)):
+        for path in paths:
+            for text in read(path):
+                found[text] = path.relative_to(ROOT).as_posix()
+    return found
+
+
+def wrong(find, judge) -> list[str]:
+    """Texts of which `judge` finds one of the remedies that `find` extracts not to exist."""
+    return [
+        f"{file}: {remedy!r} in {text!r}"
+        for text, file in texts().items()
+        for remedy in find(text, file)
+        if not judge(remedy)
+    ]
+
+
+@cache
+def parser(command: str):
+    """The parser of a command."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return tyro.extras.get_parser(
+            import_module(COMMANDS[command][0]).run,
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+        )
+
+
+def flags(command: str) -> set[str]:
+    """Flags of a command."""
+    return set(parser(command)._option_string_actions)
+
+
+def test_texts_are_found():
+    """The tests below look at these."""
+    assert len(texts()) > 1000
+    for sure in ("`pliant setup ARM --set-id OLD:NEW`", "connect(..., rest=[...])", "[robot] urdf"):
+        assert any(sure in text for text in texts()), sure
+
+
+def commands(text: str, _file: str) -> list[str]:
+    return re.findall(r"\bpliant ((?:[a-z]+)(?: (?:--[a-z-]+|[a-z]+|[A-Z:]+)(?=[ `]))*)", text)
+
+
+def is_command(words: str) -> bool:
+    """Whether a command has these flags and, first, this choice."""
+    command, *rest = words.split()
+    if command in WORDS:
+        return True
+    if command not in COMMANDS:
+        return False
+    named = [word for word in rest if word.startswith("--")]
+    if not set(named) <= flags(command):
+        return False
+    choices = next((a.choices for a in parser(command)._actions if a.choices), None)
+    return choices is None or not rest or rest[0] in choices
+
+
+def test_commands_exist_with_their_flags():
+    found = [words for text, file in texts().items() for words in commands(text, file)]
+    assert len([words for words in found if words.split()[0] in COMMANDS]) > 20
+    assert wrong(commands, is_command) == []
+
+
+def quoted_commands(text: str, _file: str) -> list[str]:
+    return [words for words in re.findall(r"`pliant ([^`]+)`", text) if "…" not in words]
+
+
+def is_accepted(words: str) -> bool:
+    """Whether the shell takes a command as it is written, up to what it would then do."""
+    command, *rest = (STAND_INS.get(word, word) for word in words.split())
+    if command not in COMMANDS:
+        return False
+    with pytest.MonkeyPatch.context() as patch:
+        module, taken = import_module(COMMANDS[command][0]), []
+        run = module.run
+
+        def pretend(*args, **keywords):
+            taken.append((args, keywords))
+
+        pretend.__signature__ = inspect.signature(run, eval_str=True)
+        pretend.__doc__, pretend.__name__ = run.__doc__, run.__name__
+        pretend.__annotations__ = inspect.get_annotations(run, eval_str=True)
+        patch.setattr(module, "run", pretend)
+        needed = [a for a in parser(command)._actions if not a.option_strings and a.required]
+        given = [word for word in rest if not word.startswith("--") and not re.match(r"\d+:", word)]
+        cli_main([command, *rest, *("so101" for _ in needed[len(given) :])])
+        return bool(taken)
+
+
+def test_quoted_commands_are_taken_by_the_shell(capsys):
+    assert wrong(quoted_commands, is_accepted) == [], capsys.readouterr().err
+
+
+def flags_of(text: str, file: str) -> list[tuple[str, str]]:
+    """Flags with the command whose text it is, empty where it may be any."""
+    own = Path(file).stem if file.startswith("python/pliant/cli/") else ""
+    bare = re.sub(r"`[^`]*`|pliant [a-z]+ [^;,:.]*", "", text)
+    return [
+        (flag, own if own in COMMANDS else "")
+        for flag in re.findall(r"(?<![\w-])--[a-z][a-z-]*", bare)
+    ]
+
+
+def is_flag(remedy: tuple[str, str]) -> bool:
+    flag, command = remedy
+    own = {"--version"} | {flag for name in [command] if name for flag in flags(name)}
+    every = {flag for name in COMMANDS for flag in flags(name)} | {"--version", "--python"}
+    return flag in (own if command else every)
+
+
+def test_flags_exist():
+    assert wrong(flags_of, is_flag) == []
+
+
+def members(name: str) -> list[object]:
+    """What a bare name can be: of a module, or of a class of one."""
+    found = [getattr(module, name) for module in MODULES if hasattr(module, name)]
+    classes = {
+        thing for module in MODULES for thing in vars(module).values() if isinstance(thing, type)
+    }
+    lazy = {
+        getattr(module, word)
+        for module in MODULES
+        for word in getattr(module, "__all__", ())
+        if isinstance(getattr(module, word, None), type)
+    }
+    return found + [getattr(thing, name) for thing in classes | lazy if hasattr(thing, name)]
+
+
+def resolve(dotted: str) -> list[object]:
+    """What a dotted name can be."""
+    head, *tail = dotted.split(".")
+    if head == "pliant" and tail:
+        with contextlib.suppress(ImportError):
+            import_module(f"pliant.{tail[0]}")
+        found: list[object] = [pliant]
+    elif head in OBJECTS:
+        found = [OBJECTS[head]]
+    else:
+        found = members(head)
+    for name in tail:
+        fields = {id(thing): getattr(thing, "__annotations__", {}) for thing in found}
+        found = [
+            getattr(thing, name, fields[id(thing)].get(name))
+            for thing in found
+            if hasattr(thing, name) or name in fields[id(thing)]
+        ]
+    return found
+
+
+def keywords(thing: object) -> set[str]:
+    """Keywords that a callable takes."""
+    if thing is pliant.connect:
+        return {*OF_THE_ARM, *OF_THE_FILE, *plant_options(), "q", "real_time"}
+    try:
+        return set(inspect.signature(thing).parameters)
+    except (TypeError, ValueError):
+        return set()
+
+
+CALL = re.compile(r"(?<![\w.`'&])([A-Za-z_][\w.]*)\(((?:[^()\"]|\([^()]*\)|\"[^\"]*\")*)\)")
+
+
+def calls(text: str, _file: str) -> list[tuple[str, str]]:
+    """Calls by name and arguments; a command is shown as one and never made by a user."""
+    return [call for call in CALL.findall(text) if call[0] != "Command"]
+
+
+def takes(thing: object, arguments: str) -> bool:
+    """Whether a function or method takes these arguments; "..." stands for any."""
+    if not callable(thing):
+        return False
+    flat = re.sub(r"\([^()]*\)|\[[^\[\]]*\]|\"[^\"]*\"", "0", arguments)
+    given = [part.strip() for part in flat.split(",") if part.strip()]
+    named = {part.split("=")[0].strip() for part in given if re.match(r"[a-z_]+\s?=", part)}
+    if not named <= keywords(thing):
+        return False
+    if "..." in flat or "…" in flat or thing is pliant.connect:
+        return True
+    values = [None for part in given if "=" not in part]
+    itself = [None] if needs_object(thing) else []
+    try:
+        inspect.signature(thing).bind(*itself, *values, **dict.fromkeys(named))
+    except TypeError:
+        return False
+    except ValueError:
+        return True  # a builtin that does not tell its arguments
+    return True
+
+
+def needs_object(thing: object) -> bool:
+    """Whether a function of a class gets an object of it first."""
+    if inspect.isfunction(thing):
+        return "." in thing.__qualname__
+    return inspect.ismethoddescriptor(thing) and type(thing).__name__ == "method_descriptor"
+
+
+def is_callable_so(call: tuple[str, str]) -> bool:
+    """Whether something of this name takes these arguments."""
+    name, arguments = call
+    return any(takes(thing, arguments) for thing in resolve(name))
+
+
+def test_calls_exist_with_their_keywords():
+    found = [call for text, file in texts().items() for call in calls(text, file)]
+    assert len(found) > 60
+    assert wrong(calls, is_callable_so) == []
+
+
+OPEN = re.compile(
+    r"…|\.\.\.|\[N|\b(arm|found|path|position|quaternion|value|goal|drive|document|clock)\b"
+)
+
+
+def examples(text: str, _file: str) -> list[str]:
+    """Calls with nothing left open, of anything but an object at hand."""
+    found = [f"{name}({arguments})" for name, arguments in CALL.findall(text)]
+    return [call for call in found if not OPEN.search(call) and not is_method(call.split("(")[0])]
+
+
+def is_method(name: str) -> bool:
+    """Whether a name is a method of an object."""
+    head, _, last = name.rpartition(".")
+    if head in OBJECTS or (not head and not last[0].isupper() and not made_by(last)):
+        return True
+    owners = resolve(head) if head else []
+    return any(
+        isinstance(owner, type) and needs_object(inspect.getattr_static(owner, last))
+        for owner in owners
+    )
+
+
+def made_by(name: str) -> bool:
+    """Whether a bare name is a function of the package itself, or of its robots."""
+    return name in pliant.__all__ or hasattr(pliant.robots, name)
+
+
+def runs(call: str) -> bool:
+    """Whether an example runs as it stands."""
+    names = {
+        key: getattr(module, key)
+        for module in reversed(MODULES)
+        for key in {*vars(module), *getattr(module, "__all__", ())}
+    }
+    names |= {key: getattr(pliant.robots, key) for key in ("arm7", "so101", "koch")}
+    names |= {"pliant": pliant, "model": pliant.robots.arm7(), "settings": pliant.Settings()}
+    try:
+        eval(call, names)
+    except Exception as error:
+        print(call, error)
+        return False
+    return True
+
+
+def test_examples_run():
+    found = [call for text, file in texts().items() for call in examples(text, file)]
+    assert len(found) > 8
+    assert wrong(examples, runs) == []
+
+
+def accepted(text: str, _file: str) -> list[str]:
+    return re.findall(r"accept=\([\"'](\w+)[\"'],\)", text)
+
+
+def is_risk(risk: str) -> bool:
+    """Whether a risk can be accepted by this name."""
+    controller = pliant.Controller(pliant.robots.so101(), pliant.Settings(task="xyz"))
+    for take in (
+        lambda: pliant.Settings(accept=(risk,)),
+        lambda: pliant.Contact(controller, accept=(risk,)),
+    ):
+        with contextlib.suppress(pliant.ConfigError):
+            take()
+            return True
+    return False
+
+
+def test_risks_that_texts_name_can_be_accepted():
+    assert [risk for text, file in texts().items() for risk in accepted(text, file)]
+    assert wrong(accepted, is_risk) == []
+
+
+@cache
+def every_keyword() -> set[str]:
+    """Keywords of all public callables."""
+    found = set(keywords(pliant.connect)) | {"python"}
+    for module in MODULES:
+        for name in {*vars(module), *getattr(module, "__all__", ())}:
+            thing = getattr(module, name, None)
+            if not callable(thing) or name.startswith("_"):
+                continue
+            found |= keywords(thing)
+            if isinstance(thing, type):
+                found |= {
+                    key for part in vars(thing).values() if callable(part) for key in keywords(part)
+                }
+                found |= {
+                    key
+                    for name in dir(thing)
+                    if not name.startswith("_") and callable(getattr(thing, name))
+                    for key in keywords(getattr(thing, name))
+                }
+    return found
+
+
+def is_keyword(name: str) -> bool:
+    """Whether anything public takes this keyword."""
+    return name in every_keyword()
+
+
+def bare_keywords(text: str, file: str) -> list[str]:
+    # URDF attributes, and the axis of `--soft y=2`.
+    if file.startswith("rust/core/src/model/") or "--soft" in text:
+        return []
+    return re.findall(r"(?<![\w.{])([a-z_]{2,})=(?![=>])", CALL.sub("", text))
+
+
+def test_keywords_exist():
+    found = [key for text, file in texts().items() for key in bare_keywords(text, file)]
+    assert len(found) > 10
+    assert wrong(bare_keywords, is_keyword) == []
+
+
+def dotted_names(text: str, _file: str) -> list[str]:
+    return re.findall(
+        r"(?<![\w/.`'-])(pliant(?:\.[A-Za-z_]\w*)+|[A-Za-z_]\w+\.[a-z_]\w+)(?![\w(/])", text
+    )
+
+
+def is_dotted_name(name: str) -> bool:
+    head, *tail = name.split(".")
+    if tail[-1] in {"md", "urdf", "toml", "json", "mcap"}:
+        return tail[-1] != "md" or any((ROOT / "docs").rglob(name))
+    return bool(resolve(name)) or (head in Config.model_fields and is_section((head, tail[0])))
+
+
+def test_names_and_pages_exist():
+    assert wrong(dotted_names, is_dotted_name) == []
+
+
+def sections(text: str, _file: str) -> list[tuple[str, str]]:
+    found = re.findall(r"(?<![\w\])…])\[([a-z_]+)\](?: ([a-z_]+))?", text)
+    return [pair for pair in found if pair[0] not in UNITS]
+
+
+def is_section(pair: tuple[str, str]) -> bool:
+    """Whether a configuration has this table, and the table this key."""
+    section, key = pair
+    fields = {field.alias or name: field for name, field in Config.model_fields.items()}
+    if section not in fields:
+        return False
+    if not key or key in BESIDE_SECTION:
+        return True
+    inner = [
+        part
+        for part in (
+            fields[section].annotation,
+            *getattr(fields[section].annotation, "__args__", ()),
+        )
+        if hasattr(part, "model_fields")
+    ]
+    if section == "settings":
+        return key in keywords(pliant.Settings)
+    return any(key in part.model_fields for part in inner)
+
+
+def test_sections_and_keys_of_a_configuration_exist():
+    found = [pair for text, file in texts().items() for pair in sections(text, file)]
+    assert len(found) > 8
+    assert wrong(sections, is_section) == []
+
+
+def test_extras_exist():
+    """The second argument of `missing` is an extra of `pyproject.toml`."""
+    known = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    named = [
+        node.args[1].value
+        for path in (ROOT / "python" / "pliant").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call)
+        and getattr(node.func, "id", "") == "missing"
+        and isinstance(node.args[1], ast.Constant)
+    ]
+    assert len(named) > 6
+    assert set(named) <= set(known["project"]["optional-dependencies"])
+
+
+@pytest.mark.parametrize(
+    ("text", "find", "judge"),
+    [
+        ("`pliant identify` measures k_p", commands, is_command),
+        ("see pliant setup --set-ids for that", commands, is_command),
+        ("draw it: pliant log draw of this", commands, is_command),
+        ("`pliant setup ARM --deep`", quoted_commands, is_accepted),
+        ("give --sped a number", flags_of, is_flag),
+        ("arm.relax() first", calls, is_callable_so),
+        ("give connect(..., rests=[...])", calls, is_callable_so),
+        ("pliant.identify.run(arm) measures k_p", calls, is_callable_so),
+        ("say Servos.of(['sts9999'])", examples, runs),
+        ('take it by name: accept=("everything",)', accepted, is_risk),
+        ("or give payloads= as well", bare_keywords, is_keyword),
+        ("set Budget.hotest lower", dotted_names, is_dotted_name),
+        ("the page trouble_shooting.md", dotted_names, is_dotted_name),
+        ("as [servos] says", sections, is_section),
+        ("raise [loop] speed", sections, is_section),
+    ],
+)
+def test_a_remedy_that_does_not_exist_is_found(text, find, judge, monkeypatch):
+    monkeypatch.setitem(globals(), "texts", lambda: {text: "python/pliant/cli/run.py"})
+    assert len(wrong(find, judge)) == 1

@@ -1,0 +1,76 @@
+"""Write THIRD_PARTY_LICENSES: the crates that the compiled module links, and their notices.
+
+`make notices` runs it. A crate that may be used under Apache-2.0 is used so, and needs no text
+beside LICENSE; the text of every other licence is copied from the crate.
+"""
+
+import json
+import re
+import subprocess
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+FILE = ROOT / "THIRD_PARTY_LICENSES"
+ROOT_CRATE = "pliant-py"
+HEAD = """The compiled module of pliant links the crates below. Those marked Apache-2.0 are used
+under that licence, whose text is in LICENSE. The licences of the others follow the list. Rust's
+standard library is used under Apache-2.0.
+
+"""
+
+
+def linked() -> list[dict]:
+    """Crates that the module links on Linux, by name and version; ours and build tools aside."""
+    command = (
+        "cargo metadata --format-version 1 --locked --filter-platform x86_64-unknown-linux-gnu"
+    )
+    done = subprocess.run(command.split(), cwd=ROOT, capture_output=True, text=True, check=True)
+    data = json.loads(done.stdout)
+    crates = {crate["id"]: crate for crate in data["packages"]}
+    nodes = {node["id"]: node for node in data["resolve"]["nodes"]}
+    left = [name for name, crate in crates.items() if crate["name"] == ROOT_CRATE]
+    found = {}
+    while left:
+        name = left.pop()
+        is_macro = any("proc-macro" in target["kind"] for target in crates[name]["targets"])
+        if name in found or is_macro:
+            continue
+        found[name] = crates[name]
+        left += [
+            need["pkg"]
+            for need in nodes[name]["deps"]
+            if any(kind["kind"] is None for kind in need["dep_kinds"])
+        ]
+    foreign = [crate for crate in found.values() if crate["source"] is not None]
+    return sorted(foreign, key=lambda crate: (crate["name"], crate["version"]))
+
+
+def chosen(crate: dict) -> str:
+    """The licence that we use a crate under."""
+    offered = re.split(r" OR |/", crate["license"])
+    return next((name for name in ("Apache-2.0", "MIT") if name in offered), crate["license"])
+
+
+def text(crate: dict, licence: str) -> str:
+    """The text of a licence as it comes with the crate."""
+    folder = Path(crate["manifest_path"]).parent
+    for name in (f"LICENSE-{licence}", "LICENSE", "LICENSE.md", "LICENSE.txt", "COPYING"):
+        if (folder / name).is_file():
+            return (folder / name).read_text(encoding="utf-8").strip()
+    raise SystemExit(f"{crate['name']} {crate['version']} has no text of {licence}")
+
+
+def notices() -> str:
+    """What the file says."""
+    crates = linked()
+    out = HEAD + "".join(f"{c['name']} {c['version']}: {chosen(c)}\n" for c in crates)
+    for crate in crates:
+        licence = chosen(crate)
+        if licence != "Apache-2.0":
+            out += f"\n{'-' * 80}\n{crate['name']} {crate['version']}, {licence}\n\n"
+            out += text(crate, licence) + "\n"
+    return out
+
+
+if __name__ == "__main__":
+    FILE.write_text(notices(), encoding="utf-8")
