@@ -9,13 +9,16 @@ from pliant.arm import Lowering
 from pliant.arm.points import Points
 from pliant.experiments.lifecycle import LOAD, lower, postures
 
+#: Delays of sampling and of writing by one tick each [s].
+TICKS = 0.02
 #: A posture stretched forward.
 STRETCHED = np.array([-1.3, -0.1, 0.0, -0.2, 0.0, 0.0, 0.0])
 
 
 def lower_unknown_load(q, **options):
     """Lower with a load that the model does not have."""
-    with Mismatch(plant=Parameters(payload=LOAD), assumed=Parameters()):
+    late = options.get("ticks", 0) * TICKS
+    with Mismatch(plant=Parameters(payload=LOAD, delay=late), assumed=Parameters(delay=late)):
         return lower(q, load=LOAD, **options)
 
 

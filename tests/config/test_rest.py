@@ -212,3 +212,23 @@ def test_options_of_a_file_are_refused_for_an_arm_without_one(option):
     assert "did you mean" not in said
     remedy = said.rpartition("or ")[2]
     assert eval(remedy, {"connect": pliant.connect}).model.n == pliant.robots.koch().n
+
+
+@pytest.mark.parametrize("soft", ["", "x y"])
+@pytest.mark.parametrize("name", ["so101", "koch"])
+def test_joint_targets_lead_an_arm_out_of_its_rest_pose(name, soft):
+    target = np.array([0.0, -0.3, 0.3, 0.9, 0.0])
+    with pliant.connect(name, backend="sim", q=pliant.robots.rest(name)) as arm:
+        controller = pliant.Controller(
+            arm.model,
+            pliant.Settings.soft(soft, task="xyz") if soft else pliant.Settings(task="xyz"),
+            arm.servos,
+        )
+        for tick in pliant.Loop(arm, controller, duration=5.0):
+            tick.write(controller.step_joints(tick.q, target, dt=tick.dt))
+        arm.hold()
+    # Friction keeps the null space, which the task leaves free, from its very end.
+    np.testing.assert_allclose(tick.q, target, atol=0.3)  # [rad] (.01 to .22; 1.4 when stuck)
+    tool, there = (arm.model.forward_kinematics(q)[:3, 3] for q in (tick.q, target))
+    # A soft axis stops short of its target by what its cap does not move of the gears.
+    assert np.linalg.norm(tool - there) < (0.04 if soft else 0.02)  # [m] (.027, .014)

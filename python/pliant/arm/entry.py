@@ -40,6 +40,8 @@ SINKS, SUNK = 0.002, 0.005
 BACK, RETURN = 8.0, 0.1
 #: A joint is back that is this near, or 0.6 of a count [rad]; torque on takes no longer [s].
 HOME, LONGEST = 1.5e-4, 3.0
+#: Longest silence of a joint while torque comes on [s].
+SILENT = 0.5
 #: Stiffness over the believed one, or its inverse, from which on the arm says so.
 OFF = 1.5
 
@@ -133,6 +135,9 @@ def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -
 
     Returns:
         The leads that carry joints (n,) [rad]; NaN for those that rest on something.
+
+    Raises:
+        ServoTimeout: A joint was silent for 0.5 s; orders stayed as they were meanwhile.
     """
     servos, clock = cycle.servos, cycle.clock
     kp, usable = np.asarray(servos.kp), np.asarray(servos.torque)
@@ -149,11 +154,23 @@ def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -
     more, pull = np.zeros(stood.size), np.zeros(stood.size)
     before, level = stood, stood
     found = np.where(taken, lead, np.nan)
-    begin = clock.now()
+    begin = heard = clock.now()
     while True:
-        clock.wait_until(clock.now() + 1.0 / rate)
-        cycle.sample()
-        passed, q = clock.now() - begin, cycle.q
+        now = clock.now()
+        clock.wait_until(now + 1.0 / rate)
+        ok = cycle.sample()
+        if not ok.all():
+            # What is not seen to sink or rise is neither given torque nor relieved of it.
+            if clock.now() - heard > SILENT:
+                raise ServoTimeout(
+                    f"no position of {_named(cycle, ~ok)} for {SILENT:g} s while torque came "
+                    "on: check their power, cable and id"
+                )
+            cycle.send(cycle.goal, cycle.limit)
+            begin += clock.now() - now
+            continue
+        heard = clock.now()
+        passed, q = heard - begin, cycle.q
         if passed < STAY:
             rise = min(passed / RISE, 1.0) * (full - lead)
             lead = lead + np.where(taken, 0.0, rise)
@@ -200,6 +217,10 @@ def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -
             break
     cycle.ease(limit)
     return np.where(np.isfinite(found), cycle.goal - cycle.q, np.nan)
+
+
+def _named(cycle: Cycle, joints: NDArray[np.bool_]) -> str:
+    return ", ".join(cycle.model.joint_names[i] for i in np.flatnonzero(joints))
 
 
 def strange_leads(cycle: Cycle, leads: Array) -> str | None:

@@ -77,7 +77,7 @@ SUPPORT = 1.1
 #: After this long without any position the descent goes blind; a joint silent for as long is left
 #: alone [s].
 PATIENCE = 0.2
-#: Longest descent before the arm lets go wherever it is [s].
+#: Longest descent before an arm that is seen lets go wherever it is [s].
 LONGEST = 60.0
 #: Longest time between two ticks that counts [s].
 LONGEST_TICK = 0.1
@@ -340,7 +340,9 @@ class Lowering:
         light = bool((idle | (carried < little)).all()) or self._stuck > STUCK
         calm = self._demand < 0.5 and seen < LOOSE if self._presses else seen < STILL
         self._light = self._light + dt if light and calm else 0.0
-        if self._total > LONGEST or (self._light > SETTLED and not self._presses):
+        # The model's arm comes to rest in the end; a real one that is not seen may still hang.
+        late = self._total > LONGEST and not self.blind
+        if late or (self._light > SETTLED and not self._presses):
             self._enter("ramp")
         elif self._light > SETTLED:
             # An arm that moves only because its joints press counts as resting.
@@ -348,7 +350,7 @@ class Lowering:
 
     def _let_go(self, dt: float, seen: float, lost: Flags) -> None:
         """Let leads and limits fall to nothing while the arm is still."""
-        late = self._total > LONGEST
+        late = self._total > LONGEST and not self.blind
         if seen > LOOSE and not late:
             self._enter("down")
             return

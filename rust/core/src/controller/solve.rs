@@ -56,7 +56,7 @@ pub(super) fn solve<J: Joints>(
         seen.rows // nobody asks for the others
     };
     let condition = condition(plan, scaled_rows, singular, memory.cold);
-    let gradient = cost_gradient(plan, input, &memory.rest, seen, scaled_rows, condition.mu_squared);
+    let gradient = cost_gradient(plan, input, &memory.rest, seen, wish, scaled_rows, condition.mu_squared);
     let integral = J::load(&memory.integral);
     let damping = row_damping::<J>(plan, &condition);
     let given =
@@ -176,12 +176,13 @@ fn cost_gradient<J: Joints>(
     input: &Input,
     rest: &JointVec,
     seen: &Seen<'_, J>,
+    wish: &Wish<J::Axes>,
     scaled: &[J; MAX_AXES],
     mu_squared: f64,
 ) -> J {
     let rest = input.rest.as_ref().or(plan.rest.as_ref()).unwrap_or(rest);
     let rest = J::load(rest);
-    let mut gradient = plan.cost.gradient(seen.q, rest, posture_share(plan, seen.q, rest));
+    let mut gradient = plan.cost.gradient(seen.q, rest, posture_share(plan, seen.q, rest, wish));
     if plan.cost.manipulability > 0.0 {
         let (world, scaled) = (rows_array(&seen.view.world), rows_array(scaled));
         let more = weighted_manipulability(plan, &world, &scaled, &seen.base_from_task, mu_squared);

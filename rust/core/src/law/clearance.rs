@@ -2,10 +2,13 @@
 //!
 //! A joint at its stop leaves the push to the others, and their way along the axis is then another one: through the null
 //! space, away from the posture. A posture that insists is felt along the axis, in guided motion with several times the cap.
+//! Without a push it stays: it is what leads a joint away from its stop, as out of the pose in which an arm was folded up.
 
 use crate::JointVec;
+use crate::law::inverse::axes;
 use crate::number::Joints;
 use crate::plan::Plan;
+use crate::task::wish::Wish;
 
 /// Room [rad] below which the posture lets go, at most; and as a share of the joint's range, for short ones.
 const ROOM: (f64, f64) = (0.05, 0.05);
@@ -16,21 +19,39 @@ const LEAST: f64 = 0.4;
 /// Share of that way after which it has let go altogether.
 const GONE: f64 = 0.5;
 
+/// Least deviation that counts as a push, as a share of the one at which compliance ends.
+const SMALLEST: f64 = 0.1;
+
 /// Room [rad or m] of each joint below which [`posture_share`] is not one.
 pub(crate) fn clearance(lower: &JointVec, upper: &JointVec) -> JointVec {
     std::array::from_fn(|i| ROOM.0.min(ROOM.1 * (upper[i] - lower[i])))
 }
 
-/// How much of the posture is held at `q`, from 0 with a joint at its limit to 1 clear of all of them, or at `rest`.
+/// How much of the posture is held at `q`: 1 clear of all position limits, at `rest`, or without a push; down to 0 where a
+/// push has led a joint to its limit.
 #[inline(always)]
-pub(crate) fn posture_share<J: Joints>(plan: &Plan, q: J, rest: J) -> f64 {
+pub(crate) fn posture_share<J: Joints>(plan: &Plan, q: J, rest: J, wish: &Wish<J::Axes>) -> f64 {
     let (lower, upper, clear) = (J::load(&plan.lower), J::load(&plan.upper), J::load(&plan.clearance));
     let (below, above) = (q - lower, upper - q);
     if !J::at_most(below, above).any_less(clear) {
         return 1.0;
     }
     let missing = J::at_least(gone(below, rest - lower, clear), gone(above, upper - rest, clear));
-    (1.0 - missing.largest().max(0.0)).max(0.0)
+    1.0 - missing.largest().clamp(0.0, 1.0) * pushed::<J>(plan, wish)
+}
+
+/// Whether a push is felt, from 0 to 1: 1 where an axis that yields is twice the deviation away at which its compliance
+/// begins to fall, 0 below that deviation.
+#[cold]
+#[inline(never)]
+fn pushed<J: Joints>(plan: &Plan, wish: &Wish<J::Axes>) -> f64 {
+    let (deviation, softness) = (axes(wish.deviation), axes(wish.softness));
+    let mut most = 0.0_f64;
+    for (r, row) in plan.rows.iter().enumerate().take(plan.k) {
+        let near = row.d_minus.max(SMALLEST * row.d_plus);
+        most = most.max(softness[r] * ((deviation[r].abs() - near) / near).clamp(0.0, 1.0));
+    }
+    most
 }
 
 /// Share of the posture that a stop takes away over whose distance `room` is left: none from where the posture itself is,

@@ -179,7 +179,7 @@ impl Oracle {
         } else {
             Vector::zeros(n)
         };
-        let gradient = self.gradient(&q, input);
+        let gradient = self.gradient(&q, input, &wishes);
 
         // 8, 9, 11 with all joints; then anew, for what it lacks, without every joint that meets a position limit.
         let want = law::Want {

@@ -185,7 +185,7 @@ impl Oracle {
     }
 
     /// Line 9, first half: gradient of posture, joint limits and the caller's own (manipulability has its own test).
-    pub(super) fn gradient(&self, q: &Vector, input: &StepInput<'_>) -> Vector {
+    pub(super) fn gradient(&self, q: &Vector, input: &StepInput<'_>, wishes: &[Row]) -> Vector {
         let n = self.n();
         let rest = match (input.posture, &self.settings.posture) {
             (Some(p), _) => Vector::from_column_slice(p),
@@ -205,7 +205,13 @@ impl Oracle {
                 }
             }
         }
-        let share = share.max(0.0);
+        // As far as a push is felt: an axis that yields is off by d⁻ (at least 0.1 d⁺) or more, altogether from twice that on.
+        let felt = wishes.iter().zip(self.axes()).map(|(row, axis)| {
+            let (given, [low, high]) = (&self.settings.axes[axis], if axis < 3 { [0.01, 0.1] } else { [0.04, 0.4] });
+            let near = given.d_minus.unwrap_or(low).max(0.1 * given.d_plus.unwrap_or(high));
+            row.w * (row.e.abs() / near - 1.0).clamp(0.0, 1.0)
+        });
+        let share = 1.0 - (1.0 - share.max(0.0)) * felt.fold(0.0, f64::max);
         let mut out = Vector::zeros(n);
         for i in 0..n {
             let weight = share * self.settings.posture_weights.as_ref().map_or(1.0, |w| w[i]);
