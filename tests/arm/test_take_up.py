@@ -1,0 +1,61 @@
+"""Torque on with joints whose positions do not arrive."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import pliant
+
+START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
+
+
+class Hidden:
+    """A simulated so101 whose joints are silent from `when` to `until` [s] after torque on."""
+
+    def __init__(self, when, until, names=None):
+        self.arm = pliant.connect("so101", backend="sim", q=START, signals=False)
+        self.plant = self.arm.drive.plant
+        self.fastest, self.highest, self.start = 0.0, -np.inf, float(self.plant.tool[2, 3])
+        drive, clock, began = self.arm.drive, self.arm.clock, None
+        read, enable, advance = drive.read, drive.enable, clock._advance
+
+        def hidden():
+            sample = read()
+            if began is None or not when <= clock.now() - began < until:
+                return sample
+            lost = np.isin(drive.names, drive.names if names is None else names)
+            return dataclasses.replace(sample, ok=sample.ok & ~lost)
+
+        def enabled(*orders):
+            nonlocal began
+            began = clock.now()
+            enable(*orders)
+
+        def watched():
+            advance()
+            twist = self.plant.truth.frame("tool").twist()
+            self.fastest = max(self.fastest, float(np.linalg.norm(twist[:3])))
+            self.highest = max(self.highest, float(self.plant.tool[2, 3]))
+
+        drive.read, drive.enable, clock._advance = hidden, enabled, watched
+
+
+@pytest.mark.parametrize("names", [None, ["elbow_flex"]], ids=["all", "one"])
+@pytest.mark.parametrize("when", [0.0, 0.1, 0.5, 1.1])
+def test_silent_joints_keep_their_orders_and_are_named(when, names):
+    hidden = Hidden(when, np.inf, names)
+    with pytest.raises(pliant.ServoTimeout, match=r"no position of .*elbow_flex.* for 0\.5 s"):
+        hidden.arm.enable()
+    assert hidden.highest - hidden.start < 0.005  # [m] (.001; .2 when they were led on)
+    assert hidden.fastest < 0.1  # [m/s] (.03; 1.2)
+    hidden.arm.limp()
+
+
+def test_a_short_silence_only_delays():
+    hidden = Hidden(0.1, 0.4)
+    hidden.arm.enable()
+    assert np.isfinite(hidden.arm.leads[1:3]).all()
+    assert hidden.highest - hidden.start < 0.005  # [m]
+    assert hidden.fastest < 0.1  # [m/s]
+    hidden.arm.limp()
