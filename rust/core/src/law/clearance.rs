@@ -6,8 +6,9 @@
 
 use crate::JointVec;
 use crate::law::inverse::axes;
-use crate::number::Joints;
+use crate::number::{Arithmetic, Axes, Joints};
 use crate::plan::Plan;
+use crate::task::compliance::unit;
 use crate::task::wish::Wish;
 
 /// Room [rad] below which the posture lets go, at most; and as a share of the joint's range, for short ones.
@@ -18,9 +19,6 @@ const LEAST: f64 = 0.4;
 
 /// Share of that way after which it has let go altogether.
 const GONE: f64 = 0.5;
-
-/// Least deviation that counts as a push, as a share of the one at which compliance ends.
-const SMALLEST: f64 = 0.1;
 
 /// Room [rad or m] of each joint below which [`posture_share`] is not one.
 pub(crate) fn clearance(lower: &JointVec, upper: &JointVec) -> JointVec {
@@ -36,22 +34,17 @@ pub(crate) fn posture_share<J: Joints>(plan: &Plan, q: J, rest: J, wish: &Wish<J
     if !J::at_most(below, above).any_less(clear) {
         return 1.0;
     }
-    let missing = J::at_least(gone(below, rest - lower, clear), gone(above, upper - rest, clear));
-    1.0 - missing.largest().clamp(0.0, 1.0) * pushed::<J>(plan, wish)
+    let missing = J::at_least(gone(below, rest - lower, clear), gone(above, upper - rest, clear)).largest();
+    if missing > 0.0 { 1.0 - missing.min(1.0) * pushed(plan, wish) } else { 1.0 }
 }
 
 /// Whether a push is felt, from 0 to 1: 1 where an axis that yields is twice the deviation away at which its compliance
 /// begins to fall, 0 below that deviation.
-#[cold]
-#[inline(never)]
-fn pushed<J: Joints>(plan: &Plan, wish: &Wish<J::Axes>) -> f64 {
-    let (deviation, softness) = (axes(wish.deviation), axes(wish.softness));
-    let mut most = 0.0_f64;
-    for (r, row) in plan.rows.iter().enumerate().take(plan.k) {
-        let near = row.d_minus.max(SMALLEST * row.d_plus);
-        most = most.max(softness[r] * ((deviation[r].abs() - near) / near).clamp(0.0, 1.0));
-    }
-    most
+#[inline(always)]
+fn pushed<W: Axes<One: Arithmetic<Real = f64>>>(plan: &Plan, wish: &Wish<W>) -> f64 {
+    let slope = W::constant(&plan.lanes.push_slope);
+    let felt = unit::<W>(W::fma(W::abs(wish.deviation), slope, W::splat(-1.0))) * wish.softness;
+    axes(felt).into_iter().fold(0.0, f64::max)
 }
 
 /// Share of the posture that a stop takes away over whose distance `room` is left: none from where the posture itself is,

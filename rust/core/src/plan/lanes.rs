@@ -26,6 +26,8 @@ pub(crate) struct RowLanes {
     pub(crate) d_plus: AxisLanes,
     /// 1 / (d_plus − d_minus), 1 / (2 band): the step has no division for them.
     pub(crate) d_slope: AxisLanes,
+    /// 1 / deviation from which on a push is felt: d_minus, at least a tenth of d_plus.
+    pub(crate) push_slope: AxisLanes,
     pub(crate) band: AxisLanes,
     pub(crate) band_slope: AxisLanes,
     pub(crate) step_limit: AxisLanes,
@@ -63,6 +65,7 @@ impl RowLanes {
             eta: of(&|row| row.eta),
             d_plus: of(&|row| row.d_plus),
             d_slope: of(&|row| 1.0 / (row.d_plus - row.d_minus)),
+            push_slope: of(&|row| 1.0 / row.d_minus.max(0.1 * row.d_plus)),
             band: of(&|row| row.band),
             band_slope: of(&|row| 0.5 / row.band),
             step_limit: of(&|row| row.step_limit),
