@@ -16,7 +16,7 @@ from pliant.servo.emulator import Device, Emulator
 rustypot = pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
-HEAD = 'robot.builtin = "so101"\n[[port]]\npath = "{port}"\n[servo]\n'
+HEAD = 'robot.builtin = "so101"\nsettings.task = "xyz"\n[[port]]\npath = "{port}"\n[servo]\n'
 
 
 def toml(port, *, joints=JOINTS, model="STS3215-7.4V", more=""):

@@ -245,13 +245,13 @@ def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
     plant.reset(job.q)
     watch = Watch(job, plant)
     drive = SimDrive(plant, servos=model.servos.replace(kp_known=False))
+    arm = Arm(model, drive, grippers=assemble.jaws(configuration(job.arm)), signals=False)
     lead = _needed(model, np.asarray(job.q), truth.load) / plant.gains.kp
     goal = np.concatenate((job.q + lead, drive.read().position[model.n :]))
     drive.write(goal, np.asarray(drive.servos.torque))
     drive.clock.wait_until(plant.time + BEFORE)
     drive.clock.on_tick = lambda: watch.look(plant.steps)
-    jaws = assemble.jaws(configuration(job.arm))
-    yield Arm(model, drive, grippers=jaws, signals=False), watch
+    yield arm, watch
 
 
 @contextmanager
