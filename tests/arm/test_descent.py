@@ -8,8 +8,8 @@ from pliant.experiments import descent
 
 #: Runs of `descent.jobs` that always take place, by arm; odd ones over a table. `so101` 7 pressed
 #: with 11.4 N where 5 rest, 11 with 12.1, before the press was bounded by its force.
-RUNS = {"arm7": (0, 1, 3), "so101": (0, 2, 7, 11), "koch": (0, 3, 4)}
-#: What an arm may press with, where what comes to rest there is not heavier itself [N].
+RUNS = {"arm7": (0, 1, 3), "so101": (0, 1, 2, 5, 7, 11), "koch": (0, 3, 4)}
+#: Largest force of an arm on the table [N].
 FORCE = {"so101": 10.0, "koch": 10.0}
 LARGE = 15.0
 
@@ -23,10 +23,9 @@ def check(job, run):
     assert run.stir < 0.10
     assert run.rise < 0.015
     assert run.after < 0.10
-    if run.strain > 1.0:
-        pytest.xfail("on its way down the arm needs more torque than its servos have")
     assert run.speed < 0.20
     if job.over_table:
+        # Arm 7 with its load rests with 16.0 N in run 1: no descent presses with less than that.
         assert run.force < max(FORCE.get(job.arm, LARGE), run.resting)
     assert run.height > 0.0
 

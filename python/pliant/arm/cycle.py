@@ -162,14 +162,14 @@ class Cycle:
             self._rearm()
 
     def _rearm(self) -> None:
-        """Clear watchdogs and arm them anew; a bus that is silent for now is asked again later."""
+        """Clear tripped watchdogs and arm them again; retry later while the bus is silent."""
         self._heard = self.clock.now()
         with contextlib.suppress(ServoError):
             self.drive.watchdog(0.0)
             self.drive.watchdog(self._watchdog)
 
     def is_refused(self) -> bool:
-        """Whether a joint of the chain is known not to take goals: torque must not go off then."""
+        """Return True if a joint of the chain refuses goals; its torque must then stay on."""
         refusing = getattr(self.drive, "refusing", None)
         return refusing is not None and bool(np.any(np.asarray(refusing)[self.roster.chain]))
 

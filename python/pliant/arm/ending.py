@@ -1,4 +1,4 @@
-"""What is said while an arm is left: why, how far it is, and how it was left."""
+"""Messages while an arm is left: the reason, the progress and the final state."""
 
 from __future__ import annotations
 

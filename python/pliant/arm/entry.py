@@ -160,7 +160,7 @@ def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -
         clock.wait_until(now + 1.0 / rate)
         ok = cycle.sample()
         if not ok.all():
-            # What is not seen to sink or rise is neither given torque nor relieved of it.
+            # Without positions, sinking and rising cannot be told apart: keep goals and limits.
             if clock.now() - heard > SILENT:
                 raise ServoTimeout(
                     f"no position of {_named(cycle, ~ok)} for {SILENT:g} s while torque came "

@@ -71,5 +71,5 @@ def obstacle(
 
 
 def _name(model: Model, point: int) -> str:
-    """What a point of the arm is called."""
+    """Return the name of a point of the arm."""
     return "the tool" if point >= model.n else model.joint_names[point]

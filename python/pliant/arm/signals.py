@@ -60,7 +60,7 @@ class Signals:
 
     @property
     def installed(self) -> bool:
-        """Whether the registry has this arm."""
+        """Return True if this arm is registered."""
         return self in _REGISTRY.arms
 
     @property

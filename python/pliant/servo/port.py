@@ -157,7 +157,7 @@ class Port:
         return True
 
     def revive(self, devices: Iterable[Device]) -> None:
-        """Clear watchdogs that have tripped, and arm them again; what fails is tried next time.
+        """Clear tripped watchdogs and arm them again; retry a failed write in the next cycle.
 
         Raises:
             BusError: The port is gone.
