@@ -35,7 +35,7 @@ reactions = [
     ),
     Reaction(dragged & ~lifted, Hold()),
 ]
-watch = pliant.Watch(controller, reactions, contact=contact)
+monitor = pliant.ReactionMonitor(controller, reactions, contact=contact)
 print("\n".join(repr(reaction.when) for reaction in reactions))
 
 # 3. A hand lifts the tool with 10 N for a third of a second.
@@ -48,16 +48,16 @@ target = model.forward_kinematics(start)
 seconds = 4.0 if os.environ.get("PLIANT_SHORT") else 6.0
 for tick in range(round(seconds * plant.rate)):
     q = plant.read().q
-    command = controller.step(q, watch.update(q, target))  # watch first, then step
+    command = controller.step(q, monitor.update(q, target))  # watch first, then step
     plant.write(command.goal, command.torque_limit)
     plant.advance()
     if tick % 50 == 49:
         pushed, height = plant.hands[0].force[2], 1e3 * (plant.tool[2, 3] - target[2, 3])
-        state = "in force" if watch.active else "resuming" if watch.resuming else "free"
+        state = "in force" if monitor.active else "resuming" if monitor.resuming else "free"
         print(
             f"{plant.time:.1f} s: {contact.estimate.force[2]:+5.1f} N felt, {pushed:4.1f} N true,"
         )
         print(f"       tool {height:+5.1f} mm, {state}")
 
-for line in watch.log:
+for line in monitor.log:
     print(f"{line.time:.2f} s: {line.what} {line.reaction.when!r}")

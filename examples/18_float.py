@@ -25,7 +25,7 @@ for kp_scale in (0.5, 1.0, 2.0):
     arm = pliant.sim.Plant(model, kp_scale=kp_scale, count=count, deadband=deadband, scene=[hand])
     arm.reset(START)
 
-    floating = pliant.Float(model, table)  # the one line; then step(q) at every tick
+    floating = pliant.HandGuiding(model, table)  # the one line; then step(q) at every tick
     places, forces, ready = [], [], 0
     while arm.time < 11.0 + 2.0 * SECONDS:
         command = floating.step(arm.read().q)

@@ -29,7 +29,7 @@ with arm:  # torque on: limits, goals, torque, then a ramp of half a second
         try:
             command = controller.step(tick.q, target, dt=tick.dt)
         except pliant.LimitError:
-            tick.hold()  # goal and limits stay; without this line the error would lower the arm
+            tick.skip()  # goal and limits stay; without this line the error would lower the arm
         else:
             tick.write(command)
 

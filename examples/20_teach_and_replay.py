@@ -69,5 +69,5 @@ with contextlib.ExitStack() as stack:
     print(f"off the end: {1e3 * np.linalg.norm(arm.drive.plant.tool[:3, 3] - goal):.1f} mm")
 
 if recorder is not None:
-    again = pliant.log.rerun(pliant.log.read(recorder.path))
+    again = pliant.log.verify(pliant.log.read(recorder.path))
     print(f"run again from the log: {again.steps} commands, all the same: {again.same}")

@@ -58,7 +58,7 @@ def build(gap, run):
         run()
     for arm in gap.consumers:
         if isinstance(arm, Arm):
-            arm.limp()
+            arm.disable_torque()
 
 
 def plant(**differs):

@@ -54,7 +54,7 @@ CORE = {
     "controller": ("Controller", "Controller Command BatchState Report check Check Finding"),
     "settings": ("Settings", "Settings Task Axis Servos"),
     "contact": ("Contact", "Contact WrenchEstimate"),
-    "loop": ("Arm and loop", "connect Loop Float"),
+    "loop": ("Arm and loop", "connect Loop HandGuiding"),
     "mathematics": (
         "Mathematics",
         "damped_pseudo_inverse null_space_projector responsibility activation compliance "

@@ -69,10 +69,10 @@ if TYPE_CHECKING:
     from pliant import sim as sim
     from pliant import teach as teach
     from pliant.arm.connect import connect as connect
-    from pliant.identify.floating import Float as Float
+    from pliant.identify.hand_guiding import HandGuiding as HandGuiding
     from pliant.loop import Loop as Loop
     from pliant.reactions import Reaction as Reaction
-    from pliant.reactions import Watch as Watch
+    from pliant.reactions import ReactionMonitor as ReactionMonitor
 
 __all__ = [
     "Axis",
@@ -83,7 +83,7 @@ __all__ = [
     "Contact",
     "Controller",
     "Finding",
-    "Float",
+    "HandGuiding",
     "FrameNotFound",
     "IkSolution",
     "Inertial",
@@ -106,7 +106,7 @@ __all__ = [
     "ShapeError",
     "Task",
     "UrdfError",
-    "Watch",
+    "ReactionMonitor",
     "WrenchEstimate",
     "__version__",
     "activation",
@@ -138,10 +138,10 @@ _PARTS = (
 )
 #: Names that live in one of them.
 _NAMES = {
-    "Float": "pliant.identify.floating",
+    "HandGuiding": "pliant.identify.hand_guiding",
     "Loop": "pliant.loop",
     "Reaction": "pliant.reactions",
-    "Watch": "pliant.reactions",
+    "ReactionMonitor": "pliant.reactions",
     "connect": "pliant.arm.connect",
 }
 

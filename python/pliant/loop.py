@@ -93,7 +93,7 @@ class Tick:
         self.answered = self._loop._write(self, command, extra)
         return self.answered
 
-    def hold(self) -> None:
+    def skip(self) -> None:
         """Keep goal and limits on purpose, for as long as it is said at every tick."""
         self.answered = True
 
@@ -103,10 +103,11 @@ class Loop:
 
     A tick is given out only with new positions of all joints. Goals and limits stay as they are
     while positions do not arrive, while commands are missing or not finite, and while the program
-    does not come back; after `arm.hold_for` of that the loop raises, and the arm's `with` lowers
-    it. A controller that had to wait more than 0.25 s is reset to where the arm is, and limits rise
-    again within 0.5 s. Where a program does not come back for `hold_for` or `stall`, whichever is
-    longer, and a period and 0.1 s more, a thread brings an arm in real time down in its place.
+    does not come back; after `arm.comm_timeout` of that the loop raises, and the arm's `with`
+    lowers it. A controller that had to wait more than 0.25 s is reset to where the arm is, and
+    limits rise again within 0.5 s. Where a program does not come back for the longer of
+    `comm_timeout` and `max_step_time`, and a period and 0.1 s more, a thread lowers an arm in real
+    time in its place.
 
     Args:
         arm: The arm, enabled.
@@ -114,7 +115,8 @@ class Loop:
             when it must start anew. None: nothing to set or reset.
         rate: Ticks per second [Hz], at least 1; None: the controller's, or the arm's.
         duration: Ends the loop [s]; None: never.
-        stall: Longest time that one turn of the program may take [s]; None: `arm.hold_for`.
+        max_step_time: Longest time that one turn of the program may take [s]; None:
+            `arm.comm_timeout`.
 
     Attributes:
         period: [s].
@@ -145,7 +147,7 @@ class Loop:
         *,
         rate: float | None = None,
         duration: float | None = None,
-        stall: float | None = None,
+        max_step_time: float | None = None,
     ) -> None:
         """Check that it can run."""
         if not hasattr(arm, "clock"):
@@ -161,7 +163,7 @@ class Loop:
         rate = real(wanted if rate is None else rate, "rate")
         if not LOWEST <= rate < math.inf:
             raise ConfigError(f"rate must be {LOWEST:g} Hz or more, got {rate!r}")
-        for name, time in (("duration", duration), ("stall", stall)):
+        for name, time in (("duration", duration), ("max_step_time", max_step_time)):
             if time is not None and not real(time, name) >= 0.0:
                 raise ConfigError(f"{name} must be 0 s or more, or None, got {time!r}")
         self.period = 1.0 / rate
@@ -172,9 +174,9 @@ class Loop:
                 f"ticks per second: connect(..., rate={rate:g})"
             )
         self._arm, self._controller, self._duration = arm, controller, duration
-        self._stall = arm.hold_for if stall is None else float(stall)
+        self._max_step_time = arm.comm_timeout if max_step_time is None else float(max_step_time)
         self.lateness = Lateness()
-        self.missed = self.stale = self.refused = self.restarts = 0
+        self.missed = self.missing = self.rejected = self.restarts = 0
         self.delay: float | None = None
         self._told: float | None = None
         self._check: Callable[[], None] = _never
@@ -184,7 +186,7 @@ class Loop:
         """Wait, read, give out a tick; again."""
         if not self._arm.enabled:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
-        patience = max(self._stall, self._arm.hold_for) + self.period + GRACE
+        patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
         with self._arm.watched(patience) as self._check:
             yield from self._turns()
 
@@ -214,20 +216,20 @@ class Loop:
                 self._check()
                 index += 1
                 done = clock.now()
-                if done - now > self._stall:
+                if done - now > self._max_step_time:
                     raise ServoTimeout(
-                        f"the program did not come back for {done - now:.2f} s (stall allows "
-                        f"{self._stall:g} s); the servos held meanwhile"
+                        f"the program did not come back for {done - now:.2f} s (max_step_time "
+                        f"allows {self._max_step_time:g} s); the servos held meanwhile"
                     )
                 commanded = now if tick.answered else commanded
-                if now - commanded > arm.hold_for:
+                if now - commanded > arm.comm_timeout:
                     raise ServoTimeout(
                         f"no command could be sent for {now - commanded:.2f} s: every tick needs "
-                        "tick.write(command) with finite numbers, or tick.hold()"
+                        "tick.write(command) with finite numbers, or tick.skip()"
                     )
             else:
-                self.stale += 1
-                self._wait_no_longer_than(state, arm.hold_for)
+                self.missing += 1
+                self._wait_no_longer_than(state, arm.comm_timeout)
                 # A turn without positions is none in which a command could have been sent.
                 commanded += now - before
             before = now
@@ -293,7 +295,7 @@ class Loop:
         limit = vector(model, command.torque_limit, "limit", finite=False)
         old = clock.now() - tick.began > max(STALE_PERIODS * self.period, STALE)
         if old or not (np.isfinite(goal).all() and np.isfinite(limit).all()):
-            self.refused += 1
+            self.rejected += 1
             return False
         speed = command.velocity if isinstance(command, Command) else None
         self._arm.write(goal, limit, extra, lead=speed is not None, velocity=speed)

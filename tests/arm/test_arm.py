@@ -5,7 +5,7 @@ import pytest
 from mismatch import Mismatch, Parameters
 
 import pliant
-from pliant.arm import Arm, Jaw
+from pliant.arm import Arm, GripperConfig
 from pliant.arm.simulated import SimDrive
 from pliant.sim import Plant
 
@@ -34,7 +34,7 @@ def test_an_arm_without_torque_gets_goals_where_its_joints_are(make, grasp):
     assert arm.drive.diary[-1][0] == "watchdog"
     _, goal, _ = next(entry for entry in arm.drive.diary if entry[0] == "enable")
     assert goal == pytest.approx(q)
-    arm.limp()
+    arm.disable_torque()
 
 
 def test_a_watchdog_that_may_have_tripped_is_cleared_before_anything_is_sent(make):
@@ -47,7 +47,7 @@ def test_a_watchdog_that_may_have_tripped_is_cleared_before_anything_is_sent(mak
     assert arm.drive.diary[before][:2] == ("watchdog", 0.0)
     assert arm.drive.diary[before + 1][:2] == ("watchdog", 0.2)
     assert [verb for verb, *_ in arm.drive.diary[before + 2 :]] == ["write"]
-    arm.hold()
+    arm.leave_enabled()
 
 
 def test_taking_over_does_not_let_the_tool_dip(make):
@@ -55,7 +55,7 @@ def test_taking_over_does_not_let_the_tool_dip(make):
     height = arm.drive.plant.tool[2, 3]
     arm.enable()
     assert abs(arm.drive.plant.tool[2, 3] - height) < 1e-3
-    arm.hold()
+    arm.leave_enabled()
 
 
 def test_limits_rise_and_never_exceed_what_was_asked(make):
@@ -71,7 +71,7 @@ def test_limits_rise_and_never_exceed_what_was_asked(make):
     assert arm.drive.diary[-1][2] == pytest.approx(torque)
     arm.write(q, 0.0 * torque)
     assert arm.drive.diary[-1][2] == pytest.approx(0.0 * torque)
-    arm.hold()
+    arm.leave_enabled()
 
 
 def test_goals_stay_within_position_limits_and_what_the_weight_needs(make):
@@ -81,7 +81,7 @@ def test_goals_stay_within_position_limits_and_what_the_weight_needs(make):
         lead = np.abs(arm.model.gravity(arm.read().q)) / np.asarray(arm.servos.kp)
         assert np.all(arm.drive.diary[-1][1] <= arm.model.upper + lead + 1e-9)
         assert np.all(arm.drive.diary[-1][1] >= arm.model.upper - 1e-9)
-        arm.hold()
+        arm.leave_enabled()
 
 
 def test_what_cannot_be_sent_is_not(make, grasp):
@@ -101,7 +101,7 @@ def test_what_cannot_be_sent_is_not(make, grasp):
         with pytest.raises(pliant.ConfigError, match="no joint 'claw' off the chain"):
             arm.write(grasp, None, {"claw": (0.0, 1.0)})
         assert len(arm.drive.diary) == before
-        arm.hold()
+        arm.leave_enabled()
 
 
 def test_an_exception_lowers_and_stays_the_error(make):
@@ -120,12 +120,12 @@ def test_an_exception_lowers_and_stays_the_error(make):
 
 def test_hold_leaves_torque_on(make, grasp):
     with make() as arm:
-        arm.hold()
+        arm.leave_enabled()
     assert arm.drive.enabled.all()
     assert "disable" not in arm.drive.verbs()
     arm.drive.clock.wait_until(arm.clock.now() + 2.0)
     assert np.abs(arm.drive.plant.q - grasp).max() < 0.01
-    with make(exit="hold") as arm:
+    with make(on_exit="leave_enabled") as arm:
         pass
     assert arm.drive.enabled.all()
 
@@ -133,7 +133,7 @@ def test_hold_leaves_torque_on(make, grasp):
 def test_limp_is_torque_off_at_once(make):
     with make() as arm:
         before = arm.clock.now()
-        arm.limp()
+        arm.disable_torque()
         assert arm.clock.now() == before
     assert not arm.drive.enabled.any()
 
@@ -194,7 +194,7 @@ def test_a_joint_that_is_believed_outside_its_limits_gets_no_torque(make, grasp,
     if starts:  # one that lies on its stop
         arm.enable()
         assert arm.read().q[3] == (high if way > 0.0 else low) + way
-        arm.limp()
+        arm.disable_torque()
         return
     said = (
         rf"elbow_pitch stands at {high + way:.2f} rad, outside its {low:.2f} to {high:.2f}.*doctor"
@@ -211,11 +211,11 @@ def test_an_arm_that_was_dropped_starts_from_where_it_lies(make, robot):
     upper = np.asarray(arm.model.upper)
     arm.drive.plant.reset(np.where(np.isfinite(upper), 0.9 * upper, 0.0))
     arm.enable()
-    arm.limp()
+    arm.disable_torque()
     arm.clock.wait_until(arm.clock.now() + 2.0)
     arm.enable()
     assert arm.enabled
-    arm.limp()
+    arm.disable_torque()
 
 
 def test_readings_that_cannot_be_true_grow_old(make):
@@ -234,11 +234,11 @@ def test_readings_that_cannot_be_true_grow_old(make):
     arm.clock.wait_until(arm.clock.now() + 0.01)
     assert not arm.read().fresh
     assert arm.counters["jumps"] > 0
-    arm.hold()
+    arm.leave_enabled()
 
 
 def test_a_gripper_holds_on_while_the_arm_comes_down(make):
-    arm = make(q=None, robot="so101", grippers={"gripper": Jaw(lever=0.05)})
+    arm = make(q=None, robot="so101", grippers={"gripper": GripperConfig(lever=0.05)})
     with arm:
         gripper = arm.gripper
         assert gripper.limit == pytest.approx(0.3 * gripper.largest)
@@ -266,15 +266,15 @@ def test_an_arm_says_what_does_not_fit(make):
     with pytest.raises(pliant.ConfigError, match="no servo is named shoulder_pitch"):
         Arm(model, drive)
     with pytest.raises(pliant.ConfigError, match="no joint 'claw' off the chain"):
-        make(grippers={"claw": Jaw()})
+        make(grippers={"claw": GripperConfig()})
     with pytest.raises(pliant.ConfigError, match="exit must be"):
-        make(exit="limp")
+        make(on_exit="disable_torque")
     with pytest.raises(pliant.ConfigError, match="needs one joint off the chain"):
         _ = make().gripper
 
 
 def test_connect_by_name_and_by_parts():
-    arm = pliant.connect("sim:so101", rate=200.0, rest=np.zeros(5))
+    arm = pliant.connect("sim:so101", rate=200.0, rest_q=np.zeros(5))
     assert (arm.model.n, arm.rate, arm.clock.period) == (5, 200.0, 0.005)
     assert pliant.connect({"kind": "sim", "robot": "koch"}).model.n == 5
     assert pliant.connect("so101", backend="sim", rate=50.0).rate == 50.0
@@ -294,11 +294,11 @@ def test_a_misspelt_option_is_named_before_a_port_is_looked_for():
     model = pliant.robots.koch()
     for wrong, near in (
         (lambda: pliant.connect("so101", backned="sim"), "'backned' here; did you mean 'backend'"),
-        (lambda: pliant.connect("sim:so101", exti="hold"), "did you mean 'exit'"),
-        (lambda: pliant.connect("so101", exti="hold"), "did you mean 'exit'"),
-        (lambda: pliant.connect(pliant.config.load("so101"), exti="hold"), "did you mean 'exit'"),
-        (lambda: pliant.config.load("so101").arm(exti="hold"), "did you mean 'exit'"),
-        (lambda: pliant.connect(model, object(), exti="hold"), "did you mean 'exit'"),
+        (lambda: pliant.connect("sim:so101", on_exti="leave_enabled"), "did you mean 'on_exit'"),
+        (lambda: pliant.connect("so101", on_exti="leave_enabled"), "did you mean 'on_exit'"),
+        (lambda: pliant.connect(pliant.config.load("so101"), on_exti="leave_enabled"), "did you mean 'on_exit'"),
+        (lambda: pliant.config.load("so101").arm(on_exti="leave_enabled"), "did you mean 'on_exit'"),
+        (lambda: pliant.connect(model, object(), on_exti="leave_enabled"), "did you mean 'on_exit'"),
         (lambda: pliant.connect("so101", q=[0.0] * 5), "'q' is an option of a simulated arm"),
     ):
         with pytest.raises(pliant.ConfigError, match=near):
@@ -306,8 +306,8 @@ def test_a_misspelt_option_is_named_before_a_port_is_looked_for():
 
 
 def test_degrees_are_refused_before_anything_is_sent():
-    with pytest.raises(pliant.LimitError, match=r"rest: .*degrees"):
-        pliant.connect("sim:so101", rest=[0, -90, 90, 40, 0])
+    with pytest.raises(pliant.LimitError, match=r"rest_q: .*degrees"):
+        pliant.connect("sim:so101", rest_q=[0, -90, 90, 40, 0])
     with pliant.connect("sim:so101", signals=False) as arm:
         goal = arm.read().q.copy()
         goal[1] = -90.0
@@ -315,7 +315,7 @@ def test_degrees_are_refused_before_anything_is_sent():
             arm.write(goal, np.ones(5))
         with pytest.raises(pliant.LimitError, match="pose: "):
             arm.park(goal)
-        arm.limp()
+        arm.disable_torque()
 
 
 def test_what_is_made_from_the_model_believes_the_arms_servos():

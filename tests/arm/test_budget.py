@@ -66,7 +66,7 @@ def test_limits_of_an_arm_come_down_with_its_heat_but_carry_its_weight(make):
             weight = 1.1 * np.abs(arm.model.gravity(q))
             assert sent == pytest.approx(np.maximum(share * torque, weight))
         assert set(arm.heat.values()) == {1.1}
-        arm.hold()
+        arm.leave_enabled()
 
 
 def test_a_servo_that_reports_a_fault_ends_the_loop(make):
@@ -76,4 +76,4 @@ def test_a_servo_that_reports_a_fault_ends_the_loop(make):
     assert arm.read().voltage[3] == 11.1
     with pytest.raises(pliant.ServoFault, match="overload"):
         next(iter(pliant.Loop(arm)))
-    arm.hold()
+    arm.leave_enabled()

@@ -10,7 +10,7 @@ pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra s
 
 import pliant
 from pliant.log import Recorder, read
-from pliant.reactions import Call, Force, Reaction, Watch
+from pliant.reactions import Call, Force, Reaction, ReactionMonitor
 
 from .test_over_bytes import arm_over_bytes
 
@@ -19,7 +19,7 @@ START = np.array([0.0, -0.3, 0.3, 0.9, 0.0])
 
 @contextmanager
 def simulated():
-    with pliant.connect("sim:so101", q=START, exit="hold") as arm:
+    with pliant.connect("sim:so101", q=START, on_exit="leave_enabled") as arm:
         yield arm
 
 
@@ -29,7 +29,7 @@ def over_bytes():
         bus.advance(37.0)  # the servos have been on for a while
         with arm:
             yield arm
-            arm.hold()
+            arm.leave_enabled()
 
 
 @pytest.mark.parametrize("backend", [simulated, over_bytes])
@@ -39,7 +39,7 @@ def test_time_begins_with_the_loop(backend, tmp_path):
         controller = pliant.Controller(
             arm.model, pliant.Settings.firm(task="xyz").replace(rate=50.0), arm.servos
         )
-        watch = Watch(controller, [Reaction(Force("z", above=90.0), Call(called.append))])
+        watch = ReactionMonitor(controller, [Reaction(Force("z", above=90.0), Call(called.append))])
         arm.clock.wait_until(arm.clock.now() + 0.7)  # the program does something else before
         with Recorder(tmp_path / "run.mcap", arm, controller) as recorder:
             ticks, watched, began = [], [], []
@@ -55,7 +55,7 @@ def test_time_begins_with_the_loop(backend, tmp_path):
                 began.append(tick.began)
                 watched.append(watch._time)
             again = next(iter(pliant.Loop(arm, controller, rate=50.0)))
-            again.hold()
+            again.skip()
     assert ticks[0] == 0.0
     assert again.time == 0.0
     assert np.allclose(np.diff(ticks), np.diff(began))

@@ -133,9 +133,9 @@ def test_a_stalled_program_is_lowered_whatever_became_of_the_reader(kind):
                     time.sleep(0.01)
                 report()
                 os._exit(0)
-            with connect(real_time=True, hold_for=0.1, dt=0.005):
+            with connect(real_time=True, comm_timeout=0.1, dt=0.005):
                 for tick in pliant.Loop(arm):
-                    tick.hold()
+                    tick.skip()
                     if tick.index == 5:
                         wait()
             """,
@@ -146,7 +146,7 @@ def test_a_stalled_program_is_lowered_whatever_became_of_the_reader(kind):
 
 def test_a_program_that_blocks_after_ctrl_c_is_lowered():
     said, complained, _ = run("""
-        with connect(real_time=True, hold_for=0.1, dt=0.005):
+        with connect(real_time=True, comm_timeout=0.1, dt=0.005):
             def look():
                 while arm.enabled:
                     time.sleep(0.01)
@@ -156,7 +156,7 @@ def test_a_program_that_blocks_after_ctrl_c_is_lowered():
             try:
                 arm.drive.read, read = lambda: (kill("SIGINT"), read())[1], arm.drive.read
                 for tick in pliant.Loop(arm):
-                    tick.hold()
+                    tick.skip()
             finally:
                 threading.Event().wait()  # as a terminal that is stopped blocks a print
     """)
@@ -242,7 +242,7 @@ def test_an_interrupt_is_neither_buried_nor_swallowed():
             with connect() as arm:
                 arm.drive.read, read = lambda: (kill("SIGINT"), read())[1], arm.drive.read
                 for tick in pliant.Loop(arm):
-                    tick.hold()
+                    tick.skip()
         try:
             step()
         finally:

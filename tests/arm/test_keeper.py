@@ -44,7 +44,7 @@ def test_nobody_is_watched_outside_a_loop_or_in_simulated_time(make, grasp):
     before = threading.active_count()
     with make() as arm:
         for tick in pliant.Loop(arm, duration=0.05):
-            tick.hold()
+            tick.skip()
             assert threading.active_count() == before
     keeper = Keeper(lambda: None)
     with keeper.watched(10.0):
@@ -106,7 +106,7 @@ def test_an_exit_waits_for_a_descent_and_limp_ends_it():
 
 @pytest.mark.parametrize("busy", [True, pytest.param(False, marks=pytest.mark.full)])
 def test_an_arm_in_real_time_comes_down_without_its_program(busy):
-    arm = pliant.connect("sim:koch", real_time=True, hold_for=0.1, dt=0.005, signals=False)
+    arm = pliant.connect("sim:koch", real_time=True, comm_timeout=0.1, dt=0.005, signals=False)
     plant, speeds = arm.drive.plant, []
     arm.open()
     plant.reset(np.array([0.0, 0.3, -0.3, 0.3, 0.0]))
@@ -115,7 +115,7 @@ def test_an_arm_in_real_time_comes_down_without_its_program(busy):
     def run():
         with arm:
             for tick in pliant.Loop(arm):
-                tick.hold()
+                tick.skip()
                 if tick.index == 5:
                     arm.clock.on_tick = lambda: speeds.append(
                         np.linalg.norm(plant.truth.frame("tool").twist()[:3])

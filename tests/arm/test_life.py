@@ -99,7 +99,7 @@ class Life(RuleBasedStateMachine):
         self.arms[index].enable()
         self.on[index] = True
 
-    @rule(data=st.data(), verb=st.sampled_from(["hold", "limp", "close"]))
+    @rule(data=st.data(), verb=st.sampled_from(["leave_enabled", "disable_torque", "close"]))
     def leave(self, data, verb):
         index = self.which(data)
         getattr(self.arms[index], verb)()
@@ -228,7 +228,7 @@ def test_a_handler_that_a_program_puts_back_later_acts_as_the_former_one():
         arm = pliant.connect("sim:koch", q=LOW)
         arm.enable()
         ours = signal.signal(signal.SIGTERM, lambda *_: heard.append("program"))
-        arm.hold()
+        arm.leave_enabled()
         signal.raise_signal(signal.SIGTERM)
         signal.signal(signal.SIGTERM, ours)
         signal.raise_signal(signal.SIGTERM)

@@ -18,7 +18,7 @@ def running(make, grasp):
     controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
     arm.enable()
     yield arm, controller, arm.model.forward_kinematics(grasp)
-    arm.hold()
+    arm.leave_enabled()
 
 
 def test_a_tick_per_period_with_its_time_and_delay(running):
@@ -33,7 +33,7 @@ def test_a_tick_per_period_with_its_time_and_delay(running):
     assert dt == pytest.approx(0.01)
     assert list(index) == list(range(100))
     assert loop.delay == pytest.approx(0.02)
-    assert (loop.missed, loop.stale, loop.refused, loop.restarts) == (0, 0, 0, 0)
+    assert (loop.missed, loop.missing, loop.rejected, loop.restarts) == (0, 0, 0, 0)
     assert len(loop.lateness) == 100
 
 
@@ -71,10 +71,10 @@ def test_a_command_from_old_positions_is_not_sent(running):
             sent = len(arm.drive.diary)
             assert not tick.write(command)
             assert len(arm.drive.diary) == sent
-            tick.hold()
+            tick.skip()
         else:
             assert tick.write(command)
-    assert (loop.refused, loop.restarts) == (1, 1)
+    assert (loop.rejected, loop.restarts) == (1, 1)
 
 
 def test_commands_that_are_not_finite_hold_for_a_while_then_end_the_loop(running):
@@ -111,7 +111,7 @@ def test_a_loop_says_what_it_was_given(make):
     with pytest.raises(TypeError, match=r"arm must be an Arm, .*got None \(NoneType\)"):
         pliant.Loop(None, None, rate=0.0)
     for wrong, said in ((-1.0, "must be 0 s or more"), ("2", "must be a number, got '2'")):
-        for name in ("duration", "stall"):
+        for name in ("duration", "max_step_time"):
             with pytest.raises(pliant.ConfigError, match=f"{name} {said}"):
                 pliant.Loop(make(), **{name: wrong})
 
@@ -119,7 +119,7 @@ def test_a_loop_says_what_it_was_given(make):
 def test_leaving_the_loop_lowers(make):
     with make() as arm:
         for tick in pliant.Loop(arm):
-            tick.hold()
+            tick.skip()
             if tick.index == 3:
                 break
     assert not arm.enabled
@@ -138,10 +138,10 @@ def test_other_threads_run_while_the_loop_waits():
 
     worker = threading.Thread(target=work)
     worker.start()
-    ticks = sum(1 for tick in pliant.Loop(arm, duration=0.3) if not tick.hold())
+    ticks = sum(1 for tick in pliant.Loop(arm, duration=0.3) if not tick.skip())
     stop.set()
     worker.join()
-    arm.hold()
+    arm.leave_enabled()
     assert ticks > 0
     assert count[0] > ticks
 
@@ -164,8 +164,8 @@ def test_lateness_is_bounded_and_right_within_a_bin():
 EXPECTED = {
     "Ctrl-C, or any exception": ("is lowered", 0.01, 0.18),
     "the program stalls for 1 s": ("is lowered", 0.01, 0.18),
-    "the same, `Loop(stall=2.0)`": ("goes on", 0.01, 0.18),
-    "target NaN for 1 s, caught: `tick.hold()`": ("goes on", 0.01, 0.18),
+    "the same, `Loop(max_step_time=2.0)`": ("goes on", 0.01, 0.18),
+    "target NaN for 1 s, caught: `tick.skip()`": ("goes on", 0.01, 0.18),
     "no command for 1 s": ("is lowered", 0.01, 0.18),
     "no positions for 0.3 s": ("goes on", 0.01, 0.18),
     "no positions for 1 s": ("is lowered", 0.01, 0.18),
@@ -175,7 +175,7 @@ EXPECTED = {
 
 
 #: These always run.
-SHORT = {"the same, `Loop(stall=2.0)`", "no positions for 1 s", "elbow does not answer any more"}
+SHORT = {"the same, `Loop(max_step_time=2.0)`", "no positions for 1 s", "elbow does not answer any more"}
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def test_lost_readings_do_not_forgive_missing_commands():
         loop = pliant.Loop(arm, rate=100.0, duration=5.0)
         with pytest.raises(pliant.ServoTimeout, match="no command could be sent"):
             list(loop)
-        assert loop.stale > 0
+        assert loop.missing > 0
 
 
 def test_a_controllers_goals_may_lead_beyond_the_limits(make):
@@ -223,4 +223,4 @@ def test_a_controllers_goals_may_lead_beyond_the_limits(make):
             assert np.all(arm.drive.diary[-1][1] <= upper + np.maximum(gravity, 0.0) + 1e-9)
             arm.write(goal, np.ones(arm.model.n), lead=True)
             assert arm.drive.diary[-1][1] == pytest.approx(goal)
-            tick.hold()
+            tick.skip()

@@ -55,7 +55,7 @@ def test_small_arms(robot):
 
 def test_goes_to_a_rest_pose_first(make):
     rest = np.array((-0.4, -0.1, 0.0, -0.8, 0.0, 0.0, 0.0))
-    arm = make(rest=rest)
+    arm = make(rest_q=rest)
     nearest = []
     with arm:
         arm.drive.clock.on_tick = lambda: nearest.append(np.abs(arm.drive.plant.q - rest).max())

@@ -13,7 +13,7 @@ import pliant
 from pliant.arm import Arm
 from pliant.experiments import bus_lower
 from pliant.experiments.lifecycle import LOAD
-from pliant.servo import ServoChain, ServoSpec
+from pliant.servo import ServoBus, ServoSpec
 from pliant.servo.emulator import Mount, emulate
 
 #: A unit of the speed registers [rad/s].
@@ -54,7 +54,7 @@ def arm_over_bytes(family, q, clock="steps", plant=None, *, zero=None, patience=
             ServoSpec(name=n, model=model or device, id=k, port=bus.port, zero=(zero or {}).get(n))
             for k, n in enumerate(names, 1)
         ]
-        chain = ServoChain(specs, patience=patience, clock=Steps(bus) if clock == "steps" else None)
+        chain = ServoBus(specs, patience=patience, clock=Steps(bus) if clock == "steps" else None)
         yield bus, Arm(chain_model, chain, signals=False, **options)
 
 
@@ -76,7 +76,7 @@ def test_a_joint_whose_zero_is_far_off_gets_no_torque(counts, starts):
             arm.enable()
             off = arm.read().q[2] - bus.plant.q[2]
             assert off == pytest.approx(-counts * STEP, abs=2 * STEP)
-            arm.limp()
+            arm.disable_torque()
         else:
             with pytest.raises(pliant.ServoError, match=r"elbow_flex stands at -2\.3.*by hand"):
                 arm.enable()
@@ -103,14 +103,14 @@ def test_enabled_in_order_controlled_and_held(family):
         assert np.all(speeds <= command.velocity)
         assert speeds == pytest.approx(command.velocity, abs=unit)
         arm.gripper.open()
-        arm.hold()
+        arm.leave_enabled()
         arm.close()
         for k in range(1, 7):
             order = bus.log.order(k)
             assert order[:3] == ["limit", "goal", "torque on"]
             assert "torque off" not in order
         assert not bus.log.eeprom_writes()
-        assert (loop.missed, loop.stale, loop.refused) == (0, 0, 0)
+        assert (loop.missed, loop.missing, loop.rejected) == (0, 0, 0)
         assert np.linalg.norm(bus.plant.tool[:3, 3] - start) < 0.01
 
 
@@ -165,7 +165,7 @@ def enabled_with_old_goals(family, lost=0):
         bus.lines["main"].faults.chance = chance
         bus.world.physics.step = watched
         arm.enable()
-        arm.limp()
+        arm.disable_torque()
         arm.close()
         goals = [
             number
@@ -229,13 +229,13 @@ def test_torque_does_not_go_off_where_servos_refuse_the_way_down(cleared, monkey
 
 @pytest.mark.full
 def test_lowered_in_the_place_of_a_program_that_computes_for_ever():
-    with arm_over_bytes("x", [0.0, 0.2, 0.0, 0.2, 0.0], clock="real", hold_for=0.3) as (bus, arm):
+    with arm_over_bytes("x", [0.0, 0.2, 0.0, 0.2, 0.0], clock="real", comm_timeout=0.3) as (bus, arm):
         height, rounds = bus.plant.tool[2, 3], 0
 
         def run():
             nonlocal rounds
             for tick in pliant.Loop(arm):
-                tick.hold()
+                tick.skip()
                 while tick.index == 5 and arm.enabled:
                     rounds += 1
 
@@ -263,7 +263,7 @@ def test_a_load_that_nobody_told_of_sinks_and_is_brought_back_slowly(monkeypatch
 
         monkeypatch.setattr(bus.world.physics, "step", watched)
         arm.enable()
-        arm.limp()
+        arm.disable_torque()
     height, speed = np.array(tools).T
     assert height[0] - height.min() > 0.01, "it was put to the test"
     assert speed.max() < 0.08

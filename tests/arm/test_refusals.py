@@ -21,11 +21,11 @@ def test_limits_below_the_weight_are_sent_and_said_once(make, grasp, share):
     weight = np.abs(arm.model.gravity(grasp))
     with arm:
         write_for(arm, share * weight, 0.15)
-        with pytest.warns(RuntimeWarning, match=r"may exert .* N·m, and this pose needs .*limp"):
+        with pytest.warns(RuntimeWarning, match=r"may exert .* N·m, and this pose needs .*disable_torque"):
             write_for(arm, share * weight, 0.4)
         assert arm.drive.diary[-1][2] == pytest.approx(share * weight)
         write_for(arm, share * weight)
-        arm.limp()
+        arm.disable_torque()
 
 
 def test_limits_that_carry_the_weight_and_a_controllers_are_not_warned_of(make, grasp):
@@ -44,7 +44,7 @@ def test_limits_that_carry_the_weight_and_a_controllers_are_not_warned_of(make, 
             tick.write(command)
             low.append((command.torque_limit < 0.5 * weight).any())
         assert any(low)
-        arm.limp()
+        arm.disable_torque()
 
 
 def test_an_argument_of_another_kind_is_named(make, grasp):
@@ -52,7 +52,7 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
         (lambda: make(budget=5), TypeError, r"budget must be a Budget.*got 5 \(int\)"),
         (lambda: make(budget=0), TypeError, r"budget must be a Budget.*got 0 \(int\)"),
         (lambda: make(grippers=5), TypeError, r"grippers must be a mapping, as .*got 5 \(int\)"),
-        (lambda: make(grippers={"a": 5}), TypeError, r"grippers\['a'\] must be a Jaw, .*got 5"),
+        (lambda: make(grippers={"a": 5}), TypeError, r"grippers\['a'\] must be a GripperConfig, .*got 5"),
         (lambda: pliant.Loop(make(), 5), TypeError, r"controller must be .*got 5 \(int\)"),
     ):
         with pytest.raises(error, match=said):
@@ -91,16 +91,16 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
             with pytest.raises(pliant.ShapeError, match="goal must be 5 real numbers"):
                 tick.write(SimpleNamespace(goal=q < 9.0, torque_limit=q))
             break
-        arm.limp()
+        arm.disable_torque()
 
 
 @pytest.mark.parametrize(
     ("option", "value", "said"),
     [
-        ("hold_for", np.inf, "hold_for must be above 0 s and at most 60 s, got inf"),
-        ("hold_for", 1e9, "at most 60 s, got 1e[+]09"),
-        ("hold_for", np.nan, "at most 60 s, got nan"),
-        ("hold_for", True, "hold_for must be a number, got True"),
+        ("comm_timeout", np.inf, "comm_timeout must be above 0 s and at most 60 s, got inf"),
+        ("comm_timeout", 1e9, "at most 60 s, got 1e[+]09"),
+        ("comm_timeout", np.nan, "at most 60 s, got nan"),
+        ("comm_timeout", True, "comm_timeout must be a number, got True"),
         ("rate", "100", "rate must be a number, got '100'"),
         ("rate", np.inf, "rate must be above 0 Hz and finite, got inf"),
         ("watchdog", np.inf, "watchdog must be 0 s .*got inf"),

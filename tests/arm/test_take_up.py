@@ -49,7 +49,7 @@ def test_silent_joints_keep_their_orders_and_are_named(when, names):
         hidden.arm.enable()
     assert hidden.highest - hidden.start < 0.005  # [m] (.001; .2 when they were led on)
     assert hidden.fastest < 0.1  # [m/s] (.03; 1.2)
-    hidden.arm.limp()
+    hidden.arm.disable_torque()
 
 
 def test_a_short_silence_only_delays():
@@ -58,4 +58,4 @@ def test_a_short_silence_only_delays():
     assert np.isfinite(hidden.arm.leads[1:3]).all()
     assert hidden.highest - hidden.start < 0.005  # [m]
     assert hidden.fastest < 0.1  # [m/s]
-    hidden.arm.limp()
+    hidden.arm.disable_torque()

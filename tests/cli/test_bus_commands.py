@@ -13,7 +13,7 @@ robot.builtin = "koch"
 path = "{port}"
 [servo]
 shoulder_pan = {{ model = "XM430-W350", id = 1 }}
-shoulder_lift = {{ model = "XM430-W350", id = 2, twin = {{ id = 3 }} }}
+shoulder_lift = {{ model = "XM430-W350", id = 2, secondary = {{ id = 3 }} }}
 elbow_flex = {{ model = "XL430-W250", id = 4 }}
 wrist_flex = {{ model = "XL430-W250", id = 5 }}
 wrist_roll = {{ model = "XL430-W250", id = 6 }}
@@ -180,7 +180,7 @@ MENDABLE = [
 @pytest.mark.parametrize(("model", "registers"), MENDABLE)
 def test_what_opening_names_setup_for_setup_mends_and_undoes(model, registers, tmp_path, capsys):
     from pliant import ServoError
-    from pliant.servo import ServoChain, ServoSpec
+    from pliant.servo import ServoBus, ServoSpec
 
     table = {"STS3215": "STS3215-7.4V"}.get(model, model)
     file, backup = tmp_path / "arm.toml", tmp_path / "old.json"
@@ -193,7 +193,7 @@ def test_what_opening_names_setup_for_setup_mends_and_undoes(model, registers, t
             f'robot.builtin = "so101"\n[[port]]\npath = "{bus.port}"\n[servo]\n{servos}'
         )
         before = [bytes(servo.stored) for servo in bus.servos]
-        chain = ServoChain(
+        chain = ServoBus(
             [ServoSpec(name=n, model=table, id=i, port=bus.port) for i, n in enumerate(joints, 1)]
         )
         with pytest.raises(ServoError, match="`pliant setup`"):

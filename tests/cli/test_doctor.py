@@ -48,8 +48,8 @@ def test_a_rest_pose_inside_the_table_is_bad(tmp_path):
     text = so101_of("arm.urdf").replace(
         'urdf = "arm.urdf"\nbase = "base"\ntip = "tool"', 'builtin = "so101"\ntable = 0.0'
     )
-    assert findings(text + "[life]\nrest = [0, 0, 0, 0, 0]\n", tmp_path) == {}
-    bad = findings(text + "[life]\nrest = [0, 1.5, 1.2, 0, 0]\n", tmp_path)
+    assert findings(text + "[life]\nrest_q = [0, 0, 0, 0, 0]\n", tmp_path) == {}
+    bad = findings(text + "[life]\nrest_q = [0, 1.5, 1.2, 0, 0]\n", tmp_path)
     assert "inside the table" in bad["rest pose"]
 
 
@@ -76,7 +76,7 @@ def test_the_watch_ends_with_a_rest_pose_to_paste(capsys):
     line = capsys.readouterr().out.splitlines()[-1]
     pasted = config.parse(config.ready.text("so101").partition("[life]")[0] + f"[life]\n{line}\n")
     model = pasted.model()
-    assert posture(model, pasted.life.rest, "rest") == pytest.approx([0.0] * 5, abs=0.02)
+    assert posture(model, pasted.life.rest_q, "rest_q") == pytest.approx([0.0] * 5, abs=0.02)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
@@ -95,7 +95,7 @@ def test_a_calibration_that_is_a_folder_cannot_be_read(tmp_path):
 
 def test_mistakes_stand_one_to_a_line(tmp_path, capsys):
     file = tmp_path / "arm.toml"
-    file.write_text('bakend = 1\n[robot]\nbuiltin = "so101"\n[loop]\nrate = -1\nhold_for = 99\n')
+    file.write_text('bakend = 1\n[robot]\nbuiltin = "so101"\n[loop]\nrate = -1\ncomm_timeout = 99\n')
     assert main(["doctor", str(file)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].endswith("arm.toml has 3 mistakes:")

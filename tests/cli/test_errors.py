@@ -218,12 +218,12 @@ def test_torque_that_is_on_already_is_said_and_kept(tmp_path, capsys):
         out = " ".join(capsys.readouterr().out.split())
         assert "shoulder_lift: its torque is on already" in out
         assert main(["setup", str(file), "--yes", "--backup", str(tmp_path / "b.json")]) in {0, 2}
-        with pliant.connect(file, signals=False, hold_for=5.0) as arm:
+        with pliant.connect(file, signals=False, comm_timeout=5.0) as arm:
             bus.log.clear()
             arm.read()
-            arm.limp()
+            arm.disable_torque()
         steps = [w.values["torque_enable"] for w in bus.log.writes("torque_enable", id=2)]
-        assert steps == [0], "switched off by limp alone"
+        assert steps == [0], "switched off by disable_torque alone"
 
 
 @pytest.mark.parametrize("command", [["run", "--quiet"], ["view", "--page", "8943"]])

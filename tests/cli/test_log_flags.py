@@ -14,7 +14,7 @@ from pliant.cli import main
         (["plot", "--output", "x.bmp"], "pliant log plot writes .png, .svg, .pdf, got .bmp"),
         (["plot", "--output", "nowhere/x.png"], "there is no folder"),
         (["plot", "--parquet"], "--parquet belongs to pliant log export, not plot"),
-        (["export", "--rerun"], "--rerun belongs to pliant log info"),
+        (["export", "--verify"], "--verify belongs to pliant log info"),
         (["info", "--output", "x.png"], "--output belongs to pliant log plot and export, not info"),
     ],
 )

@@ -75,7 +75,7 @@ def test_no_input_and_no_other_kind_is_written_over(words, folder, capsys):
 
 
 def test_pictures_and_tables_keep_to_their_kind(folder, capsys):
-    with pliant.connect("sim:koch", exit="hold") as arm:
+    with pliant.connect("sim:koch", on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.firm(task="xyz"), arm.servos)
         with Recorder("run.mcap", arm, controller) as recorder:
             for tick in pliant.Loop(arm, recorder.controller, duration=0.1):
@@ -121,7 +121,7 @@ def test_recorder_and_motion_keep_to_their_kind_without_the_shell(folder):
         with pytest.raises(pliant.ConfigError, match="is no motion"):
             motion.save(name)
         with (
-            pliant.connect("sim:koch", exit="hold") as arm,
+            pliant.connect("sim:koch", on_exit="leave_enabled") as arm,
             pytest.raises(pliant.ConfigError, match="is no log"),
         ):
             Recorder(name, arm)

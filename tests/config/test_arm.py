@@ -5,7 +5,7 @@ import pliant
 from pliant import config
 from pliant.config import assemble
 from pliant.config.emulation import emulated
-from pliant.servo import ServoChain
+from pliant.servo import ServoBus
 from pliant.servo.emulator import StepClock
 from pliant.servo.units import Units
 
@@ -15,7 +15,7 @@ def test_specs_are_what_the_file_says(tmp_path):
         'robot.builtin = "so101"\n[[port]]\nname = "main"\npath = "/dev/ttyX"\nbaud = 500_000\n'
         "[servo]\n"
         "shoulder_pan = { model = 'STS3215-12V', id = 7, sign = -1, zero = 9, kp = 8.0 }\n"
-        "shoulder_lift = { model = 'XM540-W270', id = 2, twin = { id = 3 }, lower = -1 }\n"
+        "shoulder_lift = { model = 'XM540-W270', id = 2, secondary = { id = 3 }, lower = -1 }\n"
     )
     pan, lift = assemble.specs(read, assemble.paths(read))
     assert (pan.name, pan.port, pan.sign, pan.zero, pan.kp) == (
@@ -25,7 +25,7 @@ def test_specs_are_what_the_file_says(tmp_path):
         9,
         8,
     )
-    assert (lift.twin, lift.lower, lift.upper) == ((3, -1), -1.0, None)
+    assert (lift.secondary, lift.lower, lift.upper) == ((3, -1), -1.0, None)
 
 
 def test_an_automatic_port_is_the_only_one(monkeypatch):
@@ -64,11 +64,11 @@ def move(arm, name):
 def test_a_ready_arm_moves_over_real_bytes(name):
     read = config.load(name)
     with emulated(read, clock="steps") as bus:
-        chain = ServoChain(assemble.specs(read, bus.ports), patience=0.2, clock=StepClock(bus))
-        options = {"rate": 50.0, "grippers": assemble.jaws(read), "signals": False}
+        chain = ServoBus(assemble.specs(read, bus.ports), patience=0.2, clock=StepClock(bus))
+        options = {"rate": 50.0, "grippers": assemble.grippers(read), "signals": False}
         with pliant.connect(read.model(), chain, **options) as arm:
             target, reached = move(arm, name)
-            arm.limp()
+            arm.disable_torque()
         order = bus.log.order(chain.specs[0].id)
         assert not bus.log.eeprom_writes()
     # The supply's voltage and the gain registers, not the ideal servos of the built-in table.
@@ -77,14 +77,14 @@ def test_a_ready_arm_moves_over_real_bytes(name):
 
 
 def test_a_ready_arm_on_an_emulator_of_its_own():
-    options = {"rate": 20.0, "hold_for": 20.0, "signals": False}
+    options = {"rate": 20.0, "comm_timeout": 20.0, "signals": False}
     with pliant.connect("arm7", backend="emulator", **options) as arm:
         chain = arm.drive
         move(arm, "arm7")
         order = chain.emulator.call("log.order", chain.specs[0].id)
         assert not chain.emulator.call("log.eeprom_writes")
         assert [found.voltage for found in chain.found] == [18.5] * 7
-        arm.limp()
+        arm.disable_torque()
     assert order[:3] == ["limit", "goal", "torque on"]
 
 

@@ -30,7 +30,7 @@ def test_a_users_urdf_takes_the_place_of_the_files():
         pytest.skip(f"no {urdf}")
     read = config.load("vx300s", urdf=urdf)
     assert read.model().joint_names == tuple(read.servo)
-    assert len(read.life.rest) == read.model().n
+    assert len(read.life.rest_q) == read.model().n
 
 
 def test_a_missing_urdf_is_named():
@@ -56,12 +56,12 @@ def test_urdf_and_file_that_disagree_on_joints():
         ("backend = 'sim'\n[robot]\n", "robot: takes one of urdf and builtin"),
         (SIM + "[loop]\nrate = -1", r"loop\.rate = -1: input should be greater than 0"),
         (SIM + "[loop]\nrate = nan", r"loop\.rate = nan"),
-        (SIM + "[life]\nrest = [inf]", r"life\.rest\[0\] = inf: .*finite"),
+        (SIM + "[life]\nrest_q = [inf]", r"life\.rest_q\[0\] = inf: .*finite"),
         (SIM + '[servo.a]\nmodel = "XM430"\nid = 1', "did you mean: XM430-W"),
         (SIM + '[servo.a]\nmodle = "x"\nid = 1', r"servo\.a\.modle .* did you mean 'model'"),
         (SIM + '[servo.a]\nmodel = "MX-64"\nid = 300', r"servo\.a\.id = 300"),
         (SIM + '[servo.a]\nmodel = "MX-64"\nid = 1\nport = "mian"', "did you mean 'main'"),
-        (SIM + '[servo.a]\nmodel = "MX-64"\nid = 1\ntwin = { id = 1 }', "same id 1"),
+        (SIM + '[servo.a]\nmodel = "MX-64"\nid = 1\nsecondary = { id = 1 }', "same id 1"),
         (
             SIM + '[servo]\na = { model = "MX-64", id = 1 }\nb = { model = "MX-64", id = 1 }',
             "same id 1",
@@ -81,8 +81,8 @@ def test_urdf_and_file_that_disagree_on_joints():
             "same angle",
         ),
         (SIM + "[[port]]\n[[port]]\n", "'main' is there twice"),
-        (SIM + "[loop]\nhold_for = inf", r"loop\.hold_for = inf: .* 60"),
-        (SIM + "[loop]\nhold_for = 61", r"loop\.hold_for = 61: .* 60"),
+        (SIM + "[loop]\ncomm_timeout = inf", r"loop\.comm_timeout = inf: .* 60"),
+        (SIM + "[loop]\ncomm_timeout = 61", r"loop\.comm_timeout = 61: .* 60"),
         (SIM + "[loop]\npatience = 1e9", r"loop\.patience = 1000000000\.0: .* 1"),
     ],
 )
@@ -95,10 +95,10 @@ def test_mistakes_are_named_with_what_would_be_right(text, said):
 
 @pytest.mark.parametrize(
     ("rest", "said"),
-    [([0.0, 0.0], r"life\.rest has shape \(2,\)"), ([0.0] * 4 + [90.0], "are these degrees")],
+    [([0.0, 0.0], r"life\.rest_q has shape \(2,\)"), ([0.0] * 4 + [90.0], "are these degrees")],
 )
 def test_a_rest_pose_of_another_arm_is_named_with_its_file(rest, said):
-    read = config.parse(f"{SIM}[life]\nrest = {rest}", source="arm.toml")
+    read = config.parse(f"{SIM}[life]\nrest_q = {rest}", source="arm.toml")
     with pytest.raises(pliant.ConfigError, match=said) as caught:
         read.arm()
     assert str(caught.value).startswith("arm.toml")
@@ -152,7 +152,7 @@ def test_what_depends_on_a_wrong_field_is_not_judged(first):
         ("[servo.a]\nmodel = 'MX-64'\nid = true", r"servo\.a\.id = True"),
         ("[loop]\nrate = '100'", r"loop\.rate = '100'"),
         ("[[port]]\nbaud = '57600'", r"port\[0\]\.baud = '57600'"),
-        ("[life]\nrest = ['0', 0, 0, 0, 0]", r"life\.rest\[0\] = '0'"),
+        ("[life]\nrest_q = ['0', 0, 0, 0, 0]", r"life\.rest_q\[0\] = '0'"),
     ],
 )
 def test_a_number_in_quotes_is_none(text, said):

@@ -12,7 +12,7 @@ from pliant import config
 from pliant.arm.tables import COLUMNS
 from pliant.config import assemble
 from pliant.config.emulation import emulated
-from pliant.servo import ServoChain
+from pliant.servo import ServoBus
 from pliant.servo.emulator import StepClock
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
@@ -28,7 +28,7 @@ voltage = {volts}
 "Revolute 3" = {{ model = "STS3215-7.4V", id = 2, kp = 9.0, damping = 0.3, sign = -1 }}
 "Revolute 5" = {{ model = "STS3215-7.4V", id = 3, kp = 8.0, gear = 2.0, gain = 20 }}
 "Revolute 6" = {{ model = "STS3215-7.4V", id = 4, kp = 7.0, stall = 1.5 }}
-"Revolute 7" = {{ model = "STS3215-7.4V", id = 5, kp = 6.0, twin = {{ id = 7 }} }}
+"Revolute 7" = {{ model = "STS3215-7.4V", id = 5, kp = 6.0, secondary = {{ id = 7 }} }}
 """
 
 
@@ -52,8 +52,8 @@ def read(name, tmp_path, backend):
 def on_bytes(own, model):
     """What the driver of a real bus reads from such servos."""
     with emulated(own, clock="steps") as bus:
-        chain = ServoChain(assemble.specs(own, bus.ports), patience=0.5, clock=StepClock(bus))
-        arm = pliant.connect(model, chain, grippers=assemble.jaws(own), signals=False)
+        chain = ServoBus(assemble.specs(own, bus.ports), patience=0.5, clock=StepClock(bus))
+        arm = pliant.connect(model, chain, grippers=assemble.grippers(own), signals=False)
         arm.open()
         try:
             return arm.servos, bus.plant.gains, arm.model.servos
@@ -146,4 +146,4 @@ xyz="0 0 0.1"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="2" velocit
     )
     with pliant.connect(file, backend="sim", signals=False) as arm:
         assert arm.gripper.opened == arm.gripper.closed
-        arm.limp()
+        arm.disable_torque()

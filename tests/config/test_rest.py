@@ -29,18 +29,18 @@ def load(name, **options):
 def test_every_ready_file_has_a_rest_pose_and_says_whether_it_stands_on_a_table():
     for name in config.names():
         read = config.load(name)
-        assert read.life.rest is not None, name
+        assert read.life.rest_q is not None, name
         assert (read.robot.table is None) == (name == "arm7"), name
     for name in pliant.robots.names():
         read = config.load(name)
-        np.testing.assert_array_equal(pliant.robots.rest(name), read.life.rest)
+        np.testing.assert_array_equal(pliant.robots.rest(name), read.life.rest_q)
         assert pliant.robots.table(name) == read.robot.table
 
 
 @pytest.mark.parametrize("name", [*OWN, "vx300s"])
 def test_a_rest_pose_lies_within_limits_above_the_table_and_presses_on_nothing(name):
     read = load(name)
-    model, rest = read.model(), np.array(read.life.rest)
+    model, rest = read.model(), np.array(read.life.rest_q)
     assert np.all(rest >= model.lower)
     assert np.all(rest <= model.upper)
     if read.robot.table is None:
@@ -67,7 +67,7 @@ def test_an_arm_of_a_ready_file_is_parked_and_lies_on_its_table(name):
     arm = read.arm(signals=False)
     plant = arm.drive.plant
     (table,) = plant.fixtures
-    rest = np.array(read.life.rest)
+    rest = np.array(read.life.rest_q)
     lowest, gone = np.inf, []
 
     def look():
@@ -122,13 +122,13 @@ def test_an_arm_whose_way_to_rest_is_barred_is_lowered_straight_down():
 
 
 def test_a_rest_pose_inside_the_table_is_refused():
-    with pytest.raises(pliant.LimitError, match=r"rest: the tool would be 0\.\d+ m inside the tab"):
-        pliant.connect("so101", backend="sim", rest=[0.0, 1.5, 1.2, 0.0, 0.0])
+    with pytest.raises(pliant.LimitError, match=r"rest_q: the tool would be 0\.\d+ m inside the tab"):
+        pliant.connect("so101", backend="sim", rest_q=[0.0, 1.5, 1.2, 0.0, 0.0])
     arm = pliant.connect("so101", backend="sim", signals=False)
     with arm:
         with pytest.raises(pliant.LimitError, match="inside the table"):
             arm.park([0.0, 1.5, 1.2, 0.0, 0.0])
-        arm.limp()
+        arm.disable_torque()
 
 
 def test_the_table_can_be_taken_away_moved_and_added_to():
@@ -168,9 +168,9 @@ def test_an_emulated_arm_stands_on_the_table_of_its_file():
 def test_a_simulated_arm_begins_at_its_rest_pose_where_zero_is_in_the_table():
     read = config.parse(
         'backend = "sim"\nrobot = { builtin = "so101", table = 0.3 }\n[life]\n'
-        "rest = [0.0, -0.3, -1.0, 0.0, 0.0]\n"
+        "rest_q = [0.0, -0.3, -1.0, 0.0, 0.0]\n"
     )
-    np.testing.assert_array_equal(assemble.start(read, read.model()), read.life.rest)
+    np.testing.assert_array_equal(assemble.start(read, read.model()), read.life.rest_q)
 
 
 def test_backend_sim_takes_the_options_of_the_simulator():
@@ -226,7 +226,7 @@ def test_joint_targets_lead_an_arm_out_of_its_rest_pose(name, soft):
         )
         for tick in pliant.Loop(arm, controller, duration=5.0):
             tick.write(controller.step_joints(tick.q, target, dt=tick.dt))
-        arm.hold()
+        arm.leave_enabled()
     # Friction keeps the null space, which the task leaves free, from its very end.
     np.testing.assert_allclose(tick.q, target, atol=0.3)  # [rad] (.01 to .22; 1.4 when stuck)
     tool, there = (arm.model.forward_kinematics(q)[:3, 3] for q in (tick.q, target))

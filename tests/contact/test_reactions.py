@@ -94,7 +94,7 @@ def test_one_condition_serves_two_reactions():
         (lambda: rx.Evidence() & 3, "what follows & must be a condition, as .* got 3"),
         (lambda: rx.Reaction(3, rx.Hold()), r"Reaction\.when must be a condition"),
         (lambda: rx.Reaction(rx.Evidence(), ()), r"an action, as Hold\(\)"),
-        (lambda: rx.Watch("arm7", []), "controller must be a Controller, got 'arm7'"),
+        (lambda: rx.ReactionMonitor("arm7", []), "controller must be a Controller, got 'arm7'"),
         (lambda: rx.Reaction(rx.Evidence(), rx.Stop(), until=rx.Elapsed(1.0)), "resume"),
     ],
 )
@@ -106,21 +106,21 @@ def test_what_cannot_be_is_refused(make, text):
 def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
     ctl = controller()
     with pytest.raises(pliant.LimitError, match="cannot tell a contact from friction"):
-        rx.Watch(ctl, [rx.Reaction(rx.Force("z", above=1.0), rx.Hold())])
+        rx.ReactionMonitor(ctl, [rx.Reaction(rx.Force("z", above=1.0), rx.Hold())])
     with pytest.raises(pliant.ConfigError, match="no joint elbow"):
-        rx.Watch(ctl, [rx.Reaction(rx.Saturated(("elbow",)), rx.Hold())])
+        rx.ReactionMonitor(ctl, [rx.Reaction(rx.Saturated(("elbow",)), rx.Hold())])
     with pytest.raises(pliant.PliantError, match="soft"):
-        rx.Watch(ctl, [rx.Reaction(rx.Evidence(), rx.Yield("z", {"soft": -1.0}))])
+        rx.ReactionMonitor(ctl, [rx.Reaction(rx.Evidence(), rx.Yield("z", {"soft": -1.0}))])
     few = pliant.Controller(arm(), pliant.Settings(task="xyz"))
     with pytest.raises(pliant.ConfigError, match="axes yaw are not of this task"):
-        rx.Watch(few, [rx.Reaction(rx.Deviation("yaw", above=0.1), rx.Hold())])
+        rx.ReactionMonitor(few, [rx.Reaction(rx.Deviation("yaw", above=0.1), rx.Hold())])
 
 
 def watched(then, when=None, **more):
     """A watch over time: its condition holds from 0.1 s to 0.3 s."""
     if when is None:
         when = rx.Elapsed(0.1) & ~rx.Elapsed(0.3)
-    return rx.Watch(controller(), [rx.Reaction(when, then, **more)])
+    return rx.ReactionMonitor(controller(), [rx.Reaction(when, then, **more)])
 
 
 def targets(watch, ticks, wanted=TARGET):
@@ -188,7 +188,7 @@ def test_yield_changes_settings_and_restores_them():
 
 def test_calls_come_once_and_the_first_reaction_matters_most():
     called = []
-    watch = rx.Watch(
+    watch = rx.ReactionMonitor(
         controller(),
         [
             rx.Reaction(rx.Elapsed(0.2), rx.Stop()),
@@ -220,5 +220,5 @@ def test_bad_readings_change_nothing():
 
 
 def test_names_at_the_top():
-    assert pliant.Watch is rx.Watch
+    assert pliant.ReactionMonitor is rx.ReactionMonitor
     assert pliant.Reaction is rx.Reaction

@@ -137,8 +137,8 @@ def test_gripper_off_the_chain_moves():
     assert emulator.plant.read().extra["gripper"] > 0.2
 
 
-def test_twins_share_a_joint_and_its_torque():
-    pair = Mount(joint=NAMES[1], model="STS3215", id=2, twin=(7, -1))
+def test_two_servos_share_a_joint_and_its_torque():
+    pair = Mount(joint=NAMES[1], model="STS3215", id=2, secondary=(7, -1))
     emulator = so101(mounts(**{NAMES[1]: pair}))
     one, other = emulator.servo(2), emulator.servo(7)
     assert one.position - 2048 == 2048 - other.position

@@ -9,7 +9,7 @@ pytest.importorskip("mujoco", reason="the arm needs the extra sim")
 pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 
 import pliant
-from pliant.servo import ServoChain, ServoSpec
+from pliant.servo import ServoBus, ServoSpec
 from pliant.servo.emulator import Faults, Mount, emulate
 
 TICK = 0.01
@@ -73,7 +73,7 @@ def test_limits_reach_the_motors_and_the_arm_stays(build, share):
             )
             for mount, low, high in zip(mounts, model.lower, model.upper, strict=True)
         ]
-        chain = ServoChain(specs, rate=1.0 / TICK, patience=0.3, clock=Steps(bus))
+        chain = ServoBus(specs, rate=1.0 / TICK, patience=0.3, clock=Steps(bus))
         try:
             run(bus, chain, model, settings, share)
         finally:

@@ -11,7 +11,7 @@ pytest.importorskip("mcap", reason="logs need the extra log")
 
 import pliant
 from pliant.cli import main
-from pliant.log import Recorder, read, rerun
+from pliant.log import Recorder, read, verify
 from pliant.log.records import MAGIC
 from pliant.teach import Motion
 
@@ -20,7 +20,7 @@ from pliant.teach import Motion
 def made(tmp_path_factory):
     """A short log of an arm that moves, its bytes and its columns."""
     path = tmp_path_factory.mktemp("log") / "run.mcap"
-    with pliant.connect("sim:so101", exit="hold") as arm:
+    with pliant.connect("sim:so101", on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
         with Recorder(path, arm, controller) as recorder:
             q = arm.read().q
@@ -85,7 +85,7 @@ def test_a_log_that_was_cut_anywhere_is_a_prefix(made, damaged):
         prefix(log, whole)
         assert not log.whole
         assert not log.damage
-    assert rerun(log).same
+    assert verify(log).same
 
 
 def test_a_missing_chunk_is_damage(made, damaged):

@@ -14,7 +14,7 @@ import pliant
 from pliant.cli import main
 from pliant.config.lerobot import read_calibration
 from pliant.inputs import printable
-from pliant.log import Recorder, layout, read, rerun
+from pliant.log import Recorder, layout, read, verify
 from pliant.teach import Motion
 
 HEAD = struct.Struct("<BQ")
@@ -32,7 +32,7 @@ ODD += [
 def content(tmp_path_factory):
     """Bytes of a whole log."""
     path = tmp_path_factory.mktemp("logs") / "run.mcap"
-    with pliant.connect("sim:koch", exit="hold") as arm:
+    with pliant.connect("sim:koch", on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
         with Recorder(path, arm, controller, note="[/x] [the] \x1b]0;title\x07") as recorder:
             recorder.controller.set_delay(0.01)
@@ -110,7 +110,7 @@ def mutants(run):
 def test_a_log_read_as_written(content, tmp_path):
     path = tmp_path / "run.mcap"
     path.write_bytes(with_run(content, described(content)))
-    assert rerun(read(path)).same
+    assert verify(read(path)).same
 
 
 def test_crafted_descriptions_are_typed_errors(content, tmp_path):
@@ -127,7 +127,7 @@ def test_crafted_descriptions_are_typed_errors(content, tmp_path):
             log.model,
             lambda log=log: log.settings,
             lambda log=log: log.servos,
-            lambda log=log: rerun(log),
+            lambda log=log: verify(log),
             lambda log=log: Motion.logged(log),
             lambda log=log: repr(log),
         ):
@@ -135,7 +135,7 @@ def test_crafted_descriptions_are_typed_errors(content, tmp_path):
                 use()
             except pliant.PliantError:
                 continue
-        assert main(["log", "info", str(path), "--rerun"]) in (0, 2), name
+        assert main(["log", "info", str(path), "--verify"]) in (0, 2), name
     assert count > 200
     assert len(taken) < 0.4 * count, taken
 

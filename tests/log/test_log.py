@@ -10,7 +10,7 @@ import pytest
 
 import pliant
 from pliant.cli import main
-from pliant.log import Recorder, read, rerun
+from pliant.log import Recorder, read, verify
 from pliant.log.reader import arguments
 
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -64,7 +64,7 @@ def test_the_same_inputs_give_the_same_commands(file):
     assert {call.what for call in log.calls} == {
         "reset", "step", "step_joints", "update", "set_payload", "set_gravity", "set_delay"
     }  # fmt: skip
-    again = rerun(log)
+    again = verify(log)
     assert again.same
     assert again.steps == len(log) + 1  # the loop primes the controller with a step of its own
     np.testing.assert_array_equal(again.goal[1:], log.goal)
@@ -83,12 +83,12 @@ def test_every_input_counts(file, what):
     else:
         call = next(c for c in log.calls if c.what == "step" and c.sequence > 30)
         getattr(call, what)[3] += 1e-3
-    assert rerun(log).differing > 0
+    assert verify(log).differing > 0
 
 
 def test_a_settings_change_can_be_tried_on_a_log(file):
     log = read(file)
-    other = rerun(log, pliant.Settings.firm())
+    other = verify(log, pliant.Settings.firm())
     assert other.steps == len(log) + 1
     assert other.differing > 0
 
@@ -148,7 +148,7 @@ def test_two_other_readers_open_it(file):
 LOOP = """
 import sys
 from test_log import *
-arm = pliant.connect("sim:arm7", q=START, real_time=True, exit="hold")
+arm = pliant.connect("sim:arm7", q=START, real_time=True, on_exit="leave_enabled")
 arm.enable()
 made = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
 recorder = Recorder(sys.argv[1], arm, made)
@@ -182,7 +182,7 @@ def test_a_killed_run_can_be_read(tmp_path, both):
     assert log.whole is not both
     # Half a second of ticks stays with a writer that is killed; a second is what is promised.
     assert len(log) > (50 if both else 150)
-    assert rerun(log).same
+    assert verify(log).same
 
 
 def test_a_writer_that_is_gone_does_not_stop_the_loop(tmp_path):
@@ -218,7 +218,7 @@ def test_memory_is_bounded(tmp_path):
 
 
 def test_the_command_tells_draws_and_exports(file, tmp_path, capsys):
-    assert main(["log", "info", str(file), "--rerun"]) == 0
+    assert main(["log", "info", str(file), "--verify"]) == 0
     said = capsys.readouterr().out
     assert "40 ticks" in said
     assert "bit for bit" in said
@@ -246,13 +246,13 @@ def test_a_soft_run_can_be_logged_from_the_shell(tmp_path):
     log = read(path)
     assert log.run["config"] is not None
     assert log.run["extra"] == ("gripper",)
-    assert rerun(log).same
+    assert verify(log).same
 
 
 def test_hand_guiding_is_logged_without_a_controller(tmp_path):
     path = tmp_path / "float.mcap"
-    with pliant.connect("sim:so101", exit="hold") as arm, Recorder(path, arm) as recorder:
-        floating = pliant.Float(arm.model, arm.servos)
+    with pliant.connect("sim:so101", on_exit="leave_enabled") as arm, Recorder(path, arm) as recorder:
+        floating = pliant.HandGuiding(arm.model, arm.servos)
         for tick in pliant.Loop(arm, duration=0.2):
             order = floating.step(tick.q)
             tick.write(order)
@@ -261,7 +261,7 @@ def test_hand_guiding_is_logged_without_a_controller(tmp_path):
     assert len(log) == 20
     assert np.isfinite(log.goal).all()
     with pytest.raises(pliant.ConfigError, match="without a controller"):
-        rerun(log)
+        verify(log)
 
 
 def test_what_cannot_be_a_log_is_said(tmp_path):

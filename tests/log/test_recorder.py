@@ -10,7 +10,7 @@ from pliant.log import Recorder, read
 
 @pytest.fixture
 def arm():
-    with pliant.connect("sim:so101", exit="hold") as live:
+    with pliant.connect("sim:so101", on_exit="leave_enabled") as live:
         yield live
 
 

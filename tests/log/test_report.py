@@ -35,7 +35,7 @@ def record(path, settings, duration=3.0, **options):
             for tick in pliant.Loop(arm, controller, duration=duration):
                 command = None
                 if controller is None:
-                    tick.hold()
+                    tick.skip()
                 else:
                     command = controller.step(tick.q, pose, dt=tick.dt)
                     tick.write(command)

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
 
-from pliant.servo import BusError, ServoChain, ServoSpec
+from pliant.servo import BusError, ServoBus, ServoSpec
 from pliant.servo.emulator import Device, Emulator, StepClock
 
 
@@ -118,7 +118,7 @@ def emulated():
                 for i in range(n)
             ]
             clock = StepClock(bus) if options.get("clock") == "steps" else None
-            chain = ServoChain(specs, rate=rate, patience=0.1, clock=clock)
+            chain = ServoBus(specs, rate=rate, patience=0.1, clock=clock)
             try:
                 if is_open:
                     chain.open()

@@ -9,7 +9,7 @@ from pliant import config
 from pliant.config import assemble
 from pliant.config.doctor import examine
 from pliant.config.emulation import emulated, mounts
-from pliant.servo import ServoChain
+from pliant.servo import ServoBus
 from pliant.servo.emulator import StepClock, emulate
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
@@ -40,7 +40,7 @@ def opened(name, folder, **wrong):
     theirs = config.load(name, backend="emulator", calibration=lerobot_file(folder, **wrong))
     with emulated(good, clock="steps") as bus:
         before = bus.log.order(1)
-        chain = ServoChain(assemble.specs(theirs, bus.ports), patience=0.5, clock=StepClock(bus))
+        chain = ServoBus(assemble.specs(theirs, bus.ports), patience=0.5, clock=StepClock(bus))
         try:
             chain.open()
             return [note for found in chain.found for note in found.notes], chain

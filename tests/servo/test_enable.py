@@ -7,7 +7,7 @@ import pytest
 from tests.servo.conftest import JOINTS, devices
 
 from pliant import ServoError
-from pliant.servo import ServoChain, ServoSpec
+from pliant.servo import ServoBus, ServoSpec
 from pliant.servo.emulator import Emulator, StepClock
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
@@ -22,7 +22,7 @@ def chain_on(bus, kind, n, patience=0.005):
         )
         for i in range(n)
     ]
-    return ServoChain(specs, patience=patience, clock=StepClock(bus))
+    return ServoBus(specs, patience=patience, clock=StepClock(bus))
 
 
 def strike(bus, fault, place):

@@ -5,7 +5,7 @@ import pytest
 from tests.servo.conftest import devices
 
 from pliant import ServoError, ServoFault
-from pliant.servo import BusError, ServoChain, ServoSpec
+from pliant.servo import BusError, ServoBus, ServoSpec
 from pliant.servo.emulator import Emulator, StepClock
 
 PROTOCOLS = ["sts", "xm", "mx"]
@@ -135,7 +135,7 @@ def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
             )
             for i, port in enumerate(ports)
         ]
-        with ServoChain(specs, patience=0.1, clock=StepClock(bus)) as chain:
+        with ServoBus(specs, patience=0.1, clock=StepClock(bus)) as chain:
             limit = enabled(chain)
             bus.pull("b")
             found = []

@@ -5,13 +5,13 @@ import time
 import pytest
 
 from pliant import ServoError
-from pliant.servo import ServoChain, ServoSpec
+from pliant.servo import ServoBus, ServoSpec
 from pliant.servo.emulator import Device, Emulator, Timing
 
 
 def opened(bus, *specs, **options):
     specs = [ServoSpec(port=bus.port, **spec) for spec in specs]
-    with ServoChain(specs, patience=0.03, **options) as chain:
+    with ServoBus(specs, patience=0.03, **options) as chain:
         return chain
 
 
@@ -89,7 +89,7 @@ def test_two_servos_on_one_id():
 
 
 def test_a_port_that_is_not_there():
-    chain = ServoChain([ServoSpec(port="/dev/ttyNOWHERE", **PAN)])
+    chain = ServoBus([ServoSpec(port="/dev/ttyNOWHERE", **PAN)])
     with pytest.raises(ServoError, match="there is no port /dev/ttyNOWHERE; there are:"):
         chain.open()
 
@@ -98,8 +98,8 @@ def test_a_port_that_is_taken():
     with Emulator([Device("STS3215", id=1)], clock="steps") as bus:
         spec = ServoSpec(port=bus.port, **PAN)
         refused = pytest.raises(ServoError, match="in use by another program")
-        with ServoChain([spec], patience=0.03), refused:
-            ServoChain([spec], patience=0.03).open()
+        with ServoBus([spec], patience=0.03), refused:
+            ServoBus([spec], patience=0.03).open()
 
 
 def test_ceilings_and_gains_are_the_servos_own():
@@ -129,7 +129,7 @@ def test_an_adapter_that_holds_answers_back_is_measured_and_said(model):
     ]
     with Emulator(parts, timing=Timing(wire=True, usb_latency=0.016)) as bus:
         specs = [ServoSpec(name=f"joint{i}", model=model, id=i, port=bus.port) for i in range(1, 4)]
-        with ServoChain(specs) as chain:
+        with ServoBus(specs) as chain:
             assert any("ms later than the wire takes" in note for note in chain.found[0].notes)
             ok = [chain.read().ok.all() for _ in range(20)]
     # Where it is not known, every answer is given up before it comes.
@@ -148,7 +148,7 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "rustypot", None)
-    chain = ServoChain([ServoSpec(port="p", **PAN)])
+    chain = ServoBus([ServoSpec(port="p", **PAN)])
     with pytest.raises(ImportError, match=r"pip install 'pliant\[servo\]'"):
         chain.open()
 
@@ -166,7 +166,7 @@ def test_another_transport_can_be_passed_in(fake_bus):
         opened_with.append((port, baudrate, protocol))
         return Patient([1])
 
-    chain = ServoChain([ServoSpec(port="p", **PAN)], transport=fake, baudrate=57_600)
+    chain = ServoBus([ServoSpec(port="p", **PAN)], transport=fake, baudrate=57_600)
     with pytest.raises(ServoError, match="model number 0"):
         chain.open()
     assert opened_with == [("p", 57_600, "p1")]

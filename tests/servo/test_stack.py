@@ -8,7 +8,7 @@ pytest.importorskip("mujoco", reason="an arm behind the emulator needs the extra
 import pliant
 import pliant.robots
 from pliant.arm import Arm
-from pliant.servo import ServoChain, ServoSpec
+from pliant.servo import ServoBus, ServoSpec
 from pliant.servo.emulator import Faults, Mount, StepClock, emulate
 
 START = np.array([0.0, -0.5, 0.8, 0.3, 0.0])
@@ -22,7 +22,7 @@ def so101(bus, model, **options):
         )
         for i, (name, low, high) in enumerate(ranges, 1)
     ]
-    return ServoChain(specs, patience=0.1, **options)
+    return ServoBus(specs, patience=0.1, **options)
 
 
 @pytest.mark.parametrize("shares", [{}, {"lose": 0.01, "corrupt": 0.01, "late": 0.01}])

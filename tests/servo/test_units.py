@@ -18,7 +18,7 @@ specs = st.builds(
     sign=st.sampled_from([-1, 1]),
     zero=st.one_of(st.none(), st.floats(0, 4095)),
     gear=st.floats(0.2, 5.0),
-    twin=st.sampled_from([None, (2, 1), (2, -1)]),
+    secondary=st.sampled_from([None, (2, 1), (2, -1)]),
     torque_offset=st.floats(0.0, 0.3),
 )
 
@@ -90,10 +90,10 @@ def test_a_gear_turns_slower_and_pushes_harder():
     assert geared.stiffness(32) == pytest.approx(4 * plain.stiffness(32))
 
 
-def test_twins_share_the_torque():
-    plain, twins = joint("XM540-W270"), joint("XM540-W270", twin=(2, -1))
-    assert twins.usable(2047) == pytest.approx(2 * plain.usable(2047))
-    assert twins.register(4.0) == plain.register(2.0)
+def test_two_servos_share_the_torque():
+    plain, secondaries = joint("XM540-W270"), joint("XM540-W270", secondary=(2, -1))
+    assert secondaries.usable(2047) == pytest.approx(2 * plain.usable(2047))
+    assert secondaries.register(4.0) == plain.register(2.0)
 
 
 def test_a_duty_follows_the_voltage_and_a_current_does_not():
@@ -128,7 +128,7 @@ def test_stall_torque_can_be_the_users():
         ({"gear": 0.0}, "gear must be above 0"),
         ({"zero": math.nan}, "zero is a count"),
         ({"lower": 1.0, "upper": -1.0}, "lower must be below upper"),
-        ({"twin": (1, 1)}, "the twin has the id"),
+        ({"secondary": (1, 1)}, "the secondary has the id"),
         ({"stall": -1.0}, "stall must be above 0"),
         ({"torque_offset": -1.0}, "torque_offset"),
         ({"model": "MX-65"}, "did you mean"),

@@ -23,10 +23,10 @@ PROGRAM = """
 import os, signal, sys, pliant
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-with pliant.connect("so101", port=sys.argv[1], hold_for=20.0) as arm:
+with pliant.connect("so101", port=sys.argv[1], comm_timeout=20.0) as arm:
     print("torque", flush=True)
-    for tick in pliant.Loop(arm, stall=20.0):
-        tick.hold()
+    for tick in pliant.Loop(arm, max_step_time=20.0):
+        tick.skip()
         if tick.index == 5 and len(sys.argv) > 2:
             exec(sys.argv[2])
 """

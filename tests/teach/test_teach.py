@@ -29,7 +29,7 @@ def wave(seconds=2.0, size=0.3):
 def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **options):
     """Play; rows of clock, tool (3,), force of the hand, and the motion's own tool (3,)."""
     rows = []
-    with pliant.connect("sim:so101", q=START, scene=scene, exit="hold") as arm:
+    with pliant.connect("sim:so101", q=START, scene=scene, on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, SETTINGS, arm.servos)
         replay = Replay(controller, motion, **options)
         for tick in pliant.Loop(arm, controller, duration=seconds):
@@ -47,7 +47,7 @@ def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **opt
 def test_a_hand_teaches_and_the_arm_repeats(tmp_path):
     course = Course(start=9.0, rise=2.0, end=11.5)
     hand = Drag(axis="y", distance=0.06, stiffness=2000.0, limit=60.0, at="tool", course=course)
-    with pliant.connect("sim:so101", q=START, scene=[hand], exit="hold") as arm:
+    with pliant.connect("sim:so101", q=START, scene=[hand], on_exit="leave_enabled") as arm:
         motion = teach(arm, rest=1.0)
         led = arm.drive.plant.tool[:3, 3]
     ends = [MODEL.forward_kinematics(q)[:3, 3] for q in (motion.q[0], motion.q[-1])]
@@ -114,7 +114,7 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
 
 
 def test_a_press_of_the_gripper_counts_once():
-    with pliant.connect("sim:so101", q=START, exit="hold") as arm:
+    with pliant.connect("sim:so101", q=START, on_exit="leave_enabled") as arm:
         teacher, state = Teacher(arm), arm.read()
         jaw = arm.gripper
         shares = [0.5, 0.1, 0.05, 0.5, 0.0]
@@ -167,7 +167,7 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
     (tmp_path / "no.json").write_text("{}")
     with pytest.raises(pliant.ConfigError, match=r"no\.json"):
         Motion.load(tmp_path / "no.json")
-    with pliant.connect("sim:so101", q=START, exit="hold") as arm:
+    with pliant.connect("sim:so101", q=START, on_exit="leave_enabled") as arm:
         teacher = Teacher(arm)
         with pytest.raises(pliant.PliantError, match="swings") as error:
             teacher.start()
@@ -175,7 +175,7 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
 
 
 def test_a_recording_in_which_nothing_was_led_is_no_error_of_a_configuration():
-    with pliant.connect("sim:so101", q=START, exit="hold") as arm:
+    with pliant.connect("sim:so101", q=START, on_exit="leave_enabled") as arm:
         with pytest.raises(pliant.PliantError, match="nothing was recorded") as error:
             Teacher(arm).stop()
         assert error.type is pliant.PliantError
@@ -269,7 +269,7 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     arm = tmp_path / "arm.toml"
     # Left held, not lowered: an emulated arm comes down as slowly as a real one. The machine that
     # tests may be busy elsewhere.
-    life = '[loop]\npatience = 0.2\nhold_for = 10.0\n\n[life]\nexit = "hold"\n'
+    life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
     arm.write_text(pliant.config.ready.text("so101").replace("[life]\n", life))
     flags = [
         "replay",
@@ -284,7 +284,7 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     ]
     assert main(flags) == 0
     assert "done" in capsys.readouterr().out
-    assert main(["log", "info", str(log), "--rerun"]) == 0
+    assert main(["log", "info", str(log), "--verify"]) == 0
     assert "bit for bit" in capsys.readouterr().out
     assert main(["replay", str(arm), str(file), "--backend", backend, "--soft", "y=a"]) == 2
     assert main(["replay", str(arm), str(log), "--backend", backend, "--stop", "0.01"]) == 2
@@ -295,7 +295,7 @@ def test_the_command_teaches_with_a_scripted_hand(tmp_path, backend, capsys, mon
     pytest.importorskip("rustypot")
     monkeypatch.setattr("sys.stdin", io.StringIO())
     file, arm = tmp_path / "m.json", tmp_path / "arm.toml"
-    life = '[loop]\npatience = 0.2\nhold_for = 10.0\n\n[life]\nexit = "hold"\n'
+    life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
     arm.write_text(pliant.config.ready.text("so101").replace("[life]\n", life))
     assert main(["teach", str(arm), str(file), "--backend", backend, "--hand"]) == 0
     assert "pliant replay" in capsys.readouterr().out

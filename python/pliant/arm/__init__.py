@@ -3,7 +3,7 @@
 from pliant.arm.arm import Arm
 from pliant.arm.budget import Budget
 from pliant.arm.drive import Clock, Drive, Health, MonotonicClock, Sample
-from pliant.arm.gripper import Gripper, Jaw
+from pliant.arm.gripper import Gripper, GripperConfig
 from pliant.arm.lowering import Lowering
 from pliant.arm.state import State
 
@@ -14,7 +14,7 @@ __all__ = [
     "Drive",
     "Gripper",
     "Health",
-    "Jaw",
+    "GripperConfig",
     "Lowering",
     "MonotonicClock",
     "Sample",

@@ -19,7 +19,7 @@ from pliant.arm.cycle import Cycle
 from pliant.arm.ending import Ending, cause_of
 from pliant.arm.entry import first_orders, hear_all, stand_within, strange_leads, take_up
 from pliant.arm.exits import descend, settle
-from pliant.arm.gripper import Gripper, check_jaws, make_grippers
+from pliant.arm.gripper import Gripper, check_grippers, make_grippers
 from pliant.arm.keeper import Keeper
 from pliant.arm.points import Points
 from pliant.arm.rest import check_rest, obstacle
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 
     from pliant import Model
     from pliant.arm.drive import Clock, Drive
-    from pliant.arm.gripper import Jaw
+    from pliant.arm.gripper import GripperConfig
     from pliant.arm.state import State
 
     Array = NDArray[np.float64]
-    Exit = Literal["lower", "hold"]
+    Exit = Literal["lower", "leave_enabled"]
 
 
 class Arm:
@@ -52,12 +52,12 @@ class Arm:
     Args:
         model: The robot; its joint names are looked up among the drive's.
         drive: What moves the joints.
-        rest: Joint positions (n,) [rad] where `lower` goes first, where the way is free of the
+        rest_q: Joint positions (n,) [rad] where `lower` goes first, where the way is free of the
             table; None: straight down.
-        exit: What leaving does: `lower`, or `hold`.
+        on_exit: Action on leaving: `lower`, or `leave_enabled`.
         rate: Of the arm's own loops, enabling and leaving [Hz].
-        hold_for: How long a silent bus or program is waited for before the arm is lowered [s], at
-            most 60.
+        comm_timeout: Time without an answer from the bus or the program after which the arm is
+            lowered [s], at most 60.
         budget: What servos and supply give for long; None: the default.
         grippers: How joints off the chain open and close, by name; others take the model's limits.
         watchdog: Silence after which servos that can stop by themselves do [s]; 0: never. One that
@@ -69,7 +69,7 @@ class Arm:
 
     Attributes:
         model: As given, driven by `servos`.
-        drive, rate, rest, hold_for, table: As given.
+        drive, rate, rest_q, comm_timeout, table: As given.
         detour: Why the last descent left the rest pose out; None where it did not.
         servos: The chain's servos, n entries, as the drive has them; better known once open.
         grippers: The joints off the chain by name; made anew when the drive opens.
@@ -87,33 +87,33 @@ class Arm:
         model: Model,
         drive: Drive,
         *,
-        rest: ArrayLike | None = None,
-        exit: Exit = "lower",
+        rest_q: ArrayLike | None = None,
+        on_exit: Exit = "lower",
         rate: float = 100.0,
-        hold_for: float = 0.5,
+        comm_timeout: float = 0.5,
         budget: Budget | None = None,
-        grippers: Mapping[str, Jaw] | None = None,
+        grippers: Mapping[str, GripperConfig] | None = None,
         watchdog: float = 0.0,
         signals: bool = True,
         table: float | None = None,
     ) -> None:
         """Sort the joints; nothing is opened or moved yet."""
-        if exit not in {"lower", "hold"}:
-            raise ConfigError(f"exit must be 'lower' or 'hold', got {exit!r}")
+        if on_exit not in {"lower", "leave_enabled"}:
+            raise ConfigError(f"on_exit must be 'lower' or 'leave_enabled', got {on_exit!r}")
         self.model, self.drive = model, drive
-        self.rate, self.hold_for, self._watchdog = times(rate, hold_for, watchdog)
-        self._exit = exit
+        self.rate, self.comm_timeout, self._watchdog = times(rate, comm_timeout, watchdog)
+        self._on_exit = on_exit
         self._budget = Budget() if budget is None else instance(budget, Budget, "budget")
-        self._jaws = check_jaws(grippers)
+        self._gripper_configs = check_grippers(grippers)
         self._keeper = Keeper(self._leave)
         self._signals = Signals(self._keeper.unwanted.set) if signals else None
         self._left: str | None = None
         self._meet()
         self.table = None if table is None else real(table, "table [m]")
         self.detour: str | None = None
-        self.rest = None if rest is None else posture(self.model, rest, "rest")
-        if self.rest is not None:
-            check_rest(self.model, self._points, self.rest, self.table)
+        self.rest_q = None if rest_q is None else posture(self.model, rest_q, "rest_q")
+        if self.rest_q is not None:
+            check_rest(self.model, self._points, self.rest_q, self.table)
         self._opened = False
         self.leads: Array = np.full(model.n, np.nan)
 
@@ -124,7 +124,7 @@ class Arm:
         # What is made from the model alone must not believe the table that it came with.
         self.model = self.model.with_servos(self.servos)
         self._points = Points(self.model, self.servos.armature)
-        self.grippers = make_grippers(self._cycle, self._jaws, self._order)
+        self.grippers = make_grippers(self._cycle, self._gripper_configs, self._order)
 
     # Life.
 
@@ -198,7 +198,7 @@ class Arm:
         Raises:
             ServoError: The bus is gone, or a joint kept its torque.
         """
-        self._descend(self.rest)
+        self._descend(self.rest_q)
 
     def park(self, pose: ArrayLike | None = None) -> None:
         """To a pose (n,) [rad], by default the rest pose, straight through joint space; then lower.
@@ -208,16 +208,16 @@ class Arm:
                 nothing has moved.
             ServoError: As `lower`.
         """
-        if pose is None and self.rest is None:
-            raise ConfigError("no pose to park in: arm.park([...]) or connect(..., rest=[...])")
+        if pose is None and self.rest_q is None:
+            raise ConfigError("no pose to park in: arm.park([...]) or connect(..., rest_q=[...])")
         if pose is None:
-            self._descend(self.rest)
+            self._descend(self.rest_q)
             return
         target = posture(self.model, pose, "pose")
         check_rest(self.model, self._points, target, self.table)
         self._descend(target)
 
-    def hold(self) -> None:
+    def leave_enabled(self) -> None:
         """Stay here with torque on, also when the program ends. Servos that hold get hot."""
         with self._keeper.alone():
             if self.enabled:
@@ -225,7 +225,7 @@ class Arm:
                 self._left = self._ending(cause_of(sys.exception())).stays()
                 self._forget()
 
-    def limp(self) -> None:
+    def disable_torque(self) -> None:
         """Torque off where the arm stands: it falls. Every joint is tried.
 
         Raises:
@@ -238,12 +238,12 @@ class Arm:
                 self._forget()
 
     def close(self) -> None:
-        """Leave as `exit` says where torque is on, then let go of the bus."""
+        """Leave as `on_exit` says where torque is on, then let go of the bus."""
         if self._keeper.elsewhere:
             return
         try:
             if self.enabled:
-                self.lower() if self._exit == "lower" else self.hold()
+                self.lower() if self._on_exit == "lower" else self.leave_enabled()
         finally:
             self._forget()
             if self._opened:
@@ -336,9 +336,9 @@ class Arm:
             if not self.enabled:
                 return
             ending = self._ending(self._keeper.reason)
-            if self._exit == "lower":
+            if self._on_exit == "lower":
                 ending.begin()
-                self._bring_down(self.rest, ending)
+                self._bring_down(self.rest_q, ending)
             else:
                 settle(self._cycle)
                 self._left = ending.stays()

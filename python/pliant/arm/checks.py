@@ -46,24 +46,24 @@ def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) ->
     return array
 
 
-def times(rate: float, hold_for: float, watchdog: float) -> tuple[float, float, float]:
-    """Rate [Hz], `hold_for` and watchdog [s] that an arm can keep; see `Arm`.
+def times(rate: float, comm_timeout: float, watchdog: float) -> tuple[float, float, float]:
+    """Rate [Hz], `comm_timeout` and watchdog [s] that an arm can keep; see `Arm`.
 
     Raises:
         ConfigError: One is no number or out of range.
     """
-    rate, hold_for = real(rate, "rate"), real(hold_for, "hold_for")
+    rate, comm_timeout = real(rate, "rate"), real(comm_timeout, "comm_timeout")
     watchdog = real(watchdog, "watchdog")
     if not 0.0 < rate < np.inf:
         raise ConfigError(f"rate must be above 0 Hz and finite, got {rate:g}")
-    if not 0.0 < hold_for <= LONGEST_HOLD:
+    if not 0.0 < comm_timeout <= LONGEST_HOLD:
         raise ConfigError(
-            f"hold_for must be above 0 s and at most {LONGEST_HOLD:g} s, got {hold_for:g}: an arm "
-            "whose bus is silent is lowered after that"
+            f"comm_timeout must be above 0 s and at most {LONGEST_HOLD:g} s, got {comm_timeout:g}: "
+            "an arm whose bus is silent is lowered after that"
         )
     if not 0.0 <= watchdog < np.inf:
         raise ConfigError(f"watchdog must be 0 s (never) or more and finite, got {watchdog:g}")
-    return rate, hold_for, watchdog
+    return rate, comm_timeout, watchdog
 
 
 def posture(model: Model, value: ArrayLike, name: str) -> Array:

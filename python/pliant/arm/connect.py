@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 #: Arguments that belong to the arm, whatever drives it.
 OF_THE_ARM = frozenset(
-    ("rest", "exit", "rate", "hold_for", "budget", "grippers", "watchdog", "signals", "table")
+    ("rest_q", "on_exit", "rate", "comm_timeout", "budget", "grippers", "watchdog", "signals", "table")
 )
 
 #: Arguments that replace words of a configuration file.

@@ -22,7 +22,7 @@ DEFAULT_SHARE, OVERLOAD_SHARE = 0.3, 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Jaw:
+class GripperConfig:
     """What a gripper is.
 
     Attributes:
@@ -42,9 +42,9 @@ class Jaw:
     def __post_init__(self) -> None:
         """Check the ranges."""
         if self.limit is not None and not self.limit >= 0.0:
-            raise ConfigError(f"Jaw.limit must be at least 0 N·m, got {self.limit!r}")
+            raise ConfigError(f"GripperConfig.limit must be at least 0 N·m, got {self.limit!r}")
         if self.lever is not None and not self.lever > 0.0:
-            raise ConfigError(f"Jaw.lever must be above 0 m, got {self.lever!r}")
+            raise ConfigError(f"GripperConfig.lever must be above 0 m, got {self.lever!r}")
 
 
 class Gripper:
@@ -62,7 +62,7 @@ class Gripper:
     def __init__(
         self,
         name: str,
-        jaw: Jaw,
+        jaw: GripperConfig,
         model: Model,
         *,
         largest: float,
@@ -138,24 +138,25 @@ class Gripper:
         value = described if given is None else given
         if value is None or not math.isfinite(value):
             raise ConfigError(
-                f"gripper {self.name!r} has no limit in the model: give Jaw({which}=...) [rad]"
+                f"gripper {self.name!r} has no limit in the model: give "
+                f"GripperConfig({which}=...) [rad]"
             )
         return float(value)
 
 
-def check_jaws(jaws: Mapping[str, Jaw] | None) -> dict[str, Jaw]:
+def check_grippers(grippers: Mapping[str, GripperConfig] | None) -> dict[str, GripperConfig]:
     """What each gripper is, by joint; none of them for None.
 
     Raises:
-        TypeError: No mapping, or one of them is no `Jaw`.
+        TypeError: No mapping, or one of them is no `GripperConfig`.
     """
-    hint = "as {'gripper': pliant.arm.Jaw(lever=0.05)}"
-    named = {} if jaws is None else mapping(jaws, "grippers", hint)
-    return {name: instance(jaw, Jaw, f"grippers[{name!r}]", hint) for name, jaw in named.items()}
+    hint = "as {'gripper': pliant.arm.GripperConfig(lever=0.05)}"
+    named = {} if grippers is None else mapping(grippers, "grippers", hint)
+    return {name: instance(jaw, GripperConfig, f"grippers[{name!r}]", hint) for name, jaw in named.items()}
 
 
 def make_grippers(
-    cycle: Cycle, jaws: Mapping[str, Jaw], order: Callable[[str, float, float], None]
+    cycle: Cycle, grippers: Mapping[str, GripperConfig], order: Callable[[str, float, float], None]
 ) -> dict[str, Gripper]:
     """One gripper per joint beside the chain.
 
@@ -163,7 +164,7 @@ def make_grippers(
         ConfigError: A jaw is for no such joint, or a gripper lacks its ends.
     """
     roster, drive = cycle.roster, cycle.drive
-    unknown = sorted(set(jaws) - set(roster.extra))
+    unknown = sorted(set(grippers) - set(roster.extra))
     if unknown:
         there = ", ".join(roster.extra) or "none"
         raise ConfigError(f"no joint {unknown[0]!r} off the chain; there are: {there}")
@@ -171,7 +172,7 @@ def make_grippers(
     return {
         name: Gripper(
             name,
-            jaws.get(name, Jaw()),
+            grippers.get(name, GripperConfig()),
             cycle.model,
             largest=float(np.broadcast_to(drive.servos.torque, len(roster.names))[i]),
             overload=float(overload[i]),

@@ -34,7 +34,7 @@ def check_rest(model: Model, points: Points, rest: Array, table: float | None) -
     lowest = int(height.argmin())
     if height[lowest] < table - TOLERANCE:
         raise LimitError(
-            f"rest: {_name(model, lowest)} would be {table - height[lowest]:.3f} m inside the "
+            f"rest_q: {_name(model, lowest)} would be {table - height[lowest]:.3f} m inside the "
             f"table at z = {table:g} m; `pliant doctor ARM --watch` prints the pose in which you "
             "lay the arm down"
         )

@@ -55,7 +55,7 @@ class Shortfall:
             f"{self._names[worst]} may exert {limit[worst]:.3g} N·m, and this pose needs "
             f"{weight[worst]:.3g}: the arm sinks or falls. Limits are sent as they are; None keeps "
             "the last, a Controller's carry the weight, arm.lower() brings the arm down, and "
-            "arm.limp() lets go of it by name",
+            "arm.disable_torque() lets go of it by name",
             RuntimeWarning,
             stacklevel=4,
         )

@@ -42,7 +42,7 @@ def run(
     *,
     output: File = None,
     parquet: bool = False,
-    rerun: bool = False,
+    verify: bool = False,
 ) -> None:
     """Look at a log that `pliant run --log` or `pliant.log.Recorder` made.
 
@@ -53,15 +53,15 @@ def run(
         log: The MCAP file.
         output: File to write: picture (png, svg, pdf) or table; default: beside the log.
         parquet: Export Parquet for pandas, polars, DuckDB (needs pyarrow); else NumPy's npz.
-        rerun: With info: run the controller again and compare every command.
+        verify: With info: run the controller again and compare every command.
     """
     from pliant.log import read
 
-    _suits(what, output, parquet, rerun)
+    _suits(what, output, parquet, verify)
     data = read(log)
     console = Console()
     if what == "info":
-        _info(console, log, data, rerun)
+        _info(console, log, data, verify)
         return
     suffix = ".png" if what == "plot" else ".parquet" if parquet else ".npz"
     file = output or log.with_suffix(suffix)
@@ -79,12 +79,12 @@ def run(
     console.print(str(file), highlight=False, soft_wrap=True, markup=False)
 
 
-def _suits(what: str, output: Path | None, parquet: bool, rerun: bool) -> None:
+def _suits(what: str, output: Path | None, parquet: bool, verify: bool) -> None:
     """Whether the flags go with what is asked for, and the file with what will be in it."""
     for flag, given, of in (
         ("--output", output is not None, ("plot", "export")),
         ("--parquet", parquet, ("export",)),
-        ("--rerun", rerun, ("info",)),
+        ("--verify", verify, ("info",)),
     ):
         if given and what not in of:
             raise pliant.ConfigError(f"{flag} belongs to pliant log {' and '.join(of)}, not {what}")
@@ -146,9 +146,9 @@ def _info(console: Console, path: Path, log: Log, again: bool) -> None:
 
 
 def _again(log: Log) -> str:
-    from pliant.log import rerun
+    from pliant.log import verify
 
-    result = rerun(log)
+    result = verify(log)
     if result.same:
         return f"run again: {result.steps} commands, all the same, bit for bit"
     return (

@@ -95,7 +95,7 @@ class Watch:
         pose = [known[name] for name in self.model.joint_names]
         if np.isnan(pose).any():
             return ""
-        return f"rest = [{', '.join(f'{round(q, 2) + 0.0:.2f}' for q in pose)}]"
+        return f"rest_q = [{', '.join(f'{round(q, 2) + 0.0:.2f}' for q in pose)}]"
 
     def _sentence(self, joint: int, way: float) -> str:
         name = self.names[joint]

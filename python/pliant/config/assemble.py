@@ -8,12 +8,12 @@ import numpy as np
 
 from pliant import ConfigError, LimitError, ServoError, ShapeError
 from pliant.arguments import real
-from pliant.arm import Arm, Budget, Jaw
+from pliant.arm import Arm, Budget, GripperConfig
 from pliant.arm.checks import posture, vector
 from pliant.arm.connect import OF_THE_ARM, check_options, plant_options
 from pliant.arm.points import Points
 from pliant.config import build
-from pliant.servo import ServoChain, ServoSpec, serial_ports
+from pliant.servo import ServoBus, ServoSpec, serial_ports
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -48,14 +48,14 @@ def arm(config: Config, **options: Any) -> Arm:
     model = config.model()
     _check_rest(config, model)
     given = {
-        "rest": config.life.rest,
-        "exit": config.life.exit,
+        "rest_q": config.life.rest_q,
+        "on_exit": config.life.on_exit,
         "rate": config.loop.rate,
-        "hold_for": config.loop.hold_for,
+        "comm_timeout": config.loop.comm_timeout,
         "table": config.robot.table,
         # The simulator alone knows no currents.
         "budget": Budget(supply=None if config.backend == "sim" else config.supply.current),
-        "grippers": jaws(config),
+        "grippers": grippers(config),
         **{key: value for key, value in options.items() if key not in beside},
     }
     if config.backend == "sim":
@@ -66,12 +66,12 @@ def arm(config: Config, **options: Any) -> Arm:
     return Arm(model, made, **given)
 
 
-def _fixed(model: Model, made: Drive) -> dict[str, Jaw]:
+def _fixed(model: Model, made: Drive) -> dict[str, GripperConfig]:
     """Joints beside the chain to which the model gives no ends: they stay where they are."""
     known = {joint.name for joint in model.joints if _has_ends(joint.lower, joint.upper)}
     places = zip(made.names, made.read().position.tolist(), strict=True)
     return {
-        name: Jaw(opened=place, closed=place)
+        name: GripperConfig(opened=place, closed=place)
         for name, place in places
         if name not in known and name not in model.joint_names
     }
@@ -110,10 +110,10 @@ def _beside(config: Config, options: dict[str, Any]) -> dict[str, Any]:
 
 def _check_rest(config: Config, model: Model) -> None:
     """Whether the file's rest pose is a pose of this arm."""
-    if config.life.rest is None:
+    if config.life.rest_q is None:
         return
     try:
-        posture(model, config.life.rest, "life.rest")
+        posture(model, config.life.rest_q, "life.rest_q")
     except (LimitError, ShapeError) as error:
         raise ConfigError(f"{config.source}: {error}") from error
 
@@ -191,11 +191,11 @@ def above_table(plant: Plant) -> None:
             )
 
 
-def chain(config: Config, ports: dict[str, str]) -> ServoChain:
+def chain(config: Config, ports: dict[str, str]) -> ServoBus:
     """The servos on these ports: name in the file to path."""
     bauds = {ports[port.name]: port.baud for port in config.port}
     loop = config.loop
-    return ServoChain(specs(config, ports), baudrate=bauds, rate=loop.rate, patience=loop.patience)
+    return ServoBus(specs(config, ports), baudrate=bauds, rate=loop.rate, patience=loop.patience)
 
 
 def specs(config: Config, ports: dict[str, str]) -> list[ServoSpec]:
@@ -234,12 +234,12 @@ def _only_port(name: str) -> str:
     )
 
 
-def jaws(config: Config) -> dict[str, Jaw]:
+def grippers(config: Config) -> dict[str, GripperConfig]:
     """The grippers, by joint; a simulated arm has those of its model."""
     gripper = config.gripper
     if gripper is None:
         return {}
-    jaw = Jaw(
+    jaw = GripperConfig(
         opened=gripper.opened, closed=gripper.closed, limit=gripper.limit, lever=gripper.lever
     )
     return {gripper.joint: jaw}
@@ -252,7 +252,7 @@ def start(config: Config, model: Model) -> Any:
     its rest pose.
     """
     zero = np.clip(np.zeros(model.n), model.lower, model.upper)
-    table, rest = config.robot.table, config.life.rest
+    table, rest = config.robot.table, config.life.rest_q
     if rest is None or len(rest) != model.n:
         return zero
     if table is None or Points(model)(zero).position[:, 2].min() >= table:

@@ -50,7 +50,7 @@ def _ids(config: Config) -> list[str]:
     seen: dict[tuple[str, int], str] = {}
     out = []
     for joint, servo in servos(config).items():
-        own = [servo.id] if servo.twin is None else [servo.id, servo.twin.id]
+        own = [servo.id] if servo.secondary is None else [servo.id, servo.secondary.id]
         for number in own:
             other = seen.setdefault((servo.port, number), joint)
             if other != joint or own.count(number) > 1:
@@ -105,8 +105,8 @@ def spec(
         zero=servo.zero if calibration is None else calibration.middle,
         port=port,
         calibration=calibration,
-        twin=None if servo.twin is None else (servo.twin.id, servo.twin.sign),
-        **servo.model_dump(exclude={"zero", "port", "twin", "gain"}),
+        secondary=None if servo.secondary is None else (servo.secondary.id, servo.secondary.sign),
+        **servo.model_dump(exclude={"zero", "port", "secondary", "gain"}),
     )
 
 

@@ -18,7 +18,7 @@ from pliant.arm.lateness import Lateness
 from pliant.arm.points import Points
 from pliant.arm.rest import check_rest
 from pliant.config import assemble, build
-from pliant.servo import ServoChain, wire_time
+from pliant.servo import ServoBus, wire_time
 from pliant.servo.port import latency_timer
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def examine(config: Config) -> Iterator[Diagnosis]:
     except (PliantError, ImportError) as error:
         yield Diagnosis("bad", "ports", str(error))
         return
-    assert isinstance(drive, ServoChain)
+    assert isinstance(drive, ServoBus)
     if config.backend == "bus":
         yield from _ports(drive)
     try:
@@ -96,7 +96,7 @@ def examine(config: Config) -> Iterator[Diagnosis]:
 
 def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
     """What the description leaves open."""
-    rest = config.life.rest
+    rest = config.life.rest_q
     if rest is None:
         yield Diagnosis(
             "note",
@@ -106,7 +106,7 @@ def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
         )
     else:
         try:
-            pose = posture(model, rest, "life.rest")
+            pose = posture(model, rest, "life.rest_q")
             check_rest(model, Points(model), pose, config.robot.table)
         except PliantError as error:
             yield Diagnosis("bad", "rest pose", str(error))
@@ -160,7 +160,7 @@ def _clock(rate: float) -> Diagnosis:
     return Diagnosis("good", "loop", text)
 
 
-def _ports(chain: ServoChain) -> Iterator[Diagnosis]:
+def _ports(chain: ServoBus) -> Iterator[Diagnosis]:
     """Permissions and adapters."""
     for path in dict.fromkeys(spec.port for spec in chain.specs):
         if not Path(path).exists() or not os.access(path, os.R_OK | os.W_OK):
@@ -201,7 +201,7 @@ def _servos(found: tuple[Found, ...]) -> Iterator[Diagnosis]:
             )
 
 
-def _gains(chain: ServoChain, config: Config) -> Iterator[Diagnosis]:
+def _gains(chain: ServoBus, config: Config) -> Iterator[Diagnosis]:
     """Whether the servos have the gains that the simulator was told of."""
     read = chain.gains
     for joint, servo in build.servos(config).items():
@@ -214,7 +214,7 @@ def _gains(chain: ServoChain, config: Config) -> Iterator[Diagnosis]:
             )
 
 
-def _sense(chain: ServoChain, model: Model) -> Iterator[Diagnosis]:
+def _sense(chain: ServoBus, model: Model) -> Iterator[Diagnosis]:
     """Whether where the joints say they are is possible."""
     position = dict(zip(chain.names, chain.read().position.tolist(), strict=True))
     for name, q, low, high in outside(model, np.array([position[j] for j in model.joint_names])):
@@ -226,7 +226,7 @@ def _sense(chain: ServoChain, model: Model) -> Iterator[Diagnosis]:
         )
 
 
-def _cycle(chain: ServoChain, config: Config) -> Diagnosis:
+def _cycle(chain: ServoBus, config: Config) -> Diagnosis:
     """How long reading all joints takes, against the wire."""
     times, before = [], chain.counters["timeouts"]
     for _ in range(CYCLES):

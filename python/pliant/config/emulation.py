@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from pliant.arm.checks import vector
 from pliant.config import assemble, build
-from pliant.servo import ServoChain, find
+from pliant.servo import ServoBus, find
 from pliant.servo.emulator import Mount, emulate
 from pliant.servo.emulator.process import Remote
 
@@ -25,7 +25,7 @@ REGISTERS = {"position_min": "min_position_limit", "position_max": "max_position
 REGISTERS_P1 = {"position_min": "cw_angle_limit", "position_max": "ccw_angle_limit"}
 
 
-class EmulatedChain(ServoChain):
+class EmulatedChain(ServoBus):
     """The servos of a configuration on an emulator in a process of its own.
 
     Attributes:
@@ -86,7 +86,7 @@ def mounts(config: Config) -> list[Mount]:
                 sign=servo.sign,
                 zero=None if zero is None else round(zero),
                 gear=servo.gear,
-                twin=None if servo.twin is None else (servo.twin.id, servo.twin.sign),
+                secondary=None if servo.secondary is None else (servo.secondary.id, servo.secondary.sign),
                 port=servo.port,
                 registers=_as_set_up(servo) | _calibrated(files.get(joint), servo),
             )

@@ -94,7 +94,7 @@ class Port(Table):
     baud: Annotated[int, Field(ge=9600, le=4_500_000, strict=True)] = 1_000_000
 
 
-class Twin(Table):
+class Secondary(Table):
     """A second servo that drives the same joint; its zero is found at open.
 
     Attributes:
@@ -117,7 +117,7 @@ class Servo(Table):
         zero: Count at which the joint's angle is 0; None: from the calibration file, else the
             middle of the servo's range.
         gear: Turns of the servo per turn of the joint.
-        twin: A second servo on the same joint.
+        secondary: A second servo on the same joint.
         lower, upper: Position limits in software [rad]; None: what the servo's own limits allow.
         stall: Stall torque at the rated voltage in place of the table's [N·m].
         torque_offset: Torque that the gears eat, off what the register promises [N·m].
@@ -134,7 +134,7 @@ class Servo(Table):
     sign: Literal[1, -1] = 1
     zero: Number | None = None
     gear: Positive = 1.0
-    twin: Twin | None = None
+    secondary: Secondary | None = None
     lower: Number | None = None
     upper: Number | None = None
     stall: Positive | None = None
@@ -194,14 +194,14 @@ class Loop(Table):
 
     Attributes:
         rate: [Hz]
-        hold_for: How long a silent bus or program is waited for before the arm is lowered [s], at
-            most 60.
+        comm_timeout: Time without an answer from the bus or the program after which the arm is
+            lowered [s], at most 60.
         patience: Least time to wait for a servo's answer [s], at most 1; more than the default on a
             computer that is busy elsewhere.
     """
 
     rate: Annotated[float, Field(gt=0.0, le=2000.0, strict=True)] = 100.0
-    hold_for: Annotated[float, Field(gt=0.0, le=LONGEST_HOLD, strict=True)] = 0.5
+    comm_timeout: Annotated[float, Field(gt=0.0, le=LONGEST_HOLD, strict=True)] = 0.5
     patience: Annotated[float, Field(gt=0.0, le=LONGEST_PATIENCE, strict=True)] = 0.01
 
 
@@ -209,12 +209,12 @@ class Life(Table):
     """How the arm is put down.
 
     Attributes:
-        rest: Pose where it goes first (n,) [rad]; None: straight down.
-        exit: What leaving does.
+        rest_q: Pose where it goes first (n,) [rad]; None: straight down.
+        on_exit: Action on leaving.
     """
 
-    rest: list[Number] | None = None
-    exit: Literal["lower", "hold"] = "lower"
+    rest_q: list[Number] | None = None
+    on_exit: Literal["lower", "leave_enabled"] = "lower"
 
 
 class Supply(Table):

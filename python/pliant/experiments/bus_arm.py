@@ -11,7 +11,7 @@ from pliant.arm import Arm
 from pliant.config import assemble
 from pliant.config.emulation import emulated
 from pliant.experiments.setups import VERTICAL
-from pliant.servo import ServoChain
+from pliant.servo import ServoBus
 from pliant.servo.emulator import StepClock, Timing
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def configuration(family: str, q: Array = VERTICAL) -> Config:
         '[robot]\nbuiltin = "arm7"',
         f"gravity = [0.0, 0.0, {-kind.gravity}]\n{kind.limits}",
         f"[supply]\nvoltage = {kind.volts}",
-        f"[life]\nrest = {q.tolist()}",
+        f"[life]\nrest_q = {q.tolist()}",
         '[[port]]\npath = "auto"\n[servo]',
     ]
     for number, (joint, model) in enumerate(zip(JOINTS, kind.models, strict=True), 1):
@@ -104,7 +104,7 @@ def stepped(
     family: str,
     *,
     arm: dict[str, Any],
-    chain: type[ServoChain] = ServoChain,
+    chain: type[ServoBus] = ServoBus,
     q: Array = VERTICAL,
     patience: float = PATIENCE,
     **options: Any,

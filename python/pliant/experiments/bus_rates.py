@@ -20,7 +20,7 @@ from pliant.arm import Arm
 from pliant.config import assemble
 from pliant.experiments.bus_arm import FAMILIES, configuration, emulator
 from pliant.loop import Loop
-from pliant.servo import ServoChain, ServoSpec, wire_time
+from pliant.servo import ServoBus, ServoSpec, wire_time
 from pliant.servo.emulator import Device, Emulator, Remote, Timing
 
 #: Servos on the line, its speed [bit/s], and how long an arm is controlled for its share [s].
@@ -76,7 +76,7 @@ def measure(family: str, cycles: int, *, timed: bool) -> Rate:
     devices = [Device(model, id, return_delay_time=0, **own) for id in range(1, SERVOS + 1)]
     with Remote(Emulator, devices, timing=Timing(wire=timed)) as bus:
         specs = [ServoSpec(name=f"j{d.id}", model=model, id=d.id, port=bus.port) for d in devices]
-        with ServoChain(specs, baudrate=BAUD, patience=0.05) as chain:
+        with ServoBus(specs, baudrate=BAUD, patience=0.05) as chain:
             limit = 0.2 * np.asarray(chain.servos.torque)
             goal = chain.read().position
             chain.enable(goal, limit)
@@ -96,17 +96,17 @@ def share(family: str, seconds: float) -> float:
     """Share of a processor that control of the arm at 100 Hz takes in the host's process."""
     read = configuration(family)
     with Remote(emulator, family) as bus:
-        chain = ServoChain(assemble.specs(read, bus.ports), patience=0.05)
-        arm = Arm(read.model(), chain, hold_for=5.0, signals=False)
+        chain = ServoBus(assemble.specs(read, bus.ports), patience=0.05)
+        arm = Arm(read.model(), chain, comm_timeout=5.0, signals=False)
         with chain:
             arm.enable()
             controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
             target = arm.model.forward_kinematics(arm.read().q)
             used, begin = time.process_time(), time.perf_counter()
-            for tick in Loop(arm, controller, rate=100.0, duration=seconds, stall=5.0):
+            for tick in Loop(arm, controller, rate=100.0, duration=seconds, max_step_time=5.0):
                 tick.write(controller.step(tick.q, target, dt=tick.dt))
             out = (time.process_time() - used) / (time.perf_counter() - begin)
-            arm.limp()
+            arm.disable_torque()
     return out
 
 

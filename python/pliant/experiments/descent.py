@@ -25,7 +25,7 @@ from pliant.experiments.campaign_arms import BESIDE, ROBOTS, load
 from pliant.experiments.parallel import parallel
 from pliant.experiments.setups import VERTICAL
 from pliant.experiments.sheet import POSES
-from pliant.servo import ServoChain
+from pliant.servo import ServoBus
 from pliant.servo.emulator import StepClock, Timing
 from pliant.sim import Plant, table
 
@@ -245,7 +245,7 @@ def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
     plant.reset(job.q)
     watch = Watch(job, plant)
     drive = SimDrive(plant, servos=model.servos.replace(kp_known=False))
-    arm = Arm(model, drive, grippers=assemble.jaws(configuration(job.arm)), signals=False)
+    arm = Arm(model, drive, grippers=assemble.grippers(configuration(job.arm)), signals=False)
     lead = _needed(model, np.asarray(job.q), truth.load) / plant.gains.kp
     goal = np.concatenate((job.q + lead, drive.read().position[model.n :]))
     drive.write(goal, np.asarray(drive.servos.torque))
@@ -267,7 +267,7 @@ def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
         plant={"friction_scale": truth.friction, "payload": _payload(truth)},
     )
     watch, step = Watch(job, bus.plant), bus.world.physics.step
-    names = [joint for joint, servo in own.servo.items() for _ in range(1 + bool(servo.twin))]
+    names = [joint for joint, servo in own.servo.items() for _ in range(1 + bool(servo.secondary))]
     scales = dict(zip(model.joint_names, truth.stiffness, strict=True))
     for servo, joint in zip(bus.world.servos, names, strict=False):
         _differ(servo, scales.get(joint, 1.0), truth.step)
@@ -278,12 +278,12 @@ def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
 
     bus.world.physics.step = watched  # type: ignore[method-assign]
     with bus:
-        drive = ServoChain(assemble.specs(own, bus.ports), patience=PATIENCE, clock=StepClock(bus))
-        arm = Arm(model, drive, grippers=assemble.jaws(own), signals=False)
+        drive = ServoBus(assemble.specs(own, bus.ports), patience=PATIENCE, clock=StepClock(bus))
+        arm = Arm(model, drive, grippers=assemble.grippers(own), signals=False)
         try:
             yield arm, watch
         finally:
-            arm.limp()
+            arm.disable_torque()
             arm.close()
 
 

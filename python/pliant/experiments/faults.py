@@ -239,7 +239,7 @@ def _run(
     # What the arm does to a hand when its torque goes off is nobody's doing but ours.
     watcher.begun = np.inf
     with suppress(pliant.PliantError):
-        arm.limp()
+        arm.disable_torque()
     return reason, torque
 
 

@@ -80,7 +80,7 @@ def floated(
         scene=[hand],
     )
     plant.reset(q)
-    floating = pliant.Float(arm.model, table)
+    floating = pliant.HandGuiding(arm.model, table)
     rows, ready = [], 0.0
     while plant.time < END:
         order = floating.step(plant.read().q)

@@ -95,7 +95,7 @@ def lower(
         scene: Sequence[Hand] = table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE)
         plant.set_hands(scene)
     drive = SickDrive(plant, plant.table.replace(kp_known=kp_known))
-    arm = Arm(model, drive, rest=rest, signals=False)
+    arm = Arm(model, drive, rest_q=rest, signals=False)
     speeds: list[float] = []
     heights: list[float] = []
     forces: list[float] = [0.0]

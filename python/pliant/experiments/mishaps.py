@@ -175,7 +175,7 @@ def _nan(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array:
 def _nan_caught(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array | None:
     """The program notices, and holds."""
     if since < LONG:
-        tick.hold()
+        tick.skip()
         return None
     return GRASP
 
@@ -230,9 +230,9 @@ MISHAPS: tuple[Mishap, ...] = (
     Mishap(title="nothing", act=lambda tick, drive, robot, since: GRASP),
     Mishap(title="Ctrl-C, or any exception", act=_interrupt),
     Mishap(title="the program stalls for 1 s", act=_stall),
-    Mishap(title="the same, `Loop(stall=2.0)`", act=_stall, loop={"stall": 2.0}),
+    Mishap(title="the same, `Loop(max_step_time=2.0)`", act=_stall, loop={"max_step_time": 2.0}),
     Mishap(title="target NaN, the error not caught", act=_nan),
-    Mishap(title="target NaN for 1 s, caught: `tick.hold()`", act=_nan_caught),
+    Mishap(title="target NaN for 1 s, caught: `tick.skip()`", act=_nan_caught),
     Mishap(title="no command for 1 s", act=_nothing),
     Mishap(title="target jumps by 1 m for 1 s", act=_jump),
     Mishap(title="no positions for 0.3 s", act=_silence(0.3)),

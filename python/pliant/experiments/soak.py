@@ -23,7 +23,7 @@ from pliant.experiments.bus_arm import FAMILIES, configuration, emulator, steppe
 from pliant.experiments.bus_audit import Audit
 from pliant.experiments.setups import displaced
 from pliant.loop import Loop
-from pliant.servo import ServoChain
+from pliant.servo import ServoBus
 from pliant.servo.emulator import Faults
 from pliant.servo.emulator.faults import KINDS
 from pliant.servo.emulator.process import Remote
@@ -51,10 +51,10 @@ ROUNDING = 1.2
 OLD = 0.1
 #: In real time, on a machine that is busy: least time to wait for an answer, for positions, and for
 #: a silent host [s].
-PATIENCE, HOLD_FOR, WATCHDOG = 0.05, 20.0, 2.0
+PATIENCE, COMM_TIMEOUT, WATCHDOG = 0.05, 20.0, 2.0
 
 
-class Recorder(ServoChain):
+class Recorder(ServoBus):
     """A chain that remembers what it handed out and what it was asked to send.
 
     Attributes:
@@ -181,7 +181,7 @@ def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
     arm.enable()
     controller = pliant.Controller(arm.model, settings, arm.servos)
     start = arm.model.forward_kinematics(arm.read().q)
-    loop = Loop(arm, controller, rate=rate, duration=seconds, stall=HOLD_FOR)
+    loop = Loop(arm, controller, rate=rate, duration=seconds, max_step_time=COMM_TIMEOUT)
     begin = arm.clock.now()
     try:
         for tick in loop:
@@ -193,7 +193,7 @@ def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
     except pliant.PliantError as error:
         ended = str(error)
     try:
-        arm.limp()
+        arm.disable_torque()
     except pliant.PliantError as error:
         ended = f"{ended} {error}".strip()
     return loop, ended
@@ -229,8 +229,8 @@ def judge(
         loop={
             "ticks": len(loop.lateness),
             "missed": loop.missed,
-            "without news": loop.stale,
-            "refused": loop.refused,
+            "without news": loop.missing,
+            "refused": loop.rejected,
             "restarts": loop.restarts,
         },
         bus=arm.counters,
@@ -257,7 +257,7 @@ def shares(share: float = SHARE) -> dict[str, float]:
 def soak_stepped(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> Soaked:
     """In the emulator's own time, everything in this process."""
     faults = Faults(seed=seed)
-    options = {"rate": rate, "hold_for": HOLD_FOR}
+    options = {"rate": rate, "comm_timeout": COMM_TIMEOUT}
     with stepped(family, chain=Recorder, arm=options, faults=faults, log=10) as (bus, arm):
         audit = Audit(bus, machine=False)
         arm.open()
@@ -281,7 +281,7 @@ def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> 
         chain = Recorder(assemble.specs(read, bus.ports), rate=rate, patience=PATIENCE)
         try:
             arm = Arm(
-                read.model(), chain, rate=rate, hold_for=HOLD_FOR, watchdog=WATCHDOG, signals=False
+                read.model(), chain, rate=rate, comm_timeout=COMM_TIMEOUT, watchdog=WATCHDOG, signals=False
             )
             arm.open()
             bus.call("faults.by_chance", **shares())

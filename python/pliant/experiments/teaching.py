@@ -57,7 +57,7 @@ def teaching(name: str, kp_scale: float) -> Motion:
 
 def _connect(name: str, q: Iterable[float], kp_scale: float, scene: list[Drag]) -> pliant.arm.Arm:
     return pliant.connect(
-        f"sim:{name}", q=q, scene=scene, kp_scale=kp_scale, count=COUNT, exit="hold"
+        f"sim:{name}", q=q, scene=scene, kp_scale=kp_scale, count=COUNT, on_exit="leave_enabled"
     )
 
 

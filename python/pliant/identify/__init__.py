@@ -12,7 +12,7 @@ simulated. Each call is also a `Procedure` with `step(q)` for a loop of one's ow
 """
 
 from pliant.identify.capture import Captured, capture, capturing
-from pliant.identify.floating import Float
+from pliant.identify.hand_guiding import HandGuiding
 from pliant.identify.found import Identification, PayloadEstimate
 from pliant.identify.guided import identification, run
 from pliant.identify.payload import payload, weighing
@@ -20,7 +20,7 @@ from pliant.identify.seam import Order, Procedure, drive
 
 __all__ = [
     "Captured",
-    "Float",
+    "HandGuiding",
     "Identification",
     "Order",
     "PayloadEstimate",

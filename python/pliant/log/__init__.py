@@ -7,12 +7,12 @@
 ...         tick.write(command)
 ...         recorder.add(tick, command)
 >>> log = pliant.log.read("run.mcap")
->>> log.q, log.goal, pliant.log.rerun(log).same
+>>> log.q, log.goal, pliant.log.verify(log).same
 """
 
 from pliant.log.journal import Journal
 from pliant.log.reader import Log, read
 from pliant.log.recorder import Recorder
-from pliant.log.rerun import Rerun, rerun
+from pliant.log.verify import Verification, verify
 
-__all__ = ["Journal", "Log", "Recorder", "Rerun", "read", "rerun"]
+__all__ = ["Journal", "Log", "Recorder", "Verification", "read", "verify"]

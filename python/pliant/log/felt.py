@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import pliant
-from pliant.log.rerun import steps
+from pliant.log.verify import steps
 from pliant.loop import PRIME
 
 if TYPE_CHECKING:

@@ -1,8 +1,8 @@
 """What an arm does when it is touched: conditions over measures, and actions that follow.
 
-    >>> from pliant.reactions import Deviation, Force, Reaction, Retract, Watch
+    >>> from pliant.reactions import Deviation, Force, Reaction, Retract, ReactionMonitor
     >>> bumped = Force("z", above=9.0).lasting(0.05) & ~Deviation("xy", above=0.02)
-    >>> watch = Watch(controller, [Reaction(bumped, Retract(0.05))])
+    >>> watch = ReactionMonitor(controller, [Reaction(bumped, Retract(0.05))])
     >>> for tick in loop:
     ...     command = controller.step(tick.q, watch.update(tick.q, target))
 
@@ -21,7 +21,7 @@ from pliant.reactions.measures import (
     Touched,
 )
 from pliant.reactions.moment import Moment
-from pliant.reactions.watch import Noted, Reaction, Watch
+from pliant.reactions.monitor import Noted, Reaction, ReactionMonitor
 
 __all__ = [
     "Action",
@@ -42,6 +42,6 @@ __all__ = [
     "Speed",
     "Stop",
     "Touched",
-    "Watch",
+    "ReactionMonitor",
     "Yield",
 ]

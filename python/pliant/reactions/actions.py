@@ -44,7 +44,7 @@ class Running:
 class Action(ABC):
     """Something to do when a condition begins to hold."""
 
-    #: Whether it stays in force until `Watch.resume()`, unless the reaction says until when.
+    #: Whether it stays in force until `ReactionMonitor.resume()` where the reaction has no `until`.
     latched = False
     #: Whether it is done at once.
     momentary = False
@@ -88,7 +88,7 @@ class Hold(Action):
 
 @dataclass(frozen=True)
 class Stop(Action):
-    """As `Hold`, until `Watch.resume()` is called; `Watch.stopped` says so."""
+    """As `Hold`, until `ReactionMonitor.resume()` is called; `ReactionMonitor.stopped` says so."""
 
     latched = True
 

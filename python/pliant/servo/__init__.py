@@ -6,7 +6,7 @@ Needs the extra ``servo`` only where a serial port is opened.
 from __future__ import annotations
 
 from pliant.arm.drive import Health, Sample
-from pliant.servo.chain import ServoChain
+from pliant.servo.bus import ServoBus
 from pliant.servo.models import ServoModel, find, names
 from pliant.servo.spec import ServoSpec
 from pliant.servo.table import servos_of
@@ -19,7 +19,7 @@ __all__ = [
     "Health",
     "RustypotTransport",
     "Sample",
-    "ServoChain",
+    "ServoBus",
     "ServoModel",
     "ServoSpec",
     "Transport",

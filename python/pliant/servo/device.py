@@ -148,7 +148,7 @@ class Device:
     @property
     def name(self) -> str:
         """The joint, with the id where it has two servos."""
-        return self.spec.name if self.spec.twin is None else f"{self.spec.name} (id {self.id})"
+        return self.spec.name if self.spec.secondary is None else f"{self.spec.name} (id {self.id})"
 
     @property
     def faults(self) -> tuple[str, ...]:

@@ -41,7 +41,7 @@ MAY_BE_ON = "torque may still be on: "
 
 
 def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, cap: Array) -> None:
-    """Limit, goal = present position, read-back, torque, a look; see `ServoChain.enable`."""
+    """Limit, goal = present position, read-back, torque, a look; see `ServoBus.enable`."""
     before = {}
     for device in devices:
         before[id(device)] = _look(device, ports, goal)

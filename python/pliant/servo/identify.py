@@ -266,7 +266,7 @@ def _check_mode(device: Device, image: Image) -> list[str]:
         if shadow <= 252:
             wrong.append(
                 f"it obeys id {shadow} as well (Secondary ID): clear that with `pliant setup` and "
-                "name it as the joint's twin"
+                "name it as the joint's secondary"
             )
     elif family.status == "feetech":
         if image["mode"] != 0:
@@ -280,7 +280,7 @@ def _check_mode(device: Device, image: Image) -> list[str]:
         if "drive_mode" in image and image["drive_mode"] & 2:
             wrong.append(
                 "it is the slave of a dual joint: `pliant setup` ends that; name it as the joint's "
-                "twin"
+                "secondary"
             )
     return wrong
 

@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 TWINS_APART = 0.1
 
 
-def align_twins(joints: Sequence[Sequence[Device]]) -> None:
+def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
     """Give the second servo of a joint the zero that its first one implies: the joint couples them.
 
     Raises:
         ServoError: The joint's range then crosses its seam.
     """
-    for first, *twins in joints:
-        for twin in twins:
-            if first.position is not None and twin.position is not None:
+    for first, *secondaries in joints:
+        for secondary in secondaries:
+            if first.position is not None and secondary.position is not None:
                 q = first.angle(first.position)
-                zero = twin.position - twin.units.sign * q / twin.units.count
-                twin.units = replace(twin.units, zero=zero)
-                twin.set_range()
+                zero = secondary.position - secondary.units.sign * q / secondary.units.count
+                secondary.units = replace(secondary.units, zero=zero)
+                secondary.set_range()
 
 
 def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -> Sample:
@@ -46,7 +46,7 @@ def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -
         angles = [d.angle(d.position) for d in joint if d.position is not None]
         apart = max(angles) - min(angles) if angles else 0.0
         first.fault(
-            "twins",
+            "secondaries",
             apart > TWINS_APART,
             f"its two servos disagree by {apart:.2f} rad and work against each other",
         )

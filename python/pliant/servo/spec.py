@@ -31,8 +31,8 @@ class ServoSpec:
         sign: +1 where rising counts are rising angles, else -1.
         zero: Count at q = 0, may be fractional; None for the middle of the servo's range.
         gear: Turns of the servo per turn of the joint, above 0.
-        twin: Id and sign of a second servo on the same joint; its zero is taken from the first at
-            open, as the joint couples them.
+        secondary: Id and sign of a second servo on the same joint; its zero is taken from the
+            first at open, as the joint couples them.
         lower, upper: Software position limits [rad]; None for what the servo's own limits allow.
         stall: Stall torque at the rated voltage instead of the table's [N·m].
         torque_offset: Torque that the gears eat: ``torque = k · register - offset`` [N·m].
@@ -51,7 +51,7 @@ class ServoSpec:
     sign: int = 1
     zero: float | None = None
     gear: float = 1.0
-    twin: tuple[int, int] | None = None
+    secondary: tuple[int, int] | None = None
     lower: float | None = None
     upper: float | None = None
     stall: float | None = None
@@ -65,13 +65,13 @@ class ServoSpec:
         """Check the ranges."""
         row = self.row
         highest = 253 if row.family.protocol == "p1" else 252
-        ids = [self.id] if self.twin is None else [self.id, self.twin[0]]
-        signs = [self.sign] if self.twin is None else [self.sign, self.twin[1]]
+        ids = [self.id] if self.secondary is None else [self.id, self.secondary[0]]
+        signs = [self.sign] if self.secondary is None else [self.sign, self.secondary[1]]
         for number in ids:
             if not 0 <= number <= highest:
                 raise ConfigError(f"{self.name}: id {number} is outside 0..{highest}")
         if len(set(ids)) < len(ids):
-            raise ConfigError(f"{self.name}: the twin has the id of the first servo, {self.id}")
+            raise ConfigError(f"{self.name}: the secondary has the id of the first servo, {self.id}")
         if any(sign not in {-1, 1} for sign in signs):
             raise ConfigError(f"{self.name}: a sign is +1 or -1, got {signs}")
         if not (np.isfinite(self.gear) and self.gear > 0.0):
@@ -101,7 +101,7 @@ class ServoSpec:
     def servos(self) -> tuple[tuple[int, int], ...]:
         """Id and sign of each servo of the joint."""
         own = ((self.id, self.sign),)
-        return own if self.twin is None else (*own, self.twin)
+        return own if self.secondary is None else (*own, self.secondary)
 
 
 def check_specs(given: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:

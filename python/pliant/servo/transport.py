@@ -1,7 +1,7 @@
 """The seam to the bus: eight calls, and rustypot's raw-address calls behind them.
 
 Another transport (a vendor's SDK, a network bridge, a fake for tests) is any object with these
-methods; `ServoChain(..., transport=...)` takes a function that opens one.
+methods; `ServoBus(..., transport=...)` takes a function that opens one.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ class Units:
 
     @cached_property
     def _share(self) -> float:
-        """Joint torque per torque of one servo: gear, and twins share the work."""
+        """Joint torque per torque of one servo: gear, and secondaries share the work."""
         return self.spec.gear * len(self.spec.servos)
 
     @cached_property

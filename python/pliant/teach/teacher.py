@@ -40,7 +40,7 @@ class Teacher:
     Args:
         arm: The arm, enabled.
         rate: Ticks per second [Hz].
-        floating: What makes the arm weightless; None: `pliant.Float` of the arm.
+        floating: What makes the arm weightless; None: `pliant.HandGuiding` of the arm.
 
     Attributes:
         recording: Whether ticks are being kept.
@@ -49,10 +49,10 @@ class Teacher:
     """
 
     def __init__(
-        self, arm: Arm, *, rate: float = 100.0, floating: pliant.Float | None = None
+        self, arm: Arm, *, rate: float = 100.0, floating: pliant.HandGuiding | None = None
     ) -> None:
         self._arm, self._dt = arm, 1.0 / rate
-        self._float = floating or pliant.Float(arm.model, arm.servos, rate=rate)
+        self._float = floating or pliant.HandGuiding(arm.model, arm.servos, rate=rate)
         self._rows: list[tuple[float, Array, dict[str, float]]] = []
         self.recording = False
         self.still, self.moved = 0.0, False

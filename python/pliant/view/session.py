@@ -116,7 +116,7 @@ class Session:
                 # Whatever ends it, the page sees the arm come down.
                 self.look.phase = "lowering"
             if self._next == "scene":
-                arm.limp()
+                arm.disable_torque()
 
     def _control(self, arm: Arm) -> None:
         """The loop, with its log."""

@@ -34,7 +34,7 @@ class Mount:
         sign: 1, or -1 where counts fall as the joint angle rises.
         zero: Count the servo reports at joint angle 0; default its middle.
         gear: Turns of the servo per turn of the joint.
-        twin: Id and sign of a second servo of the same model on the same joint.
+        secondary: Id and sign of a second servo of the same model on the same joint.
         port: Port it hangs on.
         registers: EEPROM values that differ from a new servo's.
     """
@@ -45,13 +45,13 @@ class Mount:
     sign: int = 1
     zero: int | None = None
     gear: float = 1.0
-    twin: tuple[int, int] | None = None
+    secondary: tuple[int, int] | None = None
     port: str = "main"
     registers: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check signs and gear."""
-        for sign in (self.sign, self.twin[1] if self.twin else 1):
+        for sign in (self.sign, self.secondary[1] if self.secondary else 1):
             if sign not in {-1, 1}:
                 raise ConfigError(f"mount of {self.joint!r}: a sign is 1 or -1, got {sign!r}")
         if not self.gear > 0.0:
@@ -60,7 +60,7 @@ class Mount:
     @property
     def ids(self) -> list[tuple[int, int]]:
         """Id and sign of its servos."""
-        return [(self.id, self.sign), *([self.twin] if self.twin else [])]
+        return [(self.id, self.sign), *([self.secondary] if self.secondary else [])]
 
     def devices(self) -> list[Device]:
         """Return the servos of this mount."""

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 class StepClock:
-    """Time of an emulator with the clock `steps`, for `ServoChain(..., clock=...)`.
+    """Time of an emulator with the clock `steps`, for `ServoBus(..., clock=...)`.
 
     Waiting advances the emulator's world, so that a program over real bytes runs as fast as the
     computer goes. How busy that is matters only where an answer takes longer than the host waits.

@@ -24,7 +24,7 @@ COMMAND = ("goal", "torque_limit", "velocity")
 
 
 @dataclass(frozen=True)
-class Rerun:
+class Verification:
     """Commands of a run and of its repetition, M steps of n joints.
 
     Attributes:
@@ -48,7 +48,7 @@ class Rerun:
         return self.differing == 0 and self.missing == 0
 
 
-def rerun(log: Log, settings: pliant.Settings | None = None) -> Rerun:
+def verify(log: Log, settings: pliant.Settings | None = None) -> Verification:
     """Tell a fresh controller what the recorded one was told.
 
     Args:
@@ -67,7 +67,7 @@ def rerun(log: Log, settings: pliant.Settings | None = None) -> Rerun:
         goals.append(np.array(command.goal))
         limits.append(np.array(command.torque_limit))
     n = len(log.run["joints"])
-    return Rerun(
+    return Verification(
         steps=len(goals),
         differing=differing,
         goal=np.array(goals).reshape(-1, n),
@@ -86,11 +86,11 @@ def steps(
 
     Args:
         log: The log.
-        settings: As `rerun`.
+        settings: As `verify`.
         before: Called with call and controller before every step, as a `Contact` wants it.
 
     Raises:
-        ConfigError: As `rerun`.
+        ConfigError: As `verify`.
     """
     if log.settings is None:
         raise ConfigError("the log was made without a controller: there is nothing to run again")

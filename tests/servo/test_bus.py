@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pliant import ConfigError, ServoError, ShapeError
-from pliant.servo import ServoChain, ServoSpec
+from pliant.servo import ServoBus, ServoSpec
 from pliant.servo.emulator import Device, Emulator, StepClock
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
@@ -186,10 +186,10 @@ def test_families_share_a_port_and_ports_an_arm(enabled):
         bounds = {"lower": -1.0, "upper": 1.0}
         specs = [
             ServoSpec(name="pan", model="MX-64", id=1, port=one, **bounds),
-            ServoSpec(name="lift", model="XM540-W270", id=1, port=two, twin=(2, -1), **bounds),
+            ServoSpec(name="lift", model="XM540-W270", id=1, port=two, secondary=(2, -1), **bounds),
             ServoSpec(name="wrist", model="STS3215-7.4V", id=2, port=one, **bounds),
         ]
-        with ServoChain(specs, patience=0.1, clock=StepClock(bus)) as chain:
+        with ServoBus(specs, patience=0.1, clock=StepClock(bus)) as chain:
             limit = enabled(chain)
             goal = np.array([0.2, 0.3, -0.1])
             sample = settle(bus, chain, goal, limit)
@@ -206,33 +206,33 @@ def test_protocols_1_and_2_on_one_port_are_refused():
         ServoSpec(name="lift", model="XM430-W350", id=2, port="/dev/ttyUSB0"),
     ]
     with pytest.raises(ConfigError, match=r"pan on Protocol 1\.0 and lift on Protocol 2\.0"):
-        ServoChain(specs)
+        ServoBus(specs)
 
 
 def test_names_and_ids_are_unique():
     spec = ServoSpec(name="pan", model="MX-64", id=1, port="p")
     with pytest.raises(ConfigError, match="two joints are named 'pan'"):
-        ServoChain([spec, spec])
-    other = ServoSpec(name="lift", model="MX-64", id=2, port="p", twin=(1, 1))
+        ServoBus([spec, spec])
+    other = ServoSpec(name="lift", model="MX-64", id=2, port="p", secondary=(1, 1))
     with pytest.raises(ConfigError, match="pan and lift both have id 1"):
-        ServoChain([spec, other])
+        ServoBus([spec, other])
     with pytest.raises(ConfigError, match="no baud rate for p"):
-        ServoChain([spec], baudrate={"q": 57_600})
+        ServoBus([spec], baudrate={"q": 57_600})
     with pytest.raises(ConfigError, match="rate must be above 0"):
-        ServoChain([spec], rate=0.0)
+        ServoBus([spec], rate=0.0)
     with pytest.raises(ConfigError, match="at least one"):
-        ServoChain([])
+        ServoBus([])
 
 
 @pytest.mark.parametrize("patience", [0.0, 1.5, np.inf, np.nan])
 def test_a_patience_that_a_silent_bus_would_outlast_is_refused(patience):
     spec = ServoSpec(name="pan", model="MX-64", id=1, port="/dev/null")
     with pytest.raises(ConfigError, match=f"patience must .* 1 s, got {patience:g}"):
-        ServoChain([spec], patience=patience)
+        ServoBus([spec], patience=patience)
 
 
 def test_a_chain_that_is_not_open_says_so():
-    chain = ServoChain([ServoSpec(name="pan", model="MX-64", id=1, port="p")])
+    chain = ServoBus([ServoSpec(name="pan", model="MX-64", id=1, port="p")])
     for call in (chain.read, chain.slow, chain.identify, chain.disable):
         with pytest.raises(ServoError, match="not open"):
             call()

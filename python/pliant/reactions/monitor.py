@@ -30,7 +30,7 @@ class Reaction:
         when: Condition; begins the actions when it begins to hold.
         then: One action or several, in the order in which they change the target.
         until: Ends them; by default they end when the condition has not held for `clear`, and
-            `Retract` and `Stop` only by `Watch.resume()`.
+            `Retract` and `Stop` only by `ReactionMonitor.resume()`.
         clear: See `until` [s].
     """
 
@@ -51,7 +51,7 @@ class Reaction:
                 f"list, got {given(self.then)}"
             )
         if self.until is not None and any(isinstance(one, Stop) for one in self.actions):
-            raise pliant.ConfigError("a Stop ends by Watch.resume() alone; use Hold with until")
+            raise pliant.ConfigError("a Stop ends by ReactionMonitor.resume() alone; use Hold with until")
         number(self.clear, "Reaction.clear", 0.0, unit="s")
 
     @property
@@ -123,7 +123,7 @@ class _InForce:
             running.end(now)
 
 
-class Watch:
+class ReactionMonitor:
     """Reactions of one controller; `update` once per tick, before its `step`.
 
     The first reaction in the list matters most: it takes over from later ones. A reaction begins
@@ -305,4 +305,4 @@ class Watch:
 
     def __repr__(self) -> str:
         active = "nothing in force" if self.active is None else f"in force: {self.active!r}"
-        return f"<Watch: {len(self.reactions)} reactions, {active}>"
+        return f"<ReactionMonitor: {len(self.reactions)} reactions, {active}>"

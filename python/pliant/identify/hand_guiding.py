@@ -57,7 +57,7 @@ LEAST, COUNTS, RUBBING = 2e-3, 1.5, 0.15
 SLEW = 3.0
 
 
-class Float:
+class HandGuiding:
     """Makes an arm weightless for a hand: one line, then `step` once per tick.
 
     Args:
@@ -80,7 +80,7 @@ class Float:
         LimitError: A number out of range. TypeError: This is no model, or no servo table.
 
     Example:
-        >>> floating = pliant.Float(model)
+        >>> floating = pliant.HandGuiding(model)
         >>> for tick in pliant.Loop(arm, rate=100.0):
         ...     tick.write(floating.step(tick.q, dt=tick.dt))
     """
@@ -99,7 +99,7 @@ class Float:
         known = instance(model, pliant.Model, "model").servos
         table = known if servos is None else instance(servos, pliant.Servos, "servos")
         if table is None:
-            raise pliant.ConfigError("Float needs a servo table: pass servos=pliant.Servos(…)")
+            raise pliant.ConfigError("HandGuiding needs a servo table: pass servos=pliant.Servos(…)")
         rate, delay = (
             number(rate, "rate", 10.0, 1000.0, "Hz"),
             number(delay, "delay", 0.0, 0.5, "s"),

@@ -17,7 +17,7 @@ from pliant.servo.device import Device
 from pliant.servo.identify import Found, identify
 from pliant.servo.port import Port
 from pliant.servo.rota import Rota
-from pliant.servo.sample import align_twins, gather
+from pliant.servo.sample import align_secondaries, gather
 from pliant.servo.spec import ServoSpec, check_specs
 from pliant.servo.table import servos
 from pliant.servo.transport import BusError, RustypotTransport
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 BUDGET = 3.0
 
 
-class ServoChain:
+class ServoBus:
     """Reads and writes all servos of an arm: goals in rad, torque limits in N·m.
 
     It knows units and its bus, and nothing of kinematics, gravity or policy. Limits are clamped to
@@ -66,7 +66,7 @@ class ServoChain:
         ConfigError: The specs contradict each other.
 
     Example:
-        >>> chain = ServoChain([ServoSpec(name="pan", model="STS3215-7.4V", id=1, port="COM3")])
+        >>> chain = ServoBus([ServoSpec(name="pan", model="STS3215-7.4V", id=1, port="COM3")])
         >>> chain.open()
         >>> chain.enable(chain.read().position, [0.5])
         >>> chain.write([0.1], [0.5])
@@ -135,7 +135,7 @@ class ServoChain:
             self._pool.shutdown()
             self._pool = None
 
-    def __enter__(self) -> ServoChain:
+    def __enter__(self) -> ServoBus:
         """Open."""
         self.open()
         return self
@@ -412,12 +412,12 @@ class ServoChain:
         self._port_of.update({id(device): port for device in devices})
 
     def _first_look(self) -> None:
-        """Read all joints once; twins take their zero from the first servo of their joint."""
+        """Read all joints once; secondaries take their zero from the first servo of their joint."""
         for device in self._devices:
             port = self._port_of[id(device)]
             port.guard.begin()
             device.accept(port.guard.read(device.id, *device.family.read))
-        align_twins(self._joints)
+        align_secondaries(self._joints)
 
     def _cap(self, velocity: ArrayLike | None) -> Array:
         speeds = np.array([self._speed or joint[0].units.no_load_speed for joint in self._joints])

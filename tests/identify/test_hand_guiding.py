@@ -39,7 +39,7 @@ def test_nineteen_of_twenty_poses_stay(arm, kp):
 
 def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):
     """Between two rests nothing is integrated: the goal is one number."""
-    floating = pliant.Float(arm)
+    floating = pliant.HandGuiding(arm)
     orders = []
     for _ in range(3000):
         orders.append(floating.step(grasp))
@@ -53,7 +53,7 @@ def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):
 @pytest.mark.parametrize("dt", [0.005, 0.02])
 def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
     """The first swing takes as long, and a joint led at 0.2 rad/s is seen to move at that."""
-    hundred, other = pliant.Float(arm), pliant.Float(arm)
+    hundred, other = pliant.HandGuiding(arm), pliant.HandGuiding(arm)
     times, speeds = [], []
     for floating, step in ((hundred, 0.01), (other, dt)):
         ticks = 0
@@ -73,16 +73,16 @@ def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
 
 
 def test_a_known_stiffness_is_believed_and_an_unknown_one_not(arm):
-    known = pliant.Float(arm, arm.servos.replace(kp_known=True)).stiffness
-    open_ = pliant.Float(arm, arm.servos.replace(kp_known=False)).stiffness
+    known = pliant.HandGuiding(arm, arm.servos.replace(kp_known=True)).stiffness
+    open_ = pliant.HandGuiding(arm, arm.servos.replace(kp_known=False)).stiffness
     assert (known[1] / known[0]).max() == pytest.approx(1.21)
     assert (open_[1] / open_[0]).min() > 4.0
 
 
 def test_what_cannot_be_used_is_refused(arm, grasp):
     with pytest.raises(pliant.LimitError, match="rate"):
-        pliant.Float(arm, rate=1.0)
-    floating = pliant.Float(arm)
+        pliant.HandGuiding(arm, rate=1.0)
+    floating = pliant.HandGuiding(arm)
     with pytest.raises(pliant.ShapeError):
         floating.step(grasp[:3])
     with pytest.raises(pliant.ShapeError):
