@@ -31,9 +31,9 @@ ROUNDS = 7
 
 def settings() -> dict[str, pliant.Settings]:
     """Law paper as `benches/peers.py` has it, and the defaults."""
-    endless = {"step_limit": np.inf, "soft_step_limit": np.inf}
+    endless = {"max_velocity": np.inf, "soft_step_limit": np.inf}
     axes = {name: pliant.Axis(**endless) for name in ("x", "z", "roll", "pitch", "yaw")}
-    axes["y"] = pliant.Axis(yields="both", eta=0.9, **endless)
+    axes["y"] = pliant.Axis(yields="both", adaptation=0.9, **endless)
     paper = pliant.Settings.paper(axes=axes, damping=0.02, projector="paper", limit_avoidance=0.1)
     return {"paper": paper, "cap": pliant.Settings.soft("y")}
 
@@ -41,7 +41,7 @@ def settings() -> dict[str, pliant.Settings]:
 def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
     """What is timed; names that contain one of `only`."""
     kp, torque = [150.0] * 4 + [60.0] * 3, [10.7] * 4 + [6.4] * 3
-    servos = pliant.Servos(kp=kp, torque=torque, friction=0.1, kp_known=True)
+    servos = pliant.Servos(kp=kp, max_torque=torque, friction=0.1, stiffness_known=True)
     model = pliant.Model.from_urdf(URDF, servos=servos)
     rng = np.random.default_rng(1)
     q = model.lower + (model.upper - model.lower) * rng.uniform(0.2, 0.8, (count, model.n))

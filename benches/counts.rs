@@ -59,7 +59,7 @@ fn rare(model: &Model) -> Vec<(&'static str, States)> {
 
 fn soft_y(law: Law) -> Settings {
     let mut settings = Settings { law, ..Settings::default() };
-    settings.axes[1] = Axis { yields: Some(Yields::Both), eta: 0.9, ..Axis::default() };
+    settings.axes[1] = Axis { yields: Some(Yields::Both), adaptation: 0.9, ..Axis::default() };
     settings
 }
 

@@ -22,7 +22,7 @@ pub(crate) fn servos() -> Servos {
         friction: spread(0.2, 0.1),
         damping: spread(1.2, 0.8),
         kv: spread(1.5, 0.5),
-        kp_known: true,
+        stiffness_known: true,
         ..Servos::new(spread(150.0, 60.0), spread(10.7, 6.4))
     }
 }
@@ -44,7 +44,7 @@ pub(crate) fn states(model: &Model) -> Vec<(Vec<f64>, Pose)> {
 
 /// Law `paper`: fixed λ, printed projector, posture and limit cost, no gravity, no step limits.
 pub(crate) fn paper() -> Settings {
-    let endless = Axis { step_limit: Some(f64::INFINITY), soft_step_limit: Some(f64::INFINITY), ..Axis::default() };
+    let endless = Axis { max_velocity: Some(f64::INFINITY), soft_step_limit: Some(f64::INFINITY), ..Axis::default() };
     let mut settings = Settings {
         damping: Damping::Fixed(0.02),
         projector: Projector::Paper,
@@ -52,6 +52,6 @@ pub(crate) fn paper() -> Settings {
         axes: [endless; 6],
         ..Settings::paper()
     };
-    (settings.axes[1].yields, settings.axes[1].eta) = (Some(Yields::Both), 0.9);
+    (settings.axes[1].yields, settings.axes[1].adaptation) = (Some(Yields::Both), 0.9);
     settings
 }

@@ -19,7 +19,7 @@ use setup::{STATES, arm, paper, servos, states};
 
 fn soft_y() -> Settings {
     let mut settings = Settings::default();
-    settings.axes[1] = Axis { yields: Some(Yields::Both), eta: 0.9, ..Axis::default() };
+    settings.axes[1] = Axis { yields: Some(Yields::Both), adaptation: 0.9, ..Axis::default() };
     settings
 }
 

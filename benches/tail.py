@@ -50,7 +50,7 @@ class Case:
 def servos() -> pliant.Servos:
     """As of the built-in seven-joint arm."""
     return pliant.Servos(
-        kp=[150.0] * 4 + [60.0] * 3, torque=[10.7] * 4 + [6.4] * 3, friction=0.1, kp_known=True
+        kp=[150.0] * 4 + [60.0] * 3, max_torque=[10.7] * 4 + [6.4] * 3, friction=0.1, stiffness_known=True
     )
 
 
@@ -134,7 +134,7 @@ def waited() -> int:
 
 def laws() -> dict[str, pliant.Settings]:
     """The two laws, y yielding."""
-    paper = pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, eta=0.9)})
+    paper = pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, adaptation=0.9)})
     return {"paper": paper, "cap": pliant.Settings.soft("y")}
 
 

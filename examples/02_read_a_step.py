@@ -9,7 +9,7 @@ model = pliant.robots.arm7()
 settings = pliant.Settings(
     axes={
         # [N]; a pair is (pushed toward -, pushed toward +)
-        "y": pliant.Axis(soft=4.0, firm=(15.0, 25.0), eta=0.5),
+        "y": pliant.Axis(soft=4.0, firm=(15.0, 25.0), adaptation=0.5),
         "yaw": pliant.Axis(soft=0.8, firm=1.5),  # [N·m]
     },
 )

@@ -13,7 +13,7 @@ SECONDS = 2.0 if os.environ.get("PLIANT_SHORT") else 6.0
 START = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657]  # [rad]
 
 model = pliant.robots.arm7()
-soft = {"y": pliant.Axis(soft=0.5, firm=10.0, hold=10.0, eta=0.999)}  # budgets [N·m]
+soft = {"y": pliant.Axis(soft=0.5, firm=10.0, hold=10.0, adaptation=0.999)}  # budgets [N·m]
 
 for gravity in (False, True):
     settings = pliant.Settings.paper(axes=soft, gravity=gravity)

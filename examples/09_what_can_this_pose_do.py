@@ -20,7 +20,7 @@ print(report)
 # The same for the pose and the limits of the last step: fast enough to run beside the loop.
 controller.step(q, model.forward_kinematics(q))
 y = report.axes.index("y")
-pushed_minus, pushed_plus = controller.report().dead_host[y]
+pushed_minus, pushed_plus = controller.report().host_loss_force[y]
 print(
     f"if this program stops now, a hand meets {pushed_plus:.1f} N in +y, {pushed_minus:.1f} in -y"
 )

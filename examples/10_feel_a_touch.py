@@ -16,12 +16,12 @@ model = pliant.robots.arm7()
 controller = pliant.Controller(model, pliant.Settings.soft("y"))
 
 # 1. What can this arm feel? Say how well it is known: a simulated one is, within some percent.
-contact = pliant.Contact(controller, kp_error=0.02, gravity_error=0.02, guard=0.6)
+contact = pliant.ContactEstimator(controller, kp_error=0.02, gravity_error=0.02, guard=0.6)
 x, y, z = contact.typical_uncertainty()[:3]
 print(f"at rest, in the median pose: x ± {x:.1f} N, y ± {y:.1f} N, z ± {z:.1f} N")
 try:
-    pliant.Contact(controller, touch={"z": 0.5})
-except pliant.LimitError as error:
+    pliant.ContactEstimator(controller, touch={"z": 0.5})
+except pliant.OutOfRangeError as error:
     print(f"too fine a threshold is refused: {error}\n")
 
 # 2. What shall follow? From below: 5 cm up and out of the way for a second. Dragged far: stay.

@@ -17,8 +17,8 @@ START = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657]  # [rad]
 model = pliant.robots.arm7()
 ways = {
     "no limit": pliant.Axis(),
-    "follow": pliant.Axis(deviation_limit=0.01, beyond="follow"),  # [m]
-    "hold": pliant.Axis(deviation_limit=0.01, beyond="hold"),
+    "follow": pliant.Axis(deviation_limit=0.01, on_deviation_limit="yield"),  # [m]
+    "hold": pliant.Axis(deviation_limit=0.01, on_deviation_limit="wait"),
 }
 
 for name, axis in ways.items():

@@ -28,7 +28,7 @@ arm = pliant.sim.Plant(
     payload=(0.2, (0.02, 0.01, 0.05)),  # [kg], [m]
 )
 arm.reset(START)
-table = model.servos.replace(count=np.deg2rad(0.088), kp_known=False)
+table = model.servos.replace(encoder_step=np.deg2rad(0.088), stiffness_known=False)
 
 # 1. What is known after capturing gravity in place: nothing moves, four seconds.
 settings = pliant.Settings.soft("y")

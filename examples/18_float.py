@@ -16,7 +16,7 @@ START = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])  
 
 model = pliant.robots.arm7()
 count, deadband = np.deg2rad([0.088, 0.06])  # [rad]
-table = model.servos.replace(count=count, kp_known=False)
+table = model.servos.replace(encoder_step=count, stiffness_known=False)
 
 for kp_scale in (0.5, 1.0, 2.0):
     # From 8 s on a hand leads the tool 0.12 m to the left within 2 s, holds it, and lets go.

@@ -28,7 +28,7 @@ with arm:  # torque on: limits, goals, torque, then a ramp of half a second
             target = np.full(3, np.nan)  # a policy that has lost its mind
         try:
             command = controller.step(tick.q, target, dt=tick.dt)
-        except pliant.LimitError:
+        except pliant.OutOfRangeError:
             tick.skip()  # goal and limits stay; without this line the error would lower the arm
         else:
             tick.write(command)

@@ -130,7 +130,7 @@ class Mismatch:
             kp=np.multiply(side.kp, table.kp),
             friction=np.multiply(side.friction, table.friction),
             damping=np.multiply(side.damping, table.damping),
-            torque=np.multiply(side.torque, table.torque),
+            max_torque=np.multiply(side.torque, table.max_torque),
         )
 
     def __enter__(self) -> Mismatch:
@@ -185,7 +185,7 @@ def _of_plant(plant: Plant) -> dict[str, Any]:
         "kp": gains.kp / table.kp,
         "friction": _over(gains.friction, table.friction),
         "damping": _over(gains.damping, _damping(table, plant.n)),
-        "torque": gains.torque / table.torque,
+        "torque": gains.torque / table.max_torque,
         "payload": _mass(plant) - _mass(Plant(plant.model)),
         "delay": sum(plant._bus._delay) * plant.period,
         "reach": 1.0,
@@ -202,7 +202,7 @@ def _of_consumer(consumer: Any, plant: Plant) -> dict[str, Any]:
         "kp": _chain(own.kp, n) / table.kp,
         "friction": _over(_chain(own.friction, n), table.friction),
         "damping": _over(_damping(own, n), _damping(table, n)),
-        "torque": _chain(own.torque, n) / table.torque,
+        "torque": _chain(own.torque, n) / table.max_torque,
         "payload": 0.0 if load is None else load.mass,
         "reach": _over(
             np.subtract(model.upper, model.lower),
@@ -228,8 +228,8 @@ def _over(one: ArrayLike, other: ArrayLike) -> np.ndarray:
 def _damping(table: pliant.Servos, n: int) -> np.ndarray:
     """Damping of gears and back-EMF (n,) [N·m·s/rad]."""
     total = _chain(table.damping, n)
-    if table.kind == "duty" and table.no_load_speed is not None:
-        total = total + _chain(table.torque, n) / _chain(table.no_load_speed, n)
+    if table.limit_type == "pwm" and table.no_load_speed is not None:
+        total = total + _chain(table.max_torque, n) / _chain(table.no_load_speed, n)
     return total
 
 

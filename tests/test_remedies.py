@@ -385,7 +385,7 @@ def is_risk(risk: str) -> bool:
     controller = pliant.Controller(pliant.robots.so101(), pliant.Settings(task="xyz"))
     for take in (
         lambda: pliant.Settings(accept=(risk,)),
-        lambda: pliant.Contact(controller, accept=(risk,)),
+        lambda: pliant.ContactEstimator(controller, accept=(risk,)),
     ):
         with contextlib.suppress(pliant.ConfigError):
             take()

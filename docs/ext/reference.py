@@ -53,7 +53,7 @@ CORE = {
     ),
     "controller": ("Controller", "Controller Command BatchState Report check Check Finding"),
     "settings": ("Settings", "Settings Task Axis Servos"),
-    "contact": ("Contact", "Contact WrenchEstimate"),
+    "contact": ("Contact", "ContactEstimator WrenchEstimate"),
     "loop": ("Arm and loop", "connect Loop HandGuiding"),
     "mathematics": (
         "Mathematics",
@@ -62,8 +62,8 @@ CORE = {
     ),
     "errors": (
         "Errors",
-        "PliantError UrdfError FrameNotFound LimitError ShapeError ConfigError ServoError "
-        "ServoTimeout ServoFault",
+        "PliantError UrdfError FrameNotFoundError OutOfRangeError ShapeError ConfigError ServoError "
+        "ServoTimeoutError ServoFaultError",
     ),
 }
 #: Modules with a page each, and what else they have that is public.

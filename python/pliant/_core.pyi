@@ -16,14 +16,14 @@ __all__ = [
     "Check",
     "Command",
     "ConfigError",
-    "Contact",
+    "ContactEstimator",
     "Controller",
     "Finding",
-    "FrameNotFound",
+    "FrameNotFoundError",
     "IkSolution",
     "Inertial",
     "Joint",
-    "LimitError",
+    "OutOfRangeError",
     "Link",
     "Mimic",
     "Model",
@@ -32,8 +32,8 @@ __all__ = [
     "Pose",
     "Report",
     "ServoError",
-    "ServoFault",
-    "ServoTimeout",
+    "ServoFaultError",
+    "ServoTimeoutError",
     "Servos",
     "Settings",
     "ShapeError",
@@ -84,7 +84,7 @@ _PoseLike: TypeAlias = (
 class PliantError(Exception):
     """Everything that pliant raises of its own."""
 
-class UrdfError(PliantError):
+class UrdfError(PliantError, ValueError):
     """The robot description cannot be used.
 
     A file that does not exist is Python's own `FileNotFoundError`.
@@ -99,7 +99,7 @@ class UrdfError(PliantError):
     line: int | None
     column: int | None
 
-class FrameNotFound(PliantError):
+class FrameNotFoundError(PliantError, LookupError):
     """A link of that name does not exist.
 
     Attributes:
@@ -110,7 +110,7 @@ class FrameNotFound(PliantError):
     frame: str | None
     available: tuple[str, ...] | None
 
-class LimitError(PliantError):
+class OutOfRangeError(PliantError, ValueError):
     """A number lies outside its bounds.
 
     Attributes:
@@ -136,11 +136,11 @@ class ShapeError(PliantError, ValueError):
     got: str | None
     expected: str | None
 
-class ConfigError(PliantError):
+class ConfigError(PliantError, ValueError):
     """Settings, servos and model do not go together, or a name is not known.
 
     Attributes:
-        key: The setting, e.g. ``axes.y.eta``.
+        key: The setting, e.g. ``axes.y.adaptation``.
     """
 
     key: str | None
@@ -148,10 +148,10 @@ class ConfigError(PliantError):
 class ServoError(PliantError):
     """A servo or its bus did not do what was asked; the message says what to do."""
 
-class ServoTimeout(ServoError):
+class ServoTimeoutError(ServoError, TimeoutError):
     """A servo did not answer in time."""
 
-class ServoFault(ServoError):
+class ServoFaultError(ServoError):
     """A servo reports a fault of its own."""
 
 @final
@@ -164,7 +164,7 @@ class Pose:
     Raises:
         ShapeError: Not 4x4.
         ConfigError: No rotation, or a last row other than 0 0 0 1.
-        LimitError: A position beyond 100 m or not finite.
+        OutOfRangeError: A position beyond 100 m or not finite.
     """
 
     def __new__(cls, matrix: _PoseLike | None = None) -> Pose: ...
@@ -441,10 +441,10 @@ class Model:
         Raises:
             FileNotFoundError: No such file.
             UrdfError: Everything wrong in the text, with file, line and column.
-            FrameNotFound: `base` or `tip` is no link; lists those there are.
+            FrameNotFoundError: `base` or `tip` is no link; lists those there are.
             ConfigError: Several links could be the tip, a joint is not known, too many joints, an
                 unknown keyword.
-            LimitError: A number that cannot be one.
+            OutOfRangeError: A number that cannot be one.
         """
 
     @staticmethod
@@ -560,7 +560,7 @@ class Model:
 
         Raises:
             ShapeError: Wrong length of `q`, or shape of an array in `out`.
-            LimitError: An entry of `q` that is not finite or beyond 1e6.
+            OutOfRangeError: An entry of `q` that is not finite or beyond 1e6.
             TypeError: `q` does not hold numbers, or `out` cannot be written.
         """
 
@@ -603,7 +603,7 @@ class Model:
             restarts: Further starts, from fixed points inside the limits.
 
         Raises:
-            ShapeError, LimitError, ConfigError: An argument that cannot be used.
+            ShapeError, OutOfRangeError, ConfigError: An argument that cannot be used.
         """
 
     def check_target(self, target: _PoseLike) -> None:
@@ -615,7 +615,7 @@ class Model:
             target: Pose of the tool in the base, or a position (3,) [m].
 
         Raises:
-            LimitError: It is farther from the first joint than 2 times `reach` and 0.1 m.
+            OutOfRangeError: It is farther from the first joint than 2 times `reach` and 0.1 m.
             ShapeError, ConfigError, TypeError: It is no pose.
         """
 
@@ -625,7 +625,7 @@ class Model:
         `Controller.step_joints` checks the same.
 
         Raises:
-            LimitError: A joint is beyond its limits by more than 0.2 rad, or a tenth of its travel.
+            OutOfRangeError: A joint is beyond its limits by more than 0.2 rad, or a tenth of its travel.
             ShapeError, TypeError: They are not n numbers.
         """
 
@@ -646,7 +646,7 @@ class Model:
             out: Arrays (N, 4, 4) and (N, 6, n) to write into: new memory costs up to a fifth.
 
         Raises:
-            ShapeError, LimitError, TypeError, ValueError: An argument that cannot be used; `out`
+            ShapeError, OutOfRangeError, TypeError, ValueError: An argument that cannot be used; `out`
                 may then hold anything.
         """
 
@@ -663,7 +663,7 @@ class Model:
 
 class _ServoFields(TypedDict, total=False):
     kp: ArrayLike
-    torque: ArrayLike
+    max_torque: ArrayLike
     friction: ArrayLike
     load_friction: ArrayLike
     stribeck: ArrayLike
@@ -672,10 +672,10 @@ class _ServoFields(TypedDict, total=False):
     damping: ArrayLike
     kv: ArrayLike
     armature: ArrayLike
-    count: ArrayLike
-    kind: Literal["current", "duty"]
+    encoder_step: ArrayLike
+    limit_type: Literal["current", "pwm"]
     no_load_speed: ArrayLike | None
-    kp_known: bool
+    stiffness_known: bool
 
 @final
 class Servos:
@@ -685,7 +685,7 @@ class Servos:
 
     Args:
         kp: Stiffness of the position loop [N m/rad] > 0.
-        torque: Usable torque at the present voltage [N m] > 0: the ceiling of every torque limit.
+        max_torque: Usable torque at the present voltage [N m] > 0: the ceiling of every torque limit.
         friction: Dry friction of gears and motor [N m].
         load_friction: Dry friction in addition, per N m that the joint carries [1].
         stribeck: Dry friction in addition at rest [N m], gone in fast motion.
@@ -695,14 +695,14 @@ class Servos:
         kv: Damping of the servo's own loop, inside the torque limit [N m s/rad].
         armature: Rotor inertia seen at the joint [kg m^2]: contacts, descents and
             simulators use it.
-        count: One encoder count [rad]; 0 when it does not matter.
-        kind: What the limit register limits: `"current"`, hence torque, or `"duty"`, whose torque
+        encoder_step: One encoder count [rad]; 0 when it does not matter.
+        limit_type: What the limit register limits: `"current"`, hence torque, or `"pwm"`, whose torque
             falls with speed.
-        no_load_speed: Speed without load [rad/s], needed for `"duty"`.
-        kp_known: Whether `kp` is known within 10 %.
+        no_load_speed: Speed without load [rad/s], needed for `"pwm"`.
+        stiffness_known: Whether `kp` is known within 10 %.
 
     Raises:
-        LimitError: A value outside its bounds. ShapeError: Lists of different lengths. ConfigError:
+        OutOfRangeError: A value outside its bounds. ShapeError: Lists of different lengths. ConfigError:
             A field is missing, not known, or of the wrong type.
     """
 
@@ -710,7 +710,7 @@ class Servos:
         cls,
         *,
         kp: ArrayLike,
-        torque: ArrayLike,
+        max_torque: ArrayLike,
         friction: ArrayLike = 0.0,
         load_friction: ArrayLike = 0.0,
         stribeck: ArrayLike = 0.0,
@@ -719,17 +719,17 @@ class Servos:
         damping: ArrayLike = 0.0,
         kv: ArrayLike = 0.0,
         armature: ArrayLike = 0.0,
-        count: ArrayLike = 0.0,
-        kind: Literal["current", "duty"] = "current",
+        encoder_step: ArrayLike = 0.0,
+        limit_type: Literal["current", "pwm"] = "current",
         no_load_speed: ArrayLike | None = None,
-        kp_known: bool = False,
+        stiffness_known: bool = False,
     ) -> Servos: ...
     @property
     def kp(self) -> _Array:
         """Stiffness (n,) [N m/rad]; this and the other arrays are read-only."""
 
     @property
-    def torque(self) -> _Array:
+    def max_torque(self) -> _Array:
         """Usable torque (n,) [N m]."""
 
     @property
@@ -765,11 +765,11 @@ class Servos:
         """Rotor inertia (n,) [kg m^2]."""
 
     @property
-    def count(self) -> _Array:
+    def encoder_step(self) -> _Array:
         """Encoder count (n,) [rad]."""
 
     @property
-    def kind(self) -> Literal["current", "duty"]:
+    def limit_type(self) -> Literal["current", "pwm"]:
         """What the limit limits."""
 
     @property
@@ -777,7 +777,7 @@ class Servos:
         """Speed without load (n,) [rad/s]."""
 
     @property
-    def kp_known(self) -> bool:
+    def stiffness_known(self) -> bool:
         """Whether `kp` is known within 10 %."""
 
     @staticmethod
@@ -825,7 +825,7 @@ class Task:
             joints.
 
     Raises:
-        ConfigError: A key that is not understood, or no rotation matrix. LimitError: The length.
+        ConfigError: A key that is not understood, or no rotation matrix. OutOfRangeError: The length.
     """
 
     def __new__(
@@ -866,14 +866,14 @@ class _AxisFields(TypedDict, total=False):
     stiffness: float | tuple[float, float] | None
     damping: float | tuple[float, float] | None
     yields: Literal["both", "+", "-", "none"] | None
-    eta: float
-    d_minus: float | None
-    d_plus: float | None
-    profile: Literal["firming", "constant", "yielding"]
-    step_limit: float | None
+    adaptation: float
+    soft_until: float | None
+    firm_from: float | None
+    profile: Literal["hardening", "constant", "softening"]
+    max_velocity: float | None
     soft_step_limit: float | None
     deviation_limit: float | None
-    beyond: Literal["follow", "hold"]
+    on_deviation_limit: Literal["yield", "wait"]
 
 @final
 class Axis:
@@ -891,22 +891,22 @@ class Axis:
             else from the arm (`arm7`: 800 N/m, 20 N m/rad).
         damping: Law impedance: damper [N s/m or N m s/rad]; default 0.
         yields: Pushes it gives way to; by default both where `soft` or `firm` is given, else none.
-        eta: Target adaptation of (12), 0 <= eta < 1.
-        d_minus: Deviation below which compliance is full, (8) [m or rad]; default 0.01 m, 0.04 rad.
-        d_plus: Deviation above which compliance is none, (8) [m or rad]; default 0.10 m, 0.40 rad.
-        profile: `"firming"`: soft to firm with the deviation; `"constant"`: soft; `"yielding"`:
+        adaptation: Target adaptation of (12), 0 <= eta < 1.
+        soft_until: Deviation below which compliance is full, (8) [m or rad]; default 0.01 m, 0.04 rad.
+        firm_from: Deviation above which compliance is none, (8) [m or rad]; default 0.10 m, 0.40 rad.
+        profile: `"hardening"`: soft to firm with the deviation; `"constant"`: soft; `"softening"`:
             firm to soft.
-        step_limit: Most commanded velocity while stiff [m/s, rad/s]; default 0.4 m/s, 2 rad/s; inf
+        max_velocity: Most commanded velocity while stiff [m/s, rad/s]; default 0.4 m/s, 2 rad/s; inf
             for none. Law impedance has none.
         soft_step_limit: The same while it yields; default none, under law `"paper"` 0.1 m/s, 0.5
             rad/s.
         deviation_limit: Largest deviation toward a side that does not yield [m or rad]; None: any.
-        beyond: What happens there. `"follow"`: the target lets this axis go, the arm gives way with
+        on_deviation_limit: What happens there. `"yield"`: the target lets this axis go, the arm gives way with
             the force of the limit, and is led back at the tool's speed when it is let go. `"hold"`:
             the target waits, all of it, until the axis is within its limit again.
 
     Raises:
-        LimitError: A value outside its bounds. ConfigError: A field that is not known or makes no
+        OutOfRangeError: A value outside its bounds. ConfigError: A field that is not known or makes no
             sense.
     """
 
@@ -919,14 +919,14 @@ class Axis:
         stiffness: float | tuple[float, float] | None = None,
         damping: float | tuple[float, float] | None = None,
         yields: Literal["both", "+", "-", "none"] | None = None,
-        eta: float = 0.0,
-        d_minus: float | None = None,
-        d_plus: float | None = None,
-        profile: Literal["firming", "constant", "yielding"] = "firming",
-        step_limit: float | None = None,
+        adaptation: float = 0.0,
+        soft_until: float | None = None,
+        firm_from: float | None = None,
+        profile: Literal["hardening", "constant", "softening"] = "hardening",
+        max_velocity: float | None = None,
         soft_step_limit: float | None = None,
         deviation_limit: float | None = None,
-        beyond: Literal["follow", "hold"] = "follow",
+        on_deviation_limit: Literal["yield", "wait"] = "yield",
     ) -> Axis: ...
     @property
     def soft(self) -> tuple[float, float] | None:
@@ -953,23 +953,23 @@ class Axis:
         """Pushes it gives way to."""
 
     @property
-    def eta(self) -> float:
+    def adaptation(self) -> float:
         """Target adaptation."""
 
     @property
-    def d_minus(self) -> float | None:
+    def soft_until(self) -> float | None:
         """Deviation below which compliance is full [m or rad]."""
 
     @property
-    def d_plus(self) -> float | None:
+    def firm_from(self) -> float | None:
         """Deviation above which compliance is none [m or rad]."""
 
     @property
-    def profile(self) -> Literal["firming", "constant", "yielding"]:
+    def profile(self) -> Literal["hardening", "constant", "softening"]:
         """How the strength changes with the deviation."""
 
     @property
-    def step_limit(self) -> float | None:
+    def max_velocity(self) -> float | None:
         """Most commanded velocity while stiff [m/s, rad/s]."""
 
     @property
@@ -1030,7 +1030,7 @@ class _SettingsFields(TypedDict, total=False):
     joint_speed: ArrayLike | None
     floor: ArrayLike | None
     margin: float
-    dead_host_max: float | None
+    max_host_loss_force: float | None
     direction_band: float | None
     raw_deviation: bool
     budget_on_goal: bool
@@ -1090,11 +1090,11 @@ class Settings:
         joint_speed: Joint speed limits (n,) [rad/s]; None: the model's.
         floor: Floor of the torque limits (n,) [N m]; None: the servos' friction.
         margin: Margin of the limits as a share of the usable torque.
-        dead_host_max: Most that a hand shall meet along the task's translations if the host dies
+        max_host_loss_force: Most that a hand shall meet along the task's translations if the host dies
             [N]: the limits give up their margin first, then what they have beyond the arm's weight;
             None: no such bound. Costs some 0.3 ms a step, 1 ms where it acts.
         direction_band: Half-width of the band in which an axis that yields to one side changes
-            over, as a share of `d_minus`; None: 0.1, under law paper 0.
+            over, as a share of `soft_until`; None: 0.1, under law paper 0.
         raw_deviation: Compliance from the raw instead of the adapted deviation.
         budget_on_goal: Law paper: clamp each axis' step to what its budget can do.
         joint_weights: Law paper: weight of each joint in J+ (n,); None: 1.
@@ -1104,7 +1104,7 @@ class Settings:
         accept: Risks taken by name: `"eta"`, `"stiffness"`.
 
     Raises:
-        LimitError: A value outside its bounds. ShapeError: A list of the wrong shape. ConfigError:
+        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape. ConfigError:
             A field or word that is not known (with a suggestion), or values that do not go
             together.
     """
@@ -1146,7 +1146,7 @@ class Settings:
         joint_speed: ArrayLike | None = None,
         floor: ArrayLike | None = None,
         margin: float = 0.1,
-        dead_host_max: float | None = None,
+        max_host_loss_force: float | None = None,
         direction_band: float | None = None,
         raw_deviation: bool = False,
         budget_on_goal: bool = False,
@@ -1310,7 +1310,7 @@ class Settings:
     @property
     def margin(self) -> float: ...
     @property
-    def dead_host_max(self) -> float | None: ...
+    def max_host_loss_force(self) -> float | None: ...
     @property
     def direction_band(self) -> float | None: ...
     @property
@@ -1342,7 +1342,7 @@ class Command:
         """Magnitude of the torque each servo may use (n,) [N m]."""
 
     @property
-    def velocity(self) -> _Array:
+    def speed_limit(self) -> _Array:
         """Speed for a servo's speed register (n,) [rad/s].
 
         What keeps the tool within `max_tool_speed` by one joint alone, but no less than
@@ -1378,7 +1378,7 @@ class BatchState:
                 step.
 
         Raises:
-            IndexError: No such arm. ShapeError, LimitError: `Q`; nothing is then changed.
+            IndexError: No such arm. ShapeError, OutOfRangeError: `Q`; nothing is then changed.
         """
 
 @final
@@ -1466,7 +1466,7 @@ class Report:
         """Joints at a position limit that left the inverse kinematics (n,)."""
 
     @property
-    def dead_host(self) -> _Array:
+    def host_loss_force(self) -> _Array:
         """Most that a hand meets on 0.15 m or 0.4 rad if the host dies now (k, 2) [N, N m].
 
         From where the arm then comes to rest, at 25 mm/s or 0.067 rad/s, the gears' friction and
@@ -1475,7 +1475,7 @@ class Report:
         """
 
     @property
-    def dead_host_max(self) -> float | None:
+    def max_host_loss_force(self) -> float | None:
         """What the settings allow of that along translations [N]."""
 
     @property
@@ -1637,7 +1637,7 @@ class Controller:
         servos: None for those of the model; law paper without gravity needs none.
 
     Raises:
-        ConfigError, LimitError, ShapeError: Settings, servos and model do not go together; says
+        ConfigError, OutOfRangeError, ShapeError: Settings, servos and model do not go together; says
             what to change.
     """
 
@@ -1677,7 +1677,7 @@ class Controller:
             out: A command to overwrite, whoever holds its arrays.
 
         Raises:
-            ShapeError, LimitError, ConfigError, TypeError: An input that cannot be used, by name;
+            ShapeError, OutOfRangeError, ConfigError, TypeError: An input that cannot be used, by name;
                 the controller is then as before.
         """
 
@@ -1695,7 +1695,7 @@ class Controller:
         """One control step toward joint positions (n,): target and rest posture; else as `step`.
 
         Raises:
-            LimitError: As `step`, and for a target beyond a joint's limits by more than 0.2 rad, or
+            OutOfRangeError: As `step`, and for a target beyond a joint's limits by more than 0.2 rad, or
                 a tenth of its travel; within that the goals end at the limits.
         """
 
@@ -1737,7 +1737,7 @@ class Controller:
             Command with arrays (N, n): `out` if it is one.
 
         Raises:
-            ShapeError, LimitError, ConfigError, TypeError, ValueError: An argument or a row that
+            ShapeError, OutOfRangeError, ConfigError, TypeError, ValueError: An argument or a row that
                 cannot be used, by name; `state` is then as before, `out` may hold anything. Only a
                 command that comes out not finite is found underway: others have then been stepped.
         """
@@ -1786,7 +1786,7 @@ class Controller:
         """
 
     def report(self, q: ArrayLike | None = None) -> Report:
-        """What a pose can do: forces per axis and side, margins, and what a dead host would leave.
+        """What a pose can do: forces per axis and side, margins, and what a lost host would leave.
 
         Args:
             q: Posture (n,) [rad], the arm at rest on its target; None: pose and limits of the last
@@ -1809,7 +1809,7 @@ class Controller:
             Verdict and findings; true where all can be met.
 
         Raises:
-            ShapeError, LimitError, ConfigError, TypeError: An input that cannot be used, by name.
+            ShapeError, OutOfRangeError, ConfigError, TypeError: An input that cannot be used, by name.
         """
 
     @property
@@ -1982,7 +1982,7 @@ class WrenchEstimate:
         """How far that can be off (n,) [N m]; a payload nobody knows of is counted above only."""
 
     @property
-    def evidence(self) -> float:
+    def residual_ratio(self) -> float:
         """Largest of |residual| / uncertainty over the joints: above 1 something pushes."""
 
     @property
@@ -2009,7 +2009,7 @@ class WrenchEstimate:
     def __ne__(self, other: object, /) -> bool: ...
 
 @final
-class Contact:
+class ContactEstimator:
     """Feels what pushes at the tool of an arm without force sensors.
 
     What the servos exert beyond gravity, friction and acceleration, the surroundings must exert:
@@ -2026,7 +2026,7 @@ class Contact:
             is taken to push. None: all six with six joints or more, else those of the task.
         filter: Time constant of the low-pass [s]; 0 for none.
         friction_error: How wrong friction and damping may be. At rest dry friction is open anyway.
-        kp_error: How wrong k_p and torque limits may be; None: 0.1 if `kp_known`, else 0.25.
+        kp_error: How wrong k_p and torque limits may be; None: 0.1 if `stiffness_known`, else 0.25.
         gravity_error: How wrong gravity torques may be.
         payload_error: Mass at the tool that may be there unknown [kg].
         inertia_error: How wrong the torques of acceleration may be (groups are point masses).
@@ -2041,7 +2041,7 @@ class Contact:
         accept: `("thresholds",)` takes thresholds below the uncertainty as they are, unguarded.
 
     Raises:
-        LimitError: An option out of range; a threshold below what this arm at rest can tell from a
+        OutOfRangeError: An option out of range; a threshold below what this arm at rest can tell from a
             contact in the median pose, with that number.
         ConfigError, ShapeError: No servos, unknown axes, constants of another length.
     """
@@ -2066,7 +2066,7 @@ class Contact:
         min_time: float = 0.02,
         guard: float = 1.0,
         accept: Sequence[str] = (),
-    ) -> Contact: ...
+    ) -> ContactEstimator: ...
     def update(
         self,
         q: ArrayLike,
@@ -2092,7 +2092,7 @@ class Contact:
             sent: Goals and limits (n,) that were sent last, where not the controller's command.
 
         Raises:
-            ShapeError, LimitError, ConfigError: An input that cannot be used; nothing has changed.
+            ShapeError, OutOfRangeError, ConfigError: An input that cannot be used; nothing has changed.
         """
 
     def uncertainty_at(self, q: ArrayLike) -> _Array:
@@ -2150,7 +2150,7 @@ def damped_pseudo_inverse(J: ArrayLike, damping: float) -> _Array:
             too.
 
     Raises:
-        ShapeError: More rows or columns. LimitError: An entry that is not finite, or lambda < 0.
+        ShapeError: More rows or columns. OutOfRangeError: An entry that is not finite, or lambda < 0.
     """
 
 def null_space_projector(
@@ -2164,7 +2164,7 @@ def null_space_projector(
         kind: `"exact"`: the orthogonal projector, faded close to singular J; `"paper"`: I - J+ J.
 
     Raises:
-        ShapeError, LimitError: As `damped_pseudo_inverse`. ConfigError: Another kind.
+        ShapeError, OutOfRangeError: As `damped_pseudo_inverse`. ConfigError: Another kind.
     """
 
 def responsibility(
@@ -2180,7 +2180,7 @@ def responsibility(
         alpha: Step of the null-space motion [1/s].
 
     Raises:
-        ShapeError: Sizes that do not go together. LimitError: An entry that is not finite.
+        ShapeError: Sizes that do not go together. OutOfRangeError: An entry that is not finite.
     """
 
 def activation(J_pinv: ArrayLike, N: ArrayLike, gradient: ArrayLike | None = None) -> _Array:
@@ -2193,7 +2193,7 @@ def activation(J_pinv: ArrayLike, N: ArrayLike, gradient: ArrayLike | None = Non
             the last column is made of the row norms of N.
 
     Raises:
-        ShapeError: Sizes that do not go together. LimitError: An entry that is not finite.
+        ShapeError: Sizes that do not go together. OutOfRangeError: An entry that is not finite.
     """
 
 def check(
@@ -2221,29 +2221,29 @@ def check(
         Verdict and findings; true where all can be met. Out of reach is a finding, no error.
 
     Raises:
-        ConfigError, LimitError, ShapeError: Settings, servos and model do not go together, or a
+        ConfigError, OutOfRangeError, ShapeError: Settings, servos and model do not go together, or a
             path or pose that cannot be used, by name.
         TypeError: An argument of another kind.
     """
 
 @overload
-def compliance(deviation: float, d_minus: float, d_plus: float) -> float:
-    """Compliance c of (8): 1 below `d_minus`, 0 above `d_plus`, linear between, for |deviation|.
+def compliance(deviation: float, soft_until: float, firm_from: float) -> float:
+    """Compliance c of (8): 1 below `soft_until`, 0 above `firm_from`, linear between, for |deviation|.
 
     Args:
         deviation: Deviation (k,) [m or rad], or one.
-        d_minus: Deviation below which compliance is full (k,), or one for all.
-        d_plus: Deviation above which compliance is none (k,), or one for all.
+        soft_until: Deviation below which compliance is full (k,), or one for all.
+        firm_from: Deviation above which compliance is none (k,), or one for all.
 
     Returns:
         (k,), or a number for a number.
 
     Raises:
-        ShapeError: Lists of different lengths. LimitError: Unless 0 <= d_minus < d_plus.
+        ShapeError: Lists of different lengths. OutOfRangeError: Unless 0 <= soft_until < firm_from.
     """
 
 @overload
-def compliance(deviation: ArrayLike, d_minus: ArrayLike, d_plus: ArrayLike) -> _Array: ...
+def compliance(deviation: ArrayLike, soft_until: ArrayLike, firm_from: ArrayLike) -> _Array: ...
 @overload
 def holding_torque(c: float, soft: float, firm: float, hold: float, compliant: bool) -> float:
     """Holding torque of (9): c soft + (1 - c) firm where the axis is compliant, else hold.
@@ -2259,7 +2259,7 @@ def holding_torque(c: float, soft: float, firm: float, hold: float, compliant: b
         (k,), or a number for a number.
 
     Raises:
-        ShapeError: Lists of different lengths. LimitError: c outside [0, 1], or a strength that is
+        ShapeError: Lists of different lengths. OutOfRangeError: c outside [0, 1], or a strength that is
             not finite.
     """
 
@@ -2279,7 +2279,7 @@ def joint_torque_limits(A: ArrayLike, strength: ArrayLike) -> _Array:
         strength: Holding torques (k + 1,) [N m], that of the null space last.
 
     Raises:
-        ShapeError: Sizes that do not go together. LimitError: An entry that is not finite.
+        ShapeError: Sizes that do not go together. OutOfRangeError: An entry that is not finite.
     """
 
 def adapt_target(

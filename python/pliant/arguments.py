@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pliant import ConfigError, LimitError, Model, Servos, ShapeError
+from pliant import ConfigError, OutOfRangeError, Model, Servos, ShapeError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -68,13 +68,13 @@ def number(value: Any, name: str, low: float, high: float = np.inf, unit: str = 
 
     Raises:
         ConfigError: It is no number.
-        LimitError: It is NaN, infinite or outside.
+        OutOfRangeError: It is NaN, infinite or outside.
     """
     out = real(value, name)
     if not (low <= out <= high and np.isfinite(out)):
         end = "∞)" if np.isinf(high) else f"{high:g}]"
         of = f" [{unit}]" if unit else ""
-        raise LimitError(f"{name}{of} must be in [{low:g}, {end}, got {out:g}")
+        raise OutOfRangeError(f"{name}{of} must be in [{low:g}, {end}, got {out:g}")
     return out
 
 
@@ -83,7 +83,7 @@ def positive(value: Any, name: str, unit: str = "") -> float:
     out = number(value, name, 0.0, unit=unit)
     if out == 0.0:
         of = f" [{unit}]" if unit else ""
-        raise LimitError(f"{name}{of} must be above 0, got 0")
+        raise OutOfRangeError(f"{name}{of} must be above 0, got 0")
     return out
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from pliant import Command, ConfigError, ServoError, ServoFault, ServoTimeout
+from pliant import Command, ConfigError, ServoError, ServoFaultError, ServoTimeoutError
 from pliant.arguments import given, real
 from pliant.arm.checks import vector
 from pliant.arm.lateness import Lateness
@@ -86,7 +86,7 @@ class Tick:
             Whether it was sent.
 
         Raises:
-            ShapeError, ConfigError, LimitError: A command of another arm, or a negative limit.
+            ShapeError, ConfigError, OutOfRangeError: A command of another arm, or a negative limit.
             TypeError: No command.
             ServoError: Torque is off, or the connection is gone.
         """
@@ -130,8 +130,8 @@ class Loop:
     Raises:
         TypeError: `arm` is no arm, or `controller` nothing that can be reset.
         ConfigError: The rate does not fit, or a time is negative or no number.
-        ServoTimeout: While looping: positions, commands or the program did not come.
-        ServoFault: While looping: a servo reports a fault, or is too hot.
+        ServoTimeoutError: While looping: positions, commands or the program did not come.
+        ServoFaultError: While looping: a servo reports a fault, or is too hot.
 
     Example:
         >>> with pliant.connect("sim:arm7") as arm:
@@ -203,7 +203,7 @@ class Loop:
             self.lateness.add(now - deadline)
             state = arm.read()
             if state.faults:
-                raise ServoFault("; ".join(state.faults))
+                raise ServoFaultError("; ".join(state.faults))
             if state.fresh:
                 if last is None or state.time - last > RESTART:
                     self._restart(state.q, first=last is None)
@@ -217,13 +217,13 @@ class Loop:
                 index += 1
                 done = clock.now()
                 if done - now > self._max_step_time:
-                    raise ServoTimeout(
+                    raise ServoTimeoutError(
                         f"the program did not come back for {done - now:.2f} s (max_step_time "
                         f"allows {self._max_step_time:g} s); the servos held meanwhile"
                     )
                 commanded = now if tick.answered else commanded
                 if now - commanded > arm.comm_timeout:
-                    raise ServoTimeout(
+                    raise ServoTimeoutError(
                         f"no command could be sent for {now - commanded:.2f} s: every tick needs "
                         "tick.write(command) with finite numbers, or tick.skip()"
                     )
@@ -249,7 +249,7 @@ class Loop:
                 if age > most
             ]
             joints = "any joint" if len(names) == state.q.size else ", ".join(names)
-            raise ServoTimeout(
+            raise ServoTimeoutError(
                 f"no position of {joints} for {state.age.max():.2f} s: look at the cable to it, at "
                 "those before it, and at its power"
             )
@@ -274,7 +274,7 @@ class Loop:
         """Tell the controller by which leads joints of unknown stiffness are carried at q (n,)."""
         arm, capture = self._arm, getattr(self._controller, "capture_gravity", None)
         leads = getattr(arm, "leads", None)
-        if capture is None or leads is None or arm.servos.kp_known:
+        if capture is None or leads is None or arm.servos.stiffness_known:
             return
         believed = np.asarray(arm.model.gravity(q)) / np.asarray(arm.servos.kp)
         capture(q, q + np.where(np.isfinite(leads), leads, believed))

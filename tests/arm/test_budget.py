@@ -56,7 +56,7 @@ def test_what_is_not_a_number_is_no_budget(name):
 def test_limits_of_an_arm_come_down_with_its_heat_but_carry_its_weight(make):
     arm = make()
     with arm:
-        torque, q = np.asarray(arm.servos.torque), arm.read().q
+        torque, q = np.asarray(arm.servos.max_torque), arm.read().q
         for heat, share in ((0.5, 1.0), (0.9, 0.7), (1.1, 0.4)):
             arm.clock.wait_until(arm.clock.now() + 0.6)  # limits have risen
             arm.read()
@@ -74,6 +74,6 @@ def test_a_servo_that_reports_a_fault_ends_the_loop(make):
     arm.drive.slow = lambda: Health("elbow_pitch", 11.1, 30.0, ("elbow_pitch: overload",))
     arm.enable()
     assert arm.read().voltage[3] == 11.1
-    with pytest.raises(pliant.ServoFault, match="overload"):
+    with pytest.raises(pliant.ServoFaultError, match="overload"):
         next(iter(pliant.Loop(arm)))
     arm.leave_enabled()

@@ -31,9 +31,9 @@ def test_silence_is_noticed_once_and_told_at_the_next_call():
         until(lambda: left)
         with keeper.alone():
             pass
-        with pytest.raises(pliant.ServoTimeout, match="did not come back"):
+        with pytest.raises(pliant.ServoTimeoutError, match="did not come back"):
             check()
-        with pytest.raises(pliant.ServoTimeout, match=r"enable\(\) starts anew"), keeper:
+        with pytest.raises(pliant.ServoTimeoutError, match=r"enable\(\) starts anew"), keeper:
             pass
     assert len(left) == 1
     assert left[0] <= 1e-4 < usual == sys.getswitchinterval()
@@ -59,7 +59,7 @@ def test_errors_of_the_bus_are_kept_for_the_program():
     keeper = Keeper(leave)
     with keeper.watched(0.02):
         until(lambda: keeper.reason is not None and "unplugged" in keeper.reason)
-    with pytest.raises(pliant.ServoTimeout, match="unplugged"), keeper:
+    with pytest.raises(pliant.ServoTimeoutError, match="unplugged"), keeper:
         pass
 
 
@@ -70,7 +70,7 @@ def test_any_exception_is_kept_for_the_program():
     keeper = Keeper(leave)
     with keeper.watched(0.02):
         until(lambda: keeper.reason is not None and "a bug" in keeper.reason)
-    with pytest.raises(pliant.ServoTimeout, match="a bug"), keeper:
+    with pytest.raises(pliant.ServoTimeoutError, match="a bug"), keeper:
         pass
 
 
@@ -127,7 +127,7 @@ def test_an_arm_in_real_time_comes_down_without_its_program(busy):
                             time.sleep(0.05)
                     arm.read()
 
-    with pytest.raises(pliant.ServoTimeout, match="did not come back"):
+    with pytest.raises(pliant.ServoTimeoutError, match="did not come back"):
         run()
     assert not arm.drive.enabled.any()
     assert plant.tool[2, 3] < height - 0.02

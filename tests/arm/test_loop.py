@@ -91,7 +91,7 @@ def test_commands_that_are_not_finite_hold_for_a_while_then_end_the_loop(running
             tick.write(Bad)
             ticks.append(tick.time)
 
-    with pytest.raises(pliant.ServoTimeout, match=r"no command could be sent for 0.5"):
+    with pytest.raises(pliant.ServoTimeoutError, match=r"no command could be sent for 0.5"):
         loop()
     assert ticks[-1] - ticks[0] == pytest.approx(0.5, abs=0.02)
 
@@ -207,7 +207,7 @@ def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
 def test_lost_readings_do_not_forgive_missing_commands():
     with pliant.connect("sim:arm7", read_loss=0.1, seed=1, signals=False) as arm:
         loop = pliant.Loop(arm, rate=100.0, duration=5.0)
-        with pytest.raises(pliant.ServoTimeout, match="no command could be sent"):
+        with pytest.raises(pliant.ServoTimeoutError, match="no command could be sent"):
             list(loop)
         assert loop.missing > 0
 

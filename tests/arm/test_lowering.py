@@ -39,8 +39,8 @@ def test_comes_to_rest_on_a_table_with_a_load_nobody_knows_of(grasp):
 @pytest.mark.parametrize("known", [True, False])
 def test_servos_that_are_stiffer_than_believed(grasp, known):
     with Mismatch(plant=Parameters(kp=1.25), assumed=Parameters()) as gap:
-        run = lower(grasp, kp_scale=1.25, kp_known=known)
-    assert [arm.servos.kp_known for arm in gap.consumers] == [known]
+        run = lower(grasp, kp_scale=1.25, stiffness_known=known)
+    assert [arm.servos.stiffness_known for arm in gap.consumers] == [known]
     assert run.speed < 0.18
     assert run.rise < 0.015
     # With leads from the believed stiffness it hangs in the air for a minute.
@@ -135,7 +135,7 @@ def test_every_order_is_finite_whatever_is_read(model, grasp):
     for _, goal, limit in orders:
         assert np.isfinite(goal).all()
         assert np.isfinite(limit).all()
-        assert np.all((limit >= 0.0) & (limit <= np.asarray(model.servos.torque) + 1e-12))
+        assert np.all((limit >= 0.0) & (limit <= np.asarray(model.servos.max_torque) + 1e-12))
 
 
 def test_a_joint_that_is_lost_keeps_its_goal_while_the_others_go_down(model, grasp):
@@ -162,7 +162,7 @@ def test_an_arm_that_stands_on_something_is_left_soon_though_its_encoders_flicke
     model = pliant.robots.load("so101")
     rng = np.random.default_rng(0)
     q = np.clip(np.full(model.n, 0.3), model.lower, model.upper)
-    count = flicker * np.asarray(model.servos.count)
+    count = flicker * np.asarray(model.servos.encoder_step)
     lowering, orders = descend(
         model, q, lambda tick: q + count * rng.integers(0, 2, model.n), ticks=1500
     )
@@ -181,7 +181,7 @@ def test_a_joint_with_a_short_lever_presses_with_no_more_force_than_the_others()
     assert 0.02 < lever[2] < 0.04
     _, orders = descend(model, q, lambda tick: q, ticks=1500)
     pressing = -kp * (np.array([goal for _, goal, _ in orders]) - q) * np.sign(model.gravity(q))
-    play = kp * np.asarray(model.servos.count)
+    play = kp * np.asarray(model.servos.encoder_step)
     assert np.all(pressing.max(axis=0) <= 1.5 * lever + play)
     assert pressing.max() > 0.1, "it was put to the test"
 

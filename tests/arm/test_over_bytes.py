@@ -240,7 +240,7 @@ def test_lowered_in_the_place_of_a_program_that_computes_for_ever():
                     rounds += 1
 
         arm.enable()
-        with pytest.raises(pliant.ServoTimeout, match="did not come back"):
+        with pytest.raises(pliant.ServoTimeoutError, match="did not come back"):
             run()
         assert rounds > 0
         assert not arm.drive.enabled.any()

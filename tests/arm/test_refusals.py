@@ -73,7 +73,7 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
                 pliant.ConfigError,
                 "limit of gripper must be a num",
             ),
-            ((q, None, {"gripper": (0, -1)}), pliant.LimitError, "limit >= 0, got 0 and -1"),
+            ((q, None, {"gripper": (0, -1)}), pliant.OutOfRangeError, "limit >= 0, got 0 and -1"),
             (([True] * 5,), pliant.ShapeError, "goal must be 5 real numbers, got .*True"),
             ((q + 0j,), pliant.ShapeError, "goal must be 5 real numbers, got .*complex|j"),
             (([0j] * 5,), pliant.ShapeError, "goal must be 5 real numbers, got .*0j"),

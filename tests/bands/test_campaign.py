@@ -41,7 +41,7 @@ def test_a_refusal_is_proven_by_the_limits(nominal):
     q = arm.poses(heavy.pose + 1)[heavy.pose]
     row = ("x", "y", "z", "roll", "pitch", "yaw").index(heavy.axis)
     push = heavy.sign * heavy.cap * np.asarray(arm.model.jacobian(q)[row])
-    beyond = np.abs(arm.model.gravity(q) - push) - np.asarray(arm.servos.torque)
+    beyond = np.abs(arm.model.gravity(q) - push) - np.asarray(arm.servos.max_torque)
     assert beyond.max() > 0.0
     assert np.mean([one.refused for one in nominal]) < 0.08  # (.038)
 

@@ -21,14 +21,14 @@ def wanted(profile, deviation):
     """What the profile promises at a deviation [m], less where the servos give less [N]."""
     c = float(np.clip(1.0 - (deviation - 0.01) / 0.09, 0.0, 1.0))
     strength = {
-        "firming": c * SOFT + (1.0 - c) * FIRM,
+        "hardening": c * SOFT + (1.0 - c) * FIRM,
         "constant": SOFT,
-        "yielding": c * FIRM + (1.0 - c) * SOFT,
+        "softening": c * FIRM + (1.0 - c) * SOFT,
     }[profile]
     return min(strength, compliance.stiffness("y") * deviation)
 
 
-@pytest.mark.parametrize("profile", ["firming", "constant", "yielding"])
+@pytest.mark.parametrize("profile", ["hardening", "constant", "softening"])
 def test_a_profile_is_felt_as_promised(profile):
     seen = compliance.answer(Settings(axes={"y": Axis(soft=SOFT, firm=FIRM, profile=profile)}))
     for place in PLACES:
@@ -38,18 +38,18 @@ def test_a_profile_is_felt_as_promised(profile):
 
 
 def test_profiles_differ_where_they_should():
-    """At 0.02 m yielding is the firmest, at 0.13 m firming is."""
+    """At 0.02 m softening is the firmest, at 0.13 m hardening is."""
     felt = {}
-    for profile in ("firming", "constant", "yielding"):
+    for profile in ("hardening", "constant", "softening"):
         seen = compliance.answer(Settings(axes={"y": Axis(soft=SOFT, firm=FIRM, profile=profile)}))
         felt[profile] = [
             float(seen.force[np.abs(seen.deviation - place) < 0.003].mean())
             for place in (0.02, 0.13)
         ]
     near, far = ({name: pair[i] for name, pair in felt.items()} for i in (0, 1))
-    assert near["yielding"] > near["firming"] + 4.0 > near["constant"] + 4.0
-    assert far["firming"] > far["yielding"] + 8.0
-    assert far["yielding"] == pytest.approx(far["constant"], abs=0.5)
+    assert near["softening"] > near["hardening"] + 4.0 > near["constant"] + 4.0
+    assert far["hardening"] > far["softening"] + 8.0
+    assert far["softening"] == pytest.approx(far["constant"], abs=0.5)
 
 
 @pytest.mark.parametrize(
@@ -69,11 +69,11 @@ def test_a_stiff_axis_follows_a_strong_hand_beyond_its_limit(conditions):
     assert seen.fastest < 0.7 * free.fastest  # (0.95 of 1.87 rad/s): at the tool's speed
 
 
-@pytest.mark.parametrize("beyond", ["follow", "hold"])
-def test_a_blocked_axis_does_not_push_with_all_it_has(beyond):
+@pytest.mark.parametrize("reaction", ["yield", "wait"])
+def test_a_blocked_axis_does_not_push_with_all_it_has(reaction):
     limit = 0.01  # [m]
     free = compliance.block(Settings.firm())
-    seen = compliance.block(Settings(axes={"x": Axis(deviation_limit=limit, beyond=beyond)}))
+    seen = compliance.block(Settings(axes={"x": Axis(deviation_limit=limit, on_deviation_limit=reaction)}))
     promised = limit * compliance.stiffness("x")  # [N] (13.9)
     assert seen.force == pytest.approx(promised, abs=3.5)  # [N] (11.6, 12.7)
     assert seen.force < 0.75 * free.force  # (18.1)
@@ -85,28 +85,28 @@ def test_a_blocked_axis_does_not_push_with_all_it_has(beyond):
 
 def test_a_target_that_waits_waits_on_all_axes_and_one_that_follows_does_not():
     follow, hold = (
-        compliance.block(Settings(axes={"x": Axis(deviation_limit=0.01, beyond=beyond)}))
-        for beyond in ("follow", "hold")
+        compliance.block(Settings(axes={"x": Axis(deviation_limit=0.01, on_deviation_limit=reaction)}))
+        for reaction in ("yield", "wait")
     )
     assert follow.aside == pytest.approx(compliance.ASIDE, abs=0.01)  # (0.106)
     assert hold.aside < 0.6 * compliance.ASIDE  # (0.046)
 
 
-@pytest.mark.parametrize("beyond", ["follow", "hold"])
+@pytest.mark.parametrize("reaction", ["yield", "wait"])
 @pytest.mark.parametrize(
     "speed", [(0.25, 1.0), (float("inf"), float("inf"))], ids=["speed", "none"]
 )
-def test_a_limit_does_not_keep_a_free_arm_from_its_target(beyond, speed):
+def test_a_limit_does_not_keep_a_free_arm_from_its_target(reaction, speed):
     for limit in (0.002, 0.005):
-        axes = {"x": Axis(deviation_limit=limit, beyond=beyond)}
+        axes = {"x": Axis(deviation_limit=limit, on_deviation_limit=reaction)}
         seen = compliance.jump(Settings(axes=axes, max_tool_speed=speed))
         assert seen.after < 2.5  # [s] (0.6-1.7)
         assert seen.left < 1e-3  # [m]
         assert seen.speed < 1e-3  # [rad/s]
 
 
-@pytest.mark.parametrize("beyond", ["follow", "hold"])
-def test_at_the_tool_s_speed_a_limit_of_5_mm_costs_nothing(beyond):
+@pytest.mark.parametrize("reaction", ["yield", "wait"])
+def test_at_the_tool_s_speed_a_limit_of_5_mm_costs_nothing(reaction):
     free = compliance.jump(Settings())
-    seen = compliance.jump(Settings(axes={"x": Axis(deviation_limit=0.005, beyond=beyond)}))
+    seen = compliance.jump(Settings(axes={"x": Axis(deviation_limit=0.005, on_deviation_limit=reaction)}))
     assert seen.after == pytest.approx(free.after, abs=0.05)  # [s] (0.82)

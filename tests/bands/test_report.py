@@ -1,4 +1,4 @@
-"""The report against the simulated arm: where it gives way, and what a dead host leaves."""
+"""The report against the simulated arm: where it gives way, and what a lost host leaves."""
 
 import numpy as np
 import pytest
@@ -55,6 +55,6 @@ def test_a_growing_push_moves_the_arm_where_the_report_says(pose):
 def test_the_report_foretells_what_a_dead_host_leaves(push):
     settings = laws.cap(eta=0.0)
     report = pliant.Controller(arm(), settings).report(VERTICAL)
-    said = report.dead_host[AXES.index(push[1:]), int(push[0] == "+")]
+    said = report.host_loss_force[AXES.index(push[1:]), int(push[0] == "+")]
     felt = host.die(settings, push).force
     assert abs(said / felt - 1.0) < DEAD[push]

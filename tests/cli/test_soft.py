@@ -9,7 +9,7 @@ MODEL = pliant.robots.so101()
 TASK = pliant.Task(axes="xyz")
 #: Nothing is as by default, so that what is kept can be told from what is not.
 SETTINGS = pliant.Settings(
-    task=TASK, axes={"x": pliant.Axis(soft=1.5), "z": pliant.Axis(soft=1.0, eta=0.5)}
+    task=TASK, axes={"x": pliant.Axis(soft=1.5), "z": pliant.Axis(soft=1.0, adaptation=0.5)}
 )
 
 
@@ -29,7 +29,7 @@ def test_a_cap_is_constant_over_the_deviation(words):
         strengths = pliant.Controller(MODEL, made).strengths
         assert [strengths[name].soft for name in "yz"] == [(2.0, 2.0), (3.5, 3.5)]
         assert [made.axes[name].profile for name in "yz"] == ["constant", "constant"]
-        assert made.axes["z"].eta == 0.0, "a named axis is as the flag says"
+        assert made.axes["z"].adaptation == 0.0, "a named axis is as the flag says"
 
 
 def test_axes_that_are_not_named_hold_or_stay():

@@ -75,14 +75,14 @@ def test_reach_counts_from_the_first_joint_that_moves():
     assert np.allclose(model.reach_from, [0.0, 0.0, 1.0])
     Target(position=(0.4, 0.0, 1.0)).check(model)
     said = r"from turn \[m\] = 1\.5 is outside \[0, 0\.900\]: the arm reaches 0\.400 m"
-    with pytest.raises(pliant.LimitError, match=said):
+    with pytest.raises(pliant.OutOfRangeError, match=said):
         Target(position=(0.0, 0.0, 2.5)).check(model)
 
 
 def test_joints_may_be_a_little_beyond_their_limits():
     for given in (MODEL.upper + 0.1, MODEL.lower - 0.1):
         Target(q=tuple(given)).check(MODEL)
-    with pytest.raises(pliant.LimitError, match=r"wrist_roll\) \[rad\] = .* degrees"):
+    with pytest.raises(pliant.OutOfRangeError, match=r"wrist_roll\) \[rad\] = .* degrees"):
         Target(q=(0.0, 0.0, 0.0, 0.0, MODEL.upper[4] + 0.3)).check(MODEL)
 
 

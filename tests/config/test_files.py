@@ -116,7 +116,7 @@ def test_mistakes_of_settings_and_servos_are_said_with_the_rest():
     text = SIM.replace("backend", "bakend = 1\nbackend") + (
         '[loop]\nrate = -1\n[servo]\na = { model = "STS3512-7.4V", id = "4" }\n[settings]\n'
         'lw = "cap"\nmax_tool_speed = -1\ntask = "xyz"\n'
-        "axes.y = { sofft = 3, eta = 4 }\naxes.z = { soft = -3 }\naxes.yaw = { soft = 3 }\n"
+        "axes.y = { sofft = 3, adaptation = 4 }\naxes.z = { soft = -3 }\naxes.yaw = { soft = 3 }\n"
         "axes.roll = { soft = 3 }\n"
     )
     with pytest.raises(pliant.ConfigError) as caught:
@@ -129,7 +129,7 @@ def test_mistakes_of_settings_and_servos_are_said_with_the_rest():
         "settings: lw: Settings has no such field",
         "settings: max_tool_speed [m/s, rad/s] = -1 is outside",
         "settings: axes.y: sofft: Axis has no such field",
-        "settings: axes.y: eta = 4 is outside",
+        "settings: axes.y: adaptation = 4 is outside",
         "settings: axes.z: soft = -3 is outside",
         "settings: axes.yaw: 'yaw' is not an axis of the task",
         "settings: axes.roll: 'roll' is not an axis of the task",
@@ -275,11 +275,11 @@ def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):
 
 
 def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
-    """A loop over the arm of a file, with and without `dead_host_max`."""
+    """A loop over the arm of a file, with and without `max_host_loss_force`."""
     work = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
     text = 'backend = "sim"\nrobot.builtin = "arm7"\n[settings]\naxes.y = { soft = 4.0 }\n'
     left, sent = [], []
-    for bound in ("", "dead_host_max = 44.0\n"):
+    for bound in ("", "max_host_loss_force = 44.0\n"):
         read = config.parse(text + bound)
         still = read.arm()
         still.drive.plant.reset(work)
@@ -289,13 +289,13 @@ def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
                 command = controller.step_joints(tick.q, work, dt=tick.dt)
                 tick.write(command)
             assert np.abs(arm.read().q - work).max() < 1e-3, "it stands"
-            left.append(controller.report().dead_host[:3].max())
+            left.append(controller.report().host_loss_force[:3].max())
             sent.append(command.torque_limit)
     assert left[0] > 46.0
     assert left[1] <= 44.0
     assert np.all(sent[1] <= sent[0] + 1e-9)
-    with pytest.raises(pliant.ConfigError, match="did you mean 'dead_host_max'"):
-        config.parse(text + "dead_host_mx = 44.0\n").settings()
+    with pytest.raises(pliant.ConfigError, match="did you mean 'max_host_loss_force'"):
+        config.parse(text + "max_host_loss_forc = 44.0\n").settings()
 
 
 def test_a_wrong_task_is_said_once_and_as_the_task():

@@ -74,13 +74,13 @@ def test_the_arm_believes_the_same_servos_on_every_backend(name, tmp_path):
             assert (mine is None) == (other is None), field
             if mine is not None:
                 np.testing.assert_allclose(mine, other, rtol=1e-9, err_msg=field)
-        assert (simulated.kind, simulated.kp_known) == (table.kind, table.kp_known)
+        assert (simulated.kind, simulated.stiffness_known) == (table.limit_type, table.stiffness_known)
     # The plant is what the arm believes, unless the caller says otherwise.
     np.testing.assert_array_equal(truth.kp, simulated.kp)
     np.testing.assert_array_equal(truth.torque, simulated.torque)
     np.testing.assert_array_equal(truth.friction, simulated.friction)
     np.testing.assert_array_equal(truth.armature, simulated.armature)
-    assert simulated.kp_known == (name == "koch by its URDF")
+    assert simulated.stiffness_known == (name == "koch by its URDF")
 
 
 def test_what_the_caller_says_of_the_plant_is_not_believed():
@@ -94,7 +94,7 @@ def test_what_the_caller_says_of_the_plant_is_not_believed():
         np.testing.assert_allclose(arm.drive.plant.gains.kp, 2.0 * table.kp)
         np.testing.assert_array_equal(arm.servos.kp, table.kp)
         np.testing.assert_array_equal(arm.servos.friction, table.friction)
-        assert not arm.servos.kp_known
+        assert not arm.servos.stiffness_known
 
 
 def test_the_gripper_of_the_simulator_has_the_servo_of_the_file():
@@ -105,7 +105,7 @@ def test_the_gripper_of_the_simulator_has_the_servo_of_the_file():
     servo = drive.plant.mj_model.actuator("gripper")
     assert drive.servos.kp[at] == pytest.approx(0.72, rel=0.01)
     assert servo.gainprm[0] == pytest.approx(drive.servos.kp[at])
-    assert arm.gripper.largest == pytest.approx(drive.servos.torque[at])
+    assert arm.gripper.largest == pytest.approx(drive.servos.max_torque[at])
 
 
 @pytest.mark.parametrize("kp", [True, False])
@@ -121,10 +121,10 @@ def test_k_p_is_known_where_the_file_has_it_for_the_whole_chain(kp):
         'servo = {{ model = "STS3215-7.4V", id = 6 }}\n'
     )
     simulated = config.parse(text.replace("{{", "{").replace("}}", "}").replace("{}", "sim"))
-    assert simulated.arm(signals=False).servos.kp_known is kp
+    assert simulated.arm(signals=False).servos.stiffness_known is kp
     wired = config.parse(text.replace("{{", "{").replace("}}", "}").replace("{}", "emulator"))
     heard, _, _ = on_bytes(wired, wired.model())
-    assert heard.kp_known is kp
+    assert heard.stiffness_known is kp
 
 
 def test_a_finger_without_ends_that_no_file_describes_stays(tmp_path):

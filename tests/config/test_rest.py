@@ -122,11 +122,11 @@ def test_an_arm_whose_way_to_rest_is_barred_is_lowered_straight_down():
 
 
 def test_a_rest_pose_inside_the_table_is_refused():
-    with pytest.raises(pliant.LimitError, match=r"rest_q: the tool would be 0\.\d+ m inside the tab"):
+    with pytest.raises(pliant.OutOfRangeError, match=r"rest_q: the tool would be 0\.\d+ m inside the tab"):
         pliant.connect("so101", backend="sim", rest_q=[0.0, 1.5, 1.2, 0.0, 0.0])
     arm = pliant.connect("so101", backend="sim", signals=False)
     with arm:
-        with pytest.raises(pliant.LimitError, match="inside the table"):
+        with pytest.raises(pliant.OutOfRangeError, match="inside the table"):
             arm.park([0.0, 1.5, 1.2, 0.0, 0.0])
         arm.disable_torque()
 
@@ -198,9 +198,9 @@ def test_a_ready_file_that_is_no_built_in_model_is_named_with_the_way_to_simulat
 
 
 def test_the_kind_of_a_simulated_arms_servos_is_no_kind_of_arm():
-    assert pliant.connect("sim:so101", kind="current").servos.kind == "current"
+    assert pliant.connect("sim:so101", kind="current").servos.limit_type == "current"
     mapping = {"kind": "sim", "robot": "so101"}
-    assert pliant.connect(mapping, kind="current").servos.kind == "current"
+    assert pliant.connect(mapping, kind="current").servos.limit_type == "current"
 
 
 @pytest.mark.parametrize("option", ["backend", "port", "urdf", "calibration"])

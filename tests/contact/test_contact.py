@@ -42,7 +42,7 @@ def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None)
 
 @pytest.mark.parametrize("force", [(0.0, 0.0, 8.0), (-6.0, 0.0, 0.0), (3.0, 2.0, -5.0)])
 def test_a_push_is_felt_within_the_bound(force):
-    last = pushed(pliant.Contact(controller(), **KNOWN), force)[-1]
+    last = pushed(pliant.ContactEstimator(controller(), **KNOWN), force)[-1]
     error = np.abs(last.force_base[:3] - force)
     assert (error <= last.uncertainty_base[:3]).all()
     assert error.max() < 1.5  # [N] (.6)
@@ -52,7 +52,7 @@ def test_a_push_is_felt_within_the_bound(force):
 
 
 def test_events_come_with_their_thresholds_and_their_time():
-    contact = pliant.Contact(controller(), touch={"xyz": 4.0}, stop={"z": 7.0}, **KNOWN)
+    contact = pliant.ContactEstimator(controller(), touch={"xyz": 4.0}, stop={"z": 7.0}, **KNOWN)
     seen = pushed(contact, (0.0, 0.0, 9.0))
     touched = [bool(felt.touch[2]) for felt in seen]
     stopped = [bool(felt.stop[2]) for felt in seen]
@@ -62,21 +62,21 @@ def test_events_come_with_their_thresholds_and_their_time():
 
 
 def test_nothing_is_claimed_before_a_command_was_in_force():
-    first = pushed(pliant.Contact(controller(), **KNOWN), ticks=1)[0]
+    first = pushed(pliant.ContactEstimator(controller(), **KNOWN), ticks=1)[0]
     assert (first.force == 0.0).all()
     assert np.isinf(first.uncertainty).all()
     assert str(first) == "nothing known yet"
 
 
 def test_saturated_joints_are_named_and_the_estimate_stands():
-    contact = pliant.Contact(controller(), **KNOWN)
+    contact = pliant.ContactEstimator(controller(), **KNOWN)
     last = pushed(contact, (0.0, 0.0, 40.0), ticks=120)
     saturated = [felt for felt in last if felt.saturated.any()]
     assert saturated
 
 
 def test_a_tare_takes_a_wrong_stiffness_out():
-    contact = pliant.Contact(controller(), kp_error=0.2, gravity_error=0.0)
+    contact = pliant.ContactEstimator(controller(), kp_error=0.2, gravity_error=0.0)
     gap = Mismatch(plant=Parameters(kp=1.15), assumed=Parameters())
     seen = pushed(contact, (0.0, 0.0, 8.0), build=gap.build, tare=45)
     gap.check(contact.controller)
@@ -104,29 +104,29 @@ def test_a_tare_takes_a_wrong_stiffness_out():
 )
 def test_what_cannot_be_is_refused_by_name(options, text):
     with pytest.raises(pliant.PliantError, match=text):
-        pliant.Contact(controller(), **options)
+        pliant.ContactEstimator(controller(), **options)
 
 
 def test_a_current_needs_a_constant_and_a_mapping_is_one():
-    contact = pliant.Contact(controller())
+    contact = pliant.ContactEstimator(controller())
     with pytest.raises(pliant.ConfigError, match="torque per ampere"):
         contact.update(VERTICAL, current=np.zeros(7))
     with pytest.raises(TypeError, match="mapping from axes"):
-        pliant.Contact(controller(), touch=8.0)
-    with pytest.raises(pliant.LimitError, match="load"):
+        pliant.ContactEstimator(controller(), touch=8.0)
+    with pytest.raises(pliant.OutOfRangeError, match="load"):
         contact.update(VERTICAL, load=np.full(7, np.nan))
 
 
 def test_few_joints_look_at_the_axes_of_their_task():
     ctl = pliant.Controller(pliant.robots.so101(), pliant.Settings(task="xyz"))
-    contact = pliant.Contact(ctl)
+    contact = pliant.ContactEstimator(ctl)
     assert contact.axes == ("x", "y", "z")
     assert np.isinf(contact.uncertainty_at(np.array([0.2, -0.3, 0.3, 0.9, 0.0]))[3:]).all()
 
 
 def test_events_of_the_experiment_are_those_of_the_core():
     seen = pushed(
-        pliant.Contact(controller(), touch={"z": 5.0}, accept=("thresholds",), **KNOWN),
+        pliant.ContactEstimator(controller(), touch={"z": 5.0}, accept=("thresholds",), **KNOWN),
         (0.0, 0.0, 9.0),
     )
     beyond = np.array([abs(felt.force[2]) > 5.0 for felt in seen])

@@ -1,4 +1,4 @@
-"""A `Contact` models the friction that the controller feeds forward, at every speed."""
+"""A `ContactEstimator` models the friction that the controller feeds forward, at every speed."""
 
 import numpy as np
 import pytest
@@ -12,10 +12,10 @@ FRICTION, SPEED = 0.3, 0.05  # [N·m], [rad/s]
 @pytest.mark.parametrize("friction_speed", [0.01, 0.05, 0.5])
 def test_residual_and_feed_forward_have_one_friction(friction_speed):
     model = pliant.robots.arm7()
-    servos = pliant.Servos(kp=150.0, torque=10.7, friction=FRICTION, damping=0.0)
+    servos = pliant.Servos(kp=150.0, max_torque=10.7, friction=FRICTION, damping=0.0)
     settings = pliant.Settings.firm().replace(friction_speed=friction_speed)
     controller = pliant.Controller(model, settings, servos)
-    contact = pliant.Contact(controller)
+    contact = pliant.ContactEstimator(controller)
     speed = np.full(7, SPEED)
     load = model.gravity(Q) + FRICTION * np.tanh(SPEED / friction_speed)
     for _ in range(400):
@@ -26,13 +26,13 @@ def test_residual_and_feed_forward_have_one_friction(friction_speed):
 def test_a_bound_that_is_said_is_enough_when_it_is_typed():
     model = pliant.robots.so101()
     controller = pliant.Controller(model, pliant.Settings.firm(task="xyz"))
-    contact = pliant.Contact(controller)
+    contact = pliant.ContactEstimator(controller)
     for axis in ("x", "y", "z"):
-        with pytest.raises(pliant.LimitError) as error:
+        with pytest.raises(pliant.OutOfRangeError) as error:
             pliant.reactions.Force(axis, above=0.01).check(contact, controller)
         said = float(str(error.value).partition("outside [")[2].partition(",")[0])
         pliant.reactions.Force(axis, above=said).check(contact, controller)
-        with pytest.raises(pliant.LimitError) as error:
-            pliant.Contact(controller, touch={axis: 0.01})
+        with pytest.raises(pliant.OutOfRangeError) as error:
+            pliant.ContactEstimator(controller, touch={axis: 0.01})
         said = float(error.value.bound.partition("[")[2].partition(",")[0])
-        pliant.Contact(controller, touch={axis: said})
+        pliant.ContactEstimator(controller, touch={axis: said})

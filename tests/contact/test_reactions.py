@@ -15,7 +15,7 @@ class Felt:
 
     def __init__(self, force=(0.0,) * 6, bound=(1.0,) * 6, evidence=0.0):
         self.force, self.uncertainty = np.array(force), np.array(bound)
-        self.force_base, self.evidence = self.force, evidence
+        self.force_base, self.residual_ratio = self.force, evidence
         self.touch = self.stop = np.zeros(6, dtype=bool)
         self.saturated, self.velocity = np.zeros(7, dtype=bool), np.zeros(7)
 
@@ -105,7 +105,7 @@ def test_what_cannot_be_is_refused(make, text):
 
 def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
     ctl = controller()
-    with pytest.raises(pliant.LimitError, match="cannot tell a contact from friction"):
+    with pytest.raises(pliant.OutOfRangeError, match="cannot tell a contact from friction"):
         rx.ReactionMonitor(ctl, [rx.Reaction(rx.Force("z", above=1.0), rx.Hold())])
     with pytest.raises(pliant.ConfigError, match="no joint elbow"):
         rx.ReactionMonitor(ctl, [rx.Reaction(rx.Saturated(("elbow",)), rx.Hold())])

@@ -135,5 +135,5 @@ def test_the_pose_of_an_arm_is_inside_its_limits_and_can_hold_itself():
     arm = anyarm.load(anyarm.Source(name="so101"))
     assert np.all(arm.pose > arm.model.lower)
     assert np.all(arm.pose < arm.model.upper)
-    assert np.all(np.abs(arm.model.gravity(arm.pose)) < arm.servos.torque)
+    assert np.all(np.abs(arm.model.gravity(arm.pose)) < arm.servos.max_torque)
     assert arm.way > 0.0

@@ -17,7 +17,7 @@ TICK = 0.01
 
 def so101():
     """An SO-101: duty-limited servos, axes x y z."""
-    axes = {"y": pliant.Axis(soft=1.0, firm=3.0, d_minus=0.01, d_plus=0.1, eta=0.9)}
+    axes = {"y": pliant.Axis(soft=1.0, firm=3.0, soft_until=0.01, firm_from=0.1, adaptation=0.9)}
     return (
         pliant.robots.so101(),
         ["STS3215-7.4V"] * 5,
@@ -29,7 +29,7 @@ def so101():
 
 def arm7():
     """Seven current-limited servos, all six axes."""
-    axes = {"y": pliant.Axis(soft=4.0, firm=15.0, d_minus=0.01, d_plus=0.1, eta=0.9)}
+    axes = {"y": pliant.Axis(soft=4.0, firm=15.0, soft_until=0.01, firm_from=0.1, adaptation=0.9)}
     return (
         pliant.robots.arm7(),
         ["XM540-W270"] * 4 + ["XM430-W350"] * 3,
@@ -83,7 +83,7 @@ def test_limits_reach_the_motors_and_the_arm_stays(build, share):
 def run(bus, chain, model, settings, share):
     chain.open()
     pose = bus.plant.q
-    ceiling = np.asarray(chain.servos.torque)
+    ceiling = np.asarray(chain.servos.max_torque)
     chain.enable(chain.read().position, 0.9 * ceiling)
     controller = pliant.Controller(model, settings, chain.servos)
     target = model.forward_kinematics(pose)

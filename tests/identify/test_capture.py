@@ -11,7 +11,7 @@ from pliant.experiments.capturing import tried
 from pliant.sim import Plant
 
 COUNT = np.deg2rad(0.088)
-FOLLOWING = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, eta=0.999)}, accept=("eta",))
+FOLLOWING = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, adaptation=0.999)}, accept=("eta",))
 
 
 def standing(arm, q, settings=FOLLOWING, **differs):
@@ -22,7 +22,7 @@ def standing(arm, q, settings=FOLLOWING, **differs):
     else:
         plant = Plant(arm, count=COUNT)
     plant.reset(q)
-    controller = pliant.Controller(arm, settings, arm.servos.replace(count=COUNT))
+    controller = pliant.Controller(arm, settings, arm.servos.replace(encoder_step=COUNT))
     if differs:
         gap.check(controller)
     return plant, controller
@@ -43,7 +43,7 @@ def test_an_arm_that_would_walk_stays_after_the_capture(arm, grasp, kp):
 def test_an_arm_that_walks_is_stopped_and_told_what_helps():
     """k_p twice the believed one: twice the friction is fed forward, and the tool walks."""
     so101 = pliant.robots.so101()
-    settings = FOLLOWING.replace(task="xyz", axes={"y": pliant.Axis(yields="both", eta=0.999)})
+    settings = FOLLOWING.replace(task="xyz", axes={"y": pliant.Axis(yields="both", adaptation=0.999)})
     plant, controller = standing(so101, [0.2, -0.3, 0.3, 0.9, 0.0], settings, kp=2.0)
     start = plant.tool[:3, 3]
     found = identify.capture(plant, controller)
@@ -89,7 +89,7 @@ def test_it_runs_on_a_connected_arm():
 
 def test_numbers_out_of_range_are_refused(arm):
     controller = pliant.Controller(arm)
-    with pytest.raises(pliant.LimitError, match="seconds"):
+    with pytest.raises(pliant.OutOfRangeError, match="seconds"):
         identify.capturing(controller, seconds=0.2)
     bare = pliant.Controller(arm, pliant.Settings.paper())
     assert bare.servos is not None  # built-in arms carry theirs

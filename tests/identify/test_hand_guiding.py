@@ -68,19 +68,19 @@ def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
         speeds.append(floating._speed[0])
     assert times[0] == pytest.approx(times[1], abs=0.5)
     assert speeds == pytest.approx([0.2, 0.2], rel=0.02)
-    with pytest.raises(pliant.LimitError, match="dt"):
+    with pytest.raises(pliant.OutOfRangeError, match="dt"):
         other.step(grasp, dt=0.0)
 
 
 def test_a_known_stiffness_is_believed_and_an_unknown_one_not(arm):
-    known = pliant.HandGuiding(arm, arm.servos.replace(kp_known=True)).stiffness
-    open_ = pliant.HandGuiding(arm, arm.servos.replace(kp_known=False)).stiffness
+    known = pliant.HandGuiding(arm, arm.servos.replace(stiffness_known=True)).stiffness
+    open_ = pliant.HandGuiding(arm, arm.servos.replace(stiffness_known=False)).stiffness
     assert (known[1] / known[0]).max() == pytest.approx(1.21)
     assert (open_[1] / open_[0]).min() > 4.0
 
 
 def test_what_cannot_be_used_is_refused(arm, grasp):
-    with pytest.raises(pliant.LimitError, match="rate"):
+    with pytest.raises(pliant.OutOfRangeError, match="rate"):
         pliant.HandGuiding(arm, rate=1.0)
     floating = pliant.HandGuiding(arm)
     with pytest.raises(pliant.ShapeError):

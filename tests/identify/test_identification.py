@@ -111,12 +111,12 @@ def test_bad_arguments_are_refused_before_anything_moves():
     plant = Plant(model)
     plant.reset(model.upper - 1e-3)
     outside = np.tile(model.upper, (3, 1))
-    with pytest.raises(pliant.LimitError, match="amplitude"):
+    with pytest.raises(pliant.OutOfRangeError, match="amplitude"):
         identify.run(plant, model, amplitude=2.0)
-    with pytest.raises(pliant.LimitError, match="torque_share"):
+    with pytest.raises(pliant.OutOfRangeError, match="torque_share"):
         identify.identification(model, torque_share=0.0)
     plant.reset(experiment.STARTS["so101"])
-    with pytest.raises(pliant.LimitError, match="shoulder_pan would move"):
+    with pytest.raises(pliant.OutOfRangeError, match="shoulder_pan would move"):
         identify.run(plant, model, poses=outside)
     bare = pliant.Model.from_urdf_str(BARE, base="a", tip="b")
     with pytest.raises(pliant.ConfigError, match="servo table"):
@@ -132,7 +132,7 @@ BARE = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="
 def test_an_arm_that_is_held_is_left_holding():
     """A limit far below what gravity asks stands for a hand that holds the arm down."""
     model = robots.arm7()
-    weak = 3.0 / np.asarray(model.servos.torque)
+    weak = 3.0 / np.asarray(model.servos.max_torque)
     gap = Mismatch(plant=Parameters(payload=1.5), assumed=Parameters(torque=weak))
     with gap:
         plant = gap.build(model)

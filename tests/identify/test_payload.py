@@ -22,7 +22,7 @@ def weighed(name, seed):
     """Errors of (m, m c) in their own standard deviations, for a random payload and servos."""
     rng, model = np.random.default_rng(seed), robots.load(name)
     mass, com = rng.uniform(0.15, 1.0) * LIFTS[name], rng.uniform(-0.05, 0.05, 3)
-    table = model.servos.replace(count=COUNT)
+    table = model.servos.replace(encoder_step=COUNT)
     side = Parameters(
         kp=rng.normal(1.0, 0.04, model.n), friction=rng.uniform(0.7, 1.5), payload=mass
     )

@@ -58,9 +58,9 @@ def test_what_was_changed_is_put_back_when_the_arm_fails():
 
     class Failing(Still):
         def advance(self):
-            raise pliant.ServoTimeout("gone")
+            raise pliant.ServoTimeoutError("gone")
 
-    with pytest.raises(pliant.ServoTimeout):
+    with pytest.raises(pliant.ServoTimeoutError):
         drive(Failing(), Procedure(counting(3, left), 2))
     assert left == ["put back"]
 

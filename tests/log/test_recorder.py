@@ -23,8 +23,8 @@ def arm():
         ({"config": "so101"}, TypeError, "config must be what pliant.config.load gives"),
         ({"note": 5}, TypeError, "note must be a str"),
         ({"rate": "fast"}, pliant.ConfigError, r"rate must be a number"),
-        ({"rate": float("nan")}, pliant.LimitError, r"rate \[Hz\] must be in"),
-        ({"rate": 0.0}, pliant.LimitError, r"rate \[Hz\] must be above 0"),
+        ({"rate": float("nan")}, pliant.OutOfRangeError, r"rate \[Hz\] must be in"),
+        ({"rate": 0.0}, pliant.OutOfRangeError, r"rate \[Hz\] must be above 0"),
     ],
 )
 def test_arguments_of_another_kind_are_named(change, kind, said, arm, tmp_path):

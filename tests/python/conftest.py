@@ -16,11 +16,11 @@ GOLDEN = Path(__file__).resolve().parents[1] / "data" / "golden"
 def servos() -> pliant.Servos:
     return pliant.Servos(
         kp=[150.0] * 4 + [60.0] * 3,
-        torque=[10.7] * 4 + [6.4] * 3,
+        max_torque=[10.7] * 4 + [6.4] * 3,
         friction=[0.2] * 4 + [0.1] * 3,
         damping=[1.2] * 4 + [0.8] * 3,
         kv=[1.5] * 4 + [0.5] * 3,
-        kp_known=True,
+        stiffness_known=True,
     )
 
 

@@ -61,7 +61,7 @@ FORMS = {
 
 def _calls():
     """Argument, a good value of it, and a call with it that returns an array."""
-    servos = pliant.Servos(kp=[150.0] * 4 + [60.0] * 3, torque=[10.7] * 4 + [6.4] * 3)
+    servos = pliant.Servos(kp=[150.0] * 4 + [60.0] * 3, max_torque=[10.7] * 4 + [6.4] * 3)
     model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool", servos=servos)
     q = np.array([0.3, -0.4, 0.2, -1.2, 0.5, 0.6, -0.3])
     target = model.forward_kinematics(q)
@@ -121,7 +121,7 @@ def _calls():
             lambda v: pliant.joint_torque_limits(activation, v),
         ),
         "compliance deviation": ("deviation", six, lambda v: pliant.compliance(v, 0.01, 0.1)),
-        "compliance d_plus": ("d_plus", six + 1, lambda v: pliant.compliance(six, 0.01, v)),
+        "compliance firm_from": ("firm_from", six + 1, lambda v: pliant.compliance(six, 0.01, v)),
         "holding_torque soft": (
             "soft",
             six,
@@ -166,7 +166,7 @@ def test_single_precision_and_integers_are_widened(name, good, call):
         return
     single = good.astype(np.float32)
     assert same_bits(call(single), call(single.astype(np.float64)))
-    if name != "d_plus":
+    if name != "firm_from":
         whole = np.zeros(good.shape, dtype=np.int64)
         assert same_bits(call(whole), call(whole.astype(np.float64)))
 
@@ -174,7 +174,7 @@ def test_single_precision_and_integers_are_widened(name, good, call):
 @each_argument
 @pytest.mark.parametrize("bad", ["longer", "shorter", "deeper", "empty", "scalar"])
 def test_wrong_shapes_name_argument_shape_and_expectation(name, good, call, bad):
-    if bad == "scalar" and name in {"deviation", "d_plus", "soft"}:
+    if bad == "scalar" and name in {"deviation", "firm_from", "soft"}:
         return  # one for all
     if name == "deviation" and bad in {"longer", "shorter", "empty"}:
         return  # any length will do
@@ -196,7 +196,7 @@ def test_wrong_shapes_name_argument_shape_and_expectation(name, good, call, bad)
     assert error.expected
     assert error.got in str(error)
     related = {"Q": ("Q",), "J_pinv": ("J_pinv", "N"), "N": ("N",), "A": ("A", "strength")}
-    assert error.what.startswith(related.get(name, (name, "d_minus", "dx")))
+    assert error.what.startswith(related.get(name, (name, "soft_until", "dx")))
 
 
 @each_argument
@@ -204,7 +204,7 @@ def test_wrong_shapes_name_argument_shape_and_expectation(name, good, call, bad)
 def test_numbers_that_are_none_are_refused_by_name(name, good, call, bad):
     value = np.array(good)
     value[(-1,) * good.ndim if name not in {"target", "actual"} else (0, 3)] = bad
-    with pytest.raises(pliant.LimitError) as caught:
+    with pytest.raises(pliant.OutOfRangeError) as caught:
         call(value)
     assert caught.value.value is not None
     assert not np.isfinite(caught.value.value)
@@ -234,9 +234,9 @@ def test_what_holds_no_numbers_is_a_type_error_by_name(name, good, call, bad):
 
 def test_a_joint_is_named():
     model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool")
-    with pytest.raises(pliant.LimitError, match=r"q\[3\] \(elbow_pitch\) = NaN is outside"):
+    with pytest.raises(pliant.OutOfRangeError, match=r"q\[3\] \(elbow_pitch\) = NaN is outside"):
         model.gravity([0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.0])
-    with pytest.raises(pliant.LimitError, match=r"Q\[1\]: q\[0\] \(shoulder_pitch\)"):
+    with pytest.raises(pliant.OutOfRangeError, match=r"Q\[1\]: q\[0\] \(shoulder_pitch\)"):
         model.gravity_batch(
             np.diag([0.0, np.inf, 0.0, 0.0, 0.0, 0.0, 0.0])[:, [1, 0, 2, 3, 4, 5, 6]]
         )

@@ -17,7 +17,7 @@ import pliant
 FIELDS = ("goal", "torque_limit", "velocity")
 LAWS = {
     "cap": pliant.Settings.soft("y"),
-    "paper": pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, eta=0.9)}),
+    "paper": pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, adaptation=0.9)}),
     "impedance": pliant.Settings(law="impedance", axes={"y": pliant.Axis(soft=4.0)}),
 }
 
@@ -234,13 +234,13 @@ def test_a_bad_row_is_named_and_changes_nothing(model):
     kept = pickle.dumps(state)
     bad = q.copy()
     bad[77, 2], bad[140, 0] = np.nan, np.inf
-    with pytest.raises(pliant.LimitError, match=r"^Q\[77\]: q\[2\] \(\w+\) = NaN is outside"):
+    with pytest.raises(pliant.OutOfRangeError, match=r"^Q\[77\]: q\[2\] \(\w+\) = NaN is outside"):
         controller.step_batch(bad, targets, state=state)
     turned = targets.copy()
     turned[5, 0, 0] += 0.1
     with pytest.raises(pliant.ConfigError, match=r"^targets\[5\]: rotation part is not a rotation"):
         controller.step_batch(q, turned, state=state)
-    with pytest.raises(pliant.LimitError, match=r"^dq\[77\]: dq\[2\]"):
+    with pytest.raises(pliant.OutOfRangeError, match=r"^dq\[77\]: dq\[2\]"):
         controller.step_batch(q, targets, state=state, dq=bad)
     assert pickle.dumps(state) == kept
 
@@ -300,10 +300,10 @@ def test_states_can_be_reset_copied_and_pickled(model):
     before = pickle.dumps(state)
     with pytest.raises(pliant.ShapeError, match=r"Q has shape \(2, 7\), expected \(3, 7\), or"):
         state.reset([0, 1, 2], q[:2])
-    with pytest.raises(pliant.LimitError, match="NaN"):
+    with pytest.raises(pliant.OutOfRangeError, match="NaN"):
         state.reset([0, 1], [q[0], np.full(7, np.nan)])
     assert pickle.dumps(state) == before
-    with pytest.raises(pliant.LimitError, match="joints = 0"):
+    with pytest.raises(pliant.OutOfRangeError, match="joints = 0"):
         pliant.BatchState(0, [])
 
 

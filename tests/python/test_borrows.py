@@ -36,7 +36,7 @@ class Array:
 
 def made():
     controller = pliant.Controller(MODEL, pliant.Settings.firm(task="xyz"))
-    contact = pliant.Contact(controller)
+    contact = pliant.ContactEstimator(controller)
     target = MODEL.forward_kinematics(Q)
     command = controller.step(Q, target)
     contact.update(Q, sent=(command.goal, command.torque_limit))
@@ -52,7 +52,7 @@ def uses(controller, contact, target):
         "contact.uncertainty_at": lambda: contact.uncertainty_at(Q),
         "contact.typical_uncertainty": contact.typical_uncertainty,
         "contact.latency": lambda: contact.latency,
-        "Contact": lambda: pliant.Contact(controller),
+        "ContactEstimator": lambda: pliant.ContactEstimator(controller),
         "step": lambda: controller.step(Q, target),
         "step_joints": lambda: controller.step_joints(Q, Q),
         "step_batch": lambda: controller.step_batch(Q[None], target),

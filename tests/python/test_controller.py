@@ -73,7 +73,7 @@ def test_parts_can_be_read(model, controller, servos):
     assert "arm7" in repr(controller)
     bare = pliant.Controller(model)
     assert bare.settings == pliant.Settings()
-    other = pliant.Controller(model, None, pliant.Servos(kp=99.0, torque=5.0))
+    other = pliant.Controller(model, None, pliant.Servos(kp=99.0, max_torque=5.0))
     assert other.servos.kp.tolist() == [99.0] * 7
 
 
@@ -180,7 +180,7 @@ def test_a_failed_update_changes_nothing(model, q, target):
         calm.step(q + 0.001 * i, target)
         shaken.step(q + 0.001 * i, target)
     kept = shaken.settings
-    with pytest.raises(pliant.LimitError, match="kx"):
+    with pytest.raises(pliant.OutOfRangeError, match="kx"):
         shaken.update(pliant.Settings(kx=50.0))
     with pytest.raises(pliant.ShapeError, match="posture"):
         shaken.update(pliant.Settings(posture=[0.0] * 6))
@@ -299,7 +299,7 @@ def test_what_a_law_needs_is_said(q):
         pliant.Controller(bare)
     assert pliant.Controller(bare, pliant.Settings.paper()).servos is None
     with pytest.raises(pliant.ShapeError, match=r"servos.kp has shape \(6,\), expected \(7,\)"):
-        pliant.Controller(bare, None, pliant.Servos(kp=[1.0] * 6, torque=1.0))
+        pliant.Controller(bare, None, pliant.Servos(kp=[1.0] * 6, max_torque=1.0))
     with pytest.raises(TypeError):
         pliant.Controller(bare, {"law": "cap"})
 

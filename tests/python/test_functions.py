@@ -90,10 +90,10 @@ def test_compliance_and_holding_torque():
     assert pliant.holding_torque(0.5, 1.0, 3.0, 5.0, True) == pytest.approx(2.0)
     assert pliant.holding_torque(0.5, 9.0, 3.0, 5.0, False) == 5.0
     with pytest.raises(
-        pliant.LimitError, match=r"d_minus\[0\] = 0.2 is outside \[0, d_plus = 0.1\)"
+        pliant.OutOfRangeError, match=r"soft_until\[0\] = 0.2 is outside \[0, firm_from = 0.1\)"
     ):
         pliant.compliance([0.0], 0.2, 0.1)
-    with pytest.raises(pliant.LimitError, match=r"c\[0\] = 1.5"):
+    with pytest.raises(pliant.OutOfRangeError, match=r"c\[0\] = 1.5"):
         pliant.holding_torque(1.5, 1.0, 2.0, 3.0, True)
     with pytest.raises(pliant.ShapeError, match=r"compliant has shape \(2,\), expected \(6,\)"):
         pliant.holding_torque(c, 0.5, 10.0, 20.0, [True, False])
@@ -111,7 +111,7 @@ def test_adapt_target_takes_a_key_or_flags():
     np.testing.assert_allclose(everywhere, np.eye(4), atol=1e-15)
     with pytest.raises(pliant.ConfigError, match="compliant: 'q' is not an axis"):
         pliant.adapt_target(np.eye(4), target, 0.5, "q")
-    with pytest.raises(pliant.LimitError, match=r"eta = 1.5 is outside \[0, 1\]"):
+    with pytest.raises(pliant.OutOfRangeError, match=r"eta = 1.5 is outside \[0, 1\]"):
         pliant.adapt_target(np.eye(4), target, 1.5, "y")
     with pytest.raises(TypeError, match="compliant must be booleans"):
         pliant.adapt_target(np.eye(4), target, 0.5, [1.0] * 6)
@@ -124,7 +124,7 @@ def test_too_large_matrices_are_refused():
         pliant.damped_pseudo_inverse(np.eye(7), 0.1)
     with pytest.raises(pliant.ShapeError, match=r"J has shape \(6, 17\)"):
         pliant.null_space_projector(np.zeros((6, 17)))
-    with pytest.raises(pliant.LimitError, match="damping = -1"):
+    with pytest.raises(pliant.OutOfRangeError, match="damping = -1"):
         pliant.damped_pseudo_inverse(np.eye(6), -1.0)
     with pytest.raises(
         pliant.ConfigError, match=r"kind: must be one of 'exact', 'paper', got 'exakt'.*'exact'"

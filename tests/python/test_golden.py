@@ -90,10 +90,10 @@ def _settings(case):
             firm=min(float(case["tau_max"][i]), hold),
             hold=hold,
             yields=yields,
-            eta=0.0 if yields == "none" else case["eta"],
-            d_minus=float(case["d_minus"][i]),
-            d_plus=float(case["d_plus"][i]),
-            step_limit=float("inf"),
+            adaptation=0.0 if yields == "none" else case["eta"],
+            soft_until=float(case["d_minus"][i]),
+            firm_from=float(case["d_plus"][i]),
+            max_velocity=float("inf"),
             soft_step_limit=float("inf"),
         )
     return pliant.Settings.paper(

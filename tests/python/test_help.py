@@ -95,7 +95,7 @@ def test_an_object_of_another_kind_is_answered_with_how_to_get_one(model):
         (lambda: made.update("y"), "settings must be Settings"),
         (lambda: pliant.Controller(model, None, "sts3215"), r"servos must be Servos, e\.g\."),
         (lambda: model.with_servos("sts3215"), r"servos must be Servos, e\.g\."),
-        (lambda: pliant.Contact(model), r"controller must be a Controller.*\(Model\)"),
+        (lambda: pliant.ContactEstimator(model), r"controller must be a Controller.*\(Model\)"),
     ):
         with pytest.raises(TypeError, match=what):
             call()

@@ -61,7 +61,7 @@ def test_options(servos):
         payload=(0.5, [0.0, 0.0, 0.1]),
         gravity=np.array([0, 0, -1]),
         limits={"elbow_pitch": (-1.0, 0.0)},
-        servos=pliant.Servos(kp=100.0, torque=5.0),
+        servos=pliant.Servos(kp=100.0, max_torque=5.0),
     )
     assert model.n == 6
     assert model.payload == pliant.Payload(0.5, (0.0, 0.0, 0.1))
@@ -112,7 +112,7 @@ def test_faults_carry_their_place(tmp_path):
 
 def test_a_missing_frame_lists_those_there_are():
     with pytest.raises(
-        pliant.FrameNotFound, match=r"frame 'hand' not found.*gripper_link"
+        pliant.FrameNotFoundError, match=r"frame 'hand' not found.*gripper_link"
     ) as caught:
         pliant.Model.from_urdf(URDF, tip="hand")
     assert caught.value.frame == "hand"
@@ -123,13 +123,13 @@ def test_one_tree_of_exceptions():
     tree = {
         pliant.PliantError: Exception,
         pliant.UrdfError: pliant.PliantError,
-        pliant.FrameNotFound: pliant.PliantError,
-        pliant.LimitError: pliant.PliantError,
+        pliant.FrameNotFoundError: pliant.PliantError,
+        pliant.OutOfRangeError: pliant.PliantError,
         pliant.ShapeError: pliant.PliantError,
         pliant.ConfigError: pliant.PliantError,
         pliant.ServoError: pliant.PliantError,
-        pliant.ServoTimeout: pliant.ServoError,
-        pliant.ServoFault: pliant.ServoError,
+        pliant.ServoTimeoutError: pliant.ServoError,
+        pliant.ServoFaultError: pliant.ServoError,
     }
     for kind, base in tree.items():
         assert kind.__bases__[0] is base
@@ -148,7 +148,7 @@ def test_models_cannot_be_changed(model):
 
 def test_other_servos_leave_the_model_alone():
     model = pliant.robots.so101()
-    table = model.servos.replace(kp=9.0, kp_known=False)
+    table = model.servos.replace(kp=9.0, stiffness_known=False)
     other = model.with_servos(table)
     assert other.servos.kp.tolist() == [9.0] * 5
     assert model.servos.kp.tolist() != [9.0] * 5

@@ -148,9 +148,9 @@ def test_a_controller_that_can_no_longer_hold_its_arm_is_read_back():
 
 def test_a_controller_is_not_told_to_carry_what_it_cannot():
     arm = pliant.robots.arm7()
-    weak = pliant.Servos(kp=50.0, torque=0.5, friction=0.01, kp_known=True)
+    weak = pliant.Servos(kp=50.0, max_torque=0.5, friction=0.01, stiffness_known=True)
     controller = pliant.Controller(arm, pliant.Settings.paper(), weak)
     before = controller.settings
-    with pytest.raises(pliant.LimitError, match="torque that holds the arm"):
+    with pytest.raises(pliant.OutOfRangeError, match="torque that holds the arm"):
         controller.update(before.replace(gravity=True))
     assert controller.settings == before

@@ -63,7 +63,7 @@ def test_as_pose():
         pliant.as_pose(np.zeros(7))
     with pytest.raises(pliant.ShapeError, match=r"expected \(4, 4\) or \(3,\)"):
         pliant.as_pose(np.eye(3))
-    with pytest.raises(pliant.LimitError, match="quaternion: length = 2"):
+    with pytest.raises(pliant.OutOfRangeError, match="quaternion: length = 2"):
         Pose.from_wxyz([0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0])
 
 

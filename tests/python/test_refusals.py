@@ -20,7 +20,7 @@ def test_a_time_in_milliseconds_is_no_time(controller, model, q, target, dt):
     assert refused(controller.step, q, target, dt=dt) == said
     assert refused(controller.step_joints, q, q, dt=dt) == said
     assert refused(controller.step_batch, q[None], target, dt=dt) == said
-    assert refused(pliant.Contact(controller).update, q, dt=dt) == said
+    assert refused(pliant.ContactEstimator(controller).update, q, dt=dt) == said
     for taken in (controller, pliant.Controller(model, pliant.Settings(rate=1.0))):
         taken.step(q, target, dt=None if taken is not controller else 1.0)
     assert refused(controller.step, q, target, dt=0.0) == "dt [s] = 0 is outside (0, 1]"
@@ -62,7 +62,7 @@ def calls(model, q):
     """Calls with one argument of the wrong kind, and what is to be said of it."""
     lone = pliant.Controller(model, pliant.Settings(task="xyz"))
     at = model.forward_kinematics(q)[:3, 3]
-    contact = pliant.Contact(lone)
+    contact = pliant.ContactEstimator(lone)
     text = model.source[0]
     servos = pliant.Servos.of
     return {
@@ -78,13 +78,13 @@ def calls(model, q):
         "push": (lambda: pliant.Settings.plug(push="5"), "a number [N], got '5' (str)"),
         "axis": (lambda: pliant.Settings.wipe(axis=3), "the name of an axis, such as 'x', got 3"),
         "kp_error": (
-            lambda: pliant.Contact(lone, kp_error="2%"),
+            lambda: pliant.ContactEstimator(lone, kp_error="2%"),
             "a number; a share of 2 % is 0.02",
         ),
-        "filter": (lambda: pliant.Contact(lone, filter="fast"), "a number [s], got 'fast' (str)"),
-        "most": (lambda: pliant.Contact(lone, most=3), "a pair (force [N], torque [N·m]), got 3"),
-        "axes": (lambda: pliant.Contact(lone, axes=3), "an axis key such as 'xyz rpy', got 3"),
-        "accept": (lambda: pliant.Contact(lone, accept=3), "a tuple of names, got 3"),
+        "filter": (lambda: pliant.ContactEstimator(lone, filter="fast"), "a number [s], got 'fast' (str)"),
+        "most": (lambda: pliant.ContactEstimator(lone, most=3), "a pair (force [N], torque [N·m]), got 3"),
+        "axes": (lambda: pliant.ContactEstimator(lone, axes=3), "an axis key such as 'xyz rpy', got 3"),
+        "accept": (lambda: pliant.ContactEstimator(lone, accept=3), "a tuple of names, got 3"),
         "dt": (lambda: contact.update(q, dt="a"), "a number [s], got 'a' (str)"),
         "sent": (lambda: contact.update(q, sent=3), "a pair (goal, torque_limit), got 3"),
         "count": (lambda: lone.batch_state(-1), "a whole number, 0 or more, got -1 (int)"),

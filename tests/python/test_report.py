@@ -23,7 +23,7 @@ SHAPES = {
     "gravity_margin": (7, 2),
     "saturated": (7,),
     "locked": (7,),
-    "dead_host": (6, 2),
+    "host_loss_force": (6, 2),
     "stop_distance": (6, 2),
     "stop_room": (6, 2),
     "stop_friction": (6, 2),
@@ -55,32 +55,32 @@ def test_dead_host_max_bounds_what_is_left_of_a_dead_host(model, q, displaced):
     plain = pliant.Controller(model, pliant.Settings.soft("y"))
     plain.step(q, target)
     free = plain.report()
-    most = float(free.dead_host[:3].max()) - 4.0  # [N]
-    controller = pliant.Controller(model, pliant.Settings.soft("y", dead_host_max=most))
+    most = float(free.host_loss_force[:3].max()) - 4.0  # [N]
+    controller = pliant.Controller(model, pliant.Settings.soft("y", max_host_loss_force=most))
     command = controller.step(q, target)
     report = controller.report()
-    assert most - 0.5 < report.dead_host[:3].max() <= most
-    assert report.dead_host_max == most
+    assert most - 0.5 < report.host_loss_force[:3].max() <= most
+    assert report.max_host_loss_force == most
     assert np.all(command.torque_limit <= free.torque_limit)
     assert np.all(command.torque_limit >= 1.1 * np.abs(model.gravity(q)) - 1e-12)
-    assert not [said for said in report.sentences() if "dead_host_max" in said]
+    assert not [said for said in report.sentences() if "max_host_loss_force" in said]
 
 
 def test_more_than_the_weight_leaves_cannot_be_kept(model, q):
-    settings = pliant.Settings.soft("y", dead_host_max=10.0)
+    settings = pliant.Settings.soft("y", max_host_loss_force=10.0)
     report = pliant.Controller(model, settings).report(q)
-    assert report.dead_host[2, 0] > 10.0
-    (said,) = [said for said in report.sentences() if "dead_host_max" in said]
+    assert report.host_loss_force[2, 0] > 10.0
+    (said,) = [said for said in report.sentences() if "max_host_loss_force" in said]
     assert "−z" in said
     check = pliant.check(model, settings, q)
     assert not check
-    (found,) = [one for one in check.findings if one.setting == "dead_host_max"]
+    (found,) = [one for one in check.findings if one.setting == "max_host_loss_force"]
     assert (found.about, found.required) == ("−z", True)
-    assert found.value >= report.dead_host[2, 0]
-    assert pliant.check(model, settings.replace(dead_host_max=found.value), q)
+    assert found.value >= report.host_loss_force[2, 0]
+    assert pliant.check(model, settings.replace(max_host_loss_force=found.value), q)
     for wrong in (0.0, -1.0, np.nan):
-        with pytest.raises(pliant.LimitError, match="dead_host_max"):
-            pliant.Settings(dead_host_max=wrong)
+        with pytest.raises(pliant.OutOfRangeError, match="max_host_loss_force"):
+            pliant.Settings(max_host_loss_force=wrong)
 
 
 def test_what_delay_takes_off_springs_and_dampers_can_be_read(model, q):
@@ -195,7 +195,7 @@ def test_check_notes_a_stop_that_comes_before_the_whole_cap(model, q):
 
 
 def test_deviation_limits_are_told(model, q):
-    held = pliant.Axis(deviation_limit=0.02, beyond="hold")
+    held = pliant.Axis(deviation_limit=0.02, on_deviation_limit="wait")
     follows = pliant.Axis(deviation_limit=0.1)
     settings = pliant.Settings(axes={"x": held, "yaw": follows, "y": pliant.Axis(soft=4.0)})
     report = pliant.Controller(model, settings).report(q)

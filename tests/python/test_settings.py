@@ -40,18 +40,18 @@ def axes(draw):
         "firm": draw(maybe(sides(0, 20))),
         "hold": draw(maybe(number(0, 50))),
         "yields": draw(st.sampled_from(["both", "+", "-"])),
-        "eta": draw(number(0, 0.999)),
-        "d_minus": draw(maybe(number(0, 1))),
-        "d_plus": draw(maybe(number(1e-3, 1))),
-        "profile": draw(st.sampled_from(["firming", "constant", "yielding"])),
-        "step_limit": draw(maybe(st.one_of(number(1e-3, 10), st.just(float("inf"))))),
+        "adaptation": draw(number(0, 0.999)),
+        "soft_until": draw(maybe(number(0, 1))),
+        "firm_from": draw(maybe(number(1e-3, 1))),
+        "profile": draw(st.sampled_from(["hardening", "constant", "softening"])),
+        "max_velocity": draw(maybe(st.one_of(number(1e-3, 10), st.just(float("inf"))))),
         "soft_step_limit": draw(maybe(number(1e-3, 10))),
     }
     if fields["firm"] is not None:
         low, high = (np.broadcast_to(fields[key], 2) for key in ("soft", "firm"))
         fields["soft"] = tuple(float(x) for x in np.minimum(low, high))
-    if fields["d_minus"] is not None and fields["d_plus"] is not None:
-        fields["d_plus"] += fields["d_minus"]
+    if fields["soft_until"] is not None and fields["firm_from"] is not None:
+        fields["firm_from"] += fields["soft_until"]
     return Axis(**fields)
 
 
@@ -95,11 +95,11 @@ def test_settings_round_trip(settings):
 
 VALUES = [
     Axis(),
-    Axis(soft=(1.0, 2.0), firm=3.0, yields="+", step_limit=float("inf")),
+    Axis(soft=(1.0, 2.0), firm=3.0, yields="+", max_velocity=float("inf")),
     Task("x z pitch", frame=[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], length=0.3),
-    Servos(kp=[100.0, 50.0], torque=5.0, kind="duty", no_load_speed=[6.0, 7.0]),
-    Servos(kp=100.0, torque=5.0),
-    Servos(kp=[9.0, 8.0], torque=5.0, load_friction=0.2, stribeck=[0.1, 0.0], stribeck_speed=2.0),
+    Servos(kp=[100.0, 50.0], max_torque=5.0, limit_type="pwm", no_load_speed=[6.0, 7.0]),
+    Servos(kp=100.0, max_torque=5.0),
+    Servos(kp=[9.0, 8.0], max_torque=5.0, load_friction=0.2, stribeck=[0.1, 0.0], stribeck_speed=2.0),
     Payload(0.5, (0.0, 0.1, 0.2)),
     Pose.from_rpy([0.1, 0.2, 0.3], [0.4, 0.5, 0.6]),
 ]
@@ -123,7 +123,7 @@ def test_repr_shows_what_is_not_the_default():
 
 def test_they_are_frozen():
     for value in (Settings(), Axis(), Task(), VALUES[3]):
-        name = {"Settings": "rate", "Axis": "eta", "Task": "axes", "Servos": "kp"}[
+        name = {"Settings": "rate", "Axis": "adaptation", "Task": "axes", "Servos": "kp"}[
             type(value).__name__
         ]
         with pytest.raises(AttributeError):
@@ -160,8 +160,8 @@ def test_fields_read_as_given():
     assert Settings(kx=np.eye(6)).kx == np.eye(6).tolist()
     assert Task("yaw x").names == ("x", "yaw")
     assert len(Task("x z pitch")) == 3
-    servos = Servos(kp=[100, 50], torque=5)
-    assert servos.torque.tolist() == [5.0, 5.0]
+    servos = Servos(kp=[100, 50], max_torque=5)
+    assert servos.max_torque.tolist() == [5.0, 5.0]
     assert len(servos) == 2
     assert servos.no_load_speed is None
 
@@ -184,14 +184,14 @@ def test_presets():
     assert all(axis == Axis() for axis in paper.axes.values())
     door = Settings.door()
     assert [name for name, axis in door.axes.items() if axis.yields] == ["y", "yaw"]
-    assert door.axes["y"].eta == 0.999
+    assert door.axes["y"].adaptation == 0.999
     assert door.accept == ("eta",)
     guided = Settings.hand_guiding(task="xyz", axes={"z": Axis(hold=20.0)})
     assert [name for name, axis in guided.axes.items() if axis.yields] == ["x", "y"]
     assert guided.axes["z"] == Axis(hold=20.0)
     assert guided.alpha == 1.0
     soft = Settings.soft("y", axes={"x": Axis(hold=30.0)}, rate=200.0)
-    assert soft.axes["y"] == Axis(yields="both", eta=0.9)
+    assert soft.axes["y"] == Axis(yields="both", adaptation=0.9)
     assert soft.axes["x"].hold == 30.0
     assert soft.rate == 200.0
     with pytest.raises(pliant.ConfigError, match="'yaw' is not an axis of the task"):
@@ -230,7 +230,7 @@ WRONG = {
         r"yields: must be one of 'both', '\+', '-', 'none', got 1",
     ),
     "text for a number": (lambda: Settings(rate="fast"), r"rate: must be a number, got 'fast'"),
-    "a flag for a number": (lambda: Axis(eta=True), r"eta: must be a number, got True"),
+    "a flag for a number": (lambda: Axis(adaptation=True), r"eta: must be a number, got True"),
     "a number for a flag": (lambda: Settings(raw_deviation=1), r"must be True or False, got 1"),
     "a triple for a pair": (lambda: Axis(soft=(1, 2, 3)), r"soft: must be a number, or a pair"),
     "a gravity": (lambda: Settings(gravity="off"), r"True, False, 'goal' or 'limits', got 'off'"),
@@ -247,11 +247,11 @@ WRONG = {
     "an unknown task": (lambda: Task("xq"), r"task.axes: 'xq' is not an axis"),
     "a frame": (lambda: Task(frame="world"), r"frame: must be 'base', 'tool' or a 3x3"),
     "no rotation": (lambda: Task(frame=np.ones((3, 3))), r"task.frame: .*not a rotation"),
-    "an axis without effect": (lambda: Axis(eta=0.5), r"Axis.eta: 0.5 has no effect"),
+    "an axis without effect": (lambda: Axis(adaptation=0.5), r"Axis.adaptation: 0.5 has no effect"),
     "a risk": (lambda: Settings(accept="heat"), r"'heat' is not a risk"),
     "servos without torque": (lambda: Servos(kp=1.0), r"servos.torque: is required"),
     "duty without speed": (
-        lambda: Servos(kp=1.0, torque=1.0, kind="duty"),
+        lambda: Servos(kp=1.0, max_torque=1.0, limit_type="pwm"),
         r"servos.no_load_speed: kind=\"duty\" needs",
     ),
     "an unknown keyword of a model": (
@@ -271,19 +271,19 @@ def test_what_is_wrong_is_said_with_the_remedy(case):
 
 def test_numbers_outside_their_bounds():
     for call, what in (
-        (lambda: Axis(eta=1.0, soft=1.0), "Axis.eta"),
+        (lambda: Axis(adaptation=1.0, soft=1.0), "Axis.adaptation"),
         (lambda: Settings(rate=0.0), "rate [Hz]"),
         (lambda: Settings(rate=None), "rate [Hz]"),
         (lambda: Settings(rate=float("nan")), "rate [Hz]"),
-        (lambda: Servos(kp=[1.0, -1.0], torque=1.0), "servos.kp[1]"),
+        (lambda: Servos(kp=[1.0, -1.0], max_torque=1.0), "servos.kp[1]"),
         (lambda: Payload(-1.0), "payload.mass [kg]"),
     ):
-        with pytest.raises(pliant.LimitError) as caught:
+        with pytest.raises(pliant.OutOfRangeError) as caught:
             call()
         assert caught.value.what == what
         assert caught.value.bound
     with pytest.raises(pliant.ShapeError, match=r"servos.kp has shape \(2,\), expected \(3,\)"):
-        Servos(kp=[1.0, 2.0], torque=[1.0, 2.0, 3.0])
+        Servos(kp=[1.0, 2.0], max_torque=[1.0, 2.0, 3.0])
 
 
 @given(st.text(string.printable, max_size=12))
@@ -307,5 +307,5 @@ def test_springs_belong_to_law_impedance():
         Settings(law="paper", null_stiffness=2.0)
     with pytest.raises(pliant.ConfigError, match=r"has no solve"):
         Settings(law="impedance", follow="hold")
-    with pytest.raises(pliant.LimitError, match=r"stiffness = -1 is outside"):
+    with pytest.raises(pliant.OutOfRangeError, match=r"stiffness = -1 is outside"):
         Axis(stiffness=-1.0)

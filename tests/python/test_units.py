@@ -55,7 +55,7 @@ def test_the_bound_on_a_target_is_a_ball_around_the_first_joint(arm, direction):
         lambda: controller.step_batch(rows, np.array([near, far])),
         lambda: controller.step_batch(rows, np.array([near, far]), state=state),
     ):
-        with pytest.raises(pliant.LimitError) as error:
+        with pytest.raises(pliant.OutOfRangeError) as error:
             refused()
         said = str(error.value)
         assert model.joint_names[0] in said
@@ -80,7 +80,7 @@ def test_a_target_in_other_units_is_refused(arm, factor):
             and np.linalg.norm(pose[:3, 3] - model.reach_from) < 2.0 * model.reach + 0.1
         ):
             continue
-        with pytest.raises(pliant.LimitError, match="is it in millimetres"):
+        with pytest.raises(pliant.OutOfRangeError, match="is it in millimetres"):
             controller.step(q, pose)
 
 
@@ -91,7 +91,7 @@ def test_the_targets_of_the_trial_are_refused():
     command = controller.step(q, model.forward_kinematics(q))
     goal = command.goal.copy()
     for target in ([25, 0, 20], [90, 0, 90], [250, 0, 200], [25.0, 0.0, 0.2]):
-        with pytest.raises(pliant.LimitError, match=r"millimetres\? .* axes of 'base'"):
+        with pytest.raises(pliant.OutOfRangeError, match=r"millimetres\? .* axes of 'base'"):
             controller.step(q, target)
     again = controller.step(q, model.forward_kinematics(q))
     assert np.allclose(again.goal, goal, atol=1e-2)
@@ -105,7 +105,7 @@ def test_a_task_without_translations_takes_any_position():
     pose[:3, 3] = 50.0
     controller.step(q, pose)
     controller.step_batch(np.array([q]), pose)
-    with pytest.raises(pliant.LimitError):
+    with pytest.raises(pliant.OutOfRangeError):
         model.check_target(pose)
 
 
@@ -137,7 +137,7 @@ def test_joint_targets_beyond_the_limits_by_a_margin_are_refused(arm):
                     lambda wanted=wanted: controller.check(wanted),
                     lambda wanted=wanted: controller.check(np.array([q, wanted])),
                 ):
-                    with pytest.raises(pliant.LimitError) as error:
+                    with pytest.raises(pliant.OutOfRangeError) as error:
                         refused()
                     said = str(error.value)
                     assert model.joint_names[i] in said
@@ -152,7 +152,7 @@ def test_small_degrees_are_refused():
     controller = pliant.Controller(model, pliant.Settings.firm(task="xyz"))
     q = np.zeros(5)
     for wanted in ([5, 3, -2, 4, 1], [0, 4.5, 0, 0, 0], [90, 0, 45, 0, 0]):
-        with pytest.raises(pliant.LimitError, match="is it in degrees"):
+        with pytest.raises(pliant.OutOfRangeError, match="is it in degrees"):
             controller.step_joints(q, wanted)
 
 
@@ -174,7 +174,7 @@ def test_rows_that_are_too_far_become_nan_where_asked():
                 out = controller.step_batch(rows, poses, state=state, invalid="nan")
                 assert np.array_equal(np.isnan(out.goal).any(axis=1), far)
                 first = int(np.flatnonzero(far)[0])
-                with pytest.raises(pliant.LimitError, match=rf"targets\[{first}\].*millimetres"):
+                with pytest.raises(pliant.OutOfRangeError, match=rf"targets\[{first}\].*millimetres"):
                     controller.step_batch(rows, poses, state=state)
 
 
@@ -197,9 +197,9 @@ def test_an_error_leaves_the_next_command_as_it_would_have_been(arm):
     pose = model.forward_kinematics(q)
     pose[2, 3] += 0.02
     for _ in range(5):
-        with pytest.raises(pliant.LimitError):
+        with pytest.raises(pliant.OutOfRangeError):
             controller.step(q, at(model, 100.0, DIRECTIONS[3]))
-        with pytest.raises(pliant.LimitError):
+        with pytest.raises(pliant.OutOfRangeError):
             controller.step_joints(q, 57.3 * np.ones(model.n))
         a, b = controller.step(q, pose), twin.step(q, pose)
         assert np.array_equal(a.goal, b.goal)

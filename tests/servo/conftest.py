@@ -134,7 +134,7 @@ def enabled():
     """Enable a chain where it stands, with a share of its usable torque."""
 
     def switch_on(chain, share=0.5):
-        limit = share * chain.servos.torque
+        limit = share * chain.servos.max_torque
         chain.enable(chain.read().position, limit)
         return np.array(limit)
 

@@ -37,7 +37,7 @@ def test_goals_arrive_in_radians(emulated, enabled, kind):
 def test_limits_on_the_wire_are_what_was_asked(emulated, enabled, kind):
     with emulated(kind, 2, clock="steps") as (bus, chain):
         enabled(chain)
-        most = chain.servos.torque
+        most = chain.servos.max_torque
         for share in (0.0, 0.013, 0.37, 1.0, 7.0):
             chain.write([0.0, 0.0], share * most)
             chain.read()
@@ -196,8 +196,8 @@ def test_families_share_a_port_and_ports_an_arm(enabled):
             assert sample.position == pytest.approx(goal, abs=0.05)
             first, second = bus.servos[2], bus.servos[3]
             assert first.shaft.angle + second.shaft.angle == pytest.approx(2 * np.pi, abs=0.02)
-            assert chain.servos.kind == "current"
-            assert chain.servos.torque[1] == pytest.approx(21.2)
+            assert chain.servos.limit_type == "current"
+            assert chain.servos.max_torque[1] == pytest.approx(21.2)
 
 
 def test_protocols_1_and_2_on_one_port_are_refused():

@@ -50,7 +50,7 @@ def enable_with_old_goals(kind, fault, place):
         count = strike(bus, fault, place)
         ways = []
         try:
-            chain.enable(goal, 0.5 * chain.servos.torque)
+            chain.enable(goal, 0.5 * chain.servos.max_torque)
         except ServoError:
             assert not any(servo.enabled for servo in bus.servos)
         requests = count[0]
@@ -81,12 +81,12 @@ def test_torque_that_could_not_be_taken_back_is_said(kind):
         # Silent before that, nothing has torque and nothing of the kind is said.
         faults.chance = lambda: "deaf"
         with pytest.raises(ServoError, match=r"\A(?!.*may still be on)"):
-            chain.enable(goal, 0.5 * chain.servos.torque)
+            chain.enable(goal, 0.5 * chain.servos.max_torque)
         faults.chance = lambda: "deaf" if any(servo.enabled for servo in bus.servos) else None
         with pytest.raises(
             ServoError, match=r"(?s)torque may still be on: .*cut the supply"
         ) as told:
-            chain.enable(goal, 0.5 * chain.servos.torque)
+            chain.enable(goal, 0.5 * chain.servos.max_torque)
         assert bus.servos[0].enabled
         assert "joint0 did not confirm torque_enable = 0" in str(told.value)
 
@@ -173,7 +173,7 @@ def test_a_goal_pwm_that_was_left_low_does_not_weaken_a_current_limited_servo(em
         chain.open()
         enabled(chain, share=1.0)
         bus.sync()
-        assert bus.servos[0].drive().ceiling == pytest.approx(chain.servos.torque[0], rel=0.01)
+        assert bus.servos[0].drive().ceiling == pytest.approx(chain.servos.max_torque[0], rel=0.01)
         chain.disable()
         bus.sync()
         assert bus.servos[0].get("goal_pwm") == 150
@@ -209,12 +209,12 @@ def test_a_pwm_limit_bounds_the_torque_that_is_reported():
 
     part = Device("XM430-W350", 1, operating_mode=5, return_delay_time=0, pwm_limit=300)
     with Emulator([part], clock="steps") as bus, chain_on(bus, "xm", 1, patience=0.1) as chain:
-        assert chain.servos.torque[0] == pytest.approx(4.1 * 300 / 885, rel=0.01)
+        assert chain.servos.max_torque[0] == pytest.approx(4.1 * 300 / 885, rel=0.01)
         assert any("PWM Limit" in note and "34%" in note for note in chain.found[0].notes)
-        chain.enable(chain.read().position, chain.servos.torque)
+        chain.enable(chain.read().position, chain.servos.max_torque)
         bus.sync()
         ceiling = bus.servos[0].drive().ceiling
-        assert ceiling == pytest.approx(chain.servos.torque[0], rel=0.01)
+        assert ceiling == pytest.approx(chain.servos.max_torque[0], rel=0.01)
 
 
 @pytest.mark.filterwarnings("ignore:torque is off, but")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.servo.conftest import devices
 
-from pliant import ServoError, ServoFault
+from pliant import ServoError, ServoFaultError
 from pliant.servo import BusError, ServoBus, ServoSpec
 from pliant.servo.emulator import Emulator, StepClock
 
@@ -175,7 +175,7 @@ def test_a_latched_servo_is_not_enabled_and_reboot_clears_it(emulated, enabled):
         enabled(chain)
         bus.trip(1, "overload")
         chain.read()
-        with pytest.raises(ServoFault, match=r"reboot\('joint0'\) clears it"):
+        with pytest.raises(ServoFaultError, match=r"reboot\('joint0'\) clears it"):
             enabled(chain)
     with emulated("xm", 1) as (bus, chain):  # a servo takes real time to boot
         enabled(chain)

@@ -107,7 +107,7 @@ def test_ceilings_and_gains_are_the_servos_own():
     with Emulator(parts, clock="steps") as bus:
         chain = opened(bus, PAN)
         # The chain is closed again; what it learned stays.
-        assert chain.servos.torque[0] == pytest.approx(1.91 / 2, rel=0.01)
+        assert chain.servos.max_torque[0] == pytest.approx(1.91 / 2, rel=0.01)
         assert chain.servos.kp[0] == pytest.approx(5.1, rel=0.01)
         assert chain.overload[0] == pytest.approx(0.5)
         assert "Max Torque is set to 50%" in chain.found[0].notes[0]

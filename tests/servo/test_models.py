@@ -73,7 +73,7 @@ def test_two_independent_tables_agree(name):
     assert ours.number == theirs.number
     assert 2 * np.pi / ours.resolution == pytest.approx(theirs.count, rel=1e-3)
     assert ours.counts == theirs.top
-    assert ours.current_unit == pytest.approx(theirs.unit) or ours.kind == "duty"
+    assert ours.current_unit == pytest.approx(theirs.unit) or ours.kind == "pwm"
     units = Units.of(ServoSpec(name="j", model=name, id=1, port="p"), theirs.motor.volts)
     assert units.usable(units.full) == pytest.approx(theirs.motor.stall, rel=0.01)
     assert units.no_load_speed == pytest.approx(theirs.motor.speed, rel=0.01)
@@ -106,10 +106,10 @@ def test_blocks_hold_what_the_cycle_needs(name):
 @pytest.mark.parametrize("name", ALL)
 def test_every_row_gives_servos(name):
     servos = Servos.of([name])
-    assert servos.torque[0] > 0
+    assert servos.max_torque[0] > 0
     assert servos.kp[0] > 0
-    assert servos.friction[0] < 0.1 * servos.torque[0]
-    assert servos.kind == find(name).kind
+    assert servos.friction[0] < 0.1 * servos.max_torque[0]
+    assert servos.limit_type == find(name).kind
 
 
 def test_unknown_models_are_answered_with_near_ones():
@@ -149,7 +149,7 @@ def test_stiffness_follows_the_gain_register():
 def test_a_mixed_chain_counts_back_emf_as_damping():
     alone = Servos.of(["XL430-W250"])
     mixed = Servos.of(["XL430-W250", "XL330-M288"])
-    assert alone.kind == "duty"
+    assert alone.kind == "pwm"
     assert mixed.kind == "current"
     back_emf = alone.torque[0] / alone.no_load_speed[0]
     assert mixed.damping[0] == pytest.approx(alone.damping[0] + back_emf)

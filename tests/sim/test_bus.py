@@ -154,7 +154,7 @@ def test_the_gripper_rides_along(grasp):
         ({"backlash": -0.1}, "backlash"),
         ({"kp_scale": -1.0}, "kp_scale"),
         ({"kind": "voltage"}, "kind 'voltage'"),
-        ({"kind": "duty"}, "no_load_speed"),
+        ({"kind": "pwm"}, "no_load_speed"),
         ({"payload": (-1.0, (0, 0, 0))}, "payload"),
     ],
 )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pliant.robots
-from pliant import ConfigError, LimitError, ShapeError
+from pliant import ConfigError, OutOfRangeError, ShapeError
 from pliant.sim import MX64, MX106, STS3215, Friction, Plant
 
 #: Grasp pose (7,) [rad].
@@ -90,7 +90,7 @@ def test_what_is_no_friction_is_refused():
 
 def test_what_a_controller_may_believe_is_the_friction_of_the_gears():
     """Linear in load and rational in speed: within a fifth of the gears where they move slowly."""
-    table = Friction.of([MX106]).believed(pliant.Servos(kp=[100.0], torque=10.0, friction=0.3))
+    table = Friction.of([MX106]).believed(pliant.Servos(kp=[100.0], max_torque=10.0, friction=0.3))
     assert table.friction.tolist() == [0.0]
     for load in (0.5, 2.0, 4.0):
         for speed in (0.0, 0.3, 1.0):
@@ -117,5 +117,5 @@ def test_joints_that_friction_holds_slide_as_creep_says():
     own, steel = slid(1.0), slid(0.1)
     assert own.max() > 1e-3
     np.testing.assert_allclose(steel[own > 1e-3], 0.1 * own[own > 1e-3], rtol=0.1)
-    with pytest.raises(LimitError, match="creep must be in"):
+    with pytest.raises(OutOfRangeError, match="creep must be in"):
         Plant(pliant.robots.so101(), creep=0.0)

@@ -102,17 +102,17 @@ def test_friction_holds_what_is_weaker(arm, grasp):
     assert np.abs(plant.dq).max() < 0.03
 
 
-@pytest.mark.parametrize("kind", ["current", "duty"])
+@pytest.mark.parametrize("kind", ["current", "pwm"])
 def test_speed_of_a_saturated_joint(grasp, kind):
     """At the limit L an unloaded joint runs at L over what resists outside the limit."""
     arm = pliant.robots.arm7(gravity=(0.0, 0.0, 0.0))
     table = pliant.Servos(
         kp=[150.0] * 7,
-        torque=[10.0] * 7,
+        max_torque=[10.0] * 7,
         damping=[0.5] * 7,
         armature=[0.01] * 7,
-        kind=kind,
-        no_load_speed=[8.0] * 7 if kind == "duty" else None,
+        limit_type=kind,
+        no_load_speed=[8.0] * 7 if kind == "pwm" else None,
     )
     plant = Plant(arm, table)
     plant.reset(np.where(np.arange(7) == 4, -2.0, 0.0))
@@ -124,7 +124,7 @@ def test_speed_of_a_saturated_joint(grasp, kind):
         plant.write(goal, limit)
         plant.advance()
         speeds.append(plant.dq[4])
-    resists = 0.5 + (10.0 / 8.0 if kind == "duty" else 0.0)
+    resists = 0.5 + (10.0 / 8.0 if kind == "pwm" else 0.0)
     assert max(speeds) == pytest.approx(0.5 / resists, rel=0.02)
 
 

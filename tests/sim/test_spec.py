@@ -100,7 +100,7 @@ def test_servos_are_guessed_from_efforts_or_asked_for():
     bare = pliant.Model.from_urdf_str(TWO_FINGERS.replace(' effort="7"', ' effort="0"'), tip="tool")
     with pytest.raises(pliant.ConfigError, match="servos of swing"):
         Plant(bare)
-    Plant(bare, pliant.Servos(kp=[10.0], torque=[1.0]))
+    Plant(bare, pliant.Servos(kp=[10.0], max_torque=[1.0]))
 
 
 def test_fingers_ride_and_follow():

@@ -105,10 +105,10 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
     assert replay.done
     controller = pliant.Controller(MODEL, SETTINGS)
     for stop in (0.1, np.nan, np.inf):
-        with pytest.raises(pliant.LimitError, match=r"stop \[N\] = .* is outside") as error:
+        with pytest.raises(pliant.OutOfRangeError, match=r"stop \[N\] = .* is outside") as error:
             Replay(controller, settled, stop=stop)
     said = str(error.value)
-    # Nothing that only a `Contact` takes; and the bound that is shown is accepted.
+    # Nothing that only a `ContactEstimator` takes; and the bound that is shown is accepted.
     assert not {"accept", "guard", "touch", "kp_error"} & set(re.findall(r"\w+", said))
     Replay(controller, settled, stop=float(said.split("[")[2].split(",", maxsplit=1)[0]))
 

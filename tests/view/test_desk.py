@@ -24,7 +24,7 @@ def own_files(task):
         "firm": pliant.Settings.firm(task=task),
         "by hand": pliant.Settings(
             task=task,
-            axes={names[-1]: pliant.Axis(hold=1.0), names[0]: pliant.Axis(yields="+", eta=0.5)},
+            axes={names[-1]: pliant.Axis(hold=1.0), names[0]: pliant.Axis(yields="+", adaptation=0.5)},
         ),
         "nothing": pliant.Settings(task=task),
     }
@@ -61,7 +61,7 @@ def test_own_settings_take_every_law_and_every_edit(robot, task, kind):
         desk.take(orders.Law(1, law), controller)
         for name in pliant.Task(axes=task).names:
             for yields in ("both", "+", "-", "none"):
-                desk.take(orders.Change(2, name, {"yields": yields, "eta": 0.5}), controller)
+                desk.take(orders.Change(2, name, {"yields": yields, "adaptation": 0.5}), controller)
                 assert controller.strengths[name].yields == yields
         desk.take(orders.Eta(3, 0.7), controller)
         desk.take(orders.Firm(4, True), controller)

@@ -88,7 +88,7 @@ def test_edits_wait_while_they_may_not_be_taken():
 
 def test_later_edits_replace_earlier_ones_without_changing_what_they_mean():
     soft = orders.Change(1, "y", {"soft": (1.0, 1.0)})
-    eta = orders.Change(2, "y", {"yields": "both", "eta": 0.5})
+    eta = orders.Change(2, "y", {"yields": "both", "adaptation": 0.5})
     law, preset = orders.Law(3, "paper"), orders.Preset(4, "firm")
     cases = (
         ([soft, eta], [soft, eta]),

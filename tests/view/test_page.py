@@ -229,7 +229,7 @@ def test_controls_say_changes_with_rising_numbers(seen):
     assert firm.on is True
     assert preset.name == "firm"
     assert holds.fields == {"yields": "none"}
-    assert way.fields == {"yields": "-", "eta": 0.5}
+    assert way.fields == {"yields": "-", "adaptation": 0.5}
     assert soft.fields == {"soft": (2.0, 3.0)}
     numbers = [order.number for order in seen.said]
     assert numbers == sorted(set(numbers))

@@ -79,7 +79,7 @@ class Arm:
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
         TypeError: A budget or gripper of another kind.
-        ShapeError, LimitError: The rest pose is none.
+        ShapeError, OutOfRangeError: The rest pose is none.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class Arm:
         taken over, one that lies on a table stays there. Signal handlers come first.
 
         Raises:
-            ServoTimeout: Joints do not answer; names them.
+            ServoTimeoutError: Joints do not answer; names them.
             ServoError: A joint is believed to be outside its limits, and nothing was sent; or
                 joints moved or did not obey when torque came on.
         """
@@ -204,7 +204,7 @@ class Arm:
         """To a pose (n,) [rad], by default the rest pose, straight through joint space; then lower.
 
         Raises:
-            ConfigError, ShapeError, LimitError: No pose of this arm, or it is inside the table;
+            ConfigError, ShapeError, OutOfRangeError: No pose of this arm, or it is inside the table;
                 nothing has moved.
             ServoError: As `lower`.
         """
@@ -403,7 +403,7 @@ class Arm:
         grow older: `State.fresh`, `State.age`.
 
         Raises:
-            ServoTimeout: The program was away for too long, and the arm has been lowered meanwhile.
+            ServoTimeoutError: The program was away for too long, and the arm has been lowered meanwhile.
             ServoError: The connection is gone, or another process switched torque on.
         """
         with self._keeper:
@@ -435,8 +435,8 @@ class Arm:
                 None, or inf: as fast as they can.
 
         Raises:
-            ShapeError, LimitError, ConfigError, TypeError: What cannot be sent; nothing was.
-            ServoTimeout: As `read`.
+            ShapeError, OutOfRangeError, ConfigError, TypeError: What cannot be sent; nothing was.
+            ServoTimeoutError: As `read`.
             ServoError: Torque is off, or was switched on by another process, or the connection is
                 gone.
         """
@@ -447,7 +447,7 @@ class Arm:
     def watched(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
         """Inside, an arm in real time leaves by itself after so long without read or write [s].
 
-        `Loop` does this. Gives a function that raises `ServoTimeout` once that has happened.
+        `Loop` does this. Gives a function that raises `ServoTimeoutError` once that has happened.
         """
         real = getattr(self.clock, "real_time", False)
         return self._keeper.watched(patience if real else None)

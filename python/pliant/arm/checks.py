@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError, LimitError, ShapeError
+from pliant import ConfigError, OutOfRangeError, ShapeError
 from pliant.arguments import given, real
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) ->
     """A joint vector (n,) that can be sent.
 
     Raises:
-        ShapeError: Another shape, or no real numbers. LimitError: Not finite, where it has to be.
+        ShapeError: Another shape, or no real numbers. OutOfRangeError: Not finite, where it has to be.
     """
     try:
         raw = np.asarray(value)
@@ -42,7 +42,7 @@ def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) ->
     if array.shape != (model.n,):
         raise ShapeError(f"{name} has shape {array.shape}, expected ({model.n},)")
     if finite and not np.isfinite(array).all():
-        raise LimitError(f"{name} is not finite, nothing was sent: {array.tolist()}")
+        raise OutOfRangeError(f"{name} is not finite, nothing was sent: {array.tolist()}")
     return array
 
 
@@ -70,11 +70,11 @@ def posture(model: Model, value: ArrayLike, name: str) -> Array:
     """A pose of this arm (n,) [rad], brought within the limits where it is just outside.
 
     Raises:
-        ShapeError, LimitError: It is none.
+        ShapeError, OutOfRangeError: It is none.
     """
     pose = vector(model, value, name)
     for joint, q, least, most in outside(model, pose):
-        raise LimitError(
+        raise OutOfRangeError(
             f"{name}: {joint} = {q:g} rad is outside of {least:.3g} to {most:.3g} rad"
             + (": are these degrees?" if abs(q) > 2.0 * np.pi else "")
         )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import LimitError, ServoError, ServoTimeout
+from pliant import OutOfRangeError, ServoError, ServoTimeoutError
 from pliant.arm.belief import Belief
 from pliant.arm.budget import Meter
 from pliant.arm.checks import vector
@@ -52,7 +52,7 @@ class Cycle:
         self.roster = Roster(model, drive)
         self.servos = self.roster.servos(drive)
         size = len(self.roster.names)
-        self._kp, self._usable = _row(drive.servos.kp, size), _row(drive.servos.torque, size)
+        self._kp, self._usable = _row(drive.servos.kp, size), _row(drive.servos.max_torque, size)
         self.meter = Meter(budget, self._usable, getattr(drive, "stall_current", None))
         self.belief = Belief(self.roster.fastest(model))
         self._shortfall = Shortfall(model, self.servos)
@@ -80,7 +80,7 @@ class Cycle:
         self._wake()
         try:
             sample = self.drive.read()
-        except ServoTimeout:
+        except ServoTimeoutError:
             self._heat(None)
             return np.zeros(self.model.n, dtype=bool)
         finally:
@@ -192,18 +192,18 @@ class Cycle:
         goal = vector(self.model, goal, "goal")
         limit = self.limit if limit is None else vector(self.model, limit, "limit")
         if limit.min() < 0.0:
-            raise LimitError(f"limit must be at least 0 N·m, got {limit.min():g}")
+            raise OutOfRangeError(f"limit must be at least 0 N·m, got {limit.min():g}")
         if velocity is not None:
             velocity = vector(self.model, velocity, "velocity", finite=False)
             if not velocity.min() >= 0.0:
-                raise LimitError(f"velocity must be at least 0 rad/s, got {velocity.tolist()}")
+                raise OutOfRangeError(f"velocity must be at least 0 rad/s, got {velocity.tolist()}")
         orders = {} if extra is None else self.roster.check(extra)
         gravity, model, chain = self.gravity(), self.model, self.roster.chain
         need, most = gravity / self._kp[chain], self._usable[chain] / self._kp[chain]
         far = np.maximum(model.lower - goal, goal - model.upper)
         if far.max() > FAR + most[far.argmax()]:
             joint = int(far.argmax())
-            raise LimitError(
+            raise OutOfRangeError(
                 f"goal of {model.joint_names[joint]} is {goal[joint]:g} rad, far outside of "
                 f"{model.lower[joint]:.3g} to {model.upper[joint]:.3g} rad: are these degrees? "
                 "Nothing was sent"

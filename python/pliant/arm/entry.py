@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ServoError, ServoTimeout
+from pliant import ServoError, ServoTimeoutError
 from pliant.arm.checks import outside
 from pliant.arm.cycle import EASE
 from pliant.arm.lowering import SUPPORT, margin
@@ -50,7 +50,7 @@ def hear_all(cycle: Cycle, rate: float) -> None:
     """Read at `rate` [Hz] until every joint has answered once.
 
     Raises:
-        ServoTimeout: Joints do not answer; names them.
+        ServoTimeoutError: Joints do not answer; names them.
     """
     belief, roster = cycle.belief, cycle.roster
     belief.forget()
@@ -60,7 +60,7 @@ def hear_all(cycle: Cycle, rate: float) -> None:
         if not silent:
             return
         cycle.clock.wait_until(cycle.clock.now() + 1.0 / rate)
-    raise ServoTimeout(
+    raise ServoTimeoutError(
         f"no answer from {', '.join(silent)}: torque stays off; check their power, cable and id"
     )
 
@@ -102,12 +102,12 @@ def first_orders(cycle: Cycle, on: NDArray[np.bool_]) -> tuple[Array, Array, NDA
         on: Which joints of the chain have torque already (n,).
     """
     servos, q, weight = cycle.servos, cycle.q, cycle.gravity()
-    kp, usable = np.asarray(servos.kp), np.asarray(servos.torque)
+    kp, usable = np.asarray(servos.kp), np.asarray(servos.max_torque)
     friction = np.asarray(servos.friction)
     trusted = SUPPORT * np.abs(weight) + 2.0 * friction
-    limit = trusted if servos.kp_known else np.abs(weight) + 0.5 * friction
+    limit = trusted if servos.stiffness_known else np.abs(weight) + 0.5 * friction
     limit = np.minimum(limit, usable)
-    ahead = 1.0 if servos.kp_known else AHEAD
+    ahead = 1.0 if servos.stiffness_known else AHEAD
     goal = q + np.where(on, np.clip(ahead * weight / kp, -LEAD, LEAD), 0.0)
     goals, limits = cycle.standing()
     taken = on & np.isfinite(goals) & np.isfinite(limits)
@@ -137,17 +137,17 @@ def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -
         The leads that carry joints (n,) [rad]; NaN for those that rest on something.
 
     Raises:
-        ServoTimeout: A joint was silent for 0.5 s; orders stayed as they were meanwhile.
+        ServoTimeoutError: A joint was silent for 0.5 s; orders stayed as they were meanwhile.
     """
     servos, clock = cycle.servos, cycle.clock
-    kp, usable = np.asarray(servos.kp), np.asarray(servos.torque)
+    kp, usable = np.asarray(servos.kp), np.asarray(servos.max_torque)
     friction = np.asarray(servos.friction)
-    count = np.asarray(servos.count)
+    count = np.asarray(servos.encoder_step)
     still, far = np.maximum(SINKS, 2.0 * count), np.maximum(SUNK, 3.0 * count)
     home = np.maximum(HOME, 0.6 * count)
     weight = cycle.gravity()
     down = -np.sign(weight)
-    trusted = servos.kp_known
+    trusted = servos.stiffness_known
     full = (1.0 if trusted else AHEAD) * weight / kp
     lead, first = cycle.goal - stood, cycle.limit
     led, limit = lead, first
@@ -162,7 +162,7 @@ def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -
         if not ok.all():
             # Without positions, sinking and rising cannot be told apart: keep goals and limits.
             if clock.now() - heard > SILENT:
-                raise ServoTimeout(
+                raise ServoTimeoutError(
                     f"no position of {_named(cycle, ~ok)} for {SILENT:g} s while torque came "
                     "on: check their power, cable and id"
                 )
@@ -235,7 +235,7 @@ def strange_leads(cycle: Cycle, leads: Array) -> str | None:
     servos, weight = cycle.servos, cycle.gravity()
     believed = weight / np.asarray(servos.kp)
     clear = (np.abs(weight) > 3.0 * np.asarray(servos.friction)) & (
-        np.abs(leads) > 3.0 * np.asarray(servos.count)
+        np.abs(leads) > 3.0 * np.asarray(servos.encoder_step)
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = believed / leads

@@ -174,7 +174,7 @@ def make_grippers(
             name,
             grippers.get(name, GripperConfig()),
             cycle.model,
-            largest=float(np.broadcast_to(drive.servos.torque, len(roster.names))[i]),
+            largest=float(np.broadcast_to(drive.servos.max_torque, len(roster.names))[i]),
             overload=float(overload[i]),
             order=order,
             measure=lambda name: float(cycle.belief.position[roster.index(name)]),

@@ -9,7 +9,7 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
-from pliant import ServoError, ServoTimeout
+from pliant import ServoError, ServoTimeoutError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -67,7 +67,7 @@ class Keeper:
         """Tell a program that comes back, and one that never had the arm.
 
         Raises:
-            ServoTimeout: The arm has been taken over: at once, also while it is being lowered.
+            ServoTimeoutError: The arm has been taken over: at once, also while it is being lowered.
             ServoError: Another process switched its torque on.
         """
         if self.elsewhere:
@@ -77,7 +77,7 @@ class Keeper:
                 "this one needs"
             )
         if self.reason is not None:
-            raise ServoTimeout(f"{self.reason}; arm.enable() starts anew")
+            raise ServoTimeoutError(f"{self.reason}; arm.enable() starts anew")
 
     @contextlib.contextmanager
     def alone(self, *, at_once: bool = False) -> Iterator[None]:

@@ -85,7 +85,7 @@ LONGEST_TICK = 0.1
 
 def margin(servos: Servos, gravity: Array) -> Array:
     """Torque (n,) [N·m] that joints may exert beyond their weight g (n,) [N·m]."""
-    least = np.maximum(0.1 * np.asarray(servos.torque), 2.0 * np.asarray(servos.friction))
+    least = np.maximum(0.1 * np.asarray(servos.max_torque), 2.0 * np.asarray(servos.friction))
     return np.maximum(least, 0.3 * np.abs(gravity))
 
 
@@ -125,9 +125,9 @@ class Lowering:
         """
         self._model, self._speed = model, speed
         self._kp = np.asarray(servos.kp, dtype=np.float64)
-        self._usable = np.asarray(servos.torque, dtype=np.float64)
+        self._usable = np.asarray(servos.max_torque, dtype=np.float64)
         self._friction = np.asarray(servos.friction, dtype=np.float64)
-        self._count = np.asarray(servos.count, dtype=np.float64)
+        self._count = np.asarray(servos.encoder_step, dtype=np.float64)
         self._servos = servos
         self._impact = IMPACT * min(model.reach / REACH, 1.0)
         self._points = Points(model, servos.armature) if points is None else points

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import LimitError
+from pliant import OutOfRangeError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,14 +26,14 @@ def check_rest(model: Model, points: Points, rest: Array, table: float | None) -
     """See that the arm is above its table in a rest pose (n,) [rad].
 
     Raises:
-        LimitError: It is inside.
+        OutOfRangeError: It is inside.
     """
     if table is None:
         return
     height = points(rest).position[:, 2]
     lowest = int(height.argmin())
     if height[lowest] < table - TOLERANCE:
-        raise LimitError(
+        raise OutOfRangeError(
             f"rest_q: {_name(model, lowest)} would be {table - height[lowest]:.3f} m inside the "
             f"table at z = {table:g} m; `pliant doctor ARM --watch` prints the pose in which you "
             "lay the arm down"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError, LimitError
+from pliant import ConfigError, OutOfRangeError
 from pliant.arguments import given, mapping, real
 from pliant.arm.belief import FASTEST
 from pliant.arm.tables import take
@@ -65,10 +65,10 @@ class Roster:
         """The chain's servos out of the drive's table, in chain order."""
         size = len(self.names)
         table = take(drive.servos, size, self.chain)
-        known = getattr(drive, "kp_known", None)
+        known = getattr(drive, "stiffness_known", None)
         if known is None:
             return table
-        return table.replace(kp_known=bool(np.broadcast_to(known, size)[self.chain].all()))
+        return table.replace(stiffness_known=bool(np.broadcast_to(known, size)[self.chain].all()))
 
     def fastest(self, model: Model) -> Array:
         """Largest speeds (N,) [rad/s]: the model's, where it has them."""
@@ -87,7 +87,7 @@ class Roster:
         """Goals [rad] and limits [N·m] of joints beside the chain, as numbers that can be sent.
 
         Raises:
-            TypeError: No mapping. ConfigError: No such joint, or no two numbers. LimitError: Not
+            TypeError: No mapping. ConfigError: No such joint, or no two numbers. OutOfRangeError: Not
                 finite, or a negative limit.
         """
         checked = {}
@@ -103,7 +103,7 @@ class Roster:
                 raise ConfigError(f"extra must be {EXTRA}, got {given(order)} for {name}") from None
             goal, limit = real(goal, f"goal of {name}"), real(limit, f"limit of {name}")
             if not (math.isfinite(goal) and math.isfinite(limit) and limit >= 0.0):
-                raise LimitError(
+                raise OutOfRangeError(
                     f"extra[{name!r}] must be a finite goal and a limit >= 0, got {goal:g} and "
                     f"{limit:g}"
                 )

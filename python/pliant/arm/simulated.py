@@ -160,7 +160,7 @@ class SimDrive:
         self._on &= ~np.isin(self.names, list(names))
         state = self.plant.read()
         position = np.concatenate((state.q, [state.extra[name] for name in self._extra]))
-        self.write(position, np.where(self._on, self.servos.torque, 0.0))
+        self.write(position, np.where(self._on, self.servos.max_torque, 0.0))
 
     def watchdog(self, seconds: float) -> None:
         """Simulated servos keep their last order for ever."""

@@ -52,7 +52,7 @@ def spread(table: Servos, n: int) -> Servos:
 
 
 def join(first: Servos, rest: Sequence[Servos]) -> Servos:
-    """Return one table of several: limit kind and `kp_known` are those of the first.
+    """Return one table of several: limit kind and `stiffness_known` are those of the first.
 
     Where the first is of kind `duty`, a servo of another kind counts with an unreachable no-load
     speed, that is without back-EMF.

@@ -156,7 +156,7 @@ def measure(call: Callable[[int], object], calls: int) -> Latency:
 def _guessed(model: pliant.Model) -> pliant.Servos:
     """Servos for an arm of which only the URDF is known: its efforts, as the simulator has it."""
     effort = np.nan_to_num(model.effort_limit, nan=1.0, posinf=1.0)
-    return pliant.Servos(kp=effort / 0.07, torque=effort, friction=0.02 * effort)
+    return pliant.Servos(kp=effort / 0.07, max_torque=effort, friction=0.02 * effort)
 
 
 def _axes(model: pliant.Model) -> str:

@@ -164,7 +164,7 @@ def _table(
         table.add_column(name, justify="left" if name in {"axis", "joint"} else "right")
     axes = controller.settings.task.names
     error, softness = controller.deviation, controller.softness
-    limit, usable, heat = command.torque_limit, np.asarray(arm.servos.torque), arm.heat
+    limit, usable, heat = command.torque_limit, np.asarray(arm.servos.max_torque), arm.heat
     for row in range(max(len(axes), arm.model.n)):
         cells = [""] * 9
         if row < len(axes):

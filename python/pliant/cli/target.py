@@ -68,7 +68,7 @@ class Target:
         """Check that the arm can be meant.
 
         Raises:
-            LimitError: The position is far out of its reach, or a joint far beyond its limits.
+            OutOfRangeError: The position is far out of its reach, or a joint far beyond its limits.
             ShapeError, ConfigError: It is no pose, or has other joints.
         """
         if self.q is not None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import ConfigError, LimitError, ServoError, ShapeError
+from pliant import ConfigError, OutOfRangeError, ServoError, ShapeError
 from pliant.arguments import real
 from pliant.arm import Arm, Budget, GripperConfig
 from pliant.arm.checks import posture, vector
@@ -114,7 +114,7 @@ def _check_rest(config: Config, model: Model) -> None:
         return
     try:
         posture(model, config.life.rest_q, "life.rest_q")
-    except (LimitError, ShapeError) as error:
+    except (OutOfRangeError, ShapeError) as error:
         raise ConfigError(f"{config.source}: {error}") from error
 
 

@@ -126,11 +126,11 @@ def servo_table(config: Config) -> tuple[tuple[str, ...], pliant.Servos]:
 
 
 def chain_servos(config: Config, model: Model) -> pliant.Servos:
-    """Servos of the chain's joints (n,) by the file; `kp_known` where the file has `kp` for all."""
+    """Servos of the chain's joints (n,) by the file; `stiffness_known` where the file has `kp` for all."""
     names, table = servo_table(config)
     known = all(config.servo[joint].kp is not None for joint in model.joint_names)
     places = [names.index(joint) for joint in model.joint_names]
-    return take(table, len(names), places).replace(kp_known=known)
+    return take(table, len(names), places).replace(stiffness_known=known)
 
 
 def extra_servos(config: Config, model: Model) -> dict[str, pliant.Servos]:

@@ -79,7 +79,7 @@ class Admittance:
         self._model, self._period, self._axis = model, period, AXES.index(soft)
         self._current, self._virtual = current, virtual
         table = servos(model)
-        self._limit, self._kp = np.asarray(table.torque), np.asarray(table.kp)
+        self._limit, self._kp = np.asarray(table.max_torque), np.asarray(table.kp)
         self._joints = Joints(model, period)
         self._chance = np.random.default_rng(seed)
 

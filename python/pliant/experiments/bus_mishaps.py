@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pliant.servo.emulator import ArmEmulator
 
     Array = NDArray[np.float64]
-    Class = Literal["runs", "dead host", "no torque"]
+    Class = Literal["runs", "host loss", "no torque"]
 
 #: Id of the elbow's servo, in the middle of the arm.
 ELBOW = 4
@@ -62,7 +62,7 @@ class Mishap:
         title: What happens.
         act: Called at every tick from then on; returns the target, or None where it has written.
         family: Servos it happens to.
-        state: `runs`: servos have power and torque, and a host; `dead host`: no host; `no torque`:
+        state: `runs`: servos have power and torque, and a host; `host loss`: no host; `no torque`:
             a servo has no power or no torque any more.
         after: Called when control has ended, before time goes on.
         watchdog: Of the arm [s].
@@ -187,18 +187,18 @@ MISHAPS: tuple[Mishap, ...] = (
         act=_for(1.0, lambda bus: bus.short(), lambda bus: bus.short(False)),
     ),
     Mishap(
-        title="the line is shorted for good", act=_once(lambda s: s.bus.short()), state="dead host"
+        title="the line is shorted for good", act=_once(lambda s: s.bus.short()), state="host loss"
     ),
-    Mishap(title="the adapter is unplugged", act=_once(lambda s: s.bus.pull()), state="dead host"),
+    Mishap(title="the adapter is unplugged", act=_once(lambda s: s.bus.pull()), state="host loss"),
     Mishap(
         title="it is plugged in again, the program started again",
         act=_once(lambda s: s.bus.pull()),
-        state="dead host",
+        state="host loss",
         after=lambda bus: bus.put_back(),
     ),
-    Mishap(title="SIGKILL", act=_die, state="dead host"),
-    Mishap(title="SIGKILL, X series", act=_die, state="dead host", family="x"),
-    Mishap(title="SIGKILL, Bus Watchdog", act=_die, state="dead host", family="x", watchdog=0.2),
+    Mishap(title="SIGKILL", act=_die, state="host loss"),
+    Mishap(title="SIGKILL, X series", act=_die, state="host loss", family="x"),
+    Mishap(title="SIGKILL, Bus Watchdog", act=_die, state="host loss", family="x", watchdog=0.2),
     Mishap(title="the program stalls for 1 s", act=_stall),
     Mishap(title="an exception, Ctrl-C, SIGTERM", act=_interrupt),
     Mishap(title="a policy gives NaN for a target", act=_nan_target),

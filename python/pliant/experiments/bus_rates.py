@@ -77,7 +77,7 @@ def measure(family: str, cycles: int, *, timed: bool) -> Rate:
     with Remote(Emulator, devices, timing=Timing(wire=timed)) as bus:
         specs = [ServoSpec(name=f"j{d.id}", model=model, id=d.id, port=bus.port) for d in devices]
         with ServoBus(specs, baudrate=BAUD, patience=0.05) as chain:
-            limit = 0.2 * np.asarray(chain.servos.torque)
+            limit = 0.2 * np.asarray(chain.servos.max_torque)
             goal = chain.read().position
             chain.enable(goal, limit)
             times = []

@@ -111,7 +111,7 @@ class Arm:
         felt = np.abs(lever) > 1e-6
         if not felt.any():
             return 0.0
-        room = np.asarray(self.servos.torque) + np.sign(lever) * gravity
+        room = np.asarray(self.servos.max_torque) + np.sign(lever) * gravity
         return float((room[felt] / np.abs(lever[felt])).min())
 
     @cached_property
@@ -164,5 +164,5 @@ def _table(name: str, bare: pliant.Model) -> pliant.Servos:
         fields = ("kp", "torque", "friction", "damping", "armature", "count")
         cut = {field: np.asarray(getattr(ours, field))[: bare.n] for field in fields}
         speed = np.asarray(ours.no_load_speed)[: bare.n]
-        return pliant.Servos(**cut, kind="duty", no_load_speed=speed, kp_known=True)
-    return tabulate(bare, None, None).replace(kp_known=True)
+        return pliant.Servos(**cut, limit_type="pwm", no_load_speed=speed, stiffness_known=True)
+    return tabulate(bare, None, None).replace(stiffness_known=True)

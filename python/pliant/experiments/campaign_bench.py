@@ -192,7 +192,7 @@ class Bench:
         )
         known = disturbance.kp if disturbance.identified else 1.0
         count = disturbance.count
-        self.servos = arm.servos.replace(kp=known * np.asarray(arm.servos.kp), count=count)
+        self.servos = arm.servos.replace(kp=known * np.asarray(arm.servos.kp), encoder_step=count)
         if disturbance.gears is not None and disturbance.gears_known:
             self.servos = disturbance.gears.believed(self.servos)
         self.compliance = 1.0 / np.asarray(self.servos.kp)
@@ -314,7 +314,7 @@ class Bench:
     def _controller(self, axis: str, cap: float) -> pliant.Controller:
         key = (axis, cap)
         if key not in self._controllers:
-            soft = pliant.Axis(soft=cap, firm=cap, eta=self.disturbance.eta)
+            soft = pliant.Axis(soft=cap, firm=cap, adaptation=self.disturbance.eta)
             settings = self._settings(axes={axis: soft})
             self._controllers[key] = pliant.Controller(self.arm.model, settings, self.servos)
         return self._controllers[key]

@@ -55,10 +55,10 @@ def tried(
         creep: How fast joints slide that friction should hold, over MuJoCo's default.
     """
     arm = load(name)
-    table = arm.servos.replace(count=COUNT, kp_known=False)
+    table = arm.servos.replace(encoder_step=COUNT, stiffness_known=False)
     plant = Plant(arm.model, table, kp_scale=kp_scale, count=COUNT, creep=creep)
     plant.reset(arm.poses(pose + 1)[pose])
-    axes = {"y": pliant.Axis(yields="both", eta=eta)}
+    axes = {"y": pliant.Axis(yields="both", adaptation=eta)}
     settings = pliant.Settings(task=" ".join(arm.axes), axes=axes, accept=("eta",))
     controller = pliant.Controller(arm.model, settings, table)
     found = identify.capture(plant, controller)

@@ -53,7 +53,7 @@ class Case:
         identified: Whether the controller knows the gears' friction by speed and load.
         sensed: Whether servos report their load, 10 % off at most and with 1 % of noise.
         delay: Ticks for which readings and commands are on their way, known.
-        told: Options of `pliant.Contact`.
+        told: Options of `pliant.ContactEstimator`.
     """
 
     name: str
@@ -167,7 +167,7 @@ class Bench:
 
     def _make(
         self, rng: np.random.Generator, hands: tuple[Bump, ...]
-    ) -> tuple[Plant, pliant.Controller, pliant.Contact]:
+    ) -> tuple[Plant, pliant.Controller, pliant.ContactEstimator]:
         """Plant, controller and estimate of one run."""
         case, true = self.case, self.arm.servos
         n = self.arm.model.n
@@ -185,7 +185,7 @@ class Bench:
             load_stribeck=rubs * np.asarray(table.load_stribeck),
             damping=off(case.friction) * np.asarray(table.damping),
             kp=off(case.kp) * np.asarray(table.kp),
-            count=count,
+            encoder_step=count,
         )
         task, delay = " ".join(self.arm.axes), sum(case.delay) / RATE
         settings = pliant.Settings(task=task, rate=RATE, delay=delay)
@@ -200,13 +200,13 @@ class Bench:
             options["friction"] = REAL_GEARS[case.arm]
         seed = int(rng.integers(2**31))
         plant = Plant(self.arm.model, true, scene=hands, seed=seed, **options)
-        return plant, controller, pliant.Contact(controller, **case.options())
+        return plant, controller, pliant.ContactEstimator(controller, **case.options())
 
     def _run(
         self,
         plant: Plant,
         controller: pliant.Controller,
-        contact: pliant.Contact,
+        contact: pliant.ContactEstimator,
         q: Array,
         target: Any,
         *,
@@ -219,7 +219,7 @@ class Bench:
         count = round(seconds * RATE)
         felt, bound, truth = (np.zeros((count, 6)) for _ in range(3))
         evidence = np.zeros(count)
-        usable = np.asarray(self.arm.servos.torque)
+        usable = np.asarray(self.arm.servos.max_torque)
         gain = rng.uniform(0.9, 1.1, usable.size)
         for tick in range(count):
             reading = plant.read().q
@@ -228,7 +228,7 @@ class Bench:
                 load = gain * plant.torque + 0.01 * usable * rng.standard_normal(usable.size)
             found = contact.update(reading, load=load)
             felt[tick], bound[tick] = found.force_base, found.uncertainty_base
-            evidence[tick] = found.evidence
+            evidence[tick] = found.residual_ratio
             if plant.hands:
                 truth[tick, :3] = plant.hands[0].force
             command = controller.step(reading, target(tick / RATE))

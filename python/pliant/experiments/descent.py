@@ -244,11 +244,11 @@ def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
     )
     plant.reset(job.q)
     watch = Watch(job, plant)
-    drive = SimDrive(plant, servos=model.servos.replace(kp_known=False))
+    drive = SimDrive(plant, servos=model.servos.replace(stiffness_known=False))
     arm = Arm(model, drive, grippers=assemble.grippers(configuration(job.arm)), signals=False)
     lead = _needed(model, np.asarray(job.q), truth.load) / plant.gains.kp
     goal = np.concatenate((job.q + lead, drive.read().position[model.n :]))
-    drive.write(goal, np.asarray(drive.servos.torque))
+    drive.write(goal, np.asarray(drive.servos.max_torque))
     drive.clock.wait_until(plant.time + BEFORE)
     drive.clock.on_tick = lambda: watch.look(plant.steps)
     yield arm, watch
@@ -336,7 +336,7 @@ def truths(model: Model, count: int, *, seed: int = 0) -> list[tuple[Array, Trut
     The first truths have all servos too stiff, too soft, and turns of both.
     """
     assert model.servos is not None
-    n, usable = model.n, np.asarray(model.servos.torque)
+    n, usable = model.n, np.asarray(model.servos.max_torque)
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
     rng = np.random.default_rng(seed)

@@ -66,7 +66,7 @@ class Outcome:
             may be, or least below it [N]; 0 without a hand.
         allowed: What it may be then: while the host runs the axis' cap and 15 % of it, and what
             its joints resist with at the speed they turn with, by dry friction, damping, and goals
-            half a period old; where it does not, `dead_host` at its end + 3 N [N].
+            half a period old; where it does not, `host_loss_force` at its end + 3 N [N].
         torque: Whether all torque was off in the end.
     """
 
@@ -206,7 +206,7 @@ def _run(
             wanted: Array | None = target
             if bus.plant.time >= when:
                 first = watcher.begun == np.inf
-                if first or mishap.state != "dead host":
+                if first or mishap.state != "host loss":
                     watcher.allowed = _allowed(controller, mishap, bus.plant)
                 if first:
                     watcher.begin()
@@ -220,7 +220,7 @@ def _run(
         reason = "killed"
     except (pliant.PliantError, KeyboardInterrupt) as error:
         reason = str(error) or type(error).__name__
-    if reason == "killed" or mishap.state == "dead host":
+    if reason == "killed" or mishap.state == "host loss":
         bus.advance(WATCHED)
     if mishap.after is not None:
         mishap.after(bus)
@@ -285,8 +285,8 @@ def _allowed(controller: pliant.Controller, mishap: Mishap, plant: Plant) -> All
     """
     report = controller.report()
     y = report.axes.index("y")
-    if mishap.state == "dead host":
-        return Allowed(still=float(report.dead_host[y].max()) + MOVING)
+    if mishap.state == "host loss":
+        return Allowed(still=float(report.host_loss_force[y].max()) + MOVING)
     lever = np.abs(np.linalg.pinv(controller.model.jacobian(controller.q_predicted))[:, y])
     friction, damping = _gears(plant)
     assert controller.servos is not None

@@ -69,7 +69,7 @@ def floated(
     way = WAYS.get(name, 0.05)
     course = Course(start=COMES, rise=THERE - COMES, end=GONE)
     hand = Drag(axis="y", distance=way, stiffness=2000.0, limit=60.0, at="tool", course=course)
-    table = arm.servos.replace(count=COUNT, kp_known=known)
+    table = arm.servos.replace(encoder_step=COUNT, stiffness_known=known)
     plant = Plant(
         arm.model,
         table,

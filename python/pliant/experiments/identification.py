@@ -129,7 +129,7 @@ def identified(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> O
     friction = gains.friction
     if CASES[case].get("gears"):
         friction = np.asarray(GEARS[arm].at_rest(gravity))
-    emf = gains.torque / np.asarray(servos.no_load_speed) if table.kind == "duty" else 0.0
+    emf = gains.torque / np.asarray(servos.no_load_speed) if table.limit_type == "pwm" else 0.0
     damping = (servos.damping + servos.kv + emf) / (gains.damping + gains.kv)
     load = found.payload
     centre = np.linalg.norm(load.com - CENTRE) if lift and load.found else np.nan
@@ -155,7 +155,7 @@ def believed(model: pliant.Model) -> pliant.Servos:
     """The table an identification starts from: that of the arm, its k_p not to be trusted."""
     if model.servos is None:
         raise pliant.ConfigError(f"{model.name} has no servos")
-    return model.servos.replace(count=COUNT, kp_known=False)
+    return model.servos.replace(encoder_step=COUNT, stiffness_known=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +193,7 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     found = identify.run(body, robots.arm7(), table, span=span)
     gains = body.gains
     true = table.replace(
-        kp=gains.kp, friction=gains.friction, damping=gains.damping, kv=gains.kv, kp_known=True
+        kp=gains.kp, friction=gains.friction, damping=gains.damping, kv=gains.kv, stiffness_known=True
     )
     beliefs = {
         "the table, wrong": (table, 0.0),

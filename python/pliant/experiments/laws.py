@@ -78,12 +78,12 @@ def paper(
                 soft=min(0.5, torque),
                 firm=torque,
                 hold=torque,
-                eta=eta,
-                step_limit=steps[index // 3],
+                adaptation=eta,
+                max_velocity=steps[index // 3],
                 soft_step_limit=soft_steps[index // 3],
             )
         else:
-            axes[name] = Axis(hold=torque, step_limit=steps[index // 3])
+            axes[name] = Axis(hold=torque, max_velocity=steps[index // 3])
     settings: dict[str, Any] = {
         "law": "paper",
         "axes": axes,
@@ -140,7 +140,7 @@ def cap(
     Returns:
         Settings as a user gets them, less tool speed limit and stiffening rate.
     """
-    yielding = Axis(**{"yields": "both", "eta": eta, **(axis or {})})
+    yielding = Axis(**{"yields": "both", "adaptation": eta, **(axis or {})})
     axes = {soft: yielding} if soft else {}
     return Settings(**{"axes": axes, **UNBLURRED, **more})
 
@@ -168,7 +168,7 @@ def impedance(
     axes: dict[str, Axis] = {}
     for index, name in enumerate(AXES):
         if name in soft.split():
-            axes[name] = Axis(yields="both", eta=eta)
+            axes[name] = Axis(yields="both", adaptation=eta)
         else:
             spring = None if stiffness is None else stiffness[index // 3]
             axes[name] = Axis(stiffness=spring, damping=damping[index // 3])
@@ -186,7 +186,7 @@ def cap_tracking(*, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
 
 def cap_at_edge(**more: Any) -> Settings:
     """`cap` without a soft axis, with the small steps that the edge of the workspace asks for."""
-    axes = {"xyz": Axis(step_limit=EDGE_STEPS[0]), "rpy": Axis(step_limit=EDGE_STEPS[1])}
+    axes = {"xyz": Axis(max_velocity=EDGE_STEPS[0]), "rpy": Axis(max_velocity=EDGE_STEPS[1])}
     return cap(soft="", axes=axes, **more)
 
 

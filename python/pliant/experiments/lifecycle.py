@@ -64,7 +64,7 @@ def lower(
     rest: Array | None = None,
     robot: str = "arm7",
     kp_scale: float = 1.0,
-    kp_known: bool = True,
+    stiffness_known: bool = True,
     blind: bool = False,
 ) -> Lowered:
     """Enable an arm in q (n,) [rad], let it hold for half a second, and lower it.
@@ -77,7 +77,7 @@ def lower(
         rest: Where to go first (n,) [rad].
         robot: A built-in arm.
         kp_scale: True over believed stiffness of the servos.
-        kp_known: Whether the arm is told that it is known within 10 %.
+        stiffness_known: Whether the arm is told that it is known within 10 %.
         blind: Let no position arrive any more.
 
     Returns:
@@ -94,7 +94,7 @@ def lower(
     if over_table:
         scene: Sequence[Hand] = table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE)
         plant.set_hands(scene)
-    drive = SickDrive(plant, plant.table.replace(kp_known=kp_known))
+    drive = SickDrive(plant, plant.table.replace(stiffness_known=stiffness_known))
     arm = Arm(model, drive, rest_q=rest, signals=False)
     speeds: list[float] = []
     heights: list[float] = []
@@ -130,7 +130,7 @@ def postures(count: int, *, seed: int = 0, robot: str = "arm7", load: float = LO
     """Random postures (n,) [rad] inside the limits in which the arm can hold itself and a load."""
     model, heavy = robots.load(robot), robots.load(robot, payload=(load, (0.0, 0.0, 0.0)))
     assert model.servos is not None
-    usable = np.asarray(model.servos.torque)
+    usable = np.asarray(model.servos.max_torque)
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
     rng = np.random.default_rng(seed)

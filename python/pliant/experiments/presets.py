@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pliant.experiments.hands import Law
 
     Array = NDArray[np.float64]
-    Profile = Literal["firming", "constant", "yielding"]
+    Profile = Literal["hardening", "constant", "softening"]
 
 #: Soft and firm of the profiles that are drawn [N].
 SOFT, FIRM = 4.0, 15.0
@@ -122,9 +122,9 @@ def draw(path: Path) -> None:
     held = compliance.stiffness("y") * places
     c = np.clip(1.0 - (places - 0.01) / 0.09, 0.0, 1.0)
     profiles: dict[Profile, tuple[str, Array]] = {
-        "firming": (style.BLUE, c * SOFT + (1.0 - c) * FIRM),
+        "hardening": (style.BLUE, c * SOFT + (1.0 - c) * FIRM),
         "constant": (style.GREEN, np.full_like(places, SOFT)),
-        "yielding": (style.RED, c * FIRM + (1.0 - c) * SOFT),
+        "softening": (style.RED, c * FIRM + (1.0 - c) * SOFT),
     }
     with style.canvas(size=(6.4, 3.2)) as (figure, grid):
         ax, ends = grid[0, 0], []

@@ -105,7 +105,7 @@ class Job:
         sign, cap = float(rng.choice((-1.0, 1.0))), arm.caps(row)[1]
         settings = pliant.Settings(
             task=" ".join(arm.axes),
-            axes={AXES[row]: pliant.Axis(soft=cap, firm=cap, eta=self.eta)},
+            axes={AXES[row]: pliant.Axis(soft=cap, firm=cap, adaptation=self.eta)},
             delay=2 * self.ticks / plant.rate,
             **UNBLURRED,
         )

@@ -44,7 +44,7 @@ class ByResistance:
 
     def __init__(self, inner: pliant.Controller, period: float) -> None:
         """Wrap a controller; `period` in s."""
-        self._inner, self._contact, self._period = inner, pliant.Contact(inner), period
+        self._inner, self._contact, self._period = inner, pliant.ContactEstimator(inner), period
         self.ends: list[float] = []
 
     def reset(self, q: Array) -> None:

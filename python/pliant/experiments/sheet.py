@@ -37,7 +37,7 @@ def held(name: str, settings: pliant.Settings, hand: Hand, seconds: float) -> tu
     model = steps.arm(name).model
     controller = pliant.Controller(model, settings)
     plant = Plant(
-        model, rate=steps.RATE, count=np.asarray(steps.arm(name).servos.count), scene=[hand]
+        model, rate=steps.RATE, count=np.asarray(steps.arm(name).servos.encoder_step), scene=[hand]
     )
     plant.reset(POSES[name])
     target, places, forces = plant.tool, [], []
@@ -86,7 +86,7 @@ def rows(name: str, count: int = 6) -> list[tuple[str, str]]:
             )
         )
     report = pliant.Controller(it.model, soft).report(POSES[name])
-    most = np.asarray(report.dead_host)[:3]
+    most = np.asarray(report.host_loss_force)[:3]
     out.append(
         (
             "the program dies, the servos keep their last goals: a hand meets at most",

@@ -89,7 +89,7 @@ class Recorder(ServoBus):
     def enable(self, goal: ArrayLike, limit: ArrayLike) -> None:
         """Remember, and enable."""
         self.asked.append(np.array(limit, dtype=np.float64))
-        self.ceilings = np.array(self.servos.torque)
+        self.ceilings = np.array(self.servos.max_torque)
         super().enable(goal, limit)
 
 

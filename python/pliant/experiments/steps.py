@@ -136,7 +136,7 @@ def _passable(it: Arm, q: Array, way: Array, least: float) -> bool:
     """Whether the arm can go this way, by small steps of inverse kinematics."""
     model, q = it.model, q.copy()
     start = np.array(model.forward_kinematics(q))
-    usable = np.asarray(it.servos.torque)
+    usable = np.asarray(it.servos.max_torque)
     for share in np.linspace(0.0, 1.0, 21):
         for _ in range(20):
             pose, jacobian = model.kinematics(q)
@@ -166,7 +166,7 @@ def run(
 ) -> Outcome:
     """One step on a plant with these options of `pliant.sim.Plant`."""
     model = arm(name).model
-    options = {"count": np.asarray(arm(name).servos.count), **(plant or {})}
+    options = {"count": np.asarray(arm(name).servos.encoder_step), **(plant or {})}
     controller = pliant.Controller(model, settings)
     simulated = Plant(model, rate=RATE, **options)
     if "delay" in options:

@@ -144,7 +144,7 @@ def capture(
 
     Raises:
         ConfigError: The controller knows no stiffness.
-        LimitError: A number out of range. TypeError: This is no arm, or no controller.
+        OutOfRangeError: A number out of range. TypeError: This is no arm, or no controller.
         ShapeError: The arm has other joints than the controller's model.
     """
     procedure = capturing(controller, seconds=seconds, check=check, bound=bound)
@@ -197,7 +197,7 @@ def _capture(
     finally:
         controller.update(before)
     first, last = (model.forward_kinematics(tail[k][0])[:3, 3] for k in (0, -1))
-    counts = float(np.abs(model.jacobian(where)[:3] * np.asarray(servos.count)).sum())
+    counts = float(np.abs(model.jacobian(where)[:3] * np.asarray(servos.encoder_step)).sum())
     still = float(np.linalg.norm(last - first)) < STANDING * seconds * AVERAGED + counts
     drift, remedy = np.nan, None
     if check > 0.0:

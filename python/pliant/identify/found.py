@@ -154,7 +154,7 @@ class Identification:
             load_stribeck=0.0,
             damping=np.maximum(outer - rig.back_emf, 0.0),
             kv=kv,
-            kp_known=bool((sigma["kp"] < 0.1 * value["kp"]).all()),
+            stiffness_known=bool((sigma["kp"] < 0.1 * value["kp"]).all()),
         )
         errors = {
             "kp": sigma["kp"],

@@ -69,7 +69,7 @@ def run(
         **options: As `identification`.
 
     Raises:
-        LimitError: The motion would leave the position limits. Nothing is sent.
+        OutOfRangeError: The motion would leave the position limits. Nothing is sent.
         ServoError: A joint does not follow. The arm is left holding.
     """
     own = rate if rate is not None else getattr(arm, "rate", 100.0)
@@ -104,7 +104,7 @@ def identification(
         limit_error: Standard deviation of what a torque limit truly is, as a share.
 
     Raises:
-        ConfigError: Nothing is believed of the servos. LimitError: A number out of range.
+        ConfigError: Nothing is believed of the servos. OutOfRangeError: A number out of range.
     """
     known = instance(model, pliant.Model, "model").servos
     believed = known if servos is None else instance(servos, pliant.Servos, "servos")
@@ -133,7 +133,7 @@ def wide_enough(rig: Rig, q: Array, amplitude: float) -> Steps[tuple[Array, Arra
     A goal that turns around must first cross the friction of the joint, 2 f/k_p, before it moves.
 
     Raises:
-        LimitError: The swing would leave the position limits.
+        OutOfRangeError: The swing would leave the position limits.
     """
     start, size = q.copy(), swing(rig, amplitude)
     for _ in range(GROWTHS + 1):

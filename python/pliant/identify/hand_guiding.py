@@ -62,7 +62,7 @@ class HandGuiding:
 
     Args:
         model: The arm.
-        servos: What is believed of its servos; None for the model's. With `kp_known=True` k_p is
+        servos: What is believed of its servos; None for the model's. With `stiffness_known=True` k_p is
             taken to be right within 10 %, else within a factor of 2.
         rate: Control rate [Hz] where `step` is given no `dt`.
         delay: From reading to arrival of the goal [s].
@@ -77,7 +77,7 @@ class HandGuiding:
 
     Raises:
         ConfigError: Nothing is known of the servos, or this is no number or payload.
-        LimitError: A number out of range. TypeError: This is no model, or no servo table.
+        OutOfRangeError: A number out of range. TypeError: This is no model, or no servo table.
 
     Example:
         >>> floating = pliant.HandGuiding(model)
@@ -110,10 +110,10 @@ class HandGuiding:
         self._model, self._period, self._delay, self._share = model, 1.0 / rate, delay, torque_share
         self._dt = self._period
         self._table, self._swing = table, swing
-        self._rig = Rig(model, table, self._dt, doubt=KNOWN if table.kp_known else UNKNOWN)
+        self._rig = Rig(model, table, self._dt, doubt=KNOWN if table.stiffness_known else UNKNOWN)
         self._torque, self._count = self._rig.torque, self._rig.count
         self._damping = self._rig.damping + self._rig.kv + self._rig.back_emf
-        self._wrong = KNOWN if table.kp_known else UNKNOWN
+        self._wrong = KNOWN if table.stiffness_known else UNKNOWN
         self._moments = np.zeros(4)
         if payload is not None:
             load = as_payload(payload)
@@ -153,7 +153,7 @@ class HandGuiding:
 
         Raises:
             ShapeError: Not n finite positions; nothing has changed then.
-            LimitError: `dt` is out of range, or the first swing would leave the position limits.
+            OutOfRangeError: `dt` is out of range, or the first swing would leave the position limits.
             ServoError: A joint does not follow the first swing.
         """
         q = self._positions(q)

@@ -54,7 +54,7 @@ def payload(
 
     Raises:
         ConfigError: The controller has no servos.
-        LimitError: The motion would leave the position limits, or the servos cannot hold what was
+        OutOfRangeError: The motion would leave the position limits, or the servos cannot hold what was
             found. ServoError: A joint does not follow; the arm is left holding.
     """
     procedure = weighing(controller, poses=poses, span=span, amplitude=amplitude)
@@ -97,7 +97,7 @@ def _weigh(
     rows = [slide for record in rig.records for slide in slides(rig, record)]
     if not rows:
         raise pliant.ServoError("no joint ever moved steadily: raise amplitude")
-    kp = KNOWN if rig.servos.kp_known else UNKNOWN
+    kp = KNOWN if rig.servos.stiffness_known else UNKNOWN
     found = PayloadEstimate.of(solve(rig, rows, Beliefs(kp=kp)))
     if found.found:
         controller.set_payload(found.mass, found.com)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import LimitError, ShapeError
+from pliant import OutOfRangeError, ShapeError
 from pliant.arguments import given
 from pliant.identify.rig import ROOM
 from pliant.identify.slides import bare_gravity, payload_rows
@@ -32,11 +32,11 @@ def wanted(poses: int | ArrayLike, n: int) -> int | Array:
     """Check how many poses, or which (K, n) [rad].
 
     Raises:
-        LimitError: Fewer than one. ShapeError: Postures of another length, or not finite.
+        OutOfRangeError: Fewer than one. ShapeError: Postures of another length, or not finite.
     """
     if isinstance(poses, (int, np.integer)):
         if poses < 1:
-            raise LimitError(f"poses must be at least 1, got {poses}")
+            raise OutOfRangeError(f"poses must be at least 1, got {poses}")
         return int(poses)
     try:
         postures = np.atleast_2d(np.array(poses, dtype=np.float64))
@@ -61,7 +61,7 @@ def pose_list(rig: Rig, q: Array, poses: int | Array, span: float, size: Array) 
         size: Swing about each pose (n,) [rad], inside the position limits.
 
     Raises:
-        LimitError: A pose and its swing leave the position limits.
+        OutOfRangeError: A pose and its swing leave the position limits.
     """
     if isinstance(poses, int):
         rig.check(q - size, q + size)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError, LimitError, ServoError
+from pliant import ConfigError, OutOfRangeError, ServoError
 from pliant.arguments import number
 from pliant.identify.seam import Order
 
@@ -100,14 +100,14 @@ class Rig:
             for value in (
                 servos.kp,
                 servos.friction,
-                servos.torque,
-                servos.count,
+                servos.max_torque,
+                servos.encoder_step,
                 servos.damping,
                 servos.kv,
             )
         ]
         self.kp, self.friction, self.torque, self.count, self.damping, self.kv = spread
-        if servos.kind == "duty" and servos.no_load_speed is not None:
+        if servos.limit_type == "pwm" and servos.no_load_speed is not None:
             self.back_emf: Array = self.torque / np.asarray(servos.no_load_speed)
         else:
             self.back_emf = np.zeros(n)
@@ -136,7 +136,7 @@ class Rig:
         """The pose nearest to q about which a swing of ±size fits into the position limits.
 
         Raises:
-            LimitError: It fits nowhere.
+            OutOfRangeError: It fits nowhere.
         """
         room = ROOM + size
         low, high = self.model.lower + room, self.model.upper - room
@@ -150,12 +150,12 @@ class Rig:
         """Refuse a range [rad] that comes too near to a position limit.
 
         Raises:
-            LimitError: Names the joint, the range and its limits.
+            OutOfRangeError: Names the joint, the range and its limits.
         """
         low, high = np.asarray(low), np.asarray(high)
         bad = (low < self.model.lower + ROOM) | (high > self.model.upper - ROOM)
         for i in np.flatnonzero(bad):
-            raise LimitError(
+            raise OutOfRangeError(
                 f"joint {self.model.joint_names[i]} would move in {low[i]:.3f}…{high[i]:.3f} rad; "
                 f"its limits are {self.model.lower[i]:.3f}…{self.model.upper[i]:.3f} rad, less "
                 f"{ROOM:g} rad: start farther inside or give other poses"

@@ -1,6 +1,6 @@
 """What pushed at the tool during a logged run, and what its controller says of it.
 
-The log has what the controller was told, so a fresh one is told it again with a `Contact` beside
+The log has what the controller was told, so a fresh one is told it again with a `ContactEstimator` beside
 it: no force needs to be recorded.
 """
 
@@ -47,7 +47,7 @@ class Felt:
 
 
 def feel(log: Log) -> Felt | None:
-    """Run the log's controller again with a `Contact` beside it.
+    """Run the log's controller again with a `ContactEstimator` beside it.
 
     Returns:
         None where ticks and steps do not pair: more or fewer than one step per tick.
@@ -67,13 +67,13 @@ def feel(log: Log) -> Felt | None:
     bound = np.full_like(force, np.inf)
     strengths: dict[str, pliant.Axis] = {}
     found: pliant.Report | None = None
-    contact: pliant.Contact | None = None
+    contact: pliant.ContactEstimator | None = None
     tick = 0
 
     def before(call: Any, controller: pliant.Controller) -> None:
         nonlocal contact
         if contact is None:
-            contact = pliant.Contact(controller)
+            contact = pliant.ContactEstimator(controller)
         elif call.sequence in primes:
             contact.reset()
         if call.sequence not in primes and tick < ticks:

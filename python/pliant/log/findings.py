@@ -104,7 +104,7 @@ def asked(axis: Axis | None, name: str) -> str:
     # A constant cap is `soft` at every deviation.
     ends = sorted({*axis.soft} if axis.profile == "constant" else {*axis.soft, *axis.firm})
     caps = " to ".join(f"{end:g}" for end in (ends[:1] if len(ends) == 1 else (ends[0], ends[-1])))
-    eta = f", η {axis.eta:g}" if axis.eta else ""
+    eta = f", η {axis.adaptation:g}" if axis.adaptation else ""
     return f"yields {sides}, {caps} {newton}{eta}"
 
 

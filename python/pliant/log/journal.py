@@ -26,7 +26,7 @@ class Journal:
     """A controller in whose place it stands: same calls, same results, and a record of each.
 
     Everything that is not a call that changes the controller is passed on as it is. Parts that
-    insist on a `pliant.Controller` (`Contact`) take `journal.inner`.
+    insist on a `pliant.Controller` (`ContactEstimator`) take `journal.inner`.
 
     Attributes:
         inner: The controller.

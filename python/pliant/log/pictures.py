@@ -77,7 +77,7 @@ def strength(folder: Path, log: Log, bounds: list[Span]) -> None:
     """Torque limits as shares of what the servos have, and when joints were at a bound."""
     joints, time = log.run["joints"], since(log)
     few = style.thin(time)
-    usable = np.asarray(log.servos.torque) if log.servos is not None else np.nan
+    usable = np.asarray(log.servos.max_torque) if log.servos is not None else np.nan
     share = 100.0 * log.torque_limit / usable
     ratios = {"height_ratios": (3.0, max(0.22 * len(joints), 1.0))}
     size = (style.WIDE, 3.4 + 0.22 * len(joints))

@@ -87,7 +87,7 @@ def steps(
     Args:
         log: The log.
         settings: As `verify`.
-        before: Called with call and controller before every step, as a `Contact` wants it.
+        before: Called with call and controller before every step, as a `ContactEstimator` wants it.
 
     Raises:
         ConfigError: As `verify`.

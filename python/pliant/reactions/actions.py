@@ -55,7 +55,7 @@ class Action(ABC):
         """Refuse what cannot be done with this controller.
 
         Raises:
-            ConfigError, LimitError: With what would be right.
+            ConfigError, OutOfRangeError: With what would be right.
         """
 
     @abstractmethod

@@ -32,13 +32,13 @@ class Condition(ABC):
         """A fresh judge of this condition."""
 
     def check(  # noqa: B027 - most refuse nothing
-        self, contact: pliant.Contact | None, controller: pliant.Controller
+        self, contact: pliant.ContactEstimator | None, controller: pliant.Controller
     ) -> None:
         """Refuse what this arm cannot tell.
 
         Raises:
             ConfigError: An axis or joint that is not there.
-            LimitError: A threshold below the uncertainty.
+            OutOfRangeError: A threshold below the uncertainty.
         """
 
     def __and__(self, other: Condition) -> Condition:
@@ -87,7 +87,7 @@ class Joined(Condition):
         """Whether one of them asks for a force."""
         return self.one.feels or self.other.feels
 
-    def check(self, contact: pliant.Contact | None, controller: pliant.Controller) -> None:
+    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
         """Check both."""
         self.one.check(contact, controller)
         self.other.check(contact, controller)
@@ -117,7 +117,7 @@ class Not(Condition):
         """Whether it asks for a force."""
         return self.one.feels
 
-    def check(self, contact: pliant.Contact | None, controller: pliant.Controller) -> None:
+    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
         """Check it."""
         self.one.check(contact, controller)
 
@@ -146,7 +146,7 @@ class Lasting(Condition):
         """Whether it asks for a force."""
         return self.one.feels
 
-    def check(self, contact: pliant.Contact | None, controller: pliant.Controller) -> None:
+    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
         """Check it."""
         self.one.check(contact, controller)
 

@@ -61,7 +61,7 @@ class Force(Condition):
         if unknown:
             raise pliant.ConfigError(f"Force.accept knows 'thresholds', not {sorted(unknown)}")
 
-    def check(self, contact: pliant.Contact | None, controller: pliant.Controller) -> None:
+    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
         """Refuse a threshold that the arm at rest cannot tell from its own friction."""
         if contact is None:
             return
@@ -72,11 +72,11 @@ class Force(Condition):
         for axis in indices(self.axes):
             if self.above < least[axis]:
                 unit = "N" if axis < 3 else "N·m"
-                raise pliant.LimitError(
+                raise pliant.OutOfRangeError(
                     f"{self!r}: {AXES[axis]} = {self.above:g} {unit} is outside "
                     f"[{rounded_up(least[axis])}, ∞): below it this arm, at rest in the median "
                     "pose, cannot tell a contact from friction, k_p and gravity; raise it, say in "
-                    "Contact(...) how well the arm is known, or accept=('thresholds',)"
+                    "ContactEstimator(...) how well the arm is known, or accept=('thresholds',)"
                 )
 
     def judge(self) -> Judge:
@@ -151,7 +151,7 @@ class Evidence(Condition):
 
     def judge(self) -> Judge:
         """Look at the joints."""
-        return lambda now: now.force().evidence > self.above
+        return lambda now: now.force().residual_ratio > self.above
 
     def __repr__(self) -> str:
         return f"Evidence(above={self.above:g})"
@@ -170,7 +170,7 @@ class _OfTask(Condition):
         indices(self.axes)
         _one_side(self.above, self.below, type(self).__name__)
 
-    def check(self, contact: pliant.Contact | None, controller: pliant.Controller) -> None:
+    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
         """Refuse axes that the task has not."""
         indices(self.axes, controller.settings.task.names)
 
@@ -256,7 +256,7 @@ class Saturated(Condition):
                 f"Saturated.joints must be names, as in ('elbow_pitch',), got {given(self.joints)}"
             )
 
-    def check(self, contact: pliant.Contact | None, controller: pliant.Controller) -> None:
+    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
         """Refuse joints that the arm has not."""
         known = controller.model.joint_names
         unknown = [name for name in self.joints if name not in known]

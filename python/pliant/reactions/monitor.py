@@ -140,7 +140,7 @@ class ReactionMonitor:
         log: The last thousand beginnings, ends and calls.
 
     Raises:
-        LimitError: A threshold below the uncertainty.
+        OutOfRangeError: A threshold below the uncertainty.
         TypeError: This is no controller, no contact, or there is something else than reactions.
         ConfigError: Axes or joints that are not there, settings that do not go together.
     """
@@ -150,17 +150,17 @@ class ReactionMonitor:
         controller: pliant.Controller,
         reactions: Sequence[Reaction],
         *,
-        contact: pliant.Contact | None = None,
+        contact: pliant.ContactEstimator | None = None,
         resume_speed: tuple[float, float] = (0.1, 0.5),
     ) -> None:
         self.controller = instance(controller, pliant.Controller, "controller")
         if contact is not None:
-            instance(contact, pliant.Contact, "contact")
+            instance(contact, pliant.ContactEstimator, "contact")
         if not isinstance(reactions, Iterable):
             raise TypeError(f"reactions must be a list of Reaction, got {given(reactions)}")
         self.reactions = tuple(instance(one, Reaction, "a reaction") for one in reactions)
         if contact is None and any(reaction.feels for reaction in self.reactions):
-            contact = pliant.Contact(controller)
+            contact = pliant.ContactEstimator(controller)
         if contact is not None and contact.controller is not controller:
             raise pliant.ConfigError("contact is another controller's: make it of this one")
         if not (min(resume_speed) > 0.0 and np.isfinite(resume_speed).all()):
@@ -232,15 +232,15 @@ class ReactionMonitor:
             q: Measured joint positions (n,) [rad].
             target: As `Controller.step` takes it.
             dt: Since the last tick [s]; None: 1 / settings.rate.
-            load: As `Contact.update` takes it.
-            current: As `Contact.update` takes it.
-            sent: As `Contact.update` takes it.
+            load: As `ContactEstimator.update` takes it.
+            current: As `ContactEstimator.update` takes it.
+            sent: As `ContactEstimator.update` takes it.
 
         Returns:
             The target for the step: the caller's own object while nothing is in force.
 
         Raises:
-            ShapeError, LimitError, ConfigError: An input that cannot be used; nothing has changed.
+            ShapeError, OutOfRangeError, ConfigError: An input that cannot be used; nothing has changed.
             Exception: What a called function raises.
         """
         now = self._look(q, target, dt, load, current, sent)

@@ -7,7 +7,7 @@
 | `koch` | 5 and a gripper, Koch-like | XL430 at 11.1 V (pan, lift), XL330 at 5 V, factory gains |
 
 None of them is a copy or a measurement of a robot; a table of real servos and a real URDF come from
-the user. Their tables define them, so `kp_known` is True: on the simulator that is what they are. A
+the user. Their tables define them, so `stiffness_known` is True: on the simulator that is what they are. A
 configuration file and a bus have servos of their own, and know k_p only where it was identified.
 """
 
@@ -141,12 +141,12 @@ def _arm7_servos() -> Servos:
     """Four strong servos, three of the wrist; damping is gears and back-EMF together."""
     return pliant.Servos(
         kp=[150.0] * 4 + [60.0] * 3,
-        torque=[10.7] * 4 + [6.4] * 3,
+        max_torque=[10.7] * 4 + [6.4] * 3,
         friction=[0.20] * 4 + [0.10] * 3,
         damping=[1.2] * 4 + [0.8] * 3,
         kv=[1.5] * 4 + [0.5] * 3,
         armature=[0.012] * 4 + [0.008] * 3,
-        kp_known=True,
+        stiffness_known=True,
     )
 
 
@@ -159,14 +159,14 @@ def _so101_servos() -> Servos:
     stall, no_load = 1.9, 5.45
     return pliant.Servos(
         kp=[5.1] * 5,
-        torque=[stall] * 5,
+        max_torque=[stall] * 5,
         friction=[0.08] * 5,
         damping=[0.6 - stall / no_load] * 5,
         armature=[0.028] * 5,
-        count=[COUNT_12_BIT] * 5,
-        kind="duty",
+        encoder_step=[COUNT_12_BIT] * 5,
+        limit_type="pwm",
         no_load_speed=[no_load] * 5,
-        kp_known=True,
+        stiffness_known=True,
     )
 
 
@@ -178,12 +178,12 @@ def _koch_servos() -> Servos:
     """
     return pliant.Servos(
         kp=[5.2] * 2 + [1.2] * 3,
-        torque=[1.4] * 2 + [0.52] * 3,
+        max_torque=[1.4] * 2 + [0.52] * 3,
         friction=[0.05] * 2 + [0.02] * 3,
         damping=[0.05] * 2 + [0.012] * 3,
         armature=[0.008] * 2 + [0.002] * 3,
-        count=[COUNT_12_BIT] * 5,
-        kind="duty",
+        encoder_step=[COUNT_12_BIT] * 5,
+        limit_type="pwm",
         no_load_speed=[6.0] * 2 + [10.8] * 3,
-        kp_known=True,
+        stiffness_known=True,
     )

@@ -173,7 +173,7 @@ class ServoBus:
         return servos([d.units for d in first], [d.gain for d in first], ceilings)
 
     @property
-    def kp_known(self) -> NDArray[np.bool_]:
+    def stiffness_known(self) -> NDArray[np.bool_]:
         """Which joints' k_p was identified on this arm: `ServoSpec.kp` (n,)."""
         return np.array([spec.kp is not None for spec in self.specs])
 

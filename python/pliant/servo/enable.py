@@ -6,7 +6,7 @@ import time
 import warnings
 from typing import TYPE_CHECKING, NamedTuple
 
-from pliant import ServoError, ServoFault
+from pliant import ServoError, ServoFaultError
 from pliant.servo.identify import Image, read_image
 from pliant.servo.status import refusal
 from pliant.servo.transport import BusError
@@ -156,7 +156,7 @@ def _look(device: Device, ports: Ports, goal: Array) -> Image:
     names = [name for name in _BEFORE if name in device.family.registers]
     image = _image(device, ports, *names)
     if device.hardware:
-        raise ServoFault("\n".join(device.faults) + f"\nreboot({device.spec.name!r}) clears it")
+        raise ServoFaultError("\n".join(device.faults) + f"\nreboot({device.spec.name!r}) clears it")
     if device.position is None:
         raise ServoError(f"{device.name} has not been read yet")
     here = device.angle(device.position)

@@ -38,7 +38,7 @@ def servos_of(
 
     Returns:
         Servos with k_p from the gain register, usable torque, friction, damping, count and no-load
-        speed from the tables. ``kp_known`` is False: the sources of k_p differ by up to two.
+        speed from the tables. ``stiffness_known`` is False: the sources of k_p differ by up to two.
 
     Raises:
         ConfigError: A model is not known, the voltage is outside its range, or the gains are not
@@ -95,7 +95,7 @@ def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]
     passes = np.array([unit.spec.gear * len(unit.spec.servos) for unit in units])
     gears = np.array([unit.spec.gear for unit in units])
     damping = np.array([unit.row.mechanics.damping for unit in units]) * passes * gears
-    duty = np.array([unit.row.kind == "duty" for unit in units])
+    duty = np.array([unit.row.kind == "pwm" for unit in units])
     pure = bool(duty.all())
     if not pure:
         stall = np.array([unit.usable(unit.full) for unit in units])
@@ -104,14 +104,14 @@ def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]
     stiffness = np.array([u.stiffness(g) for u, g in zip(units, gains, strict=True)])
     return pliant.Servos(
         kp=_identified(stiffness, [unit.spec.kp for unit in units]),
-        torque=torque,
+        max_torque=torque,
         friction=_identified(friction, [unit.spec.friction for unit in units]),
         damping=_identified(damping, [unit.spec.damping for unit in units]),
         armature=np.array([unit.row.mechanics.armature for unit in units]) * passes * gears,
-        count=[unit.count for unit in units],
-        kind="duty" if pure else "current",
+        encoder_step=[unit.count for unit in units],
+        limit_type="pwm" if pure else "current",
         no_load_speed=speed if pure else None,
-        kp_known=all(unit.spec.kp is not None for unit in units),
+        stiffness_known=all(unit.spec.kp is not None for unit in units),
     )
 
 

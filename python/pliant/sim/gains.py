@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-Kind = Literal["current", "duty"]
+Kind = Literal["current", "pwm"]
 
 #: Error at which a servo of unknown gain is assumed to reach its full effort [rad].
 FULL_EFFORT_ERROR = 0.07
@@ -104,7 +104,7 @@ def tabulate(model: Any, servos: Servos | None, kind: Kind | None) -> Servos:
         kind: Overrides the limit kind of the table.
 
     Returns:
-        The table. ``kp_known`` of a guess is False.
+        The table. ``stiffness_known`` of a guess is False.
 
     Raises:
         ConfigError: Nothing is known about a joint, or the kind is `duty` without a no-load speed.
@@ -113,11 +113,11 @@ def tabulate(model: Any, servos: Servos | None, kind: Kind | None) -> Servos:
     table = servos if servos is not None else getattr(model, "servos", None)
     if table is None:
         return _guess(model)
-    if kind not in {None, "current", "duty"}:
-        raise ConfigError(f"servo kind {kind!r} is unknown; choose 'current' or 'duty'")
-    if (kind or table.kind) == "duty" and table.no_load_speed is None:
+    if kind not in {None, "current", "pwm"}:
+        raise ConfigError(f"servo limit type {kind!r} is unknown; choose 'current' or 'pwm'")
+    if (kind or table.limit_type) == "pwm" and table.no_load_speed is None:
         raise ConfigError(
-            "servos of kind 'duty' need no_load_speed [rad/s]: it sets their back-EMF"
+            "servos of limit_type 'pwm' need no_load_speed [rad/s]: it sets their back-EMF"
         )
     return spread(table, model.n) if kind is None else spread(table, model.n).replace(kind=kind)
 
@@ -136,12 +136,12 @@ def resolve(table: Servos) -> Gains:
         Arrays of the table's length.
     """
     damping = np.array(table.damping)
-    if table.kind == "duty" and table.no_load_speed is not None:
-        damping = damping + np.asarray(table.torque) / np.maximum(table.no_load_speed, 1e-6)
+    if table.limit_type == "pwm" and table.no_load_speed is not None:
+        damping = damping + np.asarray(table.max_torque) / np.maximum(table.no_load_speed, 1e-6)
     return Gains(
         kp=np.array(table.kp),
         kv=np.array(table.kv),
-        torque=np.array(table.torque),
+        torque=np.array(table.max_torque),
         friction=np.array(table.friction),
         damping=damping,
         armature=np.array(table.armature),
@@ -167,7 +167,7 @@ def guess(effort: Sequence[float]) -> Servos:
     kp = torque / FULL_EFFORT_ERROR
     return Servos(
         kp=kp,
-        torque=torque,
+        max_torque=torque,
         friction=FRICTION_SHARE * torque,
         damping=DAMPING_SHARE * torque,
         armature=ARMATURE_SHARE * kp,

@@ -98,7 +98,7 @@ def off_chain_servo(effort: float | None) -> Servos:
     torque = effort or OFF_CHAIN_EFFORT
     return Servos(
         kp=[torque / FULL_EFFORT_ERROR],
-        torque=[torque],
+        max_torque=[torque],
         damping=[DAMPING_SHARE * torque],
         armature=[OFF_CHAIN_ARMATURE * torque],
     )

@@ -92,7 +92,7 @@ class Plant:
 
     Raises:
         ConfigError: An argument is out of range; the message names it.
-        LimitError: `creep` is outside its range.
+        OutOfRangeError: `creep` is outside its range.
         ShapeError: An argument is no scalar and has not n entries.
         TypeError: Model, servos, overload or something in the scene is not what it should be.
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import FrameNotFound
+from pliant import FrameNotFoundError
 from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class Truth:
         """Return a frame by the name of a link, `tool` or `wrist`.
 
         Raises:
-            FrameNotFound: There is no such frame; the message lists those there are.
+            FrameNotFoundError: There is no such frame; the message lists those there are.
         """
         found = self._frames.get(name)
         if found is not None:
@@ -88,7 +88,7 @@ class Truth:
         link = name if name in names else self._aliases.get(name, name)
         if link not in names:
             there = dict.fromkeys([*self._aliases, *names])
-            raise FrameNotFound(
+            raise FrameNotFoundError(
                 f"no frame {name!r} in the simulation; there are {', '.join(there)}"
             )
         found = self._frames[name] = Frame(self.model, self.data, self.model.site(link).id)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 import pliant
-from pliant import LimitError
+from pliant import OutOfRangeError
 from pliant.arguments import rounded_up
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class Replay:
 
     Raises:
         ConfigError: The motion is another arm's.
-        LimitError: A number out of range, or a `stop` that cannot be felt.
+        OutOfRangeError: A number out of range, or a `stop` that cannot be felt.
     """
 
     def __init__(
@@ -73,28 +73,28 @@ class Replay:
         stop: float | None = None,
     ) -> None:
         if not 0.05 <= speed <= 3.0:
-            raise LimitError(f"speed must be in [0.05, 3], got {speed:g}")
+            raise OutOfRangeError(f"speed must be in [0.05, 3], got {speed:g}")
         if not (min(wait) > 0.0 and math.isfinite(max(wait))):
-            raise LimitError(f"wait must be two numbers above 0 [m], [rad], got {wait!r}")
+            raise OutOfRangeError(f"wait must be two numbers above 0 [m], [rad], got {wait!r}")
         motion.fits(controller.model)
         self.motion, self.speed = motion, speed
         self._controller, self._model = controller, controller.model
         names = controller.settings.task.names
         self._rows = [AXES.index(name) for name in names]
         self._bound = np.array([wait[row >= 3] for row in self._rows])
-        self._contact: pliant.Contact | None = None
+        self._contact: pliant.ContactEstimator | None = None
         if stop is not None:
             axes = "".join(name for name in names if name in "xyz")
             inner = getattr(controller, "inner", controller)
-            contact = pliant.Contact(inner)
+            contact = pliant.ContactEstimator(inner)
             felt = contact.typical_uncertainty()[[AXES.index(name) for name in axes]]
             least = rounded_up(contact.guard * felt.max(initial=1e-3))
             if not float(least) <= stop < math.inf:
-                raise LimitError(
+                raise OutOfRangeError(
                     f"stop [N] = {stop:g} is outside [{least}, ∞): this arm, at rest in the median "
                     "pose, cannot tell a smaller force from friction, k_p and gravity"
                 )
-            self._contact = pliant.Contact(inner, touch={axes: stop}, min_time=LASTING)
+            self._contact = pliant.ContactEstimator(inner, touch={axes: stop}, min_time=LASTING)
         self.time, self.pace, self.waited, self.stops = 0.0, 1.0, 0.0, 0
         self._offset: Array | None = None
         self._left = self._way = 0.0
@@ -129,7 +129,7 @@ class Replay:
             load: Torques that the servos say they exert (n,) [N·m], for `stop`.
 
         Raises:
-            ShapeError, LimitError: As `Controller.step`.
+            ShapeError, OutOfRangeError: As `Controller.step`.
         """
         q = np.asarray(q, dtype=np.float64)
         span = 1.0 / self._controller.settings.rate if dt is None else dt

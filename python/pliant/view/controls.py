@@ -163,7 +163,7 @@ class Controls:
             value = YIELDS[value] if word == "yields" else value
             fields = {word: value}
             if word == "yields" and value != "none":
-                fields["eta"] = float(self.eta.value)
+                fields["adaptation"] = float(self.eta.value)
             return orders.Change(number, axis, fields)
 
         return made
@@ -203,7 +203,7 @@ class Controls:
         self._put(self.preset, shown.preset)
         self._put(self.law, shown.law)
         self._put(self.firm, shown.firm)
-        yielding = [axis["eta"] for axis in shown.axes.values() if axis["yields"] != "none"]
+        yielding = [axis["adaptation"] for axis in shown.axes.values() if axis["yields"] != "none"]
         if yielding:
             self._put(self.eta, max(yielding))
         for name, axis in shown.axes.items():

@@ -30,14 +30,14 @@ FIELDS = (
     "stiffness",
     "damping",
     "yields",
-    "eta",
-    "d_minus",
-    "d_plus",
+    "adaptation",
+    "soft_until",
+    "firm_from",
     "profile",
-    "step_limit",
+    "max_velocity",
     "soft_step_limit",
     "deviation_limit",
-    "beyond",
+    "on_deviation_limit",
 )
 #: Those that depend on the law.
 OF_THE_LAW = ("soft", "firm", "hold", "stiffness", "damping")
@@ -93,7 +93,7 @@ class Desk:
         if not self.firm:
             return self.settings
         axes: dict[str, pliant.Axis] = {
-            name: axis.replace(yields="none", eta=0.0)
+            name: axis.replace(yields="none", adaptation=0.0)
             for name, axis in self._axes(self.settings).items()
         }
         return self.settings.replace(axes=axes)
@@ -135,15 +135,15 @@ class Desk:
                     raise ConfigError(f"the task has no axis {name!r}; it has {there}")
                 made = fields_of(strengths[name])
                 if name in axes:
-                    made["yields"], made["eta"] = yields_of(axes[name]), axes[name].eta
+                    made["yields"], made["adaptation"] = yields_of(axes[name]), axes[name].adaptation
                 made |= fields
                 if made["yields"] == "none":
-                    made["eta"] = 0.0
+                    made["adaptation"] = 0.0
                 self.settings = self.settings.replace(axes={**axes, name: pliant.Axis(**made)})
             case orders.Eta(value=eta):
                 for name, axis in axes.items():
                     if yields_of(axis) != "none":
-                        axes[name] = axis.replace(eta=eta)
+                        axes[name] = axis.replace(adaptation=eta)
                 self.settings = self.settings.replace(axes=axes)
             case orders.Firm(on=on):
                 self.firm = on
@@ -155,7 +155,7 @@ class Desk:
         }
         if self.firm:
             for name, axis in self._axes(self.settings).items():
-                axes[name]["yields"], axes[name]["eta"] = yields_of(axis), axis.eta
+                axes[name]["yields"], axes[name]["adaptation"] = yields_of(axis), axis.adaptation
         return Shown(
             law=controller.settings.law,
             preset=self.preset,

@@ -63,7 +63,7 @@ class Look:
         """Look at a new life of the arm from now on."""
         self._arm, self._body, self._tap, self._pace = arm, body, tap, pace
         self._step: Step | None = None
-        self._contact: pliant.Contact | None = None
+        self._contact: pliant.ContactEstimator | None = None
         self.phase, self.hand = "starting", None
 
     def say(self, text: str, cause: Cause) -> None:
@@ -85,7 +85,7 @@ class Look:
 
     def feel(self, controller: Controller) -> None:
         """Estimate, from now on, what pushes at the tool of this controller's arm."""
-        self._contact, self._restarts = pliant.Contact(controller), -1
+        self._contact, self._restarts = pliant.ContactEstimator(controller), -1
 
     def before_step(self, tick: Tick, loop: Loop) -> None:
         """Take the reading of a tick; what was felt before a restart is void."""

@@ -195,7 +195,7 @@ class Session:
             axes=names,
             joints=arm.model.joint_names,
             start=self._body.pose(q, {}),
-            usable=np.asarray(arm.servos.torque),
+            usable=np.asarray(arm.servos.max_torque),
             scene=self._source.name,
             scenes={name: scene.about for name, scene in self._source.scenes.items()},
             play=self._source.scene.play if self._source.scene is not None else "",

@@ -6,7 +6,7 @@
 mod arm;
 
 use pliant_core::nalgebra::Vector6;
-use pliant_core::{Contact, ContactInput, ContactOptions, Controller, Result, Settings, StepInput};
+use pliant_core::{ContactEstimator, ContactInput, ContactOptions, Controller, Result, Settings, StepInput};
 
 /// Index of z in every 6-vector.
 const Z: usize = 2;
@@ -16,7 +16,7 @@ fn main() -> Result<()> {
     let mut controller = Controller::new(model.clone(), Settings::default(), Some(arm::servos()))?;
     let mut options = ContactOptions::default();
     options.touch[Z] = Some(10.0); // [N]
-    let mut contact = Contact::new(&controller, options)?;
+    let mut contact = ContactEstimator::new(&controller, options)?;
 
     let mut q = arm::START;
     let target = model.forward_kinematics(&q)?;

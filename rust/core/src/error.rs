@@ -29,7 +29,7 @@ pub enum Error {
     },
     /// A number lies outside its bounds.
     #[error("{what} = {} is outside {bound}", Short(*value))]
-    Limit {
+    OutOfRange {
         /// The quantity, e.g. `q[3] (elbow_pitch)`.
         what: String,
         /// The value given.
@@ -50,7 +50,7 @@ pub enum Error {
     /// Settings, servos and model do not go together.
     #[error("{key}: {message}")]
     Config {
-        /// The setting, e.g. `axes.y.eta`.
+        /// The setting, e.g. `axes.y.adaptation`.
         key: String,
         /// What is wrong and what would be right.
         message: String,
@@ -86,11 +86,11 @@ impl fmt::Display for Position {
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
-    /// A [`Error::Limit`].
+    /// A [`Error::OutOfRange`].
     #[cold]
     #[inline(never)]
-    pub(crate) fn limit(what: impl Into<String>, value: f64, bound: impl Into<String>) -> Self {
-        Self::Limit { what: what.into(), value, bound: bound.into() }
+    pub(crate) fn out_of_range(what: impl Into<String>, value: f64, bound: impl Into<String>) -> Self {
+        Self::OutOfRange { what: what.into(), value, bound: bound.into() }
     }
 
     /// A [`Error::Shape`] of a one-dimensional argument.
@@ -120,7 +120,7 @@ impl Error {
     #[inline(never)]
     pub(crate) fn in_row(self, batch: &str, row: usize) -> Self {
         match self {
-            Self::Limit { what, value, bound } => Self::Limit { what: format!("{batch}[{row}]: {what}"), value, bound },
+            Self::OutOfRange { what, value, bound } => Self::OutOfRange { what: format!("{batch}[{row}]: {what}"), value, bound },
             Self::Config { key, message } => Self::Config { key: format!("{batch}[{row}]: {key}"), message },
             other => other,
         }
@@ -133,7 +133,7 @@ mod tests {
 
     #[test]
     fn numbers_in_messages_stay_short() {
-        let said = |value| Error::limit("x", value, "[0, 1]").to_string();
+        let said = |value| Error::out_of_range("x", value, "[0, 1]").to_string();
         for (value, text) in [
             (0.0, "0"),
             (-0.25, "-0.25"),

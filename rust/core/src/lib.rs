@@ -66,7 +66,7 @@ mod threads;
 mod words;
 
 pub use batch::{BatchCommand, BatchInput, BatchState, Invalid, Targets};
-pub use contact::{Contact, ContactInput, ContactOptions, WrenchEstimate};
+pub use contact::{ContactEstimator, ContactInput, ContactOptions, WrenchEstimate};
 // Matrices and vectors of the public functions are of this version.
 pub use nalgebra;
 
@@ -81,9 +81,9 @@ pub use model::{Model, ModelOptions, Payload};
 pub use number::Instructions;
 pub use pose::Pose;
 pub use report::{Check, Finding, Report};
-pub use servos::{ServoKind, Servos};
+pub use servos::{LimitType, Servos};
 pub use settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
-pub use task::axes::{Axis, Beyond, Frame, Profile, Task, Yields};
+pub use task::axes::{Axis, OnDeviationLimit, Frame, Profile, Task, Yields};
 
 /// Most independent joints of a chain, and most joints between base and tip, mimic followers included.
 ///

@@ -78,7 +78,7 @@ impl Pose {
     /// Checks that the position is finite and within [`POSITION_BOUND`] and that the rotation is one.
     ///
     /// # Errors
-    /// [`Error::Limit`] names the entry; [`Error::Config`] the rotation's fault.
+    /// [`Error::OutOfRange`] names the entry; [`Error::Config`] the rotation's fault.
     pub fn validate(&self) -> Result<()> {
         self.check("pose")
     }
@@ -110,7 +110,7 @@ impl Pose {
             if !(value.abs() <= POSITION_BOUND) {
                 let hint = if value.is_finite() { "; is it in millimetres?" } else { "" };
                 let bound = format!("±{POSITION_BOUND}{hint}");
-                return Err(Error::limit(format!("{name}: position {axis} [m]"), value, bound));
+                return Err(Error::out_of_range(format!("{name}: position {axis} [m]"), value, bound));
             }
         }
         let mut worst: f64 = 0.0;

@@ -13,13 +13,13 @@ impl Pose {
     /// From a position [m] and a quaternion w, x, y, z, which is normalised.
     ///
     /// # Errors
-    /// [`Error::Limit`] for a quaternion whose length is not 1 within 1e-3; as [`Pose::validate`] for the position.
+    /// [`Error::OutOfRange`] for a quaternion whose length is not 1 within 1e-3; as [`Pose::validate`] for the position.
     pub fn from_wxyz(position: [f64; 3], wxyz: [f64; 4]) -> Result<Self> {
         let [w, x, y, z] = wxyz;
         let quaternion = Quaternion::new(w, x, y, z);
         let length = quaternion.norm();
         if !((length - 1.0).abs() <= QUATERNION_TOLERANCE) {
-            return Err(Error::limit("quaternion: length", length, format!("1 ± {QUATERNION_TOLERANCE}")));
+            return Err(Error::out_of_range("quaternion: length", length, format!("1 ± {QUATERNION_TOLERANCE}")));
         }
         let rotation = UnitQuaternion::new_normalize(quaternion).to_rotation_matrix();
         Self::checked(position, &rotation)

@@ -73,7 +73,7 @@ impl Settings {
     /// `pull` and no more.
     ///
     /// # Errors
-    /// [`Error::Config`] for an axis other than x, y, z, [`Error::Limit`] for the force.
+    /// [`Error::Config`] for an axis other than x, y, z, [`Error::OutOfRange`] for the force.
     pub fn drawer(axis: &str, pull: Option<f64>) -> Result<Self> {
         let along = translation("axis", axis)?;
         let mut settings = Self { alpha: Some(ALPHA_LOOSE), ..Self::default() };
@@ -109,7 +109,7 @@ impl Settings {
     /// the caller's: when the deviation says that somebody pulls.
     pub fn hand_over() -> Self {
         let [near, far] = TAKEN;
-        let taken = Axis { profile: Profile::Yielding, d_minus: Some(near), d_plus: Some(far), ..yielding(0.0) };
+        let taken = Axis { profile: Profile::Softening, soft_until: Some(near), firm_from: Some(far), ..yielding(0.0) };
         let turned = yielding(ETA_SOFT);
         Self { axes: [taken, taken, taken, turned, turned, turned], ..Self::default() }
     }
@@ -140,14 +140,14 @@ impl Settings {
     }
 }
 
-fn yielding(eta: f64) -> Axis {
-    Axis { yields: Some(Yields::Both), eta, ..Axis::default() }
+fn yielding(adaptation: f64) -> Axis {
+    Axis { yields: Some(Yields::Both), adaptation, ..Axis::default() }
 }
 
 /// An axis that is as stiff as its servos up to one force, and gives way beyond it.
 fn capped(what: &str, most: Option<f64>, yields: Yields) -> Result<Axis> {
-    let [d_minus, d_plus] = FIRM_FROM.map(Some);
-    let axis = Axis { yields: Some(yields), d_minus, d_plus, ..Axis::default() };
+    let [soft_until, firm_from] = FIRM_FROM.map(Some);
+    let axis = Axis { yields: Some(yields), soft_until, firm_from, ..Axis::default() };
     match most {
         Some(most) => Ok(Axis { soft: Some(strength(what, most)?), profile: Profile::Constant, ..axis }),
         None => Ok(axis),
@@ -155,7 +155,7 @@ fn capped(what: &str, most: Option<f64>, yields: Yields) -> Result<Axis> {
 }
 
 fn strength(what: &str, value: f64) -> Result<[f64; 2]> {
-    if value > 0.0 && value.is_finite() { Ok([value; 2]) } else { Err(Error::limit(what, value, "(0, ∞)")) }
+    if value > 0.0 && value.is_finite() { Ok([value; 2]) } else { Err(Error::out_of_range(what, value, "(0, ∞)")) }
 }
 
 /// Index of one of x, y, z.

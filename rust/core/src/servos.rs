@@ -9,12 +9,12 @@ const MOST: f64 = 1e9;
 
 /// What a servo's torque limit really limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum ServoKind {
+pub enum LimitType {
     /// Motor current, hence torque at any speed.
     #[default]
     Current,
     /// PWM duty: the torque left falls with speed, so back-EMF acts as damping `torque / no_load_speed`.
-    Duty,
+    Pwm,
 }
 
 /// Position servos of the `n` joints of a chain, base → tip. Units: N·m, rad (N, m for prismatic joints).
@@ -25,7 +25,7 @@ pub struct Servos {
     /// Stiffness of the position loop, `k_p` [N·m/rad] > 0.
     pub kp: Vec<f64>,
     /// Usable torque at the present voltage [N·m] > 0: the ceiling of every torque limit.
-    pub torque: Vec<f64>,
+    pub max_torque: Vec<f64>,
     /// Dry friction of gears and motor [N·m] ≥ 0.
     pub friction: Vec<f64>,
     /// Dry friction in addition, per N·m that the joint carries [1] ≥ 0: of gears that rub more under load.
@@ -42,22 +42,22 @@ pub struct Servos {
     pub kv: Vec<f64>,
     /// Rotor inertia seen at the joint [kg·m²] ≥ 0: of contacts, of descents and of simulators.
     pub armature: Vec<f64>,
-    /// Encoder count [rad] ≥ 0; 0 when it does not matter.
-    pub count: Vec<f64>,
+    /// Encoder step [rad] ≥ 0; 0 when it does not matter.
+    pub encoder_step: Vec<f64>,
     /// What the limit register limits.
-    pub kind: ServoKind,
-    /// No-load speed [rad/s] > 0, required for [`ServoKind::Duty`].
+    pub limit_type: LimitType,
+    /// No-load speed [rad/s] > 0, required for [`LimitType::Pwm`].
     pub no_load_speed: Option<Vec<f64>>,
     /// Whether `kp` is known within 10 %, by identification or measurement.
-    pub kp_known: bool,
+    pub stiffness_known: bool,
 }
 
 impl Servos {
     /// Servos with the given stiffness and usable torque; everything else zero.
-    pub fn new(kp: Vec<f64>, torque: Vec<f64>) -> Self {
+    pub fn new(kp: Vec<f64>, max_torque: Vec<f64>) -> Self {
         Self {
             kp,
-            torque,
+            max_torque,
             friction: vec![0.0],
             load_friction: vec![0.0],
             stribeck: vec![0.0],
@@ -66,31 +66,31 @@ impl Servos {
             damping: vec![0.0],
             kv: vec![0.0],
             armature: vec![0.0],
-            count: vec![0.0],
-            kind: ServoKind::Current,
+            encoder_step: vec![0.0],
+            limit_type: LimitType::Current,
             no_load_speed: None,
-            kp_known: false,
+            stiffness_known: false,
         }
     }
 
     /// Checks every value.
     ///
     /// # Errors
-    /// [`Error::Limit`] names field, index and bound; [`Error::Config`] a missing no-load speed. Under
-    /// [`ServoKind::Current`] one that is given is checked, and has no effect.
+    /// [`Error::OutOfRange`] names field, index and bound; [`Error::Config`] a missing no-load speed. Under
+    /// [`LimitType::Current`] one that is given is checked, and has no effect.
     pub fn validate(&self) -> Result<()> {
         for (name, values, low) in self.fields() {
             for (i, &value) in values.iter().enumerate() {
                 if !(value >= low && value <= MOST) {
                     let least = if low > 0.0 { format!("{low:e}") } else { "0".into() };
-                    return Err(Error::limit(format!("servos.{name}[{i}]"), value, format!("[{least}, {MOST:e}]")));
+                    return Err(Error::out_of_range(format!("servos.{name}[{i}]"), value, format!("[{least}, {MOST:e}]")));
                 }
             }
         }
-        match (self.kind, &self.no_load_speed) {
-            (ServoKind::Duty, None) => Err(Error::config(
+        match (self.limit_type, &self.no_load_speed) {
+            (LimitType::Pwm, None) => Err(Error::config(
                 "servos.no_load_speed",
-                "kind=\"duty\" needs the no-load speed [rad/s] at the present voltage (it sets the back-EMF)",
+                "limit_type=\"pwm\" needs the no-load speed [rad/s] at the present voltage (it sets the back-EMF)",
             )),
             _ => Ok(()),
         }
@@ -113,7 +113,7 @@ impl Servos {
         };
         Ok(Self {
             kp: spread("kp", &self.kp)?,
-            torque: spread("torque", &self.torque)?,
+            max_torque: spread("max_torque", &self.max_torque)?,
             friction: spread("friction", &self.friction)?,
             load_friction: spread("load_friction", &self.load_friction)?,
             stribeck: spread("stribeck", &self.stribeck)?,
@@ -122,10 +122,10 @@ impl Servos {
             damping: spread("damping", &self.damping)?,
             kv: spread("kv", &self.kv)?,
             armature: spread("armature", &self.armature)?,
-            count: spread("count", &self.count)?,
+            encoder_step: spread("encoder_step", &self.encoder_step)?,
             no_load_speed: self.no_load_speed.as_deref().map(|w| spread("no_load_speed", w)).transpose()?,
-            kind: self.kind,
-            kp_known: self.kp_known,
+            limit_type: self.limit_type,
+            stiffness_known: self.stiffness_known,
         })
     }
 
@@ -133,7 +133,7 @@ impl Servos {
     fn fields(&self) -> Vec<(&'static str, &[f64], f64)> {
         let mut fields: Vec<(&'static str, &[f64], f64)> = vec![
             ("kp", &self.kp, LEAST),
-            ("torque", &self.torque, LEAST),
+            ("max_torque", &self.max_torque, LEAST),
             ("friction", &self.friction, 0.0),
             ("load_friction", &self.load_friction, 0.0),
             ("stribeck", &self.stribeck, 0.0),
@@ -142,7 +142,7 @@ impl Servos {
             ("damping", &self.damping, 0.0),
             ("kv", &self.kv, 0.0),
             ("armature", &self.armature, 0.0),
-            ("count", &self.count, 0.0),
+            ("encoder_step", &self.encoder_step, 0.0),
         ];
         if let Some(speed) = &self.no_load_speed {
             fields.push(("no_load_speed", speed, LEAST));
@@ -175,7 +175,7 @@ pub(crate) struct ServoArrays {
     pub(crate) drag: JointVec,
     /// Rotor inertia at the joint [kg·m²].
     pub(crate) armature: JointVec,
-    pub(crate) count: JointVec,
+    pub(crate) encoder_step: JointVec,
 }
 
 impl ServoArrays {
@@ -205,7 +205,7 @@ impl ServoArrays {
             damping: [0.0; MAX_JOINTS],
             drag: [0.0; MAX_JOINTS],
             armature: [0.0; MAX_JOINTS],
-            count: [0.0; MAX_JOINTS],
+            encoder_step: [0.0; MAX_JOINTS],
         };
         let Some(servos) = servos else {
             for (ceiling, effort) in arrays.torque.iter_mut().zip(effort) {
@@ -216,20 +216,20 @@ impl ServoArrays {
         for i in 0..n.min(MAX_JOINTS) {
             arrays.kp[i] = servos.kp[i];
             arrays.compliance[i] = 1.0 / servos.kp[i];
-            arrays.torque[i] = servos.torque[i];
+            arrays.torque[i] = servos.max_torque[i];
             arrays.friction[i] = servos.friction[i];
             arrays.load_friction[i] = servos.load_friction[i];
             arrays.stribeck[i] = servos.stribeck[i];
             arrays.load_stribeck[i] = servos.load_stribeck[i];
             arrays.stribeck_slowness[i] = 1.0 / servos.stribeck_speed[i];
-            let back_emf = match (servos.kind, &servos.no_load_speed) {
-                (ServoKind::Duty, Some(speed)) => servos.torque[i] / speed[i],
+            let back_emf = match (servos.limit_type, &servos.no_load_speed) {
+                (LimitType::Pwm, Some(speed)) => servos.max_torque[i] / speed[i],
                 _ => 0.0,
             };
             arrays.drag[i] = servos.damping[i] + back_emf;
             arrays.damping[i] = arrays.drag[i] + servos.kv[i];
             arrays.armature[i] = servos.armature[i];
-            arrays.count[i] = servos.count[i];
+            arrays.encoder_step[i] = servos.encoder_step[i];
         }
         arrays.kp_mean = servos.kp.iter().sum::<f64>() / servos.kp.len() as f64;
         arrays
@@ -244,7 +244,7 @@ mod tests {
     fn a_single_number_holds_for_every_joint() {
         let servos = Servos::new(vec![100.0], vec![5.0, 6.0]).for_joints(2).unwrap();
         assert_eq!(servos.kp, [100.0, 100.0]);
-        assert_eq!(servos.torque, [5.0, 6.0]);
+        assert_eq!(servos.max_torque, [5.0, 6.0]);
     }
 
     #[test]
@@ -253,14 +253,14 @@ mod tests {
         assert_eq!(error, "servos.kp[1] = 0 is outside [1e-6, 1e9]");
         let error = Servos::new(vec![100.0; 3], vec![5.0]).for_joints(2).unwrap_err().to_string();
         assert_eq!(error, "servos.kp has shape (3,), expected (2,) or a single number");
-        let duty = Servos { kind: ServoKind::Duty, ..Servos::new(vec![100.0], vec![5.0]) };
+        let duty = Servos { limit_type: LimitType::Pwm, ..Servos::new(vec![100.0], vec![5.0]) };
         assert!(duty.validate().unwrap_err().to_string().contains("no-load speed"));
     }
 
     #[test]
     fn back_emf_of_a_duty_limit_is_damping() {
         let servos = Servos {
-            kind: ServoKind::Duty,
+            limit_type: LimitType::Pwm,
             no_load_speed: Some(vec![10.0]),
             damping: vec![0.2],
             kv: vec![0.3],

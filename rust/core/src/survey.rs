@@ -183,7 +183,7 @@ pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &Masses, g
     }
     let (share, joint, torque) = best;
     let name = model.joint_names().get(joint).map_or("", String::as_str);
-    Err(Error::limit(
+    Err(Error::out_of_range(
         format!("torque that holds the arm at joint {name} [N·m]"),
         torque,
         format!(

@@ -5,9 +5,9 @@ use std::str::FromStr;
 
 use crate::error::Error;
 use crate::kinematics::Reference;
-use crate::servos::ServoKind;
+use crate::servos::LimitType;
 use crate::settings::{Follow, Law, LimitRule, Projector};
-use crate::task::axes::{Beyond, Profile, Yields};
+use crate::task::axes::{OnDeviationLimit, Profile, Yields};
 
 /// Writes and reads a choice by its word; `$key` is the setting's name for the message.
 macro_rules! words {
@@ -43,10 +43,10 @@ words! {
     Follow of "follow": "free" is Free, "hold" is Hold;
     LimitRule of "limits": "demand" is Demand, "sum" is Sum;
     Projector of "projector": "exact" is Exact, "paper" is Paper;
-    Profile of "profile": "firming" is Firming, "constant" is Constant, "yielding" is Yielding;
-    Beyond of "beyond": "follow" is Follow, "hold" is Hold;
+    Profile of "profile": "hardening" is Hardening, "constant" is Constant, "softening" is Softening;
+    OnDeviationLimit of "on_deviation_limit": "yield" is Yield, "wait" is Wait;
     Yields of "yields": "both" is Both, "+" is Plus, "-" is Minus, "none" is None;
-    ServoKind of "kind": "current" is Current, "duty" is Duty;
+    LimitType of "limit_type": "current" is Current, "pwm" is Pwm;
     Reference of "reference": "world_aligned" is WorldAligned, "local" is Local;
 }
 
@@ -68,7 +68,7 @@ mod tests {
         for (word, yields) in Yields::WORDS {
             assert_eq!((yields.to_string().as_str(), word.parse()), (*word, Ok(*yields)));
         }
-        assert_eq!(format!("{:>8}|{:<6}|", ServoKind::Duty, Law::Cap), "    duty|cap   |");
+        assert_eq!(format!("{:>8}|{:<6}|", LimitType::Pwm, Law::Cap), "     pwm|cap   |");
     }
 
     #[test]

@@ -51,10 +51,10 @@ fn caps_ceilings_and_floors_hold() {
             for i in 0..n {
                 let floor = settings.floor.as_ref().map_or(servos.friction[i], |f| f[i]);
                 let limit = command.torque_limit()[i];
-                assert!(limit <= servos.torque[i] && limit >= floor.min(servos.torque[i]) - 1e-12, "{limit}");
-                let (goal, out) = (command.goal()[i], servos.torque[i] / servos.kp[i] + 1e-12);
+                assert!(limit <= servos.max_torque[i] && limit >= floor.min(servos.max_torque[i]) - 1e-12, "{limit}");
+                let (goal, out) = (command.goal()[i], servos.max_torque[i] / servos.kp[i] + 1e-12);
                 assert!(goal >= model.lower()[i] - out && goal <= model.upper()[i] + out);
-                assert!(command.velocity()[i] > 0.0);
+                assert!(command.speed_limit()[i] > 0.0);
             }
             let record = controller.record();
             for r in 0..controller.task_len() {
@@ -85,7 +85,7 @@ fn the_target_moves_within_its_bounds() {
         ..Settings::default()
     };
     let mut servos = seeded::servos(0);
-    servos.torque.iter_mut().for_each(|torque| *torque *= 100.0);
+    servos.max_torque.iter_mut().for_each(|torque| *torque *= 100.0);
     let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
     let q = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
     controller.reset(&q).unwrap();
@@ -179,8 +179,8 @@ fn jumps(probe: &Probe, a: &[f64], b: &[f64], most: f64) -> Vec<(f64, bool, bool
 
 fn one_sided(yields: Yields, axis: &str) -> Settings {
     let mut settings = Settings { limits: LimitRule::Demand, ..open() };
-    let eta = if yields == Yields::None { 0.0 } else { 0.9 };
-    let given = Axis { soft: Some([0.5, 1.0]), firm: Some([2.0, 1.5]), yields: Some(yields), eta, ..Axis::default() };
+    let adaptation = if yields == Yields::None { 0.0 } else { 0.9 };
+    let given = Axis { soft: Some([0.5, 1.0]), firm: Some([2.0, 1.5]), yields: Some(yields), adaptation, ..Axis::default() };
     settings.set_axes(axis, given).unwrap();
     settings
 }
@@ -219,7 +219,7 @@ fn joints_leave_the_inverse_without_a_jump() {
                 settings = Settings { follow: Some(follow), ..one_sided(Yields::Both, "y") };
             }
             // Ceilings out of the way: they have a test of their own.
-            let strong = Servos { torque: vec![1e3], ..seeded::servos(0) };
+            let strong = Servos { max_torque: vec![1e3], ..seeded::servos(0) };
             let controller = Controller::new(Arc::clone(&model), settings, Some(strong)).unwrap();
             // One joint walks to its limit.
             let mut a = random.joints(&model, 0.5);
@@ -244,7 +244,7 @@ fn a_task_of_few_axes_is_continuous_too() {
     let mut found = Vec::new();
     for round in 0..40 {
         let mut settings = Settings { task: Task::of(["xyz", "x z pitch"][round % 2]).unwrap(), ..open() };
-        settings.set_axes("z", Axis { yields: Some(Yields::Plus), eta: 0.9, ..Axis::default() }).unwrap();
+        settings.set_axes("z", Axis { yields: Some(Yields::Plus), adaptation: 0.9, ..Axis::default() }).unwrap();
         let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(2))).unwrap();
         let middle = random.joints(&model, 0.5);
         let probe = Probe { controller, target: model.forward_kinematics(&middle).unwrap() };

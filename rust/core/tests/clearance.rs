@@ -14,7 +14,7 @@ mod seeded;
 const Q: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
 const RATHER: [f64; 7] = [0.2, -0.3, 0.4, -1.4, 0.6, 0.4, 0.1];
 
-/// A push along y whose deviation [m] is twice `d_minus`, with room to spare.
+/// A push along y whose deviation [m] is twice `soft_until`, with room to spare.
 const PUSH: f64 = 0.03;
 
 fn arm() -> Arc<Model> {

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use pliant_core::task::axes::{Frame, Task};
-use pliant_core::{Contact, ContactInput, ContactOptions, Controller, Model, Reference, Servos, Settings};
+use pliant_core::{ContactEstimator, ContactInput, ContactOptions, Controller, Model, Reference, Servos, Settings};
 
 #[path = "common/mod.rs"]
 mod common;
@@ -16,7 +16,7 @@ const WIDE: [f64; 7] = [100.0; 7];
 
 fn servos() -> Servos {
     let torque = vec![10.7, 10.7, 10.7, 10.7, 6.4, 6.4, 6.4];
-    Servos { friction: FRICTION.to_vec(), kp_known: true, ..Servos::new(KP.to_vec(), torque) }
+    Servos { friction: FRICTION.to_vec(), stiffness_known: true, ..Servos::new(KP.to_vec(), torque) }
 }
 
 fn controller_with(settings: Settings, servos: Servos) -> Controller {
@@ -58,7 +58,7 @@ fn goal(q: &[f64], torque: &[f64]) -> Vec<f64> {
 }
 
 /// Force and bound, base axes, after readings of an arm at rest that was sent these goals and limits.
-fn felt(contact: &mut Contact, ctl: &Controller, q: &[f64], goal: &[f64], limit: &[f64]) -> ([f64; 6], [f64; 6]) {
+fn felt(contact: &mut ContactEstimator, ctl: &Controller, q: &[f64], goal: &[f64], limit: &[f64]) -> ([f64; 6], [f64; 6]) {
     let input = ContactInput { sent: Some([goal, limit]), ..ContactInput::default() };
     let mut last = ([0.0; 6], [0.0; 6]);
     for _ in 0..100 {
@@ -78,7 +78,7 @@ fn within(found: &[f64; 6], truth: &[f64; 6], bound: &[f64; 6]) {
 #[test]
 fn where_all_is_known_the_estimate_is_the_truth() {
     let ctl = controller_with(Settings::default(), Servos { friction: vec![0.0], ..servos() });
-    let mut contact = Contact::new(&ctl, known()).unwrap();
+    let mut contact = ContactEstimator::new(&ctl, known()).unwrap();
     for seed in 0..60 {
         let (q, truth) = (common::state(ctl.model(), seed), wrench(seed));
         contact.reset();
@@ -94,7 +94,7 @@ fn where_all_is_known_the_estimate_is_the_truth() {
 #[test]
 fn a_servo_at_its_limit_exerts_its_limit_however_far_the_goal_leads() {
     let ctl = controller_with(Settings::default(), Servos { friction: vec![0.0], ..servos() });
-    let mut contact = Contact::new(&ctl, known()).unwrap();
+    let mut contact = ContactEstimator::new(&ctl, known()).unwrap();
     let truth = wrench(3);
     let torque = holding(ctl.model(), &GRASP, &truth);
     let (mut goal, mut limit) = (goal(&GRASP, &torque), WIDE);
@@ -111,7 +111,7 @@ fn a_servo_at_its_limit_exerts_its_limit_however_far_the_goal_leads() {
 #[test]
 fn friction_of_an_arm_at_rest_stays_within_the_bound() {
     let ctl = controller();
-    let mut contact = Contact::new(&ctl, known()).unwrap();
+    let mut contact = ContactEstimator::new(&ctl, known()).unwrap();
     for seed in 0..100 {
         let (q, truth) = (common::state(ctl.model(), seed), wrench(seed));
         let mut torque = holding(ctl.model(), &q, &truth);
@@ -129,7 +129,7 @@ fn friction_of_an_arm_at_rest_stays_within_the_bound() {
 fn wrong_k_p_gravity_and_payload_stay_within_the_bound_they_are_told_in() {
     let ctl = controller();
     let options = ContactOptions { kp_error: Some(0.11), gravity_error: 0.1, payload_error: 0.3, ..known() };
-    let mut contact = Contact::new(&ctl, options).unwrap();
+    let mut contact = ContactEstimator::new(&ctl, options).unwrap();
     for seed in 0..100 {
         let (q, mut truth) = (common::state(ctl.model(), seed), wrench(seed));
         let felt_truth = truth;
@@ -148,7 +148,7 @@ fn wrong_k_p_gravity_and_payload_stay_within_the_bound_they_are_told_in() {
 fn a_measured_load_takes_the_place_of_lead_and_limit() {
     let ctl = controller_with(Settings::default(), Servos { friction: vec![0.0], ..servos() });
     let options = ContactOptions { load_error: 0.0, torque_constant: Some(vec![2.0; 7]), ..known() };
-    let mut contact = Contact::new(&ctl, options).unwrap();
+    let mut contact = ContactEstimator::new(&ctl, options).unwrap();
     let truth = wrench(5);
     let load = holding(ctl.model(), &GRASP, &truth);
     let current: Vec<f64> = load.iter().map(|torque| torque / 2.0).collect();
@@ -169,10 +169,10 @@ fn a_measured_load_takes_the_place_of_lead_and_limit() {
 fn a_goal_acts_as_late_as_the_delay_says() {
     let mut ctl = controller_with(Settings::default(), Servos { friction: vec![0.0], ..servos() });
     ctl.set_delay(0.02).unwrap();
-    let mut contact = Contact::new(&ctl, ContactOptions { filter: 0.0, ..known() }).unwrap();
+    let mut contact = ContactEstimator::new(&ctl, ContactOptions { filter: 0.0, ..known() }).unwrap();
     let quiet = goal(&GRASP, &holding(ctl.model(), &GRASP, &[0.0; 6]));
     let pushed = goal(&GRASP, &holding(ctl.model(), &GRASP, &[0.0, 5.0, 0.0, 0.0, 0.0, 0.0]));
-    let force = |contact: &mut Contact, goal: &[f64]| {
+    let force = |contact: &mut ContactEstimator, goal: &[f64]| {
         let input = ContactInput { sent: Some([goal, &WIDE]), dq: Some(&[0.0; 7]), ..ContactInput::default() };
         let estimate = contact.update(&ctl, &GRASP, &input).unwrap();
         (estimate.force_base[1], estimate.uncertainty_base[1])
@@ -190,7 +190,7 @@ fn a_goal_acts_as_late_as_the_delay_says() {
 fn a_tare_takes_out_what_stays_wrong() {
     let ctl = controller();
     let options = ContactOptions { kp_error: Some(0.2), ..known() };
-    let mut contact = Contact::new(&ctl, options).unwrap();
+    let mut contact = ContactEstimator::new(&ctl, options).unwrap();
     assert!(contact.tare().unwrap_err().to_string().contains("nothing has been felt yet"));
     let wrong = |truth: &[f64; 6]| -> Vec<f64> {
         holding(ctl.model(), &GRASP, truth).iter().map(|torque| torque / 1.15).collect()
@@ -212,7 +212,7 @@ fn a_tare_takes_out_what_stays_wrong() {
 #[test]
 fn what_a_pose_cannot_feel_is_uncertain_not_noisy() {
     let ctl = controller();
-    let contact = Contact::new(&ctl, known()).unwrap();
+    let contact = ContactEstimator::new(&ctl, known()).unwrap();
     let stretched = [0.0; 7];
     let bound = contact.uncertainty_at(&ctl, &stretched).unwrap();
     assert!(bound.iter().any(|b| *b > 90.0), "along the strut nothing is felt: {bound:?}");
@@ -226,7 +226,7 @@ fn force_follows_the_frame_of_the_task() {
     let rotation = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
     let task = Task { frame: Frame::Rotation(rotation), ..Task::default() };
     let ctl = controller_with(Settings { task, ..Settings::default() }, servos());
-    let mut contact = Contact::new(&ctl, known()).unwrap();
+    let mut contact = ContactEstimator::new(&ctl, known()).unwrap();
     let truth = [0.0, 5.0, 0.0, 0.0, 0.0, 0.0];
     let (base, _) = felt(&mut contact, &ctl, &GRASP, &goal(&GRASP, &holding(ctl.model(), &GRASP, &truth)), &WIDE);
     assert!((base[1] - 5.0).abs() < 0.05);
@@ -237,21 +237,21 @@ fn force_follows_the_frame_of_the_task() {
 fn a_threshold_below_the_uncertainty_is_refused_with_the_number() {
     let ctl = controller();
     let mut options = ContactOptions { touch: [None, None, Some(0.5), None, None, None], ..known() };
-    let text = Contact::new(&ctl, options.clone()).unwrap_err().to_string();
+    let text = ContactEstimator::new(&ctl, options.clone()).unwrap_err().to_string();
     assert!(text.starts_with("touch.z [N] = 0.5 is outside [") && text.contains("accept"), "{text}");
     options.accept_thresholds = true;
-    assert!(Contact::new(&ctl, options).is_ok());
+    assert!(ContactEstimator::new(&ctl, options).is_ok());
     let crossed = ContactOptions { touch: [Some(9.0); 6], stop: [Some(8.0); 6], ..known() };
-    assert!(Contact::new(&ctl, crossed).unwrap_err().to_string().contains("at or above the touch"));
+    assert!(ContactEstimator::new(&ctl, crossed).unwrap_err().to_string().contains("at or above the touch"));
     let elsewhere =
         ContactOptions { axes: Some([true, false, false, false, false, false]), touch: [Some(30.0); 6], ..known() };
-    assert!(Contact::new(&ctl, elsewhere).unwrap_err().to_string().contains("not among the axes"));
+    assert!(ContactEstimator::new(&ctl, elsewhere).unwrap_err().to_string().contains("not among the axes"));
 }
 
 #[test]
 fn hostile_input_is_refused_and_leaves_no_trace() {
     let ctl = controller();
-    let mut contact = Contact::new(&ctl, ContactOptions::default()).unwrap();
+    let mut contact = ContactEstimator::new(&ctl, ContactOptions::default()).unwrap();
     let good = goal(&GRASP, &holding(ctl.model(), &GRASP, &wrench(1)));
     felt(&mut contact, &ctl, &GRASP, &good, &WIDE);
     let before = *contact.estimate();
@@ -302,7 +302,7 @@ fn options_are_checked_by_name() {
         (ContactOptions { axes: Some([false; 6]), ..known() }, "no axis given"),
     ];
     for (options, text) in cases {
-        let error = Contact::new(&ctl, options).unwrap_err().to_string();
+        let error = ContactEstimator::new(&ctl, options).unwrap_err().to_string();
         assert!(error.contains(text), "{error}");
     }
     let blind = Controller::new(
@@ -314,5 +314,5 @@ fn options_are_checked_by_name() {
         },
         None,
     );
-    assert!(Contact::new(&blind.unwrap(), known()).unwrap_err().to_string().contains("give the controller servos"));
+    assert!(ContactEstimator::new(&blind.unwrap(), known()).unwrap_err().to_string().contains("give the controller servos"));
 }

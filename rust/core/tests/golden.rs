@@ -79,10 +79,10 @@ fn settings(case: &Value) -> Settings {
             firm: Some([firm; 2]),
             hold: Some(hold[axis]),
             yields: Some(yields),
-            eta: if yields == Yields::None { 0.0 } else { number(&case["eta"]) },
-            d_minus: Some(vector(&case["d_minus"])[axis]),
-            d_plus: Some(vector(&case["d_plus"])[axis]),
-            step_limit: Some(f64::INFINITY),
+            adaptation: if yields == Yields::None { 0.0 } else { number(&case["eta"]) },
+            soft_until: Some(vector(&case["d_minus"])[axis]),
+            firm_from: Some(vector(&case["d_plus"])[axis]),
+            max_velocity: Some(f64::INFINITY),
             soft_step_limit: Some(f64::INFINITY),
             ..Axis::default()
         };

@@ -6,8 +6,8 @@
 use std::sync::Arc;
 
 use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector};
-use pliant_core::task::axes::{Axis, Beyond, Frame, Profile, Task, Yields};
-use pliant_core::{Controller, Error, Model, ModelOptions, Payload, Pose, ServoKind, Servos, Settings, StepInput};
+use pliant_core::task::axes::{Axis, OnDeviationLimit, Frame, Profile, Task, Yields};
+use pliant_core::{Controller, Error, Model, ModelOptions, Payload, Pose, LimitType, Servos, Settings, StepInput};
 
 #[path = "oracle/cases.rs"]
 mod cases;
@@ -106,7 +106,7 @@ fn assault(random: &mut Random, controller: &mut Controller, q: &[f64], target: 
                     let sent = command.goal().iter().chain(command.torque_limit());
                     assert!(sent.clone().all(|x| x.is_finite()), "{command:?}");
                     assert!(command.torque_limit().iter().all(|&x| x >= 0.0));
-                    assert!(command.velocity().iter().all(|&x| x > 0.0));
+                    assert!(command.speed_limit().iter().all(|&x| x > 0.0));
                     None
                 }
                 Err(error) => Some(error),
@@ -232,14 +232,14 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         stiffness: if springs { maybe(random, |r| [number(r), 100.0 * number(r)]) } else { None },
         damping: if springs { maybe(random, |r| [number(r), number(r)]) } else { None },
         yields: maybe(random, |r| r.pick(&[Yields::Both, Yields::Plus, Yields::Minus, Yields::None])),
-        eta: if random.chance(0.6) { 0.0 } else { number(random) },
-        d_minus: maybe(random, |r| number(r) * 0.01),
-        d_plus: maybe(random, number),
-        profile: random.pick(&[Profile::Firming, Profile::Constant, Profile::Yielding]),
-        step_limit: maybe(random, number),
+        adaptation: if random.chance(0.6) { 0.0 } else { number(random) },
+        soft_until: maybe(random, |r| number(r) * 0.01),
+        firm_from: maybe(random, number),
+        profile: random.pick(&[Profile::Hardening, Profile::Constant, Profile::Softening]),
+        max_velocity: maybe(random, number),
         soft_step_limit: maybe(random, number),
         deviation_limit: if random.chance(0.8) { None } else { Some(0.1 * number(random)) },
-        beyond: random.pick(&[Beyond::Follow, Beyond::Hold]),
+        on_deviation_limit: random.pick(&[OnDeviationLimit::Yield, OnDeviationLimit::Wait]),
     };
     let usual = Settings::default();
     let or = |random: &mut Random, usual: f64| if random.chance(0.93) { usual } else { number(random) };
@@ -292,7 +292,7 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         floor: maybe(random, list),
         margin: or(random, 0.1),
         // Follows a hand six ways at every step: rarely.
-        dead_host_max: if random.chance(0.02) { Some(number(random).abs()) } else { None },
+        max_host_loss_force: if random.chance(0.02) { Some(number(random).abs()) } else { None },
         direction_band: maybe(random, number),
         raw_deviation: random.chance(0.2),
         budget_on_goal: random.chance(0.2),
@@ -306,7 +306,7 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
 fn fuzz_servos(random: &mut Random, index: usize, n: usize) -> Servos {
     let mut servos = seeded::servos(index).for_joints(n).unwrap();
     if random.chance(0.2) {
-        let fields = [&mut servos.kp, &mut servos.torque, &mut servos.friction, &mut servos.damping, &mut servos.count];
+        let fields = [&mut servos.kp, &mut servos.max_torque, &mut servos.friction, &mut servos.damping, &mut servos.encoder_step];
         for field in fields {
             if random.chance(0.3) {
                 field[random.below(n)] = strange(random);
@@ -314,7 +314,7 @@ fn fuzz_servos(random: &mut Random, index: usize, n: usize) -> Servos {
         }
     }
     if random.chance(0.2) {
-        servos.kind = ServoKind::Duty;
+        servos.limit_type = LimitType::Pwm;
         servos.no_load_speed = maybe(random, |r| vec![strange(r)]);
     }
     servos

@@ -32,8 +32,8 @@ fn state(model: &Model, tick: usize) -> (Vec<f64>, Pose) {
 
 fn controller(model: &Arc<Model>, law: Law, instructions: Instructions) -> Controller {
     let mut settings = if law == Law::Paper { Settings::paper() } else { Settings { law, ..Settings::default() } };
-    settings.axes[1] = Axis { yields: Some(Yields::Both), eta: 0.9, ..Axis::default() };
-    let servos = Servos { friction: vec![0.2], kp_known: true, ..Servos::new(vec![100.0], vec![10.0]) };
+    settings.axes[1] = Axis { yields: Some(Yields::Both), adaptation: 0.9, ..Axis::default() };
+    let servos = Servos { friction: vec![0.2], stiffness_known: true, ..Servos::new(vec![100.0], vec![10.0]) };
     let mut controller = Controller::new(Arc::clone(model), settings, Some(servos)).unwrap();
     controller.set_instructions(instructions);
     controller

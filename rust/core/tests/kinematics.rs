@@ -155,7 +155,7 @@ fn joint_positions_are_checked() {
         let mut q = [0.0; 7];
         q[3] = bad;
         let error = model.gravity(&q).unwrap_err();
-        assert!(matches!(error, Error::Limit { .. }));
+        assert!(matches!(error, Error::OutOfRange { .. }));
         assert!(error.to_string().starts_with("q[3] (elbow_pitch) = "), "{error}");
     }
     assert!(model.kinematics(&[-1e6; 7], Reference::Local).is_ok());

@@ -6,7 +6,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use pliant_core::settings::{Follow, GravityUse, Law, LimitRule, Projector};
-use pliant_core::task::axes::{Axis, Beyond, Frame, Task, Yields};
+use pliant_core::task::axes::{Axis, OnDeviationLimit, Frame, Task, Yields};
 use pliant_core::{Controller, ModelOptions, Settings, StepInput};
 
 #[path = "common/seeded.rs"]
@@ -95,7 +95,7 @@ fn variants() -> Vec<(usize, Settings)> {
                     };
                     settings.axes[1] = axis([Yields::Both, Yields::Plus][round]);
                     settings.axes[0].deviation_limit = Some(0.001);
-                    settings.axes[0].beyond = [Beyond::Follow, Beyond::Hold][round];
+                    settings.axes[0].on_deviation_limit = [OnDeviationLimit::Yield, OnDeviationLimit::Wait][round];
                     all.push((0, settings.clone()));
                     let task = Task { frame: Frame::Tool, ..Task::of("xyz").unwrap() };
                     all.push((2, Settings { task, ..settings }));
@@ -157,7 +157,7 @@ fn feeling_a_contact_asks_for_nothing_either() {
     );
     let servos = pliant_core::Servos::new(vec![150.0; 7], vec![10.7; 7]);
     let mut controller = Controller::new(std::sync::Arc::clone(&model), Settings::default(), Some(servos)).unwrap();
-    let mut contact = pliant_core::Contact::new(&controller, pliant_core::ContactOptions::default()).unwrap();
+    let mut contact = pliant_core::ContactEstimator::new(&controller, pliant_core::ContactOptions::default()).unwrap();
     let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17];
     let target = model.forward_kinematics(&q).unwrap();
     let input = pliant_core::ContactInput::default();

@@ -176,14 +176,14 @@ fn the_small_arm_has_strengths_of_its_own_size() {
 
 #[test]
 fn eta_beyond_095_needs_k_p_known_a_captured_gravity_or_a_name() {
-    let bold = || yielding("y", Axis { soft: Some([2.0; 2]), eta: 0.96, ..Axis::default() });
-    let unsure = Servos { kp_known: false, ..seeded::servos(0) };
+    let bold = || yielding("y", Axis { soft: Some([2.0; 2]), adaptation: 0.96, ..Axis::default() });
+    let unsure = Servos { stiffness_known: false, ..seeded::servos(0) };
     let message = refusal(bold(), unsure.clone());
-    assert!(message.starts_with("axes.y.eta = 0.96 is outside") && message.contains("accept"), "{message}");
+    assert!(message.starts_with("axes.y.adaptation = 0.96 is outside") && message.contains("accept"), "{message}");
     controller(bold()).unwrap();
     let make = |settings: Settings| Controller::new(arm(0).0, settings, Some(unsure.clone()));
     make(Settings { accept: vec!["eta".into()], ..bold() }).unwrap();
-    make(yielding("y", Axis { soft: Some([2.0; 2]), eta: 0.95, ..Axis::default() })).unwrap();
+    make(yielding("y", Axis { soft: Some([2.0; 2]), adaptation: 0.95, ..Axis::default() })).unwrap();
     let paper = |settings: Settings| Settings { law: Law::Paper, ..settings };
     make(paper(bold())).unwrap();
     // Captured while running, then asked for.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use pliant_core::settings::{GravityUse, Law};
 use pliant_core::task::axes::{Axis, Task};
 use pliant_core::{
-    BatchCommand, BatchInput, Contact, ContactInput, ContactOptions, Controller, Error, Invalid, Model, ModelOptions,
+    BatchCommand, BatchInput, ContactEstimator, ContactInput, ContactOptions, Controller, Error, Invalid, Model, ModelOptions,
     Payload, Servos, Settings, StepInput, Targets,
 };
 
@@ -45,7 +45,7 @@ fn what_has_no_bound_still_steps_toward_a_target_that_jumps() {
         Settings { max_tool_speed: [0.1, endless], max_tool_acceleration: [endless, 1.0], ..Settings::default() },
         Settings { goal_slew: endless, ..Settings::default() },
         Settings { null_speed: endless, ..Settings::default() },
-        Settings { dead_host_max: Some(endless), ..Settings::default() },
+        Settings { max_host_loss_force: Some(endless), ..Settings::default() },
         Settings { joint_speed: Some(vec![endless; 7]), ..Settings::default() },
         Settings { floor: Some(vec![endless; 7]), ..Settings::default() },
         Settings { lead_limit: Some(endless), ..Settings::paper() },
@@ -90,7 +90,7 @@ fn numbers_that_no_step_could_use_are_refused_by_name() {
     }
     let cases = [
         ("servos.kp[0]", Servos { kp: vec![1e-308], ..servos() }),
-        ("servos.torque[0]", Servos { torque: vec![1e308], ..servos() }),
+        ("servos.torque[0]", Servos { max_torque: vec![1e308], ..servos() }),
         ("servos.stribeck_speed[0]", Servos { stribeck: vec![0.1], stribeck_speed: vec![1e-320], ..servos() }),
     ];
     for (name, servos) in cases {
@@ -115,7 +115,7 @@ fn servos_that_cannot_hold_the_arm_are_refused_wherever_its_weight_comes_into_us
 
 #[test]
 fn a_joint_that_carries_less_than_an_encoder_count_hides_keeps_its_believed_stiffness() {
-    let believed = Servos { count: vec![1.5e-3], ..servos() };
+    let believed = Servos { encoder_step: vec![1.5e-3], ..servos() };
     let mut controller = made(Settings::default(), believed).unwrap();
     let gravity = controller.model().gravity(&GRASP).unwrap();
     // Half a count off, on a joint that carries next to nothing and on one that carries much.
@@ -149,7 +149,7 @@ fn there_is_no_last_command_before_a_step() {
 
 #[test]
 fn a_contact_is_not_asked_about_another_arm() {
-    let mut contact = Contact::new(&made(Settings::default(), servos()).unwrap(), ContactOptions::default()).unwrap();
+    let mut contact = ContactEstimator::new(&made(Settings::default(), servos()).unwrap(), ContactOptions::default()).unwrap();
     let model = Arc::new(Model::from_urdf_str(PLANAR, &ModelOptions::default()).unwrap());
     let settings = Settings { law: Law::Cap, task: Task::of("xy").unwrap(), ..Settings::default() };
     let other = Controller::new(model, settings, Some(servos())).unwrap();

@@ -17,7 +17,7 @@ fn servos() -> Servos {
     Servos {
         friction: each(0.2, 0.1),
         damping: each(1.2, 0.8),
-        kp_known: true,
+        stiffness_known: true,
         ..Servos::new(each(150.0, 60.0), each(10.7, 6.4))
     }
 }
@@ -55,7 +55,7 @@ fn searched(model: &Model, q: &[f64], limit: &[f64], axis: usize, sign: f64) -> 
 fn static_force_and_capacity_are_what_a_search_finds() {
     for settings in [soft("y yaw", 4.0, 15.0), Settings { limits: LimitRule::Sum, ..soft("y", 4.0, 15.0) }] {
         let controller = controller(settings);
-        let torque = servos().torque;
+        let torque = servos().max_torque;
         for seed in 0..60 {
             let q = common::state(controller.model(), seed);
             let report = controller.report_at(&q).unwrap();
@@ -103,7 +103,7 @@ fn a_dead_joint_slips_at_its_limit() {
     let report = lever().report_at(&[0.0]).unwrap();
     let by_hand = slips(report.torque_limit[0], 0.15);
     for side in 0..2 {
-        common::close("felt", report.dead_host[0][side], by_hand, 0.02 * by_hand);
+        common::close("felt", report.host_loss_force[0][side], by_hand, 0.02 * by_hand);
     }
 }
 
@@ -119,14 +119,14 @@ fn a_hand_meets_a_dead_arm_where_that_has_come_to_rest() {
     let rest = 0.5 * (goal - 0.2 / 100.0).sin();
     assert!(goal > 0.04 && rest > 0.02);
     let by_hand = slips(report.torque_limit[0], rest + 0.15);
-    common::close("felt", report.dead_host[0][1], by_hand, 0.01 * by_hand);
+    common::close("felt", report.host_loss_force[0][1], by_hand, 0.01 * by_hand);
     assert!(slips(report.torque_limit[0], 0.15) < 0.98 * by_hand, "it tells the two apart");
 }
 
 #[test]
 fn sides_are_named_by_the_push() {
     let report = controller(soft("y", 4.0, 15.0)).report_at(&GRASP).unwrap();
-    let axis = Axis { soft: Some([2.0, 4.0]), firm: Some([6.0, 8.0]), d_minus: Some(0.02), ..Axis::default() };
+    let axis = Axis { soft: Some([2.0, 4.0]), firm: Some([6.0, 8.0]), soft_until: Some(0.02), ..Axis::default() };
     let mut uneven = Settings::default();
     uneven.set_axes("y", axis).unwrap();
     let sided = controller(uneven).report_at(&GRASP).unwrap();
@@ -148,7 +148,7 @@ fn sides_are_named_by_the_push() {
 #[test]
 fn target_adaptation_moves_the_thresholds_and_lowers_the_force_within_reach() {
     let mut settings = soft("y", 4.0, 15.0);
-    settings.axes[1].eta = 0.9;
+    settings.axes[1].adaptation = 0.9;
     let report = controller(settings).report_at(&GRASP).unwrap();
     common::close("d−", report.thresholds[1][0], 0.1, 1e-12);
     common::close("d+", report.thresholds[1][1], 1.0, 1e-12);
@@ -284,6 +284,6 @@ fn fewer_axes_and_other_frames() {
             .map(|i| (report.torque_limit[i] + jacobian[(1, i)].signum() * gravity[i]) / jacobian[(1, i)].abs())
             .fold(f64::INFINITY, f64::min);
         common::close("tool's y", report.static_force[0][1], by_hand, 1e-9 * (1.0 + by_hand.abs()));
-        assert!(report.dead_host.iter().flatten().all(|force| force.is_finite()));
+        assert!(report.host_loss_force.iter().flatten().all(|force| force.is_finite()));
     }
 }

@@ -19,9 +19,9 @@ fn arm() -> Arc<Model> {
     seeded::arm(0, &ModelOptions::default())
 }
 
-fn soft_y(eta: f64) -> Settings {
+fn soft_y(adaptation: f64) -> Settings {
     let mut settings = Settings::default();
-    settings.set_axes("y", Axis { yields: Some(Yields::Both), eta, ..Axis::default() }).unwrap();
+    settings.set_axes("y", Axis { yields: Some(Yields::Both), adaptation, ..Axis::default() }).unwrap();
     settings
 }
 
@@ -380,7 +380,7 @@ fn joint_targets_are_their_pose_and_posture() {
 
 #[test]
 fn duty_servos_feed_their_back_emf_forward() {
-    let duty = Servos { kind: pliant_core::ServoKind::Duty, no_load_speed: Some(vec![5.0]), ..seeded::servos(0) };
+    let duty = Servos { limit_type: pliant_core::LimitType::Pwm, no_load_speed: Some(vec![5.0]), ..seeded::servos(0) };
     let mut controller = Controller::new(arm(), Settings::default(), Some(duty)).unwrap();
     let target = arm().forward_kinematics(&Q).unwrap();
     let dq = [1.0; 7];

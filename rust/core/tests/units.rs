@@ -35,7 +35,7 @@ fn the_bound_is_the_same_ball_on_all_instructions() {
             let before = controller.carried();
             for distance in [bound + 1e-9, 10.0 * bound, 1e3, 1e9, 1e300] {
                 let error = controller.step(&Q, &at(&model, distance, way), &StepInput::default()).unwrap_err();
-                assert!(matches!(&error, Error::Limit { value, .. } if *value >= bound - 1e-3), "{error}");
+                assert!(matches!(&error, Error::OutOfRange { value, .. } if *value >= bound - 1e-3), "{error}");
                 assert!(error.to_string().contains("millimetres?"), "{error}");
                 assert_eq!(error, model.check_target(&at(&model, distance, way)).unwrap_err());
             }

@@ -14,36 +14,36 @@ pub(crate) struct Command {
     #[pyo3(get)]
     torque_limit: Py<PyAny>,
     #[pyo3(get)]
-    velocity: Py<PyAny>,
+    speed_limit: Py<PyAny>,
 }
 
 #[pymethods]
 impl Command {
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let text = |array: &Py<PyAny>| array.bind(py).repr().map(|repr| repr.to_string());
-        let (goal, limit, velocity) = (text(&self.goal)?, text(&self.torque_limit)?, text(&self.velocity)?);
-        Ok(format!("Command(goal={goal}, torque_limit={limit}, velocity={velocity})"))
+        let (goal, limit, speed_limit) = (text(&self.goal)?, text(&self.torque_limit)?, text(&self.speed_limit)?);
+        Ok(format!("Command(goal={goal}, torque_limit={limit}, speed_limit={speed_limit})"))
     }
 }
 
 impl Command {
     fn new(py: Python<'_>, core: &CoreCommand) -> Self {
         let array = |values: &[f64]| new_array(py, &[values.len()], values).unbind();
-        Self { goal: array(core.goal()), torque_limit: array(core.torque_limit()), velocity: array(core.velocity()) }
+        Self { goal: array(core.goal()), torque_limit: array(core.torque_limit()), speed_limit: array(core.speed_limit()) }
     }
 
     /// Of arrays that exist already.
-    pub(crate) fn of([goal, torque_limit, velocity]: [Py<PyAny>; 3]) -> Self {
-        Self { goal, torque_limit, velocity }
+    pub(crate) fn of([goal, torque_limit, speed_limit]: [Py<PyAny>; 3]) -> Self {
+        Self { goal, torque_limit, speed_limit }
     }
 
-    /// The arrays: goal, torque limit, velocity.
+    /// The arrays: goal, torque limit, speed_limit.
     pub(crate) fn arrays(&self) -> [&Py<PyAny>; 3] {
-        [&self.goal, &self.torque_limit, &self.velocity]
+        [&self.goal, &self.torque_limit, &self.speed_limit]
     }
 
     fn parts<'a>(&'a self, core: &'a CoreCommand) -> [(&'a Py<PyAny>, &'a [f64]); 3] {
-        [(&self.goal, core.goal()), (&self.torque_limit, core.torque_limit()), (&self.velocity, core.velocity())]
+        [(&self.goal, core.goal()), (&self.torque_limit, core.torque_limit()), (&self.speed_limit, core.speed_limit())]
     }
 
     /// Fills the arrays if nobody else can see them and they are as they were made.
@@ -57,7 +57,7 @@ impl Command {
     pub(crate) fn writable<'a, 'py>(out: &'a Bound<'py, PyAny>, n: usize) -> PyResult<&'a Bound<'py, Self>> {
         let out = out.cast::<Self>().map_err(|_| wrong_type("out", "a Command, as a step returns it", out))?;
         let command = out.get();
-        for array in [&command.goal, &command.torque_limit, &command.velocity] {
+        for array in [&command.goal, &command.torque_limit, &command.speed_limit] {
             let array = array.bind(out.py());
             if !writable(array, &[n]) {
                 return Err(unwritable(array, n));

@@ -1,9 +1,9 @@
-//! `Contact` and `WrenchEstimate`.
+//! `ContactEstimator` and `WrenchEstimate`.
 
 use numpy::PyArray1;
 use pliant_core::task::axes::{AXIS_NAMES, parse_axes};
 use pliant_core::{
-    Contact as CoreContact, ContactInput, ContactOptions, JointVec, MAX_AXES, WrenchEstimate as CoreEstimate,
+    ContactEstimator as CoreContact, ContactInput, ContactOptions, JointVec, MAX_AXES, WrenchEstimate as CoreEstimate,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -45,8 +45,8 @@ macro_rules! attributes {
             })*
 
             #[getter]
-            fn evidence(&self) -> f64 {
-                self.0.evidence
+            fn residual_ratio(&self) -> f64 {
+                self.0.residual_ratio
             }
 
             #[getter]
@@ -79,7 +79,7 @@ attributes! {
 }
 
 #[pyclass(module = "pliant")]
-pub(crate) struct Contact {
+pub(crate) struct ContactEstimator {
     core: CoreContact,
     controller: Py<Controller>,
     n: usize,
@@ -123,7 +123,7 @@ fn thresholds(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<[Option<
 }
 
 #[pymethods]
-impl Contact {
+impl ContactEstimator {
     #[new]
     #[pyo3(signature = (
         controller, *, axes = None, filter = None, friction_error = None, kp_error = None, gravity_error = None,

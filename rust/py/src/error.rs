@@ -1,7 +1,7 @@
 //! The core's errors as Python exceptions: one class per cause, the facts as attributes.
 
 use pliant_core::Error;
-use pyo3::exceptions::{PyException, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyException, PyLookupError, PyTimeoutError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyTuple, PyType};
@@ -10,7 +10,7 @@ use pyo3::types::{PyDict, PyTuple, PyType};
 struct Classes {
     urdf: Py<PyType>,
     frame: Py<PyType>,
-    limit: Py<PyType>,
+    out_of_range: Py<PyType>,
     shape: Py<PyType>,
     config: Py<PyType>,
 }
@@ -34,14 +34,15 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let base = class("PliantError", &[&py.get_type::<PyException>()], &[])?;
     let base = base.bind(py);
     let servo = class("ServoError", &[base], &[])?;
-    class("ServoTimeout", &[servo.bind(py)], &[])?;
-    class("ServoFault", &[servo.bind(py)], &[])?;
+    class("ServoTimeoutError", &[servo.bind(py), &py.get_type::<PyTimeoutError>()], &[])?;
+    class("ServoFaultError", &[servo.bind(py)], &[])?;
+    let value_error = &py.get_type::<PyValueError>();
     let classes = Classes {
-        urdf: class("UrdfError", &[base], &["source", "line", "column"])?,
-        frame: class("FrameNotFound", &[base], &["frame", "available"])?,
-        limit: class("LimitError", &[base], &["what", "value", "bound"])?,
-        shape: class("ShapeError", &[base, &py.get_type::<PyValueError>()], &["what", "got", "expected"])?,
-        config: class("ConfigError", &[base], &["key"])?,
+        urdf: class("UrdfError", &[base, value_error], &["source", "line", "column"])?,
+        frame: class("FrameNotFoundError", &[base, &py.get_type::<PyLookupError>()], &["frame", "available"])?,
+        out_of_range: class("OutOfRangeError", &[base, value_error], &["what", "value", "bound"])?,
+        shape: class("ShapeError", &[base, value_error], &["what", "got", "expected"])?,
+        config: class("ConfigError", &[base, value_error], &["key"])?,
     };
     CLASSES.get_or_init(py, || classes);
     Ok(())
@@ -71,8 +72,8 @@ fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
             value.setattr("available", PyTuple::new(py, available)?)?;
             value
         }
-        Error::Limit { what, value: number, bound } => {
-            let value = make(&classes.limit)?;
+        Error::OutOfRange { what, value: number, bound } => {
+            let value = make(&classes.out_of_range)?;
             value.setattr("what", what)?;
             value.setattr("value", number)?;
             value.setattr("bound", bound)?;

@@ -72,12 +72,12 @@ pub(crate) fn activation<'py>(
 #[pyfunction]
 pub(crate) fn compliance<'py>(
     deviation: &Bound<'py, PyAny>,
-    d_minus: &Bound<'_, PyAny>,
-    d_plus: &Bound<'_, PyAny>,
+    soft_until: &Bound<'_, PyAny>,
+    firm_from: &Bound<'_, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let of = list("deviation", deviation)?;
     let k = of.len();
-    let c = core::compliance(&of, &spread("d_minus", d_minus, k)?, &spread("d_plus", d_plus, k)?).or_raise()?;
+    let c = core::compliance(&of, &spread("soft_until", soft_until, k)?, &spread("firm_from", firm_from, k)?).or_raise()?;
     like(deviation, &c)
 }
 

@@ -44,7 +44,7 @@ mod _core {
     #[pymodule_export]
     use crate::command::Command;
     #[pymodule_export]
-    use crate::contact::{Contact, WrenchEstimate};
+    use crate::contact::{ContactEstimator, WrenchEstimate};
     #[pymodule_export]
     use crate::controller::Controller;
     #[pymodule_export]

@@ -62,8 +62,8 @@ macro_rules! attributes {
             }
 
             #[getter]
-            fn dead_host_max(&self) -> Option<f64> {
-                self.0.dead_host_max
+            fn max_host_loss_force(&self) -> Option<f64> {
+                self.0.max_host_loss_force
             }
 
             #[getter]
@@ -94,7 +94,7 @@ macro_rules! attributes {
                 $(out.set_item(stringify!($flag), &report.$flag)?;)*
                 $(out.set_item(stringify!($number), report.$number)?;)*
                 out.set_item("gives_way", &report.gives_way)?;
-                out.set_item("dead_host_max", report.dead_host_max)?;
+                out.set_item("max_host_loss_force", report.max_host_loss_force)?;
                 out.set_item("yields", &report.yields)?;
                 out.set_item("coupled_to", &report.coupled_to)?;
                 out.set_item("stop_joint", stop_joints(report))?;
@@ -115,7 +115,7 @@ macro_rules! attributes {
 
 attributes! {
     vectors: q, torque_limit, friction, friction_left;
-    pairs: static_force, capacity, coupling, thresholds, gravity_margin, dead_host, stop_distance, stop_room, stop_friction, way_friction, way_sigma, way_distance, deviation_limit;
+    pairs: static_force, capacity, coupling, thresholds, gravity_margin, host_loss_force, stop_distance, stop_room, stop_friction, way_friction, way_sigma, way_distance, deviation_limit;
     flags: saturated, locked;
     numbers: sigma_min, condition, sigma_0, gain_factor, damping_factor;
 }

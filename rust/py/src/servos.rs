@@ -1,6 +1,6 @@
 //! `Servos`.
 
-use pliant_core::servos::{ServoKind, Servos as CoreServos};
+use pliant_core::servos::{LimitType, Servos as CoreServos};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
@@ -16,14 +16,14 @@ pub(crate) struct Servos(pub(crate) CoreServos);
 impl Servos {
     /// Spreads single numbers to the longest list.
     fn check(core: &CoreServos) -> PyResult<Self> {
-        for (name, values) in [("kp", &core.kp), ("torque", &core.torque)] {
+        for (name, values) in [("kp", &core.kp), ("max_torque", &core.max_torque)] {
             if values.is_empty() {
                 return Err(config(&format!("servos.{name}"), "is required: one number per joint, or one for all"));
             }
         }
         let lists = [
             &core.kp,
-            &core.torque,
+            &core.max_torque,
             &core.friction,
             &core.load_friction,
             &core.stribeck,
@@ -32,7 +32,7 @@ impl Servos {
             &core.damping,
             &core.kv,
             &core.armature,
-            &core.count,
+            &core.encoder_step,
         ];
         let speeds = core.no_load_speed.as_ref().map_or(0, Vec::len);
         let n = lists.into_iter().map(Vec::len).max().unwrap_or(1).max(speeds);
@@ -50,7 +50,7 @@ impl Servos {
             damping: rest.clone(),
             kv: rest.clone(),
             armature: rest.clone(),
-            count: rest,
+            encoder_step: rest,
             ..CoreServos::new(Vec::new(), Vec::new())
         };
         Self::changed(&self.0, &base, py)
@@ -60,7 +60,7 @@ impl Servos {
 fields! {
     Servos("Servos") of CoreServos {
         kp: Joints,
-        torque: Joints,
+        max_torque: Joints,
         friction: Joints,
         load_friction: Joints,
         stribeck: Joints,
@@ -69,18 +69,18 @@ fields! {
         damping: Joints,
         kv: Joints,
         armature: Joints,
-        count: Joints,
-        kind: Word<ServoKind>,
+        encoder_step: Joints,
+        limit_type: Word<LimitType>,
         no_load_speed: Optional<Joints>,
-        kp_known: Flag,
+        stiffness_known: Flag,
     }
     methods {
         #[new]
         #[pyo3(
             signature = (**fields),
-            text_signature = "(*, kp, torque, friction=0.0, load_friction=0.0, stribeck=0.0, load_stribeck=0.0, \
-                              stribeck_speed=1.0, damping=0.0, kv=0.0, armature=0.0, count=0.0, kind='current', \
-                              no_load_speed=None, kp_known=False)"
+            text_signature = "(*, kp, max_torque, friction=0.0, load_friction=0.0, stribeck=0.0, load_stribeck=0.0, \
+                              stribeck_speed=1.0, damping=0.0, kv=0.0, armature=0.0, encoder_step=0.0, limit_type='current', \
+                              no_load_speed=None, stiffness_known=False)"
         )]
         fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
             Self::with(CoreServos::new(Vec::new(), Vec::new()), fields)

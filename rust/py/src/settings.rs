@@ -104,7 +104,7 @@ fields! {
         joint_speed: Optional<Joints>,
         floor: Optional<Joints>,
         margin: Number,
-        dead_host_max: Optional<Number>,
+        max_host_loss_force: Optional<Number>,
         direction_band: Optional<Number>,
         raw_deviation: Flag,
         budget_on_goal: Flag,
@@ -123,7 +123,7 @@ fields! {
                               null_stiffness=None, null_speed=None, gravity=True, gravity_scale=1.1, friction_share=0.9, damping_share=0.8, \
                               prediction_share=0.9, friction_speed=0.05, velocity_filter=0.02, delay=0.0, goal_slew=1.0, \
                               stiffening_time=0.2, max_tool_speed=(0.25, 1.0), max_tool_acceleration=(1.0, 4.0), \
-                              joint_speed=None, floor=None, margin=0.1, dead_host_max=None, direction_band=None, raw_deviation=False, \
+                              joint_speed=None, floor=None, margin=0.1, max_host_loss_force=None, direction_band=None, raw_deviation=False, \
                               budget_on_goal=False, joint_weights=None, lead_limit=None, integrate=0.0, accept=())"
         )]
         fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {

@@ -1,7 +1,7 @@
 //! `Task` and `Axis`.
 
 use pliant_core::MAX_AXES;
-use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis, Beyond, Profile, Task as CoreTask, Yields, parse_axes};
+use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis, OnDeviationLimit, Profile, Task as CoreTask, Yields, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping, PyMappingProxy, PyTuple};
 
@@ -77,22 +77,22 @@ fields! {
         stiffness: Optional<Sides>,
         damping: Optional<Sides>,
         yields: Optional<Word<Yields>>,
-        eta: Number,
-        d_minus: Optional<Number>,
-        d_plus: Optional<Number>,
+        adaptation: Number,
+        soft_until: Optional<Number>,
+        firm_from: Optional<Number>,
         profile: Word<Profile>,
-        step_limit: Optional<Number>,
+        max_velocity: Optional<Number>,
         soft_step_limit: Optional<Number>,
         deviation_limit: Optional<Number>,
-        beyond: Word<Beyond>,
+        on_deviation_limit: Word<OnDeviationLimit>,
     }
     methods {
         #[new]
         #[pyo3(
             signature = (**fields),
-            text_signature = "(*, soft=None, firm=None, hold=None, stiffness=None, damping=None, yields=None, eta=0.0, \
-                              d_minus=None, d_plus=None, profile='firming', step_limit=None, soft_step_limit=None, \
-                              deviation_limit=None, beyond='follow')"
+            text_signature = "(*, soft=None, firm=None, hold=None, stiffness=None, damping=None, yields=None, adaptation=0.0, \
+                              soft_until=None, firm_from=None, profile='hardening', max_velocity=None, soft_step_limit=None, \
+                              deviation_limit=None, on_deviation_limit='yield')"
         )]
         fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
             Self::with(CoreAxis::default(), fields)

@@ -2,7 +2,7 @@
 
 use std::marker::PhantomData;
 
-use pliant_core::{Beyond, Follow, GravityUse, Law, LimitRule, Profile, Projector, Reference, ServoKind, Yields};
+use pliant_core::{OnDeviationLimit, Follow, GravityUse, Law, LimitRule, Profile, Projector, Reference, LimitType, Yields};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyString};
 
@@ -47,7 +47,7 @@ macro_rules! words_of_core {
     };
 }
 
-words_of_core!(Law, Follow, LimitRule, Projector, Profile, Beyond, Yields, ServoKind, Reference);
+words_of_core!(Law, Follow, LimitRule, Projector, Profile, OnDeviationLimit, Yields, LimitType, Reference);
 
 /// True, False, `"goal"` or `"limits"`.
 pub(crate) struct Gravity;

@@ -143,11 +143,11 @@ def _from_urdf(source: Source) -> tuple[pliant.Model, pliant.Servos, list[str]]:
     kp = effort / FULL_EFFORT_ERROR
     servos = pliant.Servos(
         kp=kp,
-        torque=effort,
+        max_torque=effort,
         friction=FRICTION_SHARE * effort,
         damping=DAMPING_SHARE * effort,
         armature=ARMATURE_SHARE * kp,
-        kp_known=True,
+        stiffness_known=True,
     )
     return model, servos, notes
 
@@ -196,7 +196,7 @@ def capacity(model: pliant.Model, servos: pliant.Servos, q: Array, axis: int, si
     felt = np.abs(lever) > 1e-6
     if not felt.any():
         return float("inf")
-    room = np.asarray(servos.torque) + np.sign(lever) * model.gravity(q)
+    room = np.asarray(servos.max_torque) + np.sign(lever) * model.gravity(q)
     return float((room[felt] / np.abs(lever[felt])).min())
 
 
@@ -204,7 +204,7 @@ def _find_pose(
     model: pliant.Model, servos: pliant.Servos, axes: tuple[str, ...], soft: str, way: float
 ) -> tuple[Array, float]:
     """The best conditioned pose that holds itself easily and lets the soft axis move both ways."""
-    usable = np.asarray(servos.torque)
+    usable = np.asarray(servos.max_torque)
     light = [
         q
         for q in sample(model, inner=INNER)

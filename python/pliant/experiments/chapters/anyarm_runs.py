@@ -82,7 +82,7 @@ def _loop(
     *scene: Hand,
     q: Array,
 ) -> Trace:
-    plant = Plant(arm.model, arm.servos, rate=RATE, count=arm.servos.count, scene=scene)
+    plant = Plant(arm.model, arm.servos, rate=RATE, count=arm.servos.encoder_step, scene=scene)
     controller = pliant.Controller(arm.model, settings.replace(rate=RATE), arm.servos)
     return episode.run(plant, controller, target, duration, q=q)
 

@@ -104,7 +104,7 @@ def _both(run: OpenedAndClosed) -> dict[str, Any]:
 
 def felt(trace: Trace) -> Array:
     """Force in x (N,) [N] that the arm estimates from its joint positions, replayed from a run."""
-    contact = pliant.Contact(pliant.Controller(arm(), laws.cap(), NOMINAL.servos()))
+    contact = pliant.ContactEstimator(pliant.Controller(arm(), laws.cap(), NOMINAL.servos()))
     force = np.zeros(trace.t.size)
     for k in range(trace.t.size):
         sent = (trace.goal[k], trace.limit[k])

@@ -90,7 +90,7 @@ def _sts3215(  # noqa: PLR0917 -- a row of a table
         name=name,
         number=777,
         family=STS,
-        kind="duty",
+        kind="pwm",
         resolution=4096,
         counts=4095,
         stall=(stall,),

@@ -145,7 +145,7 @@ def _duty(  # noqa: PLR0917
         name=name,
         number=number,
         family=DUTY,
-        kind="duty",
+        kind="pwm",
         resolution=4096,
         counts=4095,
         stall=stall,

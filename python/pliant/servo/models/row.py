@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Sign = Literal["unsigned", "twos", "bit10", "bit11", "bit15"]
 Protocol = Literal["p1", "p2"]
-Kind = Literal["duty", "current"]
+Kind = Literal["pwm", "current"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ pub(crate) fn model() -> Result<Arc<Model>> {
 
 /// What the controller is told of the servos; 10.7 N·m is what they can exert.
 pub(crate) fn servos() -> Servos {
-    Servos { damping: vec![DAMPING], kp_known: true, ..Servos::new(vec![STIFFNESS], vec![10.7]) }
+    Servos { damping: vec![DAMPING], stiffness_known: true, ..Servos::new(vec![STIFFNESS], vec![10.7]) }
 }
 
 /// Moves the joints for one tick: `q̇ = (clip(k_p (goal − q), ±limit) − g + JᵀF) / d`, F [N, N·m] pushing at the tool.

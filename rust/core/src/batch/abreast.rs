@@ -36,7 +36,7 @@ impl Controller {
     /// Whether arms can be stepped side by side.
     pub(super) fn goes_abreast(&self) -> bool {
         let plan = &self.plan;
-        plan.n <= ABREAST && is_printed(plan) && plan.deviation_limits.is_empty() && plan.dead_host_max.is_none()
+        plan.n <= ABREAST && is_printed(plan) && plan.deviation_limits.is_empty() && plan.max_host_loss_force.is_none()
     }
 }
 

@@ -209,7 +209,7 @@ impl Controller {
                         let command = &controller.command;
                         goal.copy_from_slice(command.goal());
                         limit.copy_from_slice(command.torque_limit());
-                        velocity.copy_from_slice(command.velocity());
+                        velocity.copy_from_slice(command.speed_limit());
                     }
                     Err(error) => {
                         for out in [goal, limit, velocity] {

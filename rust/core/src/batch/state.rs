@@ -22,15 +22,15 @@ impl BatchState {
     /// Of `count` arms of `n` joints, about which nothing is known yet.
     ///
     /// # Errors
-    /// [`Error::Limit`] for a number of joints that no arm has, or for more arms than memory can hold.
+    /// [`Error::OutOfRange`] for a number of joints that no arm has, or for more arms than memory can hold.
     pub fn new(n: usize, count: usize) -> Result<Self> {
         if n == 0 || n > MAX_JOINTS {
-            return Err(Error::limit("joints", n as f64, format!("1 to {MAX_JOINTS}")));
+            return Err(Error::out_of_range("joints", n as f64, format!("1 to {MAX_JOINTS}")));
         }
         let mut rows = Vec::new();
         let room = count.checked_mul(width(n)).filter(|&size| rows.try_reserve_exact(size).is_ok());
         let size = room.ok_or_else(|| {
-            Error::limit("arms", count as f64, format!("the free memory at {} bytes an arm", 8 * width(n)))
+            Error::out_of_range("arms", count as f64, format!("the free memory at {} bytes an arm", 8 * width(n)))
         })?;
         rows.resize(size, 0.0);
         Ok(Self { n, rows, settings: None })
@@ -71,18 +71,18 @@ impl BatchState {
     /// Forgets what was, of arm `index`: its next step starts from `q` (`n`) [rad], or from its own positions.
     ///
     /// # Errors
-    /// [`Error::Limit`] where there is no such arm or `q` is not finite, [`Error::Shape`] for a wrong length of `q`.
+    /// [`Error::OutOfRange`] where there is no such arm or `q` is not finite, [`Error::Shape`] for a wrong length of `q`.
     pub fn reset(&mut self, index: usize, q: Option<&[f64]>) -> Result<()> {
         if let Some(q) = q {
             if q.len() != self.n {
                 return Err(Error::length("Q", q.len(), self.n));
             }
             if let Some(&value) = q.iter().find(|value| !(value.abs() <= COORDINATE_BOUND)) {
-                return Err(Error::limit("q", value, format!("±{COORDINATE_BOUND:e}")).in_row("Q", index));
+                return Err(Error::out_of_range("q", value, format!("±{COORDINATE_BOUND:e}")).in_row("Q", index));
             }
         }
         let (width, count) = (width(self.n), self.len());
-        let missing = || Error::limit("arm", index as f64, format!("a state of {count} arms"));
+        let missing = || Error::out_of_range("arm", index as f64, format!("a state of {count} arms"));
         Kept::renew(self.rows.chunks_exact_mut(width).nth(index).ok_or_else(missing)?, q);
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! From motion and force to what the servos get: lines 11 and 12 of the control step.
 
-pub(crate) mod dead_host;
+pub(crate) mod host_loss;
 pub(crate) mod goal;
 pub(crate) mod integral;
 pub(crate) mod limits;

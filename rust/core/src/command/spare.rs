@@ -1,13 +1,13 @@
-//! Limits that spare a hand if the host dies: `dead_host_max`.
+//! Limits that spare a hand if the host dies: `max_host_loss_force`.
 
 use crate::JointVec;
 use crate::MAX_JOINTS;
-use crate::command::dead_host::Dead;
+use crate::command::host_loss::HostLoss;
 
 /// Halvings of the share that is taken back.
 const HALVINGS: u32 = 6;
 
-impl Dead<'_> {
+impl HostLoss<'_> {
     /// The most that a hand meets along any translation of the task, what stops and a stretched arm give apart [N]; and
     /// along which row, toward which side. Ends early beyond `enough`.
     pub(crate) fn worst(&self, enough: f64) -> (f64, usize, f64) {
@@ -29,7 +29,7 @@ impl Dead<'_> {
     /// The limits with which a hand meets at most `most` [N]: first without part of the `margin`, then with less of what
     /// they have beyond `base`, which holds the arm [N·m]; `base` where that is not enough.
     pub(crate) fn spared(&self, most: f64, base: &JointVec, margin: &JointVec) -> JointVec {
-        let keeps = |limit: &JointVec| Dead { limit, ..*self }.worst(most).0 <= most;
+        let keeps = |limit: &JointVec| HostLoss { limit, ..*self }.worst(most).0 <= most;
         if keeps(self.limit) {
             return *self.limit;
         }

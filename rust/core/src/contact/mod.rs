@@ -59,7 +59,7 @@ pub struct WrenchEstimate {
     /// How far that can be off [N·m]; an unknown payload is counted in `uncertainty` alone.
     pub torque_uncertainty: JointVec,
     /// Largest of |residual| / uncertainty over the joints: above 1 something pushes, wherever it does.
-    pub evidence: f64,
+    pub residual_ratio: f64,
     /// Torque of each servo [N·m], from lead and limit or as measured.
     pub torque: JointVec,
     /// Joint velocity [rad/s] that the estimate used.
@@ -82,7 +82,7 @@ impl WrenchEstimate {
             uncertainty_base: [f64::INFINITY; MAX_AXES],
             torque_residual: [0.0; MAX_JOINTS],
             torque_uncertainty: [0.0; MAX_JOINTS],
-            evidence: 0.0,
+            residual_ratio: 0.0,
             torque: [0.0; MAX_JOINTS],
             velocity: [0.0; MAX_JOINTS],
             saturated: [false; MAX_JOINTS],
@@ -150,16 +150,16 @@ struct Memory {
     here: Tare,
 }
 
-/// Feels contacts of one arm; call [`update`](Contact::update) once per tick, before the controller's step.
+/// Feels contacts of one arm; call [`update`](ContactEstimator::update) once per tick, before the controller's step.
 ///
 /// ```
-/// # use pliant_core::{Contact, ContactInput, ContactOptions, Controller, Model, ModelOptions, Servos, Settings, StepInput};
+/// # use pliant_core::{ContactEstimator, ContactInput, ContactOptions, Controller, Model, ModelOptions, Servos, Settings, StepInput};
 /// # fn main() -> pliant_core::Result<()> {
 /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
 /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
 /// # let servos = Servos::new(vec![150.0], vec![10.7]);
 /// # let mut controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
-/// let mut contact = Contact::new(&controller, ContactOptions::default())?;
+/// let mut contact = ContactEstimator::new(&controller, ContactOptions::default())?;
 /// let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // measured [rad], here always the same
 /// let target = model.forward_kinematics(&q)?;
 /// for _ in 0..50 {
@@ -173,7 +173,7 @@ struct Memory {
 /// # }
 /// ```
 #[derive(Debug, Clone)]
-pub struct Contact {
+pub struct ContactEstimator {
     options: ContactOptions,
     joints: Joints,
     /// Indices of the axes looked at.
@@ -186,11 +186,11 @@ pub struct Contact {
     memory: Memory,
 }
 
-impl Contact {
+impl ContactEstimator {
     /// For the arm, the task frame and the servos of a controller.
     ///
     /// # Errors
-    /// [`Error::Limit`], [`Error::Config`] or [`Error::Shape`] naming the option: a value out of range, no servos, more
+    /// [`Error::OutOfRange`], [`Error::Config`] or [`Error::Shape`] naming the option: a value out of range, no servos, more
     /// axes than joints, or a threshold below what the arm can tell from a touch.
     pub fn new(controller: &Controller, options: ContactOptions) -> Result<Self> {
         let n = controller.model().n();
@@ -211,7 +211,7 @@ impl Contact {
         for (slot, &axis) in most.iter_mut().zip(&axes) {
             *slot = options.most[usize::from(axis >= 3)];
         }
-        let kp_error = options.kp_error.unwrap_or(if servos.kp_known { 0.1 } else { 0.25 });
+        let kp_error = options.kp_error.unwrap_or(if servos.stiffness_known { 0.1 } else { 0.25 });
         let errors = Errors {
             friction: options.friction_error,
             given: kp_error,

@@ -20,7 +20,7 @@ pub struct ContactOptions {
     pub filter: f64,
     /// How wrong friction and damping may be, as a share.
     pub friction_error: f64,
-    /// How wrong `k_p` and the torque limits may be, as a share; `None`: 0.1 where `kp_known`, else 0.25.
+    /// How wrong `k_p` and the torque limits may be, as a share; `None`: 0.1 where `stiffness_known`, else 0.25.
     pub kp_error: Option<f64>,
     /// How wrong the gravity torques may be, as a share.
     pub gravity_error: f64,
@@ -76,10 +76,10 @@ impl ContactOptions {
     /// Checks every value for an arm of `n` joints.
     ///
     /// # Errors
-    /// [`Error::Limit`] or [`Error::Config`] naming the option, [`Error::Shape`] for the torque constants.
+    /// [`Error::OutOfRange`] or [`Error::Config`] naming the option, [`Error::Shape`] for the torque constants.
     pub fn validate(&self, n: usize) -> Result<()> {
         let within = |what: &str, value: f64, most: f64| {
-            if (0.0..=most).contains(&value) { Ok(()) } else { Err(Error::limit(what, value, format!("[0, {most}]"))) }
+            if (0.0..=most).contains(&value) { Ok(()) } else { Err(Error::out_of_range(what, value, format!("[0, {most}]"))) }
         };
         within("filter [s]", self.filter, LONGEST)?;
         within("min_time [s]", self.min_time, LONGEST)?;
@@ -93,14 +93,14 @@ impl ContactOptions {
         within("guard", self.guard, 1.0)?;
         for (what, most) in ["most (force) [N]", "most (torque) [N·m]"].into_iter().zip(self.most) {
             if !(most > 0.0 && most <= FORCE_BOUND) {
-                return Err(Error::limit(what, most, format!("(0, {FORCE_BOUND:e}]")));
+                return Err(Error::out_of_range(what, most, format!("(0, {FORCE_BOUND:e}]")));
             }
         }
         for (name, thresholds) in [("touch", &self.touch), ("stop", &self.stop)] {
             for (axis, threshold) in thresholds.iter().enumerate() {
                 let Some(value) = *threshold else { continue };
                 if !(value > 0.0 && value <= FORCE_BOUND) {
-                    return Err(Error::limit(format!("{name}.{}", AXIS_NAMES[axis]), value, "(0, 1e6]"));
+                    return Err(Error::out_of_range(format!("{name}.{}", AXIS_NAMES[axis]), value, "(0, 1e6]"));
                 }
             }
         }
@@ -109,7 +109,7 @@ impl ContactOptions {
                 && stop < touch
             {
                 let bound = format!("[{touch}, ∞): a stop lies at or above the touch of its axis");
-                return Err(Error::limit(format!("stop.{}", AXIS_NAMES[axis]), *stop, bound));
+                return Err(Error::out_of_range(format!("stop.{}", AXIS_NAMES[axis]), *stop, bound));
             }
         }
         self.check_constants(n)
@@ -127,7 +127,7 @@ impl ContactOptions {
         }
         for (i, &constant) in constants.iter().enumerate() {
             if !(constant > 0.0 && constant <= FORCE_BOUND) {
-                return Err(Error::limit(format!("torque_constant[{i}] [N·m/A]"), constant, "(0, 1e6]"));
+                return Err(Error::out_of_range(format!("torque_constant[{i}] [N·m/A]"), constant, "(0, 1e6]"));
             }
         }
         Ok(())

@@ -42,8 +42,8 @@ impl Joints {
             gears: [0.0; MAX_JOINTS],
             back_emf: [0.0; MAX_JOINTS],
             armature: spread(&servos.armature),
-            count: spread(&servos.count),
-            usable: spread(&servos.torque),
+            count: spread(&servos.encoder_step),
+            usable: spread(&servos.max_torque),
         };
         let own = spread(&servos.damping);
         for i in 0..out.n {

@@ -2,7 +2,7 @@
 
 use super::residual::{Balance, Errors, Noise};
 use super::wrench::Estimator;
-use super::{Contact, ContactInput, HISTORY, Memory, Sent, Tare, WrenchEstimate};
+use super::{ContactEstimator, ContactInput, HISTORY, Memory, Sent, Tare, WrenchEstimate};
 use crate::controller::Controller;
 use crate::controller::input::period;
 use crate::error::{Error, Result};
@@ -48,7 +48,7 @@ struct Motion {
     noise: Noise,
 }
 
-impl Contact {
+impl ContactEstimator {
     /// Takes one reading `q` (n) [rad]: before the controller's step of the same tick, so that the servos still follow
     /// its last command.
     ///
@@ -56,7 +56,7 @@ impl Contact {
     /// uncertainty ∞.
     ///
     /// # Errors
-    /// [`Error::Shape`] or [`Error::Limit`] for an input that cannot be used, [`Error::Config`] for a current without
+    /// [`Error::Shape`] or [`Error::OutOfRange`] for an input that cannot be used, [`Error::Config`] for a current without
     /// torque constants; the estimate is then as before.
     pub fn update(&mut self, controller: &Controller, q: &[f64], input: &ContactInput<'_>) -> Result<&WrenchEstimate> {
         if self.joints.n != controller.model().n() {
@@ -149,13 +149,13 @@ impl Contact {
     /// frame; ∞ along axes that are not looked at.
     ///
     /// # Errors
-    /// [`Error::Shape`] or [`Error::Limit`] for `q`.
+    /// [`Error::Shape`] or [`Error::OutOfRange`] for `q`.
     pub fn uncertainty_at(&self, controller: &Controller, q: &[f64]) -> Result<AxisVec> {
         let q = controller.positions("q", q)?;
         Ok(self.at_rest(controller, &q))
     }
 
-    /// The median of [`Contact::uncertainty_at`] over poses all over the arm's joint space.
+    /// The median of [`ContactEstimator::uncertainty_at`] over poses all over the arm's joint space.
     pub fn typical_uncertainty(&self, controller: &Controller) -> AxisVec {
         let found: Vec<AxisVec> =
             survey::poses(controller.model()).step_by(EVERY).map(|q| self.at_rest(controller, &q)).collect();
@@ -185,7 +185,7 @@ impl Contact {
                     // Rounded up: the number that is said is enough when it is typed.
                     let least = (1e3 * least).ceil() / 1e3;
                     let unit = if axis < 3 { "N" } else { "N·m" };
-                    return Err(Error::limit(
+                    return Err(Error::out_of_range(
                         format!("{name}.{} [{unit}]", AXIS_NAMES[axis]),
                         value,
                         format!(
@@ -339,9 +339,9 @@ impl Contact {
         bound.iter_mut().zip(estimator.noise(&own, &shared)).for_each(|(bound, noise)| *bound += SIGMAS * noise);
         // The load's error is one number for all joints: it does not add up joint by joint.
         bound.iter_mut().zip(estimator.apply(&payload)).for_each(|(bound, load)| *bound += load.abs());
-        let evidence = (0..n).fold(0.0_f64, |most, i| most.max((felt[i].abs() - payload[i].abs()) / total[i]));
+        let residual_ratio = (0..n).fold(0.0_f64, |most, i| most.max((felt[i].abs() - payload[i].abs()) / total[i]));
         let mut out =
-            WrenchEstimate { torque_residual: felt, torque_uncertainty: total, evidence, ..WrenchEstimate::empty(n) };
+            WrenchEstimate { torque_residual: felt, torque_uncertainty: total, residual_ratio, ..WrenchEstimate::empty(n) };
         for (r, &axis) in self.axes.iter().enumerate() {
             (out.force[axis], out.uncertainty[axis]) = (force[r], bound[r]);
         }

@@ -12,7 +12,7 @@ impl Controller {
     /// Returns k_g [N·m/rad].
     ///
     /// # Errors
-    /// [`Error::Shape`] or [`Error::Limit`] for `q` or `goal`; [`Error::Config`] without `k_p`.
+    /// [`Error::Shape`] or [`Error::OutOfRange`] for `q` or `goal`; [`Error::Config`] without `k_p`.
     pub fn capture_gravity(&mut self, q: &[f64], goal: &[f64]) -> Result<Vec<f64>> {
         let q = self.positions("q", q)?;
         let goal = self.joints("goal", goal, COORDINATE_BOUND)?;
@@ -23,7 +23,7 @@ impl Controller {
         let servos = &self.plan.servos;
         let mut captured = servos.compliance;
         for i in 0..self.plan.n {
-            if holding[i].abs() > 3.0 * servos.friction[i].max(servos.kp[i] * servos.count[i]) {
+            if holding[i].abs() > 3.0 * servos.friction[i].max(servos.kp[i] * servos.encoder_step[i]) {
                 let (compliance, believed) = ((goal[i] - q[i]) / holding[i], servos.compliance[i]);
                 captured[i] = compliance.clamp(believed / 3.0, believed / 0.3);
             }

@@ -50,7 +50,7 @@ impl Controller {
     ///
     /// # Errors
     /// As [`Controller::new`], but for servos that cannot hold the arm, and [`Controller::set_delay`]; [`Error::Shape`] for what
-    /// another arm carried, [`Error::Limit`] for what none can have.
+    /// another arm carried, [`Error::OutOfRange`] for what none can have.
     pub fn resumed(model: Arc<Model>, settings: Settings, servos: Option<Servos>, carried: &Carried) -> Result<Self> {
         let n = model.n();
         let captured = carried.captured.as_deref();
@@ -58,7 +58,7 @@ impl Controller {
             return Err(Error::length("captured", other.len(), n));
         }
         if let Some(&value) = captured.into_iter().flatten().find(|value| !(**value > 0.0 && value.is_finite())) {
-            return Err(Error::limit("captured [rad/(N·m)]", value, "(0, ∞)"));
+            return Err(Error::out_of_range("captured [rad/(N·m)]", value, "(0, ∞)"));
         }
         finite_vector("gravity", "m/s²", &carried.gravity)?;
         let mut controller = Self::made(model, settings, servos, captured)?;
@@ -75,13 +75,13 @@ impl Controller {
                 return Err(Error::length("memory", carried.memory.len(), width(n)));
             }
             if carried.memory.iter().any(|value| value.is_nan()) {
-                return Err(Error::limit("memory", f64::NAN, "numbers"));
+                return Err(Error::out_of_range("memory", f64::NAN, "numbers"));
             }
             controller.memory.recall(n, &carried.memory);
         }
         if let Some(fading) = carried.fading {
             if let Some(&value) = fading.iter().find(|value| !(value.abs() <= COORDINATE_BOUND)) {
-                return Err(Error::limit("fading", value, format!("±{COORDINATE_BOUND:e}")));
+                return Err(Error::out_of_range("fading", value, format!("±{COORDINATE_BOUND:e}")));
             }
             controller.resume_fade(fading);
         }

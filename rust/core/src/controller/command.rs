@@ -10,7 +10,7 @@ pub struct Command {
     pub(super) n: usize,
     pub(super) goal: JointVec,
     pub(super) torque_limit: JointVec,
-    pub(super) velocity: JointVec,
+    pub(super) speed_limit: JointVec,
 }
 
 impl Command {
@@ -26,8 +26,8 @@ impl Command {
 
     /// Speed for a servo's speed register (n) [rad/s]: the most that keeps the tool within its speed by this joint alone; ∞
     /// where neither tool nor joint has a speed limit.
-    pub fn velocity(&self) -> &[f64] {
-        &self.velocity[..self.n.min(MAX_JOINTS)]
+    pub fn speed_limit(&self) -> &[f64] {
+        &self.speed_limit[..self.n.min(MAX_JOINTS)]
     }
 }
 
@@ -37,7 +37,7 @@ impl fmt::Debug for Command {
         f.debug_struct("Command")
             .field("goal", &self.goal())
             .field("torque_limit", &self.torque_limit())
-            .field("velocity", &self.velocity())
+            .field("speed_limit", &self.speed_limit())
             .finish()
     }
 }
@@ -49,8 +49,8 @@ mod tests {
     #[test]
     fn only_the_joints_of_the_arm_are_printed() {
         let numbers = std::array::from_fn(|i| i as f64);
-        let command = Command { n: 2, goal: numbers, torque_limit: numbers, velocity: numbers };
-        let said = "Command { goal: [0.0, 1.0], torque_limit: [0.0, 1.0], velocity: [0.0, 1.0] }";
+        let command = Command { n: 2, goal: numbers, torque_limit: numbers, speed_limit: numbers };
+        let said = "Command { goal: [0.0, 1.0], torque_limit: [0.0, 1.0], speed_limit: [0.0, 1.0] }";
         assert_eq!(format!("{command:?}"), said);
     }
 }

@@ -86,7 +86,7 @@ impl Controller {
         for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
             if !(value.abs() <= bound) {
                 let name = self.model.joint_names().get(i).map_or("", String::as_str);
-                return Err(Error::limit(format!("{what}[{i}] ({name})"), value, format!("±{bound:e}")));
+                return Err(Error::out_of_range(format!("{what}[{i}] ({name})"), value, format!("±{bound:e}")));
             }
             *slot = if value.abs() < NEGLIGIBLE { 0.0 } else { value };
         }
@@ -104,7 +104,7 @@ pub(crate) fn period(dt: f64) -> Result<f64> {
 #[inline(never)]
 fn no_period(dt: f64) -> Error {
     let hint = if dt > LONGEST_PERIOD { "; is it in milliseconds?" } else { "" };
-    Error::limit("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]{hint}"))
+    Error::out_of_range("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]{hint}"))
 }
 
 /// Whether positions may be those of a real arm, as [`Controller::positions`] has it.
@@ -124,7 +124,7 @@ pub(super) fn without_negligible<J: Lanes>(q: J) -> J {
 fn checked_twist(twist: &AxisVec) -> Result<AxisVec> {
     for value in twist {
         if !(value.abs() <= SPEED_BOUND) {
-            return Err(Error::limit("twist [m/s, rad/s]", *value, format!("±{SPEED_BOUND}")));
+            return Err(Error::out_of_range("twist [m/s, rad/s]", *value, format!("±{SPEED_BOUND}")));
         }
     }
     Ok(*twist)

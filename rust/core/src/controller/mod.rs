@@ -77,7 +77,7 @@ impl Controller {
     /// Validates everything and surveys the arm (a few milliseconds).
     ///
     /// # Errors
-    /// [`Error::Limit`], [`Error::Shape`] or [`Error::Config`], naming the setting and the remedy.
+    /// [`Error::OutOfRange`], [`Error::Shape`] or [`Error::Config`], naming the setting and the remedy.
     pub fn new(model: Arc<Model>, settings: Settings, servos: Option<Servos>) -> Result<Self> {
         let controller = Self::made(model, settings, servos, None)?;
         controller.check_holding(controller.settings.gravity, &controller.masses)?;
@@ -107,7 +107,7 @@ impl Controller {
             delay: settings.delay,
             memory: Memory::new(),
             record: Record::empty(),
-            command: Command { n: plan.n, goal: zero, torque_limit: zero, velocity: zero },
+            command: Command { n: plan.n, goal: zero, torque_limit: zero, speed_limit: zero },
             captured: captured.map(|_| plan.gravity_compliance),
             instructions: Instructions::chosen(),
             scratch: LookScratch::new(),
@@ -221,7 +221,7 @@ impl Controller {
     /// A captured gravity offset stays.
     ///
     /// # Errors
-    /// [`Error::Shape`] or [`Error::Limit`] for `q`; the controller is then as before.
+    /// [`Error::Shape`] or [`Error::OutOfRange`] for `q`; the controller is then as before.
     pub fn reset(&mut self, q: &[f64]) -> Result<()> {
         let q = self.positions("q", q)?;
         self.restart(&q);
@@ -274,7 +274,7 @@ impl Controller {
     /// early, too late or wrongly does not make it jump.
     ///
     /// # Errors
-    /// [`Error::Limit`] for a negative or non-finite value, and, where the weight is used, for a load that the servos cannot
+    /// [`Error::OutOfRange`] for a negative or non-finite value, and, where the weight is used, for a load that the servos cannot
     /// hold in any pose.
     pub fn set_payload(&mut self, payload: Option<&Payload>) -> Result<()> {
         if let Some(payload) = payload {
@@ -289,11 +289,11 @@ impl Controller {
     /// Takes another gravity vector [m/s²] in base axes: for a base that tilts.
     ///
     /// # Errors
-    /// [`Error::Limit`] for a component beyond ±100 m/s².
+    /// [`Error::OutOfRange`] for a component beyond ±100 m/s².
     pub fn set_gravity(&mut self, vector: [f64; 3]) -> Result<()> {
         for (name, value) in ["x", "y", "z"].iter().zip(vector) {
             if !(value.abs() <= 100.0) {
-                return Err(Error::limit(format!("gravity {name} [m/s²]"), value, "±100"));
+                return Err(Error::out_of_range(format!("gravity {name} [m/s²]"), value, "±100"));
             }
         }
         self.gravity = vector;
@@ -305,10 +305,10 @@ impl Controller {
     /// Where the stiff axes' gain is too high for it, the gain is derated (see [`Controller::gain_factor`]).
     ///
     /// # Errors
-    /// [`Error::Limit`] outside [0, 0.5].
+    /// [`Error::OutOfRange`] outside [0, 0.5].
     pub fn set_delay(&mut self, delay: f64) -> Result<()> {
         if !(0.0..=0.5).contains(&delay) {
-            return Err(Error::limit("delay [s]", delay, "[0, 0.5]"));
+            return Err(Error::out_of_range("delay [s]", delay, "[0, 0.5]"));
         }
         self.delay = delay;
         self.plan.derate(delay, &self.settings);
@@ -340,7 +340,7 @@ impl Controller {
     /// Allocates nothing. With the first step the controller resets to `q`.
     ///
     /// # Errors
-    /// [`Error::Shape`], [`Error::Limit`] or [`Error::Config`] for an input that cannot be used; the controller and its
+    /// [`Error::Shape`], [`Error::OutOfRange`] or [`Error::Config`] for an input that cannot be used; the controller and its
     /// last command are then as before.
     ///
     /// ```

@@ -1,6 +1,6 @@
 //! What few steps do: kept out of the others, and compiled once for all instructions.
 
-use crate::command::dead_host::Dead;
+use crate::command::host_loss::HostLoss;
 use crate::command::limits::Load;
 use crate::controller::record::Record;
 use crate::controller::step::Cycle;
@@ -79,7 +79,7 @@ impl Cycle<'_> {
             friction[i] = plan.servos.friction_at_rest(i, holding[i]);
             base[i] = (self.settings.gravity_scale * in_limit[i].abs()).max(plan.floor[i]);
         }
-        let dead = Dead {
+        let dead = HostLoss {
             chain: self.chain,
             plan,
             masses: self.masses,

@@ -195,7 +195,7 @@ impl Cycle<'_> {
             let waiting = Waiting { plan, bounds, base_from_task: &seen.base_from_task, lag: &lag, strain, dt };
             waiting.of(&self.memory.governor.pose(), &mut governor);
         }
-        if let Some(most) = plan.dead_host_max {
+        if let Some(most) = plan.max_host_loss_force {
             let (holding, in_limit) = (seen.view.holding.array(), seen.gravity_in_limit.array());
             let at = [&measured.array(), &goal.array(), &limit.array()];
             let spared = self.spare(most, at, [&holding, &in_limit], seen.base_from_task);
@@ -223,7 +223,7 @@ impl Cycle<'_> {
         goal.store(&mut self.command.goal);
         limit.store(&mut self.command.torque_limit);
         let profile = register_speed(&seen.view.world, speed, settings.goal_slew, J::load(&plan.joint_speed));
-        profile.store(&mut self.command.velocity);
+        profile.store(&mut self.command.speed_limit);
         self.note(&seen, &aim, &wish, &solved, &filtered);
         true
     }
@@ -253,8 +253,8 @@ impl Cycle<'_> {
         if let Some(dq) = &self.input.dq {
             return Filtered { held: q, velocity: J::load(dq) };
         }
-        let count = J::load(&self.plan.servos.count);
-        self.memory.filter.after(q, count, self.settings.velocity_filter, self.input.dt)
+        let encoder_step = J::load(&self.plan.servos.encoder_step);
+        self.memory.filter.after(q, encoder_step, self.settings.velocity_filter, self.input.dt)
     }
 
     /// Line 1: the positions at which the goal will arrive.

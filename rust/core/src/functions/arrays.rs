@@ -6,9 +6,9 @@ use crate::error::{Error, Result};
 use crate::law::nullspace::JointSquare;
 use crate::{MAX_AXES, MAX_JOINTS, Rows};
 
-/// [`Error::Limit`] unless `ok`.
+/// [`Error::OutOfRange`] unless `ok`.
 pub(super) fn check(what: impl Into<String>, value: f64, ok: bool, bound: &str) -> Result<()> {
-    if ok { Ok(()) } else { Err(Error::limit(what, value, bound)) }
+    if ok { Ok(()) } else { Err(Error::out_of_range(what, value, bound)) }
 }
 
 /// A list has as many entries as it should.

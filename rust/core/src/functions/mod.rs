@@ -42,7 +42,7 @@ const LOST_DAMPING: f64 = 1e-9;
 /// `damping` is λ, not squared. 0 gives the Moore–Penrose inverse, of rank-deficient matrices too.
 ///
 /// # Errors
-/// [`Error::Shape`] beyond six rows or sixteen columns, [`Error::Limit`] for an entry that is not finite or λ < 0.
+/// [`Error::Shape`] beyond six rows or sixteen columns, [`Error::OutOfRange`] for an entry that is not finite or λ < 0.
 pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DMatrix<f64>> {
     let (rows, k, n) = task_rows("J", jacobian)?;
     check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
@@ -82,7 +82,7 @@ pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Project
 /// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|`, and `|α N∇g|` as the last column.
 ///
 /// # Errors
-/// [`Error::Shape`] where sizes do not go together, [`Error::Limit`] for an entry that is not finite.
+/// [`Error::Shape`] where sizes do not go together, [`Error::OutOfRange`] for an entry that is not finite.
 pub fn responsibility(
     pseudo_inverse: &DMatrix<f64>,
     dx: &[f64],
@@ -124,21 +124,21 @@ pub fn activation(
     Ok(Activation::new(&inverse::load_rows(&transposed), null).matrix(k, n))
 }
 
-/// Compliance c of (8), one entry per axis: 1 below `d_minus`, 0 above `d_plus`, linear between.
+/// Compliance c of (8), one entry per axis: 1 below `soft_until`, 0 above `firm_from`, linear between.
 ///
 /// Deviations [m or rad] of any sign: their absolute values count.
 ///
 /// # Errors
-/// [`Error::Shape`] for lists of different lengths, [`Error::Limit`] unless `0 ≤ d_minus < d_plus`, all finite.
-pub fn compliance(deviation: &[f64], d_minus: &[f64], d_plus: &[f64]) -> Result<Vec<f64>> {
-    same_length("d_minus", d_minus.len(), deviation.len())?;
-    same_length("d_plus", d_plus.len(), deviation.len())?;
-    let triples = deviation.iter().zip(d_minus).zip(d_plus).enumerate();
+/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] unless `0 ≤ soft_until < firm_from`, all finite.
+pub fn compliance(deviation: &[f64], soft_until: &[f64], firm_from: &[f64]) -> Result<Vec<f64>> {
+    same_length("soft_until", soft_until.len(), deviation.len())?;
+    same_length("firm_from", firm_from.len(), deviation.len())?;
+    let triples = deviation.iter().zip(soft_until).zip(firm_from).enumerate();
     triples
         .map(|(i, ((&d, &low), &high))| {
             check(format!("deviation[{i}]"), d, d.is_finite(), "finite")?;
-            check(format!("d_plus[{i}]"), high, high > 0.0 && high.is_finite(), "(d_minus, ∞)")?;
-            check(format!("d_minus[{i}]"), low, low >= 0.0 && low < high, &format!("[0, d_plus = {high})"))?;
+            check(format!("firm_from[{i}]"), high, high > 0.0 && high.is_finite(), "(soft_until, ∞)")?;
+            check(format!("soft_until[{i}]"), low, low >= 0.0 && low < high, &format!("[0, firm_from = {high})"))?;
             Ok(task_compliance::compliance(d, low, high))
         })
         .collect()
@@ -149,7 +149,7 @@ pub fn compliance(deviation: &[f64], d_minus: &[f64], d_plus: &[f64]) -> Result<
 /// Does not ask for soft ≤ firm ≤ hold: that is a matter of settings, not of the equation.
 ///
 /// # Errors
-/// [`Error::Shape`] for lists of different lengths, [`Error::Limit`] for c outside [0, 1] or a strength not finite.
+/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] for c outside [0, 1] or a strength not finite.
 pub fn holding_torque(c: &[f64], soft: &[f64], firm: &[f64], hold: &[f64], compliant: &[bool]) -> Result<Vec<f64>> {
     let lengths = [("soft", soft.len()), ("firm", firm.len()), ("hold", hold.len()), ("compliant", compliant.len())];
     for (name, length) in lengths {
@@ -169,7 +169,7 @@ pub fn holding_torque(c: &[f64], soft: &[f64], firm: &[f64], hold: &[f64], compl
 /// Joint torque limits of (11), `τ^q = A τ^x` [N·m]: one strength per column of A, that of the null space last.
 ///
 /// # Errors
-/// [`Error::Shape`] where sizes do not go together, [`Error::Limit`] for an entry that is not finite.
+/// [`Error::Shape`] where sizes do not go together, [`Error::OutOfRange`] for an entry that is not finite.
 pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Result<DVector<f64>> {
     let (n, columns) = activation.shape();
     if columns == 0 || columns > MAX_AXES + 1 || n == 0 || n > MAX_JOINTS {
@@ -193,7 +193,7 @@ pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Resul
 /// The intermediate target of (12): `x_d + η (x − x_d)` on the compliant axes (x y z roll pitch yaw of the base).
 ///
 /// # Errors
-/// As [`Pose::validate`]; [`Error::Limit`] for η outside [0, 1].
+/// As [`Pose::validate`]; [`Error::OutOfRange`] for η outside [0, 1].
 pub fn adapt_target(actual: &Pose, target: &Pose, eta: f64, compliant: [bool; MAX_AXES]) -> Result<Pose> {
     actual.validate()?;
     target.validate()?;
@@ -291,7 +291,7 @@ mod tests {
         j[(2, 3)] = f64::NAN;
         assert_eq!(message(damped_pseudo_inverse(&j, 0.0)), "J[2, 3] = NaN is outside finite");
         assert_eq!(message(damped_pseudo_inverse(&jacobian(6, 7), -0.1)), "damping = -0.1 is outside [0, ∞)");
-        assert!(compliance(&[0.0], &[0.1], &[0.1]).unwrap_err().to_string().starts_with("d_minus[0] = 0.1"));
+        assert!(compliance(&[0.0], &[0.1], &[0.1]).unwrap_err().to_string().starts_with("soft_until[0] = 0.1"));
         assert!(holding_torque(&[0.5], &[1.0], &[2.0], &[], &[true]).is_err());
     }
 }

@@ -94,7 +94,7 @@ impl Model {
     /// input, same result. Not converging is not an error: read `converged` and `reason`.
     ///
     /// # Errors
-    /// [`Error::Shape`] and [`Error::Limit`] for `q0`; as [`Pose::validate`] for `target`; [`Error::Config`] for options
+    /// [`Error::Shape`] and [`Error::OutOfRange`] for `q0`; as [`Pose::validate`] for `target`; [`Error::Config`] for options
     /// that cannot be met.
     ///
     /// ```

@@ -37,7 +37,7 @@ impl Model {
     /// `base_from_tool` at `q` (`n`) [rad or m].
     ///
     /// # Errors
-    /// [`Error::Shape`] for a wrong length, [`Error::Limit`] for an entry that is not finite or beyond 1e6. Position
+    /// [`Error::Shape`] for a wrong length, [`Error::OutOfRange`] for an entry that is not finite or beyond 1e6. Position
     /// limits are not enforced: a real arm may stand a little outside of them.
     pub fn forward_kinematics(&self, q: &[f64]) -> Result<Pose> {
         let q = self.joint_vector(q)?;
@@ -99,7 +99,7 @@ impl Model {
         for (i, (slot, &value)) in out.iter_mut().zip(q).enumerate() {
             if !(value.abs() <= COORDINATE_BOUND) {
                 let name = &self.joint_names()[i];
-                return Err(Error::limit(format!("q[{i}] ({name})"), value, format!("±{COORDINATE_BOUND:e}")));
+                return Err(Error::out_of_range(format!("q[{i}] ({name})"), value, format!("±{COORDINATE_BOUND:e}")));
             }
             *slot = value;
         }

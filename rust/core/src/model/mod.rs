@@ -57,7 +57,7 @@ impl Model {
     ///
     /// # Errors
     /// [`Error::Urdf`] with file, line and column for everything wrong in the text; [`Error::FrameNotFound`],
-    /// [`Error::Limit`] and [`Error::Config`] for options that do not fit it.
+    /// [`Error::OutOfRange`] and [`Error::Config`] for options that do not fit it.
     ///
     /// ```
     /// # use pliant_core::{Model, ModelOptions};

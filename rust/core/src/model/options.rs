@@ -52,10 +52,10 @@ impl Payload {
     /// Checks that the numbers can be a payload.
     ///
     /// # Errors
-    /// [`Error::Limit`] names the entry.
+    /// [`Error::OutOfRange`] names the entry.
     pub fn validate(&self) -> Result<()> {
         if !(self.mass >= 0.0 && self.mass <= COORDINATE_BOUND) {
-            return Err(Error::limit("payload.mass [kg]", self.mass, format!("0 to {COORDINATE_BOUND:e}")));
+            return Err(Error::out_of_range("payload.mass [kg]", self.mass, format!("0 to {COORDINATE_BOUND:e}")));
         }
         finite_vector("payload.com", "m", &self.com)
     }
@@ -64,7 +64,7 @@ impl Payload {
 pub(crate) fn finite_vector(what: &str, unit: &str, vector: &[f64; 3]) -> Result<()> {
     for (axis, &value) in ["x", "y", "z"].iter().zip(vector) {
         if !(value.abs() <= COORDINATE_BOUND) {
-            return Err(Error::limit(format!("{what}.{axis} [{unit}]"), value, format!("±{COORDINATE_BOUND:e}")));
+            return Err(Error::out_of_range(format!("{what}.{axis} [{unit}]"), value, format!("±{COORDINATE_BOUND:e}")));
         }
     }
     Ok(())

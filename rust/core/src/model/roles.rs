@@ -124,7 +124,7 @@ fn lockable(tree: &Tree, name: &str, value: f64) -> Result<usize> {
     }
     let (lower, upper) = (joint.lower.unwrap_or(-COORDINATE_BOUND), joint.upper.unwrap_or(COORDINATE_BOUND));
     if !(value >= lower && value <= upper) {
-        return Err(Error::limit(key(), value, format!("[{lower}, {upper}], the limits of this joint")));
+        return Err(Error::out_of_range(key(), value, format!("[{lower}, {upper}], the limits of this joint")));
     }
     Ok(j)
 }

@@ -79,7 +79,7 @@ impl Model {
     /// [`Controller::step`](crate::Controller::step) does so for tasks with translations.
     ///
     /// # Errors
-    /// As [`Pose::validate`]; [`Error::Limit`] for a position farther from the first joint than 2 × [`Model::reach`] + 0.1 m.
+    /// As [`Pose::validate`]; [`Error::OutOfRange`] for a position farther from the first joint than 2 × [`Model::reach`] + 0.1 m.
     pub fn check_target(&self, target: &Pose) -> Result<()> {
         self.check_target_in("target", target, &Workspace::of(self))
     }
@@ -114,7 +114,7 @@ impl Model {
         let [x, y, z] = position.map(shown);
         let distance = workspace.distance(position);
         let distance = if distance < 1e6 { (1e3 * distance).round() / 1e3 } else { distance };
-        Error::limit(format!("{name}: distance of position [{x}, {y}, {z}] from {from} [m]"), distance, bound)
+        Error::out_of_range(format!("{name}: distance of position [{x}, {y}, {z}] from {from} [m]"), distance, bound)
     }
 
     /// Checks that joint positions (`n`) [rad or m] may be a target of this arm: far beyond the limits they are in other units.
@@ -122,7 +122,7 @@ impl Model {
     /// [`Controller::step_joints`](crate::Controller::step_joints) does so.
     ///
     /// # Errors
-    /// [`Error::Shape`]; [`Error::Limit`] for a joint beyond its limits by more than 0.2 rad, or a tenth of its travel.
+    /// [`Error::Shape`]; [`Error::OutOfRange`] for a joint beyond its limits by more than 0.2 rad, or a tenth of its travel.
     pub fn check_joint_target(&self, q: &[f64]) -> Result<()> {
         let [least, most] = joint_targets(self);
         self.joints_between("q", q, &least, &most).map(|_| ())
@@ -154,13 +154,13 @@ impl Model {
         }
         let named = |i: usize| self.joint_names.get(i).map_or("", String::as_str);
         if let Some(i) = values.iter().position(|value| !(value.abs() <= COORDINATE_BOUND)) {
-            return Error::limit(format!("{what}[{i}] ({})", named(i)), values[i], format!("±{COORDINATE_BOUND:e}"));
+            return Error::out_of_range(format!("{what}[{i}] ({})", named(i)), values[i], format!("±{COORDINATE_BOUND:e}"));
         }
         let outside = |&i: &usize| !(least[i] < values[i] && values[i] < most[i]);
         let i = (0..self.n().min(MAX_JOINTS)).find(outside).unwrap_or(0);
         let (lower, upper) = (self.lower[i], self.upper[i]);
         let (unit, hint) = if self.prismatic[i] { ("m", "millimetres") } else { ("rad", "degrees") };
-        Error::limit(
+        Error::out_of_range(
             format!("{what}[{i}] ({}) [{unit}]", named(i)),
             values[i],
             format!(

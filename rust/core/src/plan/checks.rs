@@ -45,7 +45,7 @@ pub(super) fn check_gain(settings: &Settings, plan: &Plan) -> Result<()> {
     }
     let (gain, bound) = (plan.gain(settings.horizon), plan.gain_bound(settings.delay, 1.0 / settings.rate));
     if settings.law == Law::Cap && gain > bound * (1.0 + 1e-12) {
-        return Err(Error::limit(
+        return Err(Error::out_of_range(
             "kx · horizon",
             gain,
             format!(

@@ -23,10 +23,10 @@ pub(crate) struct RowLanes {
     pub(crate) stiffness: [AxisLanes; 2],
     pub(crate) viscosity: [AxisLanes; 2],
     pub(crate) eta: AxisLanes,
-    pub(crate) d_plus: AxisLanes,
-    /// 1 / (d_plus − d_minus), 1 / (2 band): the step has no division for them.
+    pub(crate) firm_from: AxisLanes,
+    /// 1 / (firm_from − soft_until), 1 / (2 band): the step has no division for them.
     pub(crate) d_slope: AxisLanes,
-    /// 1 / deviation from which on a push is felt: d_minus, at least a tenth of d_plus.
+    /// 1 / deviation from which on a push is felt: soft_until, at least a tenth of firm_from.
     pub(crate) push_slope: AxisLanes,
     pub(crate) band: AxisLanes,
     pub(crate) band_slope: AxisLanes,
@@ -63,9 +63,9 @@ impl RowLanes {
             stiffness: [0, 1].map(|side| of(&|row| row.stiffness[side])),
             viscosity: [0, 1].map(|side| of(&|row| row.viscosity[side])),
             eta: of(&|row| row.eta),
-            d_plus: of(&|row| row.d_plus),
-            d_slope: of(&|row| 1.0 / (row.d_plus - row.d_minus)),
-            push_slope: of(&|row| 1.0 / row.d_minus.max(0.1 * row.d_plus)),
+            firm_from: of(&|row| row.firm_from),
+            d_slope: of(&|row| 1.0 / (row.firm_from - row.soft_until)),
+            push_slope: of(&|row| 1.0 / row.soft_until.max(0.1 * row.firm_from)),
             band: of(&|row| row.band),
             band_slope: of(&|row| 0.5 / row.band),
             step_limit: of(&|row| row.step_limit),

@@ -116,7 +116,7 @@ pub(crate) struct Plan {
     pub(crate) floor: JointVec,
     pub(crate) margin: JointVec,
     /// Most that a hand shall meet along a translation if the host dies [N].
-    pub(crate) dead_host_max: Option<f64>,
+    pub(crate) max_host_loss_force: Option<f64>,
     /// Rise of the limits per second; ∞ for none.
     pub(crate) rise: JointVec,
     /// 1/k_g, of the gravity offset.
@@ -140,7 +140,7 @@ impl Plan {
         let arrays = ServoArrays::new(n, spread.as_ref(), model.effort_limit());
         check_gravity(model, settings)?;
         check_kp(settings, &arrays, model)?;
-        let known = captured || servos.is_some_and(|s| s.kp_known);
+        let known = captured || servos.is_some_and(|s| s.stiffness_known);
         let rows = resolve_rows(model, settings, &arrays, &axes, known, surveyed)?;
         let unit = settings.task.length.filter(|_| k > n).unwrap_or_else(|| scale_length(model.reach()));
         // λ as printed in (3) adds to rows in mixed units; with more axes than joints it is what weighs them.
@@ -184,7 +184,7 @@ impl Plan {
             takeover_damping: damping_scale.map(|scale| {
                 scale * (damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2))
             }),
-            heavy: settings.gravity != GravityUse::Off || settings.integrate > 0.0 || settings.dead_host_max.is_some(),
+            heavy: settings.gravity != GravityUse::Off || settings.integrate > 0.0 || settings.max_host_loss_force.is_some(),
             follows_sigma: scales::follows_sigma(settings, &damping),
             damping,
             cost: resolve_cost(model, settings)?,
@@ -206,7 +206,7 @@ impl Plan {
                 None => arrays.friction,
             },
             margin: joints(n, 0.0, |i| margin(settings, &arrays, i)),
-            dead_host_max: settings.dead_host_max,
+            max_host_loss_force: settings.max_host_loss_force,
             rise: joints(n, f64::INFINITY, |i| rise(settings, &arrays, i)),
             gravity_compliance: arrays.compliance,
             servos: arrays,

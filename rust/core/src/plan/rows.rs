@@ -28,8 +28,8 @@ pub(crate) struct Row {
     pub(crate) stiffness: [f64; 2],
     pub(crate) viscosity: [f64; 2],
     pub(crate) eta: f64,
-    pub(crate) d_minus: f64,
-    pub(crate) d_plus: f64,
+    pub(crate) soft_until: f64,
+    pub(crate) firm_from: f64,
     /// Half-width [m or rad] of the change-over between the sides.
     pub(crate) band: f64,
     pub(crate) profile: Profile,
@@ -44,7 +44,7 @@ pub(super) fn deviation_limits(settings: &Settings, axes: &[usize]) -> Vec<Devia
         given.deviation_limit.map(|limit| DeviationLimit {
             axis,
             most: given.effective_yields().sides().map(|on| if on { f64::INFINITY } else { limit }),
-            beyond: given.beyond,
+            on_deviation_limit: given.on_deviation_limit,
         })
     };
     axes.iter().filter_map(of).collect()
@@ -88,7 +88,7 @@ pub(super) fn resolve_rows(
     settings: &Settings,
     servos: &ServoArrays,
     axes: &[usize],
-    kp_known: bool,
+    stiffness_known: bool,
     surveyed: &mut Surveyed,
 ) -> Result<[Row; MAX_AXES]> {
     let given = |axis: &Axis| axis.soft.is_some() && axis.firm.is_some() && axis.hold.is_some();
@@ -102,13 +102,13 @@ pub(super) fn resolve_rows(
     let mut rows = [None; MAX_AXES];
     for (slot, &axis) in rows.iter_mut().zip(axes) {
         let block = usize::from(axis >= 3);
-        *slot = Some(resolve_row(settings, axis, defaults[block], springs[block], kp_known)?);
+        *slot = Some(resolve_row(settings, axis, defaults[block], springs[block], stiffness_known)?);
     }
     let spare = resolve_row(&Settings::default(), 0, [0.0; 3], 0.0, true)?;
     Ok(rows.map(|row| row.unwrap_or(spare)))
 }
 
-fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], spring: f64, kp_known: bool) -> Result<Row> {
+fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], spring: f64, stiffness_known: bool) -> Result<Row> {
     let (given, name) = (&settings.axes[axis], AXIS_NAMES[axis]);
     let paper = settings.law == Law::Paper;
     let [soft, firm, hold] = defaults;
@@ -131,21 +131,21 @@ fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], spring: f64
             ));
         }
     }
-    if !paper && given.eta > ETA_UNPROVEN && !kp_known && !settings.accept.iter().any(|risk| risk == "eta") {
-        return Err(Error::limit(
-            format!("axes.{name}.eta"),
-            given.eta,
+    if !paper && given.adaptation > ETA_UNPROVEN && !stiffness_known && !settings.accept.iter().any(|risk| risk == "eta") {
+        return Err(Error::out_of_range(
+            format!("axes.{name}.adaptation"),
+            given.adaptation,
             format!(
                 "[0, {ETA_UNPROVEN}] while k_p is not known within 10 %: a gravity error would walk the arm away. \
-                 Identify k_p (Servos(..., kp_known=True)), capture gravity, or take the risk by name: Settings(accept=(\"eta\",))"
+                 Identify k_p (Servos(..., stiffness_known=True)), capture gravity, or take the risk by name: Settings(accept=(\"eta\",))"
             ),
         ));
     }
     let translation = axis < 3;
-    let d_minus = given.d_minus.unwrap_or(if translation { 0.01 } else { 0.04 });
-    let d_plus = given.d_plus.unwrap_or(if translation { 0.10 } else { 0.40 });
-    if d_minus >= d_plus {
-        return Err(Error::limit(format!("axes.{name}.d_minus"), d_minus, format!("[0, d_plus = {d_plus})")));
+    let soft_until = given.soft_until.unwrap_or(if translation { 0.01 } else { 0.04 });
+    let firm_from = given.firm_from.unwrap_or(if translation { 0.10 } else { 0.40 });
+    if soft_until >= firm_from {
+        return Err(Error::out_of_range(format!("axes.{name}.soft_until"), soft_until, format!("[0, firm_from = {firm_from})")));
     }
     let soft_step = match (paper, translation) {
         (true, true) => 0.1,
@@ -161,12 +161,12 @@ fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], spring: f64
         yields: yields.sides().map(|on| f64::from(u8::from(on))),
         stiffness: given.stiffness.unwrap_or_else(|| yields.sides().map(|on| if on { 0.0 } else { spring })),
         viscosity: given.damping.unwrap_or_default(),
-        eta: given.eta,
-        d_minus,
-        d_plus,
-        band: d_minus * settings.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 }),
+        eta: given.adaptation,
+        soft_until,
+        firm_from,
+        band: soft_until * settings.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 }),
         profile: given.profile,
-        step_limit: given.step_limit.unwrap_or(if translation { 0.4 } else { 2.0 }),
+        step_limit: given.max_velocity.unwrap_or(if translation { 0.4 } else { 2.0 }),
         soft_step_limit: given.soft_step_limit.unwrap_or(soft_step),
     })
 }

@@ -55,7 +55,7 @@ pub(super) fn check(model: &Model, settings: &Settings, plan: &Plan) -> Result<(
         let most = most_stiff * softest;
         if stiffness > most {
             let bound = format!("[0, {most:.3}]: {}", why(settings));
-            return Err(Error::limit("null_stiffness [N·m/rad]", stiffness, bound));
+            return Err(Error::out_of_range("null_stiffness [N·m/rad]", stiffness, bound));
         }
     }
     let (mut stiffness, mut damping) = ([0.0; MAX_AXES], [0.0; MAX_AXES]);

@@ -106,7 +106,7 @@ impl Controller {
             rest.model().chain().forward(&record.q, &mut frames);
             let rubs = std::array::from_fn(|i| rest.plan.servos.friction_at_rest(i, record.gravity[i]));
             let way = rest.way(&frames, &rubs);
-            if self.plan.dead_host_max.is_some() {
+            if self.plan.max_host_loss_force.is_some() {
                 let goal = super::spread(rest.command.goal());
                 let (force, row, sign) = rest.dead(&frames, &goal, &limits, &rubs).worst(f64::INFINITY);
                 if force > dead.0.value {
@@ -147,7 +147,7 @@ impl Controller {
             self.stop_findings(r, near[r], &mut findings);
             self.way_findings(r, past[r], &mut findings);
         }
-        findings.extend(self.dead_host_finding(dead.0, dead.1, dead.2));
+        findings.extend(self.host_loss_finding(dead.0, dead.1, dead.2));
         let least = NEAR_SINGULAR * self.plan.damping.sigma_0;
         if -singular.value < least {
             findings.push(Finding {

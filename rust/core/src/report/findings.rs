@@ -124,18 +124,18 @@ impl Controller {
     }
 
     /// More than a hand shall meet on a dead arm, though the limits hold no more than its weight.
-    pub(super) fn dead_host_finding(&self, worst: Worst, row: usize, sign: f64) -> Option<Finding> {
-        let most = self.plan.dead_host_max.filter(|most| worst.value > most * (1.0 + 1e-9))?;
+    pub(super) fn host_loss_finding(&self, worst: Worst, row: usize, sign: f64) -> Option<Finding> {
+        let most = self.plan.max_host_loss_force.filter(|most| worst.value > most * (1.0 + 1e-9))?;
         Some(Finding {
             pose: worst.pose,
             about: format!("{}{}", if sign < 0.0 { "−" } else { "+" }, AXIS_NAMES[self.plan.rows[row].axis]),
             required: true,
             reason: format!(
-                "dead_host_max is {} N, but limits that just hold the arm leave {} N to a hand",
+                "max_host_loss_force is {} N, but limits that just hold the arm leave {} N to a hand",
                 number(most),
                 number(worst.value)
             ),
-            setting: Some("dead_host_max".into()),
+            setting: Some("max_host_loss_force".into()),
             value: Some(round_up(worst.value)),
         })
     }

@@ -10,14 +10,14 @@ mod stops;
 mod tracking;
 mod words;
 
-use crate::command::dead_host::Dead;
+use crate::command::host_loss::HostLoss;
 use crate::command::statics::static_force;
 use crate::controller::{Controller, StepInput};
 use crate::error::{Error, Result};
 use crate::kinematics::Frames;
 use crate::pose::COORDINATE_BOUND;
 use crate::settings::Law;
-use crate::task::axes::{AXIS_NAMES, Beyond};
+use crate::task::axes::{AXIS_NAMES, OnDeviationLimit};
 use crate::{JointVec, MAX_JOINTS};
 
 pub use check::{Check, Finding};
@@ -74,9 +74,9 @@ pub struct Report {
     pub locked: Vec<bool>,
     /// The largest force that a hand at 25 mm/s or 0.067 rad/s meets on 0.15 m or 0.4 rad along the axis if the host dies
     /// now, from where the arm comes to rest, the gears' friction and damping included; ∞ where the arm cannot be moved so far: it is stretched out, or at stops.
-    pub dead_host: Vec<[f64; 2]>,
+    pub host_loss_force: Vec<[f64; 2]>,
     /// What the settings allow of that [N].
-    pub dead_host_max: Option<f64>,
+    pub max_host_loss_force: Option<f64>,
     /// Factor ≤ 1 on K_x, under law `impedance` on the stiffness, that delay and pose demand.
     pub gain_factor: f64,
     /// The same on the damping of law `impedance`.
@@ -104,7 +104,7 @@ pub struct Report {
     /// sides that yield.
     pub deviation_limit: Vec<[f64; 2]>,
     /// What the target does there.
-    pub beyond: Vec<Beyond>,
+    pub on_deviation_limit: Vec<OnDeviationLimit>,
     /// Joints that slide: theirs are metres.
     pub prismatic: Vec<bool>,
 }
@@ -181,7 +181,7 @@ impl Controller {
             coupled_to: Vec::with_capacity(k),
             thresholds: plan.rows[..k]
                 .iter()
-                .map(|row| [row.d_minus, row.d_plus].map(|d| d / (1.0 - row.eta)))
+                .map(|row| [row.soft_until, row.firm_from].map(|d| d / (1.0 - row.eta)))
                 .collect(),
             gravity_margin: (0..n).map(|i| [limit[i] - record.gravity[i], limit[i] + record.gravity[i]]).collect(),
             sigma_min,
@@ -189,8 +189,8 @@ impl Controller {
             sigma_0: plan.damping.sigma_0,
             saturated: record.saturated[..n].to_vec(),
             locked: record.locked[..n].to_vec(),
-            dead_host: Vec::with_capacity(k),
-            dead_host_max: plan.dead_host_max,
+            host_loss_force: Vec::with_capacity(k),
+            max_host_loss_force: plan.max_host_loss_force,
             gain_factor: self.gain_factor(),
             damping_factor: self.damping_factor(),
             hold: plan.rows[..k].iter().map(|row| (row.hold, row.raised_from)).collect(),
@@ -202,7 +202,7 @@ impl Controller {
             way_sigma: Vec::with_capacity(k),
             way_distance: Vec::with_capacity(k),
             deviation_limit: vec![[f64::INFINITY; 2]; k],
-            beyond: plan.axes.iter().map(|&axis| self.settings().axes[axis].beyond).collect(),
+            on_deviation_limit: plan.axes.iter().map(|&axis| self.settings().axes[axis].on_deviation_limit).collect(),
             prismatic: self.model().prismatic().to_vec(),
         };
         for limit in &plan.deviation_limits {
@@ -229,7 +229,7 @@ impl Controller {
             let coupling = [0, 1].map(|side| pose.coupling(row, side));
             report.coupling.push(coupling.map(|(force, _)| force));
             report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[plan.axes[other]])));
-            report.dead_host.push([-1.0, 1.0].map(|sign| {
+            report.host_loss_force.push([-1.0, 1.0].map(|sign| {
                 let met = dead.largest(&rest, row, sign);
                 if met.walled { f64::INFINITY } else { met.force }
             }));
@@ -259,8 +259,8 @@ impl Controller {
         goal: &'a JointVec,
         limit: &'a JointVec,
         friction: &'a JointVec,
-    ) -> Dead<'a> {
-        Dead {
+    ) -> HostLoss<'a> {
+        HostLoss {
             chain: self.model().chain(),
             plan: &self.plan,
             masses: &self.masses,

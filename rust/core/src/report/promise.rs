@@ -1,6 +1,6 @@
 //! What an axis pushes back with, and what the other axes add to it.
 
-use crate::command::dead_host::TRAVEL;
+use crate::command::host_loss::TRAVEL;
 use crate::command::limits::Load;
 use crate::command::statics::static_force;
 use crate::controller::Record;
@@ -62,7 +62,7 @@ impl<'a> Pose<'a> {
     pub(super) fn gives_way(&self, row: usize, side: usize) -> [f64; 2] {
         let (plan, record) = (self.plan, self.record);
         let axis = &plan.rows[row];
-        let d = [axis.d_minus, axis.d_plus];
+        let d = [axis.soft_until, axis.firm_from];
         match plan.law {
             Law::Cap | Law::Impedance => {
                 let sign = [-1.0, 1.0][side];
@@ -90,7 +90,7 @@ impl<'a> Pose<'a> {
         let travel = TRAVEL[usize::from(axis.axis >= 3)];
         let e = if self.settings.raw_deviation { threshold } else { threshold / left }.min(travel);
         let seen = if self.settings.raw_deviation { e } else { left * e };
-        let c = compliance(seen, axis.d_minus, axis.d_plus);
+        let c = compliance(seen, axis.soft_until, axis.firm_from);
         let soft = strength(c, axis.soft[side], axis.firm[side], axis.profile);
         let most = w * soft + (1.0 - w) * axis.hold;
         if plan.law == Law::Impedance {
@@ -110,7 +110,7 @@ impl<'a> Pose<'a> {
         let travel = TRAVEL[usize::from(axis.axis >= 3)];
         let [small, large] = self.gives_way(row, side);
         let left = if self.settings.raw_deviation { 1.0 } else { 1.0 - axis.eta };
-        let from = if large > small { axis.d_plus / left } else { 0.0 };
+        let from = if large > small { axis.firm_from / left } else { 0.0 };
         let slope = self.cap(row, side, 1e-4) / 1e-4;
         from.max(large / slope).min(travel)
     }

@@ -3,7 +3,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::command::dead_host::TRAVEL;
+use crate::command::host_loss::TRAVEL;
 use crate::kinematics::Frames;
 use crate::law::inverse::{Factor, load_rows, pseudo_inverse, rows_array, transpose_times, weighted_gram};
 use crate::law::svd::singular_values;

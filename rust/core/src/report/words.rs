@@ -2,11 +2,11 @@
 
 use std::fmt::{self, Write as _};
 
-use crate::command::dead_host::TRAVEL;
+use crate::command::host_loss::TRAVEL;
 use crate::report::Report;
 use crate::report::check::{Check, Finding, NEAR_SINGULAR};
 use crate::settings::Law;
-use crate::task::axes::Beyond;
+use crate::task::axes::OnDeviationLimit;
 
 const SIDES: [&str; 2] = ["−", "+"];
 
@@ -106,7 +106,7 @@ impl Report {
         let (mut meets, mut fixed) = (Vec::new(), Vec::new());
         for (row, axis) in self.axes.iter().enumerate() {
             for side in [1, 0] {
-                let (sign, force) = (SIDES[side], self.dead_host[row][side]);
+                let (sign, force) = (SIDES[side], self.host_loss_force[row][side]);
                 if force.is_finite() {
                     meets.push(format!("{sign}{axis} {} {}", number(force), self.unit(row)));
                 } else {
@@ -132,15 +132,15 @@ impl Report {
             );
         }
         out.push(dies + ".");
-        out.extend(self.dead_host_sentence());
+        out.extend(self.host_loss_sentence());
         out
     }
 
-    /// Where more is left of a dead host than is allowed, because the limits must hold the arm.
-    fn dead_host_sentence(&self) -> Option<String> {
-        let most = self.dead_host_max?;
+    /// Where more is left of a lost host than is allowed, because the limits must hold the arm.
+    fn host_loss_sentence(&self) -> Option<String> {
+        let most = self.max_host_loss_force?;
         let above = |row: usize, side: usize| {
-            let force = self.dead_host[row][side];
+            let force = self.host_loss_force[row][side];
             let over = self.unit(row) == "N" && force.is_finite() && force > most * (1.0 + 1e-9);
             over.then(|| format!("{}{} {} N", SIDES[side], self.axes[row], number(force)))
         };
@@ -148,7 +148,7 @@ impl Report {
             (0..self.axes.len()).flat_map(|row| [1, 0].into_iter().filter_map(move |side| above(row, side))).collect();
         (!over.is_empty()).then(|| {
             let (most, over) = (number(most), over.join(", "));
-            format!("dead_host_max is {most} N, but limits that just hold the arm leave {over}.")
+            format!("max_host_loss_force is {most} N, but limits that just hold the arm leave {over}.")
         })
     }
 
@@ -237,9 +237,9 @@ impl Report {
             (false, true) => SIDES[1],
             (false, false) => return None,
         };
-        let does = match self.beyond[row] {
-            Beyond::Hold => "the whole target waits",
-            Beyond::Follow => "its target comes along",
+        let does = match self.on_deviation_limit[row] {
+            OnDeviationLimit::Wait => "the whole target waits",
+            OnDeviationLimit::Yield => "its target comes along",
         };
         let far = length(if self.unit(row) == "N" { 0 } else { 3 }, limit);
         Some(format!("{side}{}: pushed farther than {far} off its target, {does}.", self.axes[row]))
@@ -268,7 +268,7 @@ impl fmt::Display for Report {
                     large,
                     number(self.static_force[row][side]),
                     number(self.capacity[row][side]),
-                    number(self.dead_host[row][side]),
+                    number(self.host_loss_force[row][side]),
                     number(self.friction[row]),
                     number(self.friction_left[row]),
                     self.unit(row)

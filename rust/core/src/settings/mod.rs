@@ -216,8 +216,8 @@ pub struct Settings {
     /// Margin m of the limits as a share of the usable torque (at least twice the friction).
     pub margin: f64,
     /// Most that a hand shall meet along the task's translations if the host dies [N]; `None`: whatever it is.
-    pub dead_host_max: Option<f64>,
-    /// Half-width of the band around zero in which an axis that yields to one side changes over, as a share of `d_minus`;
+    pub max_host_loss_force: Option<f64>,
+    /// Half-width of the band around zero in which an axis that yields to one side changes over, as a share of `soft_until`;
     /// `None`: 0.1, under law `paper` 0.
     pub direction_band: Option<f64>,
     /// Compliance from the raw instead of the adapted deviation.
@@ -271,7 +271,7 @@ impl Default for Settings {
             joint_speed: None,
             floor: None,
             margin: 0.1,
-            dead_host_max: None,
+            max_host_loss_force: None,
             direction_band: None,
             raw_deviation: false,
             budget_on_goal: false,

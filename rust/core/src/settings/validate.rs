@@ -11,7 +11,7 @@ impl Settings {
     /// Checks every value that can be checked without arm and servos.
     ///
     /// # Errors
-    /// [`Error::Limit`] names the setting, its value and the bound; [`Error::Config`] what does not go together.
+    /// [`Error::OutOfRange`] names the setting, its value and the bound; [`Error::Config`] what does not go together.
     pub fn validate(&self) -> Result<()> {
         self.task.validate()?;
         for (axis, name) in self.axes.iter().zip(AXIS_NAMES) {
@@ -60,8 +60,8 @@ impl Settings {
             within("max_tool_speed [m/s, rad/s]", speed, 1e-3, infinite)?;
             within("max_tool_acceleration [m/s², rad/s²]", acceleration, 1e-2, infinite)?;
         }
-        if let Some(most) = self.dead_host_max {
-            within("dead_host_max [N]", most, 1e-3, infinite)?;
+        if let Some(most) = self.max_host_loss_force {
+            within("max_host_loss_force [N]", most, 1e-3, infinite)?;
         }
         if let Some(lead) = self.lead_limit {
             within("lead_limit [rad]", lead, 1e-3, infinite)?;
@@ -135,7 +135,7 @@ fn within(name: &str, value: f64, low: f64, high: f64) -> Result<()> {
         return Ok(());
     }
     let close = if high.is_infinite() { "∞]".into() } else { format!("{high}]") };
-    Err(Error::limit(name, value, format!("[{low}, {close}")))
+    Err(Error::out_of_range(name, value, format!("[{low}, {close}")))
 }
 
 #[cfg(test)]

@@ -73,7 +73,7 @@ impl Task {
     /// Checks frame and length.
     ///
     /// # Errors
-    /// [`Error::Config`] for an empty task or a frame that is no rotation, [`Error::Limit`] for the length.
+    /// [`Error::Config`] for an empty task or a frame that is no rotation, [`Error::OutOfRange`] for the length.
     pub fn validate(&self) -> Result<()> {
         if self.is_empty() {
             return Err(Error::config("task.axes", "no axis given; e.g. \"xyz rpy\", \"xyz\", \"x z pitch\""));
@@ -83,7 +83,7 @@ impl Task {
         }
         match self.length {
             Some(length) if !(length > 0.0 && length <= 100.0) => {
-                Err(Error::limit("task.length [m]", length, "(0, 100]"))
+                Err(Error::out_of_range("task.length [m]", length, "(0, 100]"))
             }
             _ => Ok(()),
         }
@@ -158,34 +158,34 @@ impl Yields {
 /// How the strength of a yielding axis changes with the deviation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Profile {
-    /// From `soft` below `d_minus` to `firm` above `d_plus`: the paper's (9).
+    /// From `soft` below `soft_until` to `firm` above `firm_from`: the paper's (9).
     #[default]
-    Firming,
+    Hardening,
     /// `soft` at every deviation.
     Constant,
-    /// From `firm` below `d_minus` to `soft` above `d_plus`.
-    Yielding,
+    /// From `firm` below `soft_until` to `soft` above `firm_from`.
+    Softening,
 }
 
 impl Profile {
     /// Strength at a small and at a large deviation.
     pub(crate) fn ends(self, soft: f64, firm: f64) -> [f64; 2] {
         match self {
-            Self::Firming => [soft, firm],
+            Self::Hardening => [soft, firm],
             Self::Constant => [soft, soft],
-            Self::Yielding => [firm, soft],
+            Self::Softening => [firm, soft],
         }
     }
 }
 
 /// What the target does where a stiff axis is beyond its deviation limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Beyond {
+pub enum OnDeviationLimit {
     /// It lets this axis go: the arm gives way with the force of the limit, and is led back when it is let go.
     #[default]
-    Follow,
+    Yield,
     /// It waits, all of it, until the axis is within its limit again.
-    Hold,
+    Wait,
 }
 
 /// What is asked of one task axis. `None` takes the default, which for the strengths depends on law and arm.
@@ -207,21 +207,21 @@ pub struct Axis {
     /// Sides it yields to; by default both where `soft` or `firm` is given, else none.
     pub yields: Option<Yields>,
     /// Target adaptation η of (12), 0 ≤ η < 1.
-    pub eta: f64,
+    pub adaptation: f64,
     /// Deviation [m or rad] below which compliance is full, d⁻ of (8).
-    pub d_minus: Option<f64>,
+    pub soft_until: Option<f64>,
     /// Deviation [m or rad] above which compliance is none, d⁺ of (8).
-    pub d_plus: Option<f64>,
+    pub firm_from: Option<f64>,
     /// How the strength changes between the two.
     pub profile: Profile,
     /// Limit of the commanded task velocity while the axis is stiff [m/s or rad/s]; ∞ for none. Law `impedance` has none.
-    pub step_limit: Option<f64>,
+    pub max_velocity: Option<f64>,
     /// The same while it yields.
     pub soft_step_limit: Option<f64>,
     /// Largest deviation [m or rad] toward a side that does not yield; `None`: any.
     pub deviation_limit: Option<f64>,
     /// What happens beyond it.
-    pub beyond: Beyond,
+    pub on_deviation_limit: OnDeviationLimit,
 }
 
 impl Axis {
@@ -239,7 +239,7 @@ impl Axis {
     /// Checks every value; `owner` stands before the field's name in the message, e.g. `axes.y`.
     ///
     /// # Errors
-    /// [`Error::Limit`] or [`Error::Config`] naming the field.
+    /// [`Error::OutOfRange`] or [`Error::Config`] naming the field.
     pub fn validate(&self, owner: &str) -> Result<()> {
         let at = |field: &str| format!("{owner}.{field}");
         for (field, pair) in [("soft", self.soft), ("firm", self.firm)] {
@@ -255,20 +255,20 @@ impl Axis {
         if let Some(hold) = self.hold {
             check(at("hold"), hold, hold >= 0.0 && hold.is_finite(), "[0, ∞)")?;
         }
-        check(at("eta"), self.eta, (0.0..1.0).contains(&self.eta), "[0, 1)")?;
-        for (field, value) in [("step_limit", self.step_limit), ("soft_step_limit", self.soft_step_limit)] {
+        check(at("adaptation"), self.adaptation, (0.0..1.0).contains(&self.adaptation), "[0, 1)")?;
+        for (field, value) in [("max_velocity", self.max_velocity), ("soft_step_limit", self.soft_step_limit)] {
             if let Some(value) = value {
                 check(at(field), value, value > 0.0, "(0, ∞]")?;
             }
         }
-        if let Some(value) = self.d_minus {
-            check(at("d_minus"), value, value >= 0.0 && value.is_finite(), "[0, d_plus)")?;
+        if let Some(value) = self.soft_until {
+            check(at("soft_until"), value, value >= 0.0 && value.is_finite(), "[0, firm_from)")?;
         }
-        if let Some(value) = self.d_plus {
-            check(at("d_plus"), value, value > 0.0 && value.is_finite(), "(d_minus, ∞)")?;
+        if let Some(value) = self.firm_from {
+            check(at("firm_from"), value, value > 0.0 && value.is_finite(), "(soft_until, ∞)")?;
         }
-        if let (Some(low), Some(high)) = (self.d_minus, self.d_plus) {
-            check(at("d_minus"), low, low < high, &format!("[0, d_plus = {high})"))?;
+        if let (Some(low), Some(high)) = (self.soft_until, self.firm_from) {
+            check(at("soft_until"), low, low < high, &format!("[0, firm_from = {high})"))?;
         }
         if let (Some(soft), Some(firm)) = (self.soft, self.firm) {
             for side in 0..2 {
@@ -287,12 +287,12 @@ impl Axis {
                 ));
             }
         }
-        if self.eta > 0.0 && self.effective_yields() == Yields::None {
+        if self.adaptation > 0.0 && self.effective_yields() == Yields::None {
             return Err(Error::config(
-                at("eta"),
+                at("adaptation"),
                 format!(
                     "{} has no effect on an axis that does not yield: give soft or firm, or yields=\"both\"",
-                    self.eta
+                    self.adaptation
                 ),
             ));
         }
@@ -301,7 +301,7 @@ impl Axis {
 }
 
 fn check(what: String, value: f64, ok: bool, bound: &str) -> Result<()> {
-    if ok { Ok(()) } else { Err(Error::limit(what, value, bound)) }
+    if ok { Ok(()) } else { Err(Error::out_of_range(what, value, bound)) }
 }
 
 #[cfg(test)]
@@ -333,8 +333,8 @@ mod tests {
     }
 
     #[test]
-    fn eta_needs_an_axis_that_yields() {
-        let message = Axis { eta: 0.5, ..Axis::default() }.validate("axes.y").unwrap_err().to_string();
-        assert!(message.starts_with("axes.y.eta: 0.5 has no effect"), "{message}");
+    fn adaptation_needs_an_axis_that_yields() {
+        let message = Axis { adaptation: 0.5, ..Axis::default() }.validate("axes.y").unwrap_err().to_string();
+        assert!(message.starts_with("axes.y.adaptation: 0.5 has no effect"), "{message}");
     }
 }

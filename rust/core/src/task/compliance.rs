@@ -3,17 +3,17 @@
 use crate::number::{Arithmetic, Plain};
 use crate::task::axes::Profile;
 
-/// Compliance c ∈ [0, 1] of (8) for a deviation of any sign: 1 below `d_minus`, 0 above `d_plus`, linear between.
+/// Compliance c ∈ [0, 1] of (8) for a deviation of any sign: 1 below `soft_until`, 0 above `firm_from`, linear between.
 ///
 /// The paper prints d without absolute value, which would call every negative deviation fully compliant.
-pub fn compliance(deviation: f64, d_minus: f64, d_plus: f64) -> f64 {
-    compliance_by::<Plain>(deviation, d_plus, 1.0 / (d_plus - d_minus))
+pub fn compliance(deviation: f64, soft_until: f64, firm_from: f64) -> f64 {
+    compliance_by::<Plain>(deviation, firm_from, 1.0 / (firm_from - soft_until))
 }
 
-/// [`compliance`] of one axis or of eight; `slope` is 1 / (d_plus − d_minus).
+/// [`compliance`] of one axis or of eight; `slope` is 1 / (firm_from − soft_until).
 #[inline(always)]
-pub(crate) fn compliance_by<A: Arithmetic>(deviation: A::Real, d_plus: A::Real, slope: A::Real) -> A::Real {
-    unit::<A>((d_plus - A::abs(deviation)) * slope)
+pub(crate) fn compliance_by<A: Arithmetic>(deviation: A::Real, firm_from: A::Real, slope: A::Real) -> A::Real {
+    unit::<A>((firm_from - A::abs(deviation)) * slope)
 }
 
 /// A number within [0, 1].
@@ -36,7 +36,7 @@ pub fn strength(c: f64, soft: f64, firm: f64, profile: Profile) -> f64 {
 
 /// Holding torque of one axis as in (9): interpolated where the axis is compliant, `hold` where it is not.
 pub fn holding_torque(c: f64, soft: f64, firm: f64, hold: f64, compliant: bool) -> f64 {
-    if compliant { strength(c, soft, firm, Profile::Firming) } else { hold }
+    if compliant { strength(c, soft, firm, Profile::Hardening) } else { hold }
 }
 
 #[cfg(test)]
@@ -53,7 +53,7 @@ mod tests {
     #[test]
     fn profiles_share_their_end_points() {
         let at = |c, profile| strength(c, 2.0, 10.0, profile);
-        assert!((at(1.0, Profile::Firming) - at(0.0, Profile::Yielding)).abs() < 1e-15);
+        assert!((at(1.0, Profile::Hardening) - at(0.0, Profile::Softening)).abs() < 1e-15);
         assert!((at(0.3, Profile::Constant) - 2.0).abs() < 1e-15);
     }
 }

@@ -5,7 +5,7 @@
 
 use crate::number::Plain;
 use crate::pose::Pose;
-use crate::task::axes::Beyond;
+use crate::task::axes::OnDeviationLimit;
 use crate::task::deviation::{into_frame, out_of_frame, pose_error, rotation_matrix, rotation_vector};
 use crate::{AxisVec, MAX_AXES};
 
@@ -19,7 +19,7 @@ pub(crate) struct DeviationLimit {
     pub(crate) axis: usize,
     /// Largest deviation [m or rad] when pushed toward (−, +); ∞ toward a side that yields.
     pub(crate) most: [f64; 2],
-    pub(crate) beyond: Beyond,
+    pub(crate) on_deviation_limit: OnDeviationLimit,
 }
 
 impl DeviationLimit {
@@ -67,7 +67,7 @@ impl Pushed<'_> {
             let (e0, e1) = (from[limit.axis], to[limit.axis]);
             if (limit.kept(e1) - e1).abs() > 0.0 {
                 met[limit.axis] = true;
-                if limit.beyond == Beyond::Hold {
+                if limit.on_deviation_limit == OnDeviationLimit::Wait {
                     // What a hand has pushed beyond the limit need not come back: it must only not grow.
                     let allowed = e1.clamp(e0.min(-limit.most[1]), e0.max(limit.most[0]));
                     let share = if (e1 - e0).abs() > STILL { (allowed - e0) / (e1 - e0) } else { 0.0 };
@@ -81,7 +81,7 @@ impl Pushed<'_> {
         let mut reference = if advance < 1.0 { between(self.before, reference, advance) } else { *reference };
         let mut error = self.error(&reference);
         let mut follows = false;
-        for limit in limits.iter().filter(|limit| limit.beyond == Beyond::Follow) {
+        for limit in limits.iter().filter(|limit| limit.on_deviation_limit == OnDeviationLimit::Yield) {
             let kept = limit.kept(error[limit.axis]);
             follows |= (kept - error[limit.axis]).abs() > 0.0;
             error[limit.axis] = kept;
@@ -130,21 +130,21 @@ mod tests {
         Pose { position: [x, y, 0.0], rotation: rotation_matrix([0.0, 0.0, yaw]) }
     }
 
-    fn limit(axis: usize, most: f64, beyond: Beyond) -> DeviationLimit {
-        DeviationLimit { axis, most: [most; 2], beyond }
+    fn limit(axis: usize, most: f64, on_deviation_limit: OnDeviationLimit) -> DeviationLimit {
+        DeviationLimit { axis, most: [most; 2], on_deviation_limit }
     }
 
     #[test]
     fn within_its_limits_nothing_happens() {
         let pushed = Pushed { tool: &Pose::IDENTITY, base_from_task: &FRAME, before: &Pose::IDENTITY };
-        assert!(pushed.keep(&[limit(0, 0.02, Beyond::Hold)], &at(0.0199, 5.0, 1.0)).is_none());
+        assert!(pushed.keep(&[limit(0, 0.02, OnDeviationLimit::Wait)], &at(0.0199, 5.0, 1.0)).is_none());
     }
 
     #[test]
     fn following_axes_keep_the_limit_and_the_others_their_target() {
         let tool = at(0.1, 0.2, 0.3);
         let pushed = Pushed { tool: &tool, base_from_task: &FRAME, before: &tool };
-        let limits = [limit(0, 0.02, Beyond::Follow), limit(5, 0.1, Beyond::Follow)];
+        let limits = [limit(0, 0.02, OnDeviationLimit::Yield), limit(5, 0.1, OnDeviationLimit::Yield)];
         let kept = pushed.keep(&limits, &at(-0.4, 0.7, 1.3)).unwrap();
         let expected = at(0.08, 0.7, 0.4);
         for i in 0..3 {
@@ -159,7 +159,7 @@ mod tests {
     #[test]
     fn a_waiting_axis_stops_all_of_the_target_and_lets_it_retreat() {
         let tool = Pose::IDENTITY;
-        let limits = [limit(0, 0.02, Beyond::Hold)];
+        let limits = [limit(0, 0.02, OnDeviationLimit::Wait)];
         let pushed = Pushed { tool: &tool, base_from_task: &FRAME, before: &at(0.01, 0.0, 0.0) };
         let kept = pushed.keep(&limits, &at(0.05, 0.4, 0.4)).unwrap();
         assert!((kept.advance - 0.25).abs() < 1e-12);
@@ -175,7 +175,7 @@ mod tests {
     fn a_side_that_yields_has_no_limit() {
         let tool = Pose::IDENTITY;
         let pushed = Pushed { tool: &tool, base_from_task: &FRAME, before: &tool };
-        let limits = [DeviationLimit { axis: 1, most: [0.02, f64::INFINITY], beyond: Beyond::Follow }];
+        let limits = [DeviationLimit { axis: 1, most: [0.02, f64::INFINITY], on_deviation_limit: OnDeviationLimit::Yield }];
         assert!(pushed.keep(&limits, &at(0.0, -0.5, 0.0)).is_none());
         assert!((pushed.keep(&limits, &at(0.0, 0.5, 0.0)).unwrap().error[1] - 0.02).abs() < 1e-15);
     }

@@ -43,7 +43,7 @@ impl<W: Axes> Wish<W> {
         let w = side(plus, &rows.yields);
         let adapted = adapt_deviation::<W>(e, W::constant(&rows.eta), w);
         let seen = if settings.raw_deviation { e } else { adapted };
-        let c = compliance_by::<W>(seen, W::constant(&rows.d_plus), W::constant(&rows.d_slope));
+        let c = compliance_by::<W>(seen, W::constant(&rows.firm_from), W::constant(&rows.d_slope));
         let strength = between::<W>(c, side(plus, &rows.far), side(plus, &rows.near));
         let step = W::splat(settings.horizon) * W::fma(W::splat(plan.kx_derating), pulled(plan, adapted), twist);
         let soft_most = W::splat(settings.horizon) * W::constant(&rows.soft_step_limit);

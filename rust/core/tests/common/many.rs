@@ -43,7 +43,7 @@ pub(crate) fn bits(values: &[f64]) -> Vec<u64> {
 
 pub(crate) fn single(controller: &mut Controller, q: &[f64], target: &Pose, input: &StepInput<'_>) -> [Vec<u64>; 3] {
     let command = controller.step(q, target, input).unwrap();
-    [bits(command.goal()), bits(command.torque_limit()), bits(command.velocity())]
+    [bits(command.goal()), bits(command.torque_limit()), bits(command.speed_limit())]
 }
 
 /// Positions and targets of many arms: anywhere, at the limits and a little beyond, stretched out, and at rest.

@@ -111,7 +111,7 @@ pub(crate) fn servos(index: usize) -> Servos {
             friction: vec![0.08],
             damping: vec![0.6],
             armature: vec![0.028],
-            kp_known: true,
+            stiffness_known: true,
             ..Servos::new(vec![5.1], vec![1.9])
         };
     }
@@ -120,7 +120,7 @@ pub(crate) fn servos(index: usize) -> Servos {
         damping: spread(1.2, 0.8),
         kv: spread(1.5, 0.5),
         armature: spread(0.012, 0.008),
-        kp_known: true,
+        stiffness_known: true,
         ..Servos::new(spread(150.0, 60.0), spread(10.7, 6.4))
     }
 }

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
-use pliant_core::task::axes::{Axis, Beyond, Frame, Profile, Task, Yields};
+use pliant_core::task::axes::{Axis, OnDeviationLimit, Frame, Profile, Task, Yields};
 use pliant_core::{Controller, Model, Servos};
 
 use crate::seeded::Random;
@@ -19,7 +19,7 @@ fn axis(random: &mut Random, law: Law, translation: bool, small: bool) -> Axis {
     let hold = unit * random.between(0.4, 1.5);
     let firm = [hold * random.between(0.2, 1.0), hold * random.between(0.2, 1.0)];
     let yields = random.pick(&[Yields::Both, Yields::Both, Yields::None, Yields::None, Yields::Plus, Yields::Minus]);
-    let d_minus = random.between(0.0, 0.05);
+    let soft_until = random.between(0.0, 0.05);
     let scale = unit * if small { 1.0 } else { 4.0 };
     let mut springs = |most: f64| {
         let pair = [most * random.unit(), most * random.unit()];
@@ -33,18 +33,18 @@ fn axis(random: &mut Random, law: Law, translation: bool, small: bool) -> Axis {
         stiffness,
         damping,
         yields: Some(yields),
-        eta: if yields == Yields::None { 0.0 } else { random.pick(&[0.0, 0.5, 0.9, 0.999]) },
-        d_minus: Some(d_minus),
-        d_plus: Some(d_minus + random.between(0.02, 0.4)),
-        profile: random.pick(&[Profile::Firming, Profile::Constant, Profile::Yielding]),
-        step_limit: random.pick(&[None, Some(0.05), Some(f64::INFINITY)]),
+        adaptation: if yields == Yields::None { 0.0 } else { random.pick(&[0.0, 0.5, 0.9, 0.999]) },
+        soft_until: Some(soft_until),
+        firm_from: Some(soft_until + random.between(0.02, 0.4)),
+        profile: random.pick(&[Profile::Hardening, Profile::Constant, Profile::Softening]),
+        max_velocity: random.pick(&[None, Some(0.05), Some(f64::INFINITY)]),
         soft_step_limit: random.pick(&[None, None, Some(0.1), Some(f64::INFINITY)]),
         deviation_limit: if yields == Yields::Both {
             None
         } else {
             random.pick(&[None, None, Some(if translation { 0.01 } else { 0.03 }), Some(0.1)])
         },
-        beyond: random.pick(&[Beyond::Follow, Beyond::Hold]),
+        on_deviation_limit: random.pick(&[OnDeviationLimit::Yield, OnDeviationLimit::Wait]),
     }
 }
 
@@ -167,7 +167,7 @@ pub(crate) fn servos(random: &mut Random, nominal: &Servos, n: usize) -> Servos 
     let mut servos = nominal.for_joints(n).unwrap();
     for i in 0..n {
         servos.kp[i] *= random.between(0.7, 1.3);
-        servos.torque[i] *= random.between(0.4, 1.2);
+        servos.max_torque[i] *= random.between(0.4, 1.2);
         servos.friction[i] *= random.between(0.0, 1.5);
         if random.chance(0.3) {
             servos.load_friction[i] = random.between(0.0, 0.3);
@@ -175,10 +175,10 @@ pub(crate) fn servos(random: &mut Random, nominal: &Servos, n: usize) -> Servos 
             servos.load_stribeck[i] = random.between(0.0, 0.3);
             servos.stribeck_speed[i] = random.between(0.3, 3.0);
         }
-        servos.count[i] = random.pick(&[0.0, 1e-3, 5e-3]);
+        servos.encoder_step[i] = random.pick(&[0.0, 1e-3, 5e-3]);
     }
     if random.chance(0.3) {
-        servos.kind = pliant_core::ServoKind::Duty;
+        servos.limit_type = pliant_core::LimitType::Pwm;
         servos.no_load_speed = Some((0..n).map(|_| random.between(4.0, 10.0)).collect());
     }
     servos

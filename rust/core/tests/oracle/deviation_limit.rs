@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use pliant_core::Pose;
-use pliant_core::task::axes::{Beyond, Yields};
+use pliant_core::task::axes::{OnDeviationLimit, Yields};
 
 use super::{Oracle, Vector};
 
@@ -45,7 +45,7 @@ impl Oracle {
         let met: Vec<bool> = (0..axes.len()).map(|r| beyond(r, wanted[r])).collect();
         let mut share: f64 = 1.0;
         for r in 0..axes.len() {
-            if met[r] && self.settings.axes[axes[r]].beyond == Beyond::Hold {
+            if met[r] && self.settings.axes[axes[r]].on_deviation_limit == OnDeviationLimit::Wait {
                 let (low, high) = self.allowed(axes[r]);
                 let nearest = wanted[r].max(low.min(was[r])).min(high.max(was[r]));
                 let way = wanted[r] - was[r];
@@ -64,7 +64,7 @@ impl Oracle {
         let angular = turn.transpose() * scaled_axis(&(rotation(&reference) * rotation(tool).inverse()));
         let e = Vector::from_iterator(6, linear.iter().chain(angular.iter()).copied());
         let mut kept = e.clone();
-        for &axis in axes.iter().filter(|&&axis| self.settings.axes[axis].beyond == Beyond::Follow) {
+        for &axis in axes.iter().filter(|&&axis| self.settings.axes[axis].on_deviation_limit == OnDeviationLimit::Yield) {
             let (low, high) = self.allowed(axis);
             kept[axis] = e[axis].max(low).min(high);
         }

@@ -51,7 +51,7 @@ impl Oracle {
             return;
         }
         for i in 0..q.len() {
-            let count = self.servos.as_ref().map_or(0.0, |s| s.count[i]);
+            let count = self.servos.as_ref().map_or(0.0, |s| s.encoder_step[i]);
             let before = memory.held[i];
             if q[i] - before > count {
                 memory.held[i] = q[i] - count;

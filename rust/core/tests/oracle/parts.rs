@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use pliant_core::settings::{Gain, Law};
 use pliant_core::task::axes::{Frame, Profile, Yields};
-use pliant_core::{Pose, Reference, ServoKind, Servos, StepInput};
+use pliant_core::{Pose, Reference, LimitType, Servos, StepInput};
 
 use super::{Matrix, Oracle, Row, Vector};
 
@@ -33,8 +33,8 @@ impl Oracle {
     /// Gears, the servo's own damping and, for a duty limit, back-EMF τ_stall / w₀.
     pub(super) fn resistance(&self) -> Vector {
         let back_emf = match self.servos.as_ref() {
-            Some(s) if s.kind == ServoKind::Duty => {
-                self.joint(|s| &s.torque, 0.0).component_div(&self.joint(|s| s.no_load_speed.as_ref().unwrap(), 1.0))
+            Some(s) if s.limit_type == LimitType::Pwm => {
+                self.joint(|s| &s.max_torque, 0.0).component_div(&self.joint(|s| s.no_load_speed.as_ref().unwrap(), 1.0))
             }
             _ => Vector::zeros(self.n()),
         };
@@ -48,7 +48,7 @@ impl Oracle {
 
     pub(super) fn ceiling(&self) -> Vector {
         match &self.servos {
-            Some(s) => Vector::from_column_slice(&s.torque),
+            Some(s) => Vector::from_column_slice(&s.max_torque),
             None => Vector::from_fn(self.n(), |i, _| self.model.effort_limit()[i].unwrap_or(f64::INFINITY)),
         }
     }
@@ -110,9 +110,9 @@ impl Oracle {
     pub(super) fn row(&self, axis: usize, e: f64) -> Row {
         let (given, paper) = (&self.settings.axes[axis], self.settings.law == Law::Paper);
         let translation = axis < 3;
-        let d_minus = given.d_minus.unwrap_or(if translation { 0.01 } else { 0.04 });
-        let d_plus = given.d_plus.unwrap_or(if translation { 0.1 } else { 0.4 });
-        let band = d_minus * self.settings.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 });
+        let soft_until = given.soft_until.unwrap_or(if translation { 0.01 } else { 0.04 });
+        let firm_from = given.firm_from.unwrap_or(if translation { 0.1 } else { 0.4 });
+        let band = soft_until * self.settings.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 });
         // Pushed toward +: the tool is beyond its target, e < 0.
         let toward_plus = if e <= -band && (band > 0.0 || e < 0.0) {
             1.0
@@ -128,20 +128,20 @@ impl Oracle {
             Yields::Plus => toward_plus,
             Yields::Minus => 1.0 - toward_plus,
         };
-        let adapted = e - given.eta * w * e;
+        let adapted = e - given.adaptation * w * e;
         let seen = if self.settings.raw_deviation { e.abs() } else { adapted.abs() };
-        let c = if seen <= d_minus {
+        let c = if seen <= soft_until {
             1.0
-        } else if seen >= d_plus {
+        } else if seen >= firm_from {
             0.0
         } else {
-            1.0 - (seen - d_minus) / (d_plus - d_minus)
+            1.0 - (seen - soft_until) / (firm_from - soft_until)
         };
         let (soft, firm) = (mix(given.soft.unwrap()), mix(given.firm.unwrap()));
         let strength = match given.profile {
-            Profile::Firming => c * soft + (1.0 - c) * firm,
+            Profile::Hardening => c * soft + (1.0 - c) * firm,
             Profile::Constant => soft,
-            Profile::Yielding => c * firm + (1.0 - c) * soft,
+            Profile::Softening => c * firm + (1.0 - c) * soft,
         };
         Row {
             e,
@@ -158,7 +158,7 @@ impl Oracle {
     /// Limit of the commanded task velocity of an axis of softness `w`: its own while stiff, another while soft.
     pub(super) fn velocity_limit(&self, axis: usize, w: f64) -> f64 {
         let given = &self.settings.axes[axis];
-        let stiff = given.step_limit.unwrap_or(if axis < 3 { 0.4 } else { 2.0 });
+        let stiff = given.max_velocity.unwrap_or(if axis < 3 { 0.4 } else { 2.0 });
         let soft = self.soft_velocity_limit(axis);
         match w {
             w if w <= 0.0 => stiff,
@@ -208,7 +208,7 @@ impl Oracle {
         // As far as a push is felt: an axis that yields is off by d⁻ (at least 0.1 d⁺) or more, altogether from twice that on.
         let felt = wishes.iter().zip(self.axes()).map(|(row, axis)| {
             let (given, [low, high]) = (&self.settings.axes[axis], if axis < 3 { [0.01, 0.1] } else { [0.04, 0.4] });
-            let near = given.d_minus.unwrap_or(low).max(0.1 * given.d_plus.unwrap_or(high));
+            let near = given.soft_until.unwrap_or(low).max(0.1 * given.firm_from.unwrap_or(high));
             row.w * (row.e.abs() / near - 1.0).clamp(0.0, 1.0)
         });
         let share = 1.0 - (1.0 - share.max(0.0)) * felt.fold(0.0, f64::max);

@@ -29,7 +29,7 @@ const MOST_NEWTON: usize = 20;
 
 /// An arm whose goals and limits stay as they are.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Dead<'a> {
+pub(crate) struct HostLoss<'a> {
     pub(crate) chain: &'a Chain,
     pub(crate) plan: &'a Plan,
     pub(crate) masses: &'a Masses,
@@ -59,7 +59,7 @@ struct Place {
     pull: JointVec,
 }
 
-impl Dead<'_> {
+impl HostLoss<'_> {
     /// Where the arm comes to rest by itself: whoever leaned on it has let go, what was on its way has arrived.
     pub(crate) fn settled(&self) -> JointVec {
         let (n, mut q) = (self.plan.n, *self.q);

@@ -1,9 +1,9 @@
 """The host dies in the middle of its work, and a hand comes: what it meets, against the report.
 
-``python -m pliant.experiments.dead`` lets every arm follow a moving target in random poses, half of
+``python -m pliant.experiments.host_loss`` lets every arm follow a moving target in random poses, half of
 them while a hand leans on the yielding axis, freezes goals and limits, and then drags the tool
 along every axis of the task, both ways, by 0.15 m or 0.4 rad. What the hand meets at most is
-compared with ``report().dead_host``, taken from the last step before the death.
+compared with ``report().host_loss_force``, taken from the last step before the death.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Met:
         axis: Name.
         sign: Direction of the push.
         leaned: Whether a hand leaned on the arm when it died.
-        said: `report().dead_host` of the last step [N or N·m].
+        said: `report().host_loss_force` of the last step [N or N·m].
         felt: The most that the hand met [N or N·m].
         at: How far it had gone then [m or rad].
         hand: The most that it has [N or N·m].
@@ -126,7 +126,7 @@ class Bench:
             axis=axis,
             sign=sign,
             leaned=leans,
-            said=float(report.dead_host[side]),
+            said=float(report.host_loss_force[side]),
             felt=felt,
             at=at,
             hand=self.hand[kind],
@@ -247,6 +247,6 @@ def main(options: Options) -> None:
 
 if __name__ == "__main__":
     # Other processes find this module's jobs by its name, not as `__main__`.
-    from pliant.experiments import dead  # noqa: PLW0406 -- by name
+    from pliant.experiments import host_loss  # noqa: PLW0406 -- by name
 
-    dead.main(tyro.cli(dead.Options))
+    host_loss.main(tyro.cli(host_loss.Options))
