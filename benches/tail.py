@@ -50,7 +50,10 @@ class Case:
 def servos() -> pliant.Servos:
     """As of the built-in seven-joint arm."""
     return pliant.Servos(
-        kp=[150.0] * 4 + [60.0] * 3, max_torque=[10.7] * 4 + [6.4] * 3, friction=0.1, stiffness_known=True
+        kp=[150.0] * 4 + [60.0] * 3,
+        max_torque=[10.7] * 4 + [6.4] * 3,
+        friction=0.1,
+        stiffness_known=True,
     )
 
 

@@ -14,7 +14,9 @@ SECONDS = 3.0 if os.environ.get("PLIANT_SHORT") else 7.0
 
 model = pliant.robots.arm7()
 settings = pliant.Settings(
-    axes={"y": pliant.Axis(soft=4.0, firm=15.0, adaptation=0.999)},  # [N], [N]; every other axis holds
+    axes={
+        "y": pliant.Axis(soft=4.0, firm=15.0, adaptation=0.999)
+    },  # [N], [N]; every other axis holds
 )
 controller = pliant.Controller(model, settings)
 

@@ -20,14 +20,14 @@ def jacobian(q: np.ndarray) -> np.ndarray:
 
 
 J = jacobian(q)
-J_pinv = pliant.damped_pseudo_inverse(J, 0.02)  # eq. (3), damping [m]
-N = pliant.null_space_projector(J)  # eq. (4): no redundancy here, so zero
-A = pliant.activation(J_pinv, N)  # eq. (6), (10): the share of each joint in each axis
+J_pinv = pliant.functional.damped_pseudo_inverse(J, 0.02)  # eq. (3), damping [m]
+N = pliant.functional.null_space_projector(J)  # eq. (4): no redundancy here, so zero
+A = pliant.functional.activation(J_pinv, N)  # eq. (6), (10): the share of each joint in each axis
 
 deviation = np.array([0.03, -0.002])  # target minus actual [m]
-c = pliant.compliance(deviation, 0.01, 0.10)  # eq. (8)
-tau_x = pliant.holding_torque(c, 0.5, 4.0, 6.0, [True, False])  # eq. (9) [N·m]
-tau_q = pliant.joint_torque_limits(A, np.append(tau_x, 0.0))  # eq. (11) [N·m]
+c = pliant.functional.compliance(deviation, 0.01, 0.10)  # eq. (8)
+tau_x = pliant.functional.holding_torque(c, 0.5, 4.0, 6.0, [True, False])  # eq. (9) [N·m]
+tau_q = pliant.functional.joint_torque_limits(A, np.append(tau_x, 0.0))  # eq. (11) [N·m]
 
 np.set_printoptions(precision=3, suppress=True)
 print("activation\n", A)

@@ -16,14 +16,18 @@ SECONDS = 2.0 if os.environ.get("PLIANT_SHORT") else 6.0
 
 if len(sys.argv) == 4:
     # What a servo table says; one number holds for every joint.
-    servos = pliant.Servos(kp=20.0, max_torque=3.0, friction=0.08, damping=0.6)  # [N·m/rad], [N·m] ...
+    servos = pliant.Servos(
+        kp=20.0, max_torque=3.0, friction=0.08, damping=0.6
+    )  # [N·m/rad], [N·m] ...
     model = pliant.Model.from_urdf(sys.argv[1], base=sys.argv[2], tip=sys.argv[3], servos=servos)
 else:
     model = pliant.robots.so101()
 print(f"{model.n} joints: {', '.join(model.joint_names)}; reach {model.reach:.2f} m")
 
 # Fewer than six joints cannot hold six axes: take the translations.
-settings = pliant.Settings(task=pliant.Task("xyz"), axes={"y": pliant.Axis(adaptation=0.9, yields="both")})
+settings = pliant.Settings(
+    task=pliant.Task("xyz"), axes={"y": pliant.Axis(adaptation=0.9, yields="both")}
+)
 controller = pliant.Controller(model, settings)
 for axis, strength in controller.strengths.items():
     print(f"  {axis}: soft {strength.soft}, firm {strength.firm}, hold {strength.hold} N")

@@ -30,7 +30,7 @@ path = q + 0.2 * np.sin(np.linspace(0.0, 3.0, 50))[:, None]
 asked = pliant.Settings(
     axes={"y": pliant.Axis(soft=0.05, firm=60.0), "z": pliant.Axis(hold=80.0)}  # [N]
 )
-check = pliant.check(model, asked, path)
+check = pliant.feasibility.check_path(model, asked, path)
 print(f"\nasked for: {check}")
 
 # 3. Take what it proposes: the smallest where a setting is named for both sides.
@@ -45,9 +45,9 @@ better = pliant.Settings(
     }
 ).tracking(model, path)  # raises soft to three times the friction
 print(f"\nproposed: y {better.axes['y']}, z {better.axes['z']}")
-print(pliant.check(model, better, path))
+print(pliant.feasibility.check_path(model, better, path))
 
 # 4. A pose of the tool will do too.
 away = model.forward_kinematics(q)
 away[0, 3] += 1.0  # [m]
-print(f"\none metre ahead: {pliant.check(model, settings, away, q0=q)}")
+print(f"\none metre ahead: {pliant.feasibility.check_path(model, settings, away, q0=q)}")

@@ -37,7 +37,7 @@ print(f"capture\n{pliant.identify.capture(arm, controller)}\n")
 
 # 2. Weighing alone. The table's k_p is wrong, so the error bars are wide.
 if not SHORT:
-    print(f"weigh\n{pliant.identify.payload(arm, controller, span=0.4).sentences()}\n")
+    print(f"weigh\n{pliant.identify.payload(arm, controller, span=0.4).summary()}\n")
 
 # 3. Everything, about two and a half minutes of the arm's time. Poses within ±0.4 rad are free.
 found = pliant.identify.run(arm, model, table, span=0.4)

@@ -42,7 +42,9 @@ with pliant.connect("sim:arm7", q=START, scene=[pull("y", 1.0), pull("z", 4.0)])
             recorder.add(tick, command)
 
 log = pliant.log.read(folder / "run.mcap")
-seen = felt.feel(log)  # the controller again, with a ContactEstimator beside it: no force was recorded
+seen = felt.feel(
+    log
+)  # the controller again, with a ContactEstimator beside it: no force was recorded
 for k in range(3):
     force = float(np.abs(seen.force[:, k]).max())
     print(findings.sentence(log, seen, k), f"Felt: {force:.0f} N at most.")

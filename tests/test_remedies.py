@@ -151,7 +151,11 @@ def flags(command: str) -> set[str]:
 def test_texts_are_found():
     """The tests below look at these."""
     assert len(texts()) > 1000
-    for sure in ("`pliant setup ARM --set-id OLD:NEW`", "connect(..., rest_q=[...])", "[robot] urdf"):
+    for sure in (
+        "`pliant setup ARM --set-id OLD:NEW`",
+        "connect(..., rest_q=[...])",
+        "[robot] urdf",
+    ):
         assert any(sure in text for text in texts()), sure
 
 

@@ -17,7 +17,7 @@ def controller(model: pliant.Model) -> pliant.Controller:
     """Law `paper`: fixed λ, printed projector, posture and limit cost; no gravity, no limits."""
     endless = {"step_limit": np.inf, "soft_step_limit": np.inf}
     stiff = pliant.Axis(**endless)
-    soft = pliant.Axis(soft=problem.SOFT, firm=problem.FIRM, eta=problem.ETA, **endless)
+    soft = pliant.Axis(soft=problem.SOFT, firm=problem.FIRM, adaptation=problem.ETA, **endless)
     settings = pliant.Settings.paper(
         axes={"xz rpy": stiff, "y": soft},
         damping=problem.DAMPING,
@@ -26,7 +26,7 @@ def controller(model: pliant.Model) -> pliant.Controller:
         posture=problem.bench_arm().rest,
         joint_speed=[1e3] * model.n,
     )
-    servos = pliant.Servos(kp=[100.0] * model.n, torque=[100.0] * model.n)
+    servos = pliant.Servos(kp=[100.0] * model.n, max_torque=[100.0] * model.n)
     return pliant.Controller(model, settings, servos)
 
 

@@ -49,25 +49,24 @@ KNOWN = signatures()
 CORE = {
     "model": (
         "Model and poses",
-        "Model IkSolution Pose as_pose pose_error Payload Link Joint Inertial Mimic",
+        "Model Pose Payload",
     ),
-    "controller": ("Controller", "Controller Command BatchState Report check Check Finding"),
+    "controller": ("Controller", "Controller Command BatchState"),
     "settings": ("Settings", "Settings Task Axis Servos"),
     "contact": ("Contact", "ContactEstimator WrenchEstimate"),
     "loop": ("Arm and loop", "connect Loop HandGuiding"),
-    "mathematics": (
-        "Mathematics",
-        "damped_pseudo_inverse null_space_projector responsibility activation compliance "
-        "holding_torque joint_torque_limits adapt_target",
-    ),
     "errors": (
         "Errors",
-        "PliantError UrdfError FrameNotFoundError OutOfRangeError ShapeError ConfigError ServoError "
+        "PliantError UrdfError FrameNotFoundError OutOfRangeError ShapeError ConfigError "
+        "ServoError "
         "ServoTimeoutError ServoFaultError",
     ),
 }
 #: Modules with a page each, and what else they have that is public.
 MODULES = {
+    "functional": "The equations of the paper for a Jacobian of your own",
+    "model": "Parts of a model, and results of inverse kinematics",
+    "feasibility": "What an arm can exert in a pose or along a path",
     "arm": "What an arm is, its states and its way down",
     "reactions": "Conditions over what is felt, and what to do then",
     "robots": "Arms that ship with the package",

@@ -16,24 +16,16 @@ from typing import TYPE_CHECKING, Any
 from pliant._core import (
     Axis,
     BatchState,
-    Check,
     Command,
     ConfigError,
     ContactEstimator,
     Controller,
-    Finding,
     FrameNotFoundError,
-    IkSolution,
-    Inertial,
-    Joint,
-    OutOfRangeError,
-    Link,
-    Mimic,
     Model,
+    OutOfRangeError,
     Payload,
     PliantError,
     Pose,
-    Report,
     ServoError,
     ServoFaultError,
     Servos,
@@ -44,25 +36,17 @@ from pliant._core import (
     UrdfError,
     WrenchEstimate,
     __version__,
-    activation,
-    adapt_target,
-    as_pose,
-    check,
-    compliance,
-    damped_pseudo_inverse,
-    holding_torque,
-    joint_torque_limits,
-    null_space_projector,
-    pose_error,
-    responsibility,
 )
 
 if TYPE_CHECKING:
     from pliant import arm as arm
     from pliant import config as config
     from pliant import experiments as experiments
+    from pliant import feasibility as feasibility
+    from pliant import functional as functional
     from pliant import identify as identify
     from pliant import log as log
+    from pliant import model as model
     from pliant import reactions as reactions
     from pliant import robots as robots
     from pliant import servo as servo
@@ -77,27 +61,20 @@ if TYPE_CHECKING:
 __all__ = [
     "Axis",
     "BatchState",
-    "Check",
     "Command",
     "ConfigError",
     "ContactEstimator",
     "Controller",
-    "Finding",
-    "HandGuiding",
     "FrameNotFoundError",
-    "IkSolution",
-    "Inertial",
-    "Joint",
-    "OutOfRangeError",
-    "Link",
+    "HandGuiding",
     "Loop",
-    "Mimic",
     "Model",
+    "OutOfRangeError",
     "Payload",
     "PliantError",
     "Pose",
     "Reaction",
-    "Report",
+    "ReactionMonitor",
     "ServoError",
     "ServoFaultError",
     "ServoTimeoutError",
@@ -106,21 +83,9 @@ __all__ = [
     "ShapeError",
     "Task",
     "UrdfError",
-    "ReactionMonitor",
     "WrenchEstimate",
     "__version__",
-    "activation",
-    "adapt_target",
-    "as_pose",
-    "check",
-    "compliance",
     "connect",
-    "damped_pseudo_inverse",
-    "holding_torque",
-    "joint_torque_limits",
-    "null_space_projector",
-    "pose_error",
-    "responsibility",
 ]
 
 #: Parts that are loaded when they are first named: they need extras, or time.
@@ -128,8 +93,11 @@ _PARTS = (
     "arm",
     "config",
     "experiments",
+    "feasibility",
+    "functional",
     "identify",
     "log",
+    "model",
     "reactions",
     "robots",
     "servo",

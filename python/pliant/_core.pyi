@@ -13,24 +13,24 @@ __version__: Final[str]
 __all__ = [
     "Axis",
     "BatchState",
-    "Check",
     "Command",
     "ConfigError",
     "ContactEstimator",
     "Controller",
-    "Finding",
+    "FeasibilityReport",
     "FrameNotFoundError",
-    "IkSolution",
+    "IkResult",
     "Inertial",
+    "Issue",
     "Joint",
-    "OutOfRangeError",
     "Link",
     "Mimic",
     "Model",
+    "OutOfRangeError",
     "Payload",
     "PliantError",
     "Pose",
-    "Report",
+    "PoseReport",
     "ServoError",
     "ServoFaultError",
     "ServoTimeoutError",
@@ -44,7 +44,7 @@ __all__ = [
     "activation",
     "adapt_target",
     "as_pose",
-    "check",
+    "check_path",
     "compliance",
     "damped_pseudo_inverse",
     "holding_torque",
@@ -374,7 +374,7 @@ class Joint:
         """Where it is held [rad or m], for actuated joints that no coordinate moves."""
 
 @final
-class IkSolution:
+class IkResult:
     """The closest joint positions found, and how close they are; true when converged."""
 
     @property
@@ -587,7 +587,7 @@ class Model:
         rotation_tolerance: float = 1e-08,
         max_iterations: int = 100,
         restarts: int = 8,
-    ) -> IkSolution:
+    ) -> IkResult:
         """Joint positions that bring the tool to `target`, searched from `q0` inside the limits.
 
         Damped least squares: a convenience beside the control step. Not converging is no error:
@@ -607,7 +607,7 @@ class Model:
         """
 
     def check_target(self, target: _PoseLike) -> None:
-        """Check that a pose may be a target: one that is far out of reach is in other units.
+        """Check that a pose may be a target: not in millimetres, not far out of reach.
 
         `Controller.step` checks the same for tasks with translations.
 
@@ -620,12 +620,13 @@ class Model:
         """
 
     def check_joint_target(self, q: ArrayLike) -> None:
-        """Check that joint positions (n,) [rad or m] may be a target: degrees are refused.
+        """Check that joint positions (n,) [rad or m] may be a target: not in degrees.
 
         `Controller.step_joints` checks the same.
 
         Raises:
-            OutOfRangeError: A joint is beyond its limits by more than 0.2 rad, or a tenth of its travel.
+            OutOfRangeError: A joint is beyond its limits by more than 0.2 rad, or a tenth of its
+                travel.
             ShapeError, TypeError: They are not n numbers.
         """
 
@@ -646,8 +647,8 @@ class Model:
             out: Arrays (N, 4, 4) and (N, 6, n) to write into: new memory costs up to a fifth.
 
         Raises:
-            ShapeError, OutOfRangeError, TypeError, ValueError: An argument that cannot be used; `out`
-                may then hold anything.
+            ShapeError, OutOfRangeError, TypeError, ValueError: An argument that cannot be used;
+                `out` may then hold anything.
         """
 
     def forward_kinematics_batch(self, Q: ArrayLike, out: _Array | None = None) -> _Array:
@@ -685,7 +686,8 @@ class Servos:
 
     Args:
         kp: Stiffness of the position loop [N m/rad] > 0.
-        max_torque: Usable torque at the present voltage [N m] > 0: the ceiling of every torque limit.
+        max_torque: Usable torque at the present voltage [N m] > 0: the ceiling of every torque
+            limit.
         friction: Dry friction of gears and motor [N m].
         load_friction: Dry friction in addition, per N m that the joint carries [1].
         stribeck: Dry friction in addition at rest [N m], gone in fast motion.
@@ -696,14 +698,14 @@ class Servos:
         armature: Rotor inertia seen at the joint [kg m^2]: contacts, descents and
             simulators use it.
         encoder_step: One encoder count [rad]; 0 when it does not matter.
-        limit_type: What the limit register limits: `"current"`, hence torque, or `"pwm"`, whose torque
-            falls with speed.
+        limit_type: What the limit register limits: `"current"`, hence torque, or `"pwm"`, whose
+            torque falls with speed.
         no_load_speed: Speed without load [rad/s], needed for `"pwm"`.
         stiffness_known: Whether `kp` is known within 10 %.
 
     Raises:
-        OutOfRangeError: A value outside its bounds. ShapeError: Lists of different lengths. ConfigError:
-            A field is missing, not known, or of the wrong type.
+        OutOfRangeError: A value outside its bounds. ShapeError: Lists of different lengths.
+            ConfigError: A field is missing, not known, or of the wrong type.
     """
 
     def __new__(
@@ -825,7 +827,8 @@ class Task:
             joints.
 
     Raises:
-        ConfigError: A key that is not understood, or no rotation matrix. OutOfRangeError: The length.
+        ConfigError: A key that is not understood, or no rotation matrix. OutOfRangeError: The
+            length.
     """
 
     def __new__(
@@ -892,22 +895,24 @@ class Axis:
         damping: Law impedance: damper [N s/m or N m s/rad]; default 0.
         yields: Pushes it gives way to; by default both where `soft` or `firm` is given, else none.
         adaptation: Target adaptation of (12), 0 <= eta < 1.
-        soft_until: Deviation below which compliance is full, (8) [m or rad]; default 0.01 m, 0.04 rad.
-        firm_from: Deviation above which compliance is none, (8) [m or rad]; default 0.10 m, 0.40 rad.
+        soft_until: Deviation below which compliance is full, (8) [m or rad]; default 0.01 m, 0.04
+            rad.
+        firm_from: Deviation above which compliance is none, (8) [m or rad]; default 0.10 m, 0.40
+            rad.
         profile: `"hardening"`: soft to firm with the deviation; `"constant"`: soft; `"softening"`:
             firm to soft.
-        max_velocity: Most commanded velocity while stiff [m/s, rad/s]; default 0.4 m/s, 2 rad/s; inf
-            for none. Law impedance has none.
+        max_velocity: Most commanded velocity while stiff [m/s, rad/s]; default 0.4 m/s, 2 rad/s;
+            inf for none. Law impedance has none.
         soft_step_limit: The same while it yields; default none, under law `"paper"` 0.1 m/s, 0.5
             rad/s.
         deviation_limit: Largest deviation toward a side that does not yield [m or rad]; None: any.
-        on_deviation_limit: What happens there. `"yield"`: the target lets this axis go, the arm gives way with
-            the force of the limit, and is led back at the tool's speed when it is let go. `"hold"`:
-            the target waits, all of it, until the axis is within its limit again.
+        on_deviation_limit: What happens there. `"yield"`: the target lets this axis go, the arm
+            gives way with the force of the limit, and is led back at the tool's speed when it is
+            let go. `"wait"`: the target waits, all of it, until the axis is within its limit again.
 
     Raises:
-        OutOfRangeError: A value outside its bounds. ConfigError: A field that is not known or makes no
-            sense.
+        OutOfRangeError: A value outside its bounds. ConfigError: A field that is not known or
+            makes no sense.
     """
 
     def __new__(
@@ -1090,8 +1095,9 @@ class Settings:
         joint_speed: Joint speed limits (n,) [rad/s]; None: the model's.
         floor: Floor of the torque limits (n,) [N m]; None: the servos' friction.
         margin: Margin of the limits as a share of the usable torque.
-        max_host_loss_force: Most that a hand shall meet along the task's translations if the host dies
-            [N]: the limits give up their margin first, then what they have beyond the arm's weight;
+        max_host_loss_force: Most that a hand shall meet along the task's translations if the host
+            dies [N]: the limits give up their margin first, then what they have beyond the arm's
+            weight;
             None: no such bound. Costs some 0.3 ms a step, 1 ms where it acts.
         direction_band: Half-width of the band in which an axis that yields to one side changes
             over, as a share of `soft_until`; None: 0.1, under law paper 0.
@@ -1104,8 +1110,9 @@ class Settings:
         accept: Risks taken by name: `"eta"`, `"stiffness"`.
 
     Raises:
-        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape. ConfigError:
-            A field or word that is not known (with a suggestion), or values that do not go
+        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
+            ConfigError: A field or word that is not known (with a suggestion), or values that do
+                not go
             together.
     """
 
@@ -1382,7 +1389,7 @@ class BatchState:
         """
 
 @final
-class Report:
+class PoseReport:
     """What one pose can do under the settings in force.
 
     One row per axis of the task (k) or joint (n); pairs are (pushed toward -, pushed toward +).
@@ -1530,7 +1537,7 @@ class Report:
     def deviation_limit(self) -> _Array:
         """Deviation beyond which the target waits or comes along (k, 2) [m, rad]; inf: none."""
 
-    def sentences(self) -> list[str]:
+    def summary(self) -> list[str]:
         """One plain sentence per axis, and per thing that is in the way."""
 
     def to_dict(self) -> dict[str, Any]:
@@ -1540,7 +1547,7 @@ class Report:
     def __ne__(self, other: object, /) -> bool: ...
 
 @final
-class Finding:
+class Issue:
     """One thing that a pose cannot do as asked."""
 
     @property
@@ -1571,7 +1578,7 @@ class Finding:
     def __ne__(self, other: object, /) -> bool: ...
 
 @final
-class Check:
+class FeasibilityReport:
     """Whether a pose or a path can do what the settings ask; true if so. `str` says why not."""
 
     @property
@@ -1583,7 +1590,7 @@ class Check:
         """How many poses were looked at."""
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[Issue, ...]:
         """What is missing, the required first."""
 
     @property
@@ -1616,7 +1623,7 @@ class Check:
 
     @property
     def way_sigma(self) -> _Array:
-        """Least `Report.way_sigma` of the poses (k, 2); inf for sides that do not yield."""
+        """Least `PoseReport.way_sigma` of the poses (k, 2); inf for sides that do not yield."""
 
     def __bool__(self) -> bool: ...
     def __eq__(self, other: object, /) -> bool: ...
@@ -1637,8 +1644,8 @@ class Controller:
         servos: None for those of the model; law paper without gravity needs none.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: Settings, servos and model do not go together; says
-            what to change.
+        ConfigError, OutOfRangeError, ShapeError: Settings, servos and model do not go together;
+            says what to change.
     """
 
     def __new__(
@@ -1677,8 +1684,8 @@ class Controller:
             out: A command to overwrite, whoever holds its arrays.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError, TypeError: An input that cannot be used, by name;
-                the controller is then as before.
+            ShapeError, OutOfRangeError, ConfigError, TypeError: An input that cannot be used, by
+                name; the controller is then as before.
         """
 
     def step_joints(
@@ -1695,8 +1702,8 @@ class Controller:
         """One control step toward joint positions (n,): target and rest posture; else as `step`.
 
         Raises:
-            OutOfRangeError: As `step`, and for a target beyond a joint's limits by more than 0.2 rad, or
-                a tenth of its travel; within that the goals end at the limits.
+            OutOfRangeError: As `step`, and for a target beyond a joint's limits by more than 0.2
+                rad, or a tenth of its travel; within that the goals end at the limits.
         """
 
     def step_batch(
@@ -1737,8 +1744,9 @@ class Controller:
             Command with arrays (N, n): `out` if it is one.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError, TypeError, ValueError: An argument or a row that
-                cannot be used, by name; `state` is then as before, `out` may hold anything. Only a
+            ShapeError, OutOfRangeError, ConfigError, TypeError, ValueError: An argument or a row
+                that cannot be used, by name; `state` is then as before, `out` may hold anything.
+                Only a
                 command that comes out not finite is found underway: others have then been stepped.
         """
 
@@ -1785,7 +1793,7 @@ class Controller:
             ConfigError: The controller knows no `kp`.
         """
 
-    def report(self, q: ArrayLike | None = None) -> Report:
+    def report(self, q: ArrayLike | None = None) -> PoseReport:
         """What a pose can do: forces per axis and side, margins, and what a lost host would leave.
 
         Args:
@@ -1796,7 +1804,9 @@ class Controller:
             ConfigError: Neither `q` nor a step so far.
         """
 
-    def check(self, path_or_pose: _PoseLike | ArrayLike, *, q0: ArrayLike | None = None) -> Check:
+    def check(
+        self, path_or_pose: _PoseLike | ArrayLike, *, q0: ArrayLike | None = None
+    ) -> FeasibilityReport:
         """Whether these settings can be met, and which to change to what if not.
 
         Args:
@@ -1809,7 +1819,8 @@ class Controller:
             Verdict and findings; true where all can be met.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError, TypeError: An input that cannot be used, by name.
+            ShapeError, OutOfRangeError, ConfigError, TypeError: An input that cannot be used, by
+                name.
         """
 
     @property
@@ -2041,8 +2052,8 @@ class ContactEstimator:
         accept: `("thresholds",)` takes thresholds below the uncertainty as they are, unguarded.
 
     Raises:
-        OutOfRangeError: An option out of range; a threshold below what this arm at rest can tell from a
-            contact in the median pose, with that number.
+        OutOfRangeError: An option out of range; a threshold below what this arm at rest can tell
+            from a contact in the median pose, with that number.
         ConfigError, ShapeError: No servos, unknown axes, constants of another length.
     """
 
@@ -2092,7 +2103,8 @@ class ContactEstimator:
             sent: Goals and limits (n,) that were sent last, where not the controller's command.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError: An input that cannot be used; nothing has changed.
+            ShapeError, OutOfRangeError, ConfigError: An input that cannot be used; nothing has
+                changed.
         """
 
     def uncertainty_at(self, q: ArrayLike) -> _Array:
@@ -2150,7 +2162,8 @@ def damped_pseudo_inverse(J: ArrayLike, damping: float) -> _Array:
             too.
 
     Raises:
-        ShapeError: More rows or columns. OutOfRangeError: An entry that is not finite, or lambda < 0.
+        ShapeError: More rows or columns. OutOfRangeError: An entry that is not finite, or lambda <
+            0.
     """
 
 def null_space_projector(
@@ -2196,14 +2209,14 @@ def activation(J_pinv: ArrayLike, N: ArrayLike, gradient: ArrayLike | None = Non
         ShapeError: Sizes that do not go together. OutOfRangeError: An entry that is not finite.
     """
 
-def check(
+def check_path(
     model: Model,
     settings: Settings,
     path_or_pose: _PoseLike | ArrayLike,
     *,
     servos: Servos | None = None,
     q0: ArrayLike | None = None,
-) -> Check:
+) -> FeasibilityReport:
     """Whether settings can be met on a path or in a pose, and which to change to what if not.
 
     The same as `Controller(model, settings, servos).check(path_or_pose, q0=q0)`.
@@ -2221,14 +2234,14 @@ def check(
         Verdict and findings; true where all can be met. Out of reach is a finding, no error.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: Settings, servos and model do not go together, or a
-            path or pose that cannot be used, by name.
+        ConfigError, OutOfRangeError, ShapeError: Settings, servos and model do not go together, or
+            a path or pose that cannot be used, by name.
         TypeError: An argument of another kind.
     """
 
 @overload
 def compliance(deviation: float, soft_until: float, firm_from: float) -> float:
-    """Compliance c of (8): 1 below `soft_until`, 0 above `firm_from`, linear between, for |deviation|.
+    """Compliance c of (8) for |deviation|: 1 below `soft_until`, 0 above `firm_from`.
 
     Args:
         deviation: Deviation (k,) [m or rad], or one.
@@ -2259,8 +2272,8 @@ def holding_torque(c: float, soft: float, firm: float, hold: float, compliant: b
         (k,), or a number for a number.
 
     Raises:
-        ShapeError: Lists of different lengths. OutOfRangeError: c outside [0, 1], or a strength that is
-            not finite.
+        ShapeError: Lists of different lengths. OutOfRangeError: c outside [0, 1], or a strength
+            that is not finite.
     """
 
 @overload

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pliant import ConfigError, OutOfRangeError, Model, Servos, ShapeError
+from pliant import ConfigError, Model, OutOfRangeError, Servos, ShapeError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

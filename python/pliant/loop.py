@@ -297,7 +297,7 @@ class Loop:
         if old or not (np.isfinite(goal).all() and np.isfinite(limit).all()):
             self.rejected += 1
             return False
-        speed = command.velocity if isinstance(command, Command) else None
+        speed = command.speed_limit if isinstance(command, Command) else None
         self._arm.write(goal, limit, extra, lead=speed is not None, velocity=speed)
         self._measure(clock.now() - tick.state.time)
         return True

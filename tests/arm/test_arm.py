@@ -296,9 +296,18 @@ def test_a_misspelt_option_is_named_before_a_port_is_looked_for():
         (lambda: pliant.connect("so101", backned="sim"), "'backned' here; did you mean 'backend'"),
         (lambda: pliant.connect("sim:so101", on_exti="leave_enabled"), "did you mean 'on_exit'"),
         (lambda: pliant.connect("so101", on_exti="leave_enabled"), "did you mean 'on_exit'"),
-        (lambda: pliant.connect(pliant.config.load("so101"), on_exti="leave_enabled"), "did you mean 'on_exit'"),
-        (lambda: pliant.config.load("so101").arm(on_exti="leave_enabled"), "did you mean 'on_exit'"),
-        (lambda: pliant.connect(model, object(), on_exti="leave_enabled"), "did you mean 'on_exit'"),
+        (
+            lambda: pliant.connect(pliant.config.load("so101"), on_exti="leave_enabled"),
+            "did you mean 'on_exit'",
+        ),
+        (
+            lambda: pliant.config.load("so101").arm(on_exti="leave_enabled"),
+            "did you mean 'on_exit'",
+        ),
+        (
+            lambda: pliant.connect(model, object(), on_exti="leave_enabled"),
+            "did you mean 'on_exit'",
+        ),
         (lambda: pliant.connect("so101", q=[0.0] * 5), "'q' is an option of a simulated arm"),
     ):
         with pytest.raises(pliant.ConfigError, match=near):

@@ -175,7 +175,11 @@ EXPECTED = {
 
 
 #: These always run.
-SHORT = {"the same, `Loop(max_step_time=2.0)`", "no positions for 1 s", "elbow does not answer any more"}
+SHORT = {
+    "the same, `Loop(max_step_time=2.0)`",
+    "no positions for 1 s",
+    "elbow does not answer any more",
+}
 
 
 @pytest.mark.parametrize(

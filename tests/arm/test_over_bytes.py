@@ -100,8 +100,8 @@ def test_enabled_in_order_controlled_and_held(family):
         bus.sync()
         register, unit = {"sts": ("goal_velocity", STEP), "x": ("profile_velocity", RPM)}[family]
         speeds = unit * np.array([bus.servo(k).get(register) for k in range(1, 6)])
-        assert np.all(speeds <= command.velocity)
-        assert speeds == pytest.approx(command.velocity, abs=unit)
+        assert np.all(speeds <= command.speed_limit)
+        assert speeds == pytest.approx(command.speed_limit, abs=unit)
         arm.gripper.open()
         arm.leave_enabled()
         arm.close()
@@ -229,7 +229,10 @@ def test_torque_does_not_go_off_where_servos_refuse_the_way_down(cleared, monkey
 
 @pytest.mark.full
 def test_lowered_in_the_place_of_a_program_that_computes_for_ever():
-    with arm_over_bytes("x", [0.0, 0.2, 0.0, 0.2, 0.0], clock="real", comm_timeout=0.3) as (bus, arm):
+    with arm_over_bytes("x", [0.0, 0.2, 0.0, 0.2, 0.0], clock="real", comm_timeout=0.3) as (
+        bus,
+        arm,
+    ):
         height, rounds = bus.plant.tool[2, 3], 0
 
         def run():

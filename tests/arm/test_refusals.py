@@ -21,7 +21,9 @@ def test_limits_below_the_weight_are_sent_and_said_once(make, grasp, share):
     weight = np.abs(arm.model.gravity(grasp))
     with arm:
         write_for(arm, share * weight, 0.15)
-        with pytest.warns(RuntimeWarning, match=r"may exert .* N·m, and this pose needs .*disable_torque"):
+        with pytest.warns(
+            RuntimeWarning, match=r"may exert .* N·m, and this pose needs .*disable_torque"
+        ):
             write_for(arm, share * weight, 0.4)
         assert arm.drive.diary[-1][2] == pytest.approx(share * weight)
         write_for(arm, share * weight)
@@ -52,7 +54,11 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
         (lambda: make(budget=5), TypeError, r"budget must be a Budget.*got 5 \(int\)"),
         (lambda: make(budget=0), TypeError, r"budget must be a Budget.*got 0 \(int\)"),
         (lambda: make(grippers=5), TypeError, r"grippers must be a mapping, as .*got 5 \(int\)"),
-        (lambda: make(grippers={"a": 5}), TypeError, r"grippers\['a'\] must be a GripperConfig, .*got 5"),
+        (
+            lambda: make(grippers={"a": 5}),
+            TypeError,
+            r"grippers\['a'\] must be a GripperConfig, .*got 5",
+        ),
         (lambda: pliant.Loop(make(), 5), TypeError, r"controller must be .*got 5 \(int\)"),
     ):
         with pytest.raises(error, match=said):

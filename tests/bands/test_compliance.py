@@ -73,7 +73,9 @@ def test_a_stiff_axis_follows_a_strong_hand_beyond_its_limit(conditions):
 def test_a_blocked_axis_does_not_push_with_all_it_has(reaction):
     limit = 0.01  # [m]
     free = compliance.block(Settings.firm())
-    seen = compliance.block(Settings(axes={"x": Axis(deviation_limit=limit, on_deviation_limit=reaction)}))
+    seen = compliance.block(
+        Settings(axes={"x": Axis(deviation_limit=limit, on_deviation_limit=reaction)})
+    )
     promised = limit * compliance.stiffness("x")  # [N] (13.9)
     assert seen.force == pytest.approx(promised, abs=3.5)  # [N] (11.6, 12.7)
     assert seen.force < 0.75 * free.force  # (18.1)
@@ -85,7 +87,9 @@ def test_a_blocked_axis_does_not_push_with_all_it_has(reaction):
 
 def test_a_target_that_waits_waits_on_all_axes_and_one_that_follows_does_not():
     follow, hold = (
-        compliance.block(Settings(axes={"x": Axis(deviation_limit=0.01, on_deviation_limit=reaction)}))
+        compliance.block(
+            Settings(axes={"x": Axis(deviation_limit=0.01, on_deviation_limit=reaction)})
+        )
         for reaction in ("yield", "wait")
     )
     assert follow.aside == pytest.approx(compliance.ASIDE, abs=0.01)  # (0.106)
@@ -108,5 +112,7 @@ def test_a_limit_does_not_keep_a_free_arm_from_its_target(reaction, speed):
 @pytest.mark.parametrize("reaction", ["yield", "wait"])
 def test_at_the_tool_s_speed_a_limit_of_5_mm_costs_nothing(reaction):
     free = compliance.jump(Settings())
-    seen = compliance.jump(Settings(axes={"x": Axis(deviation_limit=0.005, on_deviation_limit=reaction)}))
+    seen = compliance.jump(
+        Settings(axes={"x": Axis(deviation_limit=0.005, on_deviation_limit=reaction)})
+    )
     assert seen.after == pytest.approx(free.after, abs=0.05)  # [s] (0.82)

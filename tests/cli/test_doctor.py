@@ -95,7 +95,9 @@ def test_a_calibration_that_is_a_folder_cannot_be_read(tmp_path):
 
 def test_mistakes_stand_one_to_a_line(tmp_path, capsys):
     file = tmp_path / "arm.toml"
-    file.write_text('bakend = 1\n[robot]\nbuiltin = "so101"\n[loop]\nrate = -1\ncomm_timeout = 99\n')
+    file.write_text(
+        'bakend = 1\n[robot]\nbuiltin = "so101"\n[loop]\nrate = -1\ncomm_timeout = 99\n'
+    )
     assert main(["doctor", str(file)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].endswith("arm.toml has 3 mistakes:")

@@ -122,7 +122,9 @@ def test_an_arm_whose_way_to_rest_is_barred_is_lowered_straight_down():
 
 
 def test_a_rest_pose_inside_the_table_is_refused():
-    with pytest.raises(pliant.OutOfRangeError, match=r"rest_q: the tool would be 0\.\d+ m inside the tab"):
+    with pytest.raises(
+        pliant.OutOfRangeError, match=r"rest_q: the tool would be 0\.\d+ m inside the tab"
+    ):
         pliant.connect("so101", backend="sim", rest_q=[0.0, 1.5, 1.2, 0.0, 0.0])
     arm = pliant.connect("so101", backend="sim", signals=False)
     with arm:

@@ -37,13 +37,15 @@ def test_an_arm_that_would_walk_stays_after_the_capture(arm, grasp, kp):
     assert controller.settings == FOLLOWING
     heavy = np.abs(found.gravity) > 1.0
     assert np.abs(found.stiffness[heavy] / (kp * found.believed[heavy]) - 1.0).max() < 0.3
-    assert sum("captured" in text for text in found.sentences()) == found.captured.sum()
+    assert sum("captured" in text for text in found.summary()) == found.captured.sum()
 
 
 def test_an_arm_that_walks_is_stopped_and_told_what_helps():
     """k_p twice the believed one: twice the friction is fed forward, and the tool walks."""
     so101 = pliant.robots.so101()
-    settings = FOLLOWING.replace(task="xyz", axes={"y": pliant.Axis(yields="both", adaptation=0.999)})
+    settings = FOLLOWING.replace(
+        task="xyz", axes={"y": pliant.Axis(yields="both", adaptation=0.999)}
+    )
     plant, controller = standing(so101, [0.2, -0.3, 0.3, 0.9, 0.0], settings, kp=2.0)
     start = plant.tool[:3, 3]
     found = identify.capture(plant, controller)
@@ -61,7 +63,7 @@ def test_a_wrong_payload_is_said_to_be_clipped(arm, grasp):
     found = identify.capture(plant, controller, check=0.0)
     assert found.clipped.any()
     assert not found.stays
-    assert any("clipped" in text and "wrong payload" in text for text in found.sentences())
+    assert any("clipped" in text and "wrong payload" in text for text in found.summary())
 
 
 def test_settings_come_back_after_an_exception(arm, grasp):

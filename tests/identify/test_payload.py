@@ -67,7 +67,7 @@ def test_poses_that_cannot_tell_say_so():
     controller = pliant.Controller(model, pliant.Settings(task="xyz"), model.servos)
     gap.check(controller)
     found = identify.payload(plant, controller, poses=1)
-    weak = [text for text in found.sentences() if "cannot be told" in text]
+    weak = [text for text in found.summary() if "cannot be told" in text]
     assert (found.separated < 0.5).sum() >= 1
     assert len(weak) == 1
     assert "span" in weak[0]

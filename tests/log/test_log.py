@@ -251,7 +251,10 @@ def test_a_soft_run_can_be_logged_from_the_shell(tmp_path):
 
 def test_hand_guiding_is_logged_without_a_controller(tmp_path):
     path = tmp_path / "float.mcap"
-    with pliant.connect("sim:so101", on_exit="leave_enabled") as arm, Recorder(path, arm) as recorder:
+    with (
+        pliant.connect("sim:so101", on_exit="leave_enabled") as arm,
+        Recorder(path, arm) as recorder,
+    ):
         floating = pliant.HandGuiding(arm.model, arm.servos)
         for tick in pliant.Loop(arm, duration=0.2):
             order = floating.step(tick.q)

@@ -75,7 +75,10 @@ def test_forces_do_not_depend_on_where_the_loop_started_anew(run):
     ("settings", "says"),
     [
         ({"y": pliant.Axis(soft=4.0, firm=15.0)}, "y: .* firm: .* the cap was 15 N"),
-        ({"y": pliant.Axis(soft=4.0, firm=15.0, soft_until=0.3, firm_from=0.5)}, "y: .* soft: .* 4 N"),
+        (
+            {"y": pliant.Axis(soft=4.0, firm=15.0, soft_until=0.3, firm_from=0.5)},
+            "y: .* soft: .* 4 N",
+        ),
         ({"y": pliant.Axis(soft=4.0, firm=15.0, firm_from=0.25)}, r"y: .*\(compliance 0\.[3-6]"),
         ({"y": pliant.Axis(soft=4.0, yields="-")}, "y: .* it yields toward - only"),
         ({}, r"y: .* it holds with up to 40 N.*; no torque was left in"),

@@ -82,9 +82,9 @@ def _calls():
         return controller.step(q, target).goal
 
     jacobian, six = model.jacobian(q), np.array([0.01, 0.02, 0.0, 0.1, 0.0, -0.1])
-    inverse = pliant.damped_pseudo_inverse(jacobian, 0.1)
-    projector = pliant.null_space_projector(jacobian)
-    activation = pliant.activation(inverse, projector)
+    inverse = pliant.functional.damped_pseudo_inverse(jacobian, 0.1)
+    projector = pliant.functional.null_space_projector(jacobian)
+    activation = pliant.functional.activation(inverse, projector)
     eight = np.arange(1.0, 8.0)
     hold = [1.0] * 6
     return {
@@ -104,28 +104,52 @@ def _calls():
         "reset q": ("q", q, after_reset),
         "capture_gravity q": ("q", q, lambda v: fresh().capture_gravity(v, q + 0.02)),
         "capture_gravity goal": ("goal", q + 0.02, lambda v: fresh().capture_gravity(q, v)),
-        "damped_pseudo_inverse J": ("J", jacobian, lambda v: pliant.damped_pseudo_inverse(v, 0.1)),
-        "null_space_projector J": ("J", jacobian, pliant.null_space_projector),
-        "activation J_pinv": ("J_pinv", inverse, lambda v: pliant.activation(v, projector)),
-        "activation N": ("N", projector, lambda v: pliant.activation(inverse, v)),
-        "activation gradient": ("gradient", q, lambda v: pliant.activation(inverse, projector, v)),
+        "damped_pseudo_inverse J": (
+            "J",
+            jacobian,
+            lambda v: pliant.functional.damped_pseudo_inverse(v, 0.1),
+        ),
+        "null_space_projector J": ("J", jacobian, pliant.functional.null_space_projector),
+        "activation J_pinv": (
+            "J_pinv",
+            inverse,
+            lambda v: pliant.functional.activation(v, projector),
+        ),
+        "activation N": ("N", projector, lambda v: pliant.functional.activation(inverse, v)),
+        "activation gradient": (
+            "gradient",
+            q,
+            lambda v: pliant.functional.activation(inverse, projector, v),
+        ),
         "responsibility dx": (
             "dx",
             six,
-            lambda v: pliant.responsibility(inverse, v, projector, q, 1.0),
+            lambda v: pliant.functional.responsibility(inverse, v, projector, q, 1.0),
         ),
-        "joint_torque_limits A": ("A", activation, lambda v: pliant.joint_torque_limits(v, eight)),
+        "joint_torque_limits A": (
+            "A",
+            activation,
+            lambda v: pliant.functional.joint_torque_limits(v, eight),
+        ),
         "joint_torque_limits strength": (
             "strength",
             eight,
-            lambda v: pliant.joint_torque_limits(activation, v),
+            lambda v: pliant.functional.joint_torque_limits(activation, v),
         ),
-        "compliance deviation": ("deviation", six, lambda v: pliant.compliance(v, 0.01, 0.1)),
-        "compliance firm_from": ("firm_from", six + 1, lambda v: pliant.compliance(six, 0.01, v)),
+        "compliance deviation": (
+            "deviation",
+            six,
+            lambda v: pliant.functional.compliance(v, 0.01, 0.1),
+        ),
+        "compliance firm_from": (
+            "firm_from",
+            six + 1,
+            lambda v: pliant.functional.compliance(six, 0.01, v),
+        ),
         "holding_torque soft": (
             "soft",
             six,
-            lambda v: pliant.holding_torque([0.5] * 6, v, hold, hold, True),
+            lambda v: pliant.functional.holding_torque([0.5] * 6, v, hold, hold, True),
         ),
         "from_wxyz quaternion": (
             "quaternion",
@@ -137,11 +161,15 @@ def _calls():
             six[:3],
             lambda v: pliant.Pose.from_rpy(v, [0.1, 0.2, 0.3]).matrix,
         ),
-        "pose_error actual": ("actual", target, lambda v: pliant.pose_error(v, np.eye(4))),
+        "pose_error actual": (
+            "actual",
+            target,
+            lambda v: pliant.functional.pose_error(v, np.eye(4)),
+        ),
         "adapt_target target": (
             "target",
             target,
-            lambda v: pliant.adapt_target(np.eye(4), v, 0.5, "y"),
+            lambda v: pliant.functional.adapt_target(np.eye(4), v, 0.5, "y"),
         ),
     }
 

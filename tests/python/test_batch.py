@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import pliant
 
-FIELDS = ("goal", "torque_limit", "velocity")
+FIELDS = ("goal", "torque_limit", "speed_limit")
 LAWS = {
     "cap": pliant.Settings.soft("y"),
     "paper": pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, adaptation=0.9)}),

@@ -45,18 +45,20 @@ def test_model(case):
 @each_case
 def test_functions(case):
     actual, target = pose(case["p"], case["R"]), pose(case["target_p"], case["target_R"])
-    inverse = pliant.damped_pseudo_inverse(case["J"], case["lam"])
+    inverse = pliant.functional.damped_pseudo_inverse(case["J"], case["lam"])
     size = np.abs(case["Jp"]).max()
     close(inverse, case["Jp"], size)
-    projector = pliant.null_space_projector(case["J"], case["lam"], kind="paper")
+    projector = pliant.functional.null_space_projector(case["J"], case["lam"], kind="paper")
     close(projector, case["N"])
-    e = pliant.pose_error(actual, target)
+    e = pliant.functional.pose_error(actual, target)
     close(e, case["d_rotvec"])
 
     # Theirs adapts the deviation axis by axis; as a pose it is the same but for the rotations.
     mask = case["mask"]
     adapted = np.where(mask, (1.0 - case["eta"]) * e, e)
-    shown = pliant.pose_error(actual, pliant.adapt_target(actual, target, case["eta"], mask))
+    shown = pliant.functional.pose_error(
+        actual, pliant.functional.adapt_target(actual, target, case["eta"], mask)
+    )
     close(shown, adapted)
     close(case["Kx"] * adapted, case["dx"])
 
@@ -64,17 +66,19 @@ def test_functions(case):
     gradient = -case["grad"]
     dq = inverse @ case["dx"] - case["alpha"] * projector @ gradient
     close(case["Kq"] * dq, case["dq"], np.abs(case["dq"]).max())
-    shares = pliant.activation(inverse, projector, gradient)
+    shares = pliant.functional.activation(inverse, projector, gradient)
     close(shares, case["A"])
-    load = pliant.responsibility(inverse, case["dx"], projector, gradient, case["alpha"])
+    load = pliant.functional.responsibility(inverse, case["dx"], projector, gradient, case["alpha"])
     close(load[:, :6], np.abs(inverse * case["dx"]), size)
     close(load[:, 6], case["alpha"] * np.abs(projector @ gradient))
 
-    c = pliant.compliance(adapted, case["d_minus"], case["d_plus"])
+    c = pliant.functional.compliance(adapted, case["d_minus"], case["d_plus"])
     close(c, case["c"])
-    strength = pliant.holding_torque(c, case["tau_min"], case["tau_max"], case["tau_stiff"], mask)
+    strength = pliant.functional.holding_torque(
+        c, case["tau_min"], case["tau_max"], case["tau_stiff"], mask
+    )
     close(strength, case["tau_x"])
-    limits = pliant.joint_torque_limits(shares, [*strength, case["tau_null"]])
+    limits = pliant.functional.joint_torque_limits(shares, [*strength, case["tau_null"]])
     close(limits, case["tau_q"])
 
 

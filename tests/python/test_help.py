@@ -89,7 +89,10 @@ def test_an_object_of_another_kind_is_answered_with_how_to_get_one(model):
     made = pliant.Controller(model)
     for call, what in (
         (lambda: pliant.Controller("arm7"), r"model must be a Model, as pliant\.robots\.arm7\(\)"),
-        (lambda: pliant.check("arm7", pliant.Settings(), np.eye(4)), "model must be a Model"),
+        (
+            lambda: pliant.feasibility.check_path("arm7", pliant.Settings(), np.eye(4)),
+            "model must be a Model",
+        ),
         (lambda: pliant.Settings.firm().tracking("arm7"), "model must be a Model"),
         (lambda: pliant.Controller(model, "y"), r"settings must be Settings, e\.g\. .*got 'y'"),
         (lambda: made.update("y"), "settings must be Settings"),

@@ -25,7 +25,7 @@ LAWS = {
 
 
 def bits(command: pliant.Command) -> tuple[bytes, bytes, bytes]:
-    return tuple(x.tobytes() for x in (command.goal, command.torque_limit, command.velocity))
+    return tuple(x.tobytes() for x in (command.goal, command.torque_limit, command.speed_limit))
 
 
 def told(controller: pliant.Controller, q: np.ndarray) -> None:

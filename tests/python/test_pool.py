@@ -16,7 +16,7 @@ import pytest
 
 import pliant
 
-FIELDS = ("goal", "torque_limit", "velocity")
+FIELDS = ("goal", "torque_limit", "speed_limit")
 
 
 def run(controller, q, target, count):
@@ -39,7 +39,7 @@ def unchanged(command, before):
 def test_a_plain_loop_makes_three_commands(controller, q, target):
     for i in range(1000):
         command = controller.step(q + 1e-4 * i, target)
-        assert command.goal.shape == command.torque_limit.shape == command.velocity.shape == (7,)
+        assert command.goal.shape == command.torque_limit.shape == command.speed_limit.shape == (7,)
     assert controller.commands_made == 3
 
 

@@ -82,7 +82,10 @@ def test_axes_that_a_preset_needs_must_belong_to_the_task():
         (lambda: Settings.drawer(axis="yaw"), "'yaw' is not a direction"),
         (lambda: Settings.plug(axis="--z"), "'-z' is not a direction"),
         (lambda: Axis(deviation_limit=0.0), r"deviation_limit = 0 is outside \(0, ∞\)"),
-        (lambda: Axis(deviation_limit=None, on_deviation_limit="stop"), "must be one of 'yield', 'wait'"),
+        (
+            lambda: Axis(deviation_limit=None, on_deviation_limit="stop"),
+            "must be one of 'yield', 'wait'",
+        ),
         (
             lambda: Axis(soft=4.0, deviation_limit=0.02),
             "has no effect on an axis that yields to both sides",
@@ -118,7 +121,9 @@ def test_a_target_that_follows_is_reported_and_does_not_bump(arm):
 
 def test_a_target_at_rest_that_waits_does_what_it_did_without_a_limit(arm):
     waiting, free = (
-        Controller(arm, Settings(axes={"y": Axis(deviation_limit=0.02, on_deviation_limit="wait")})),
+        Controller(
+            arm, Settings(axes={"y": Axis(deviation_limit=0.02, on_deviation_limit="wait")})
+        ),
         Controller(arm),
     )
     goals, _, target = pushed_away(arm, waiting, 0.06)

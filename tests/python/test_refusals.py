@@ -81,9 +81,18 @@ def calls(model, q):
             lambda: pliant.ContactEstimator(lone, kp_error="2%"),
             "a number; a share of 2 % is 0.02",
         ),
-        "filter": (lambda: pliant.ContactEstimator(lone, filter="fast"), "a number [s], got 'fast' (str)"),
-        "most": (lambda: pliant.ContactEstimator(lone, most=3), "a pair (force [N], torque [N·m]), got 3"),
-        "axes": (lambda: pliant.ContactEstimator(lone, axes=3), "an axis key such as 'xyz rpy', got 3"),
+        "filter": (
+            lambda: pliant.ContactEstimator(lone, filter="fast"),
+            "a number [s], got 'fast' (str)",
+        ),
+        "most": (
+            lambda: pliant.ContactEstimator(lone, most=3),
+            "a pair (force [N], torque [N·m]), got 3",
+        ),
+        "axes": (
+            lambda: pliant.ContactEstimator(lone, axes=3),
+            "an axis key such as 'xyz rpy', got 3",
+        ),
         "accept": (lambda: pliant.ContactEstimator(lone, accept=3), "a tuple of names, got 3"),
         "dt": (lambda: contact.update(q, dt="a"), "a number [s], got 'a' (str)"),
         "sent": (lambda: contact.update(q, sent=3), "a pair (goal, torque_limit), got 3"),
@@ -96,7 +105,7 @@ def calls(model, q):
         "source": (lambda: pliant.Model.from_urdf(None), "the path of a URDF file (str or path"),
         "text": (lambda: pliant.Model.from_urdf_str(None), "URDF text; for a file there is Model"),
         "damping": (
-            lambda: pliant.damped_pseudo_inverse(np.eye(3), "a"),
+            lambda: pliant.functional.damped_pseudo_inverse(np.eye(3), "a"),
             "a number, got 'a' (str)",
         ),
         "restarts": (

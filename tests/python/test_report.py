@@ -63,21 +63,23 @@ def test_dead_host_max_bounds_what_is_left_of_a_dead_host(model, q, displaced):
     assert report.max_host_loss_force == most
     assert np.all(command.torque_limit <= free.torque_limit)
     assert np.all(command.torque_limit >= 1.1 * np.abs(model.gravity(q)) - 1e-12)
-    assert not [said for said in report.sentences() if "max_host_loss_force" in said]
+    assert not [said for said in report.summary() if "max_host_loss_force" in said]
 
 
 def test_more_than_the_weight_leaves_cannot_be_kept(model, q):
     settings = pliant.Settings.soft("y", max_host_loss_force=10.0)
     report = pliant.Controller(model, settings).report(q)
     assert report.host_loss_force[2, 0] > 10.0
-    (said,) = [said for said in report.sentences() if "max_host_loss_force" in said]
+    (said,) = [said for said in report.summary() if "max_host_loss_force" in said]
     assert "−z" in said
-    check = pliant.check(model, settings, q)
+    check = pliant.feasibility.check_path(model, settings, q)
     assert not check
     (found,) = [one for one in check.findings if one.setting == "max_host_loss_force"]
     assert (found.about, found.required) == ("−z", True)
     assert found.value >= report.host_loss_force[2, 0]
-    assert pliant.check(model, settings.replace(max_host_loss_force=found.value), q)
+    assert pliant.feasibility.check_path(
+        model, settings.replace(max_host_loss_force=found.value), q
+    )
     for wrong in (0.0, -1.0, np.nan):
         with pytest.raises(pliant.OutOfRangeError, match="max_host_loss_force"):
             pliant.Settings(max_host_loss_force=wrong)
@@ -92,13 +94,13 @@ def test_what_delay_takes_off_springs_and_dampers_can_be_read(model, q):
     late = controller.report(q)
     assert late.damping_factor < report.damping_factor
     assert late.gain_factor < report.gain_factor
-    (said,) = [said for said in late.sentences() if "damping" in said]
+    (said,) = [said for said in late.summary() if "damping" in said]
     assert f"{late.damping_factor:.2f}"[:4] in said
 
 
 def test_a_hold_that_makes_room_says_so(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=90.0)})
-    (said,) = [s for s in pliant.Controller(model, settings).report(q).sentences() if "room" in s]
+    (said,) = [s for s in pliant.Controller(model, settings).report(q).summary() if "room" in s]
     assert said == "y: hold is 90.0 N instead of 40.0, to leave room for soft and firm."
 
 
@@ -120,7 +122,7 @@ def test_report_of_the_last_step_needs_one(controller, q, target):
 
 def test_sentences_say_it_plainly(controller, q):
     report = controller.report(q)
-    said = report.sentences()
+    said = report.summary()
     assert any(
         line.startswith("±y gives way at") and "cannot be softer than" in line for line in said
     )
@@ -163,7 +165,7 @@ def test_a_position_limit_is_announced_where_it_is_met(model, q):
     rubs = np.abs(left) @ np.delete(model.servos.friction, joint)
     assert report.stop_friction[1, 1] == pytest.approx(rubs, rel=0.05)
     start = f"+y: {near.joint_names[joint]} is 2.0° from its limit: pushed farther than "
-    (said,) = [line for line in report.sentences() if line.startswith(start)]
+    (said,) = [line for line in report.summary() if line.startswith(start)]
     assert said.startswith(f"{start}{1e3 * way:.0f} mm, the stop takes")
 
 
@@ -174,16 +176,16 @@ def test_an_axis_without_a_stop_in_its_way_announces_none(model, q):
     assert np.isinf(report.stop_distance).all()
     assert np.isinf(report.stop_room).all()
     assert not report.stop_friction.any()
-    assert not any("limit:" in line for line in report.sentences())
+    assert not any("limit:" in line for line in report.summary())
     report = pliant.Controller(near_a_stop(model, q, 0.0)[0], settings).report(q)
     np.testing.assert_array_equal(report.stop_distance[1], (np.inf, 0.0))
-    assert any("is at its limit" in line for line in report.sentences())
+    assert any("is at its limit" in line for line in report.summary())
 
 
 def test_check_notes_a_stop_that_comes_before_the_whole_cap(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
     near, joint = near_a_stop(model, q, 0.035)
-    check = pliant.check(near, settings, np.array([q, q - 0.01]))
+    check = pliant.feasibility.check_path(near, settings, np.array([q, q - 0.01]))
     assert check.achievable, "a note, not a demand"
     (note,) = [f for f in check.findings if "position limit when" in f.reason]
     assert note.pose == 0
@@ -200,7 +202,7 @@ def test_deviation_limits_are_told(model, q):
     settings = pliant.Settings(axes={"x": held, "yaw": follows, "y": pliant.Axis(soft=4.0)})
     report = pliant.Controller(model, settings).report(q)
     np.testing.assert_array_equal(report.deviation_limit[[0, 1, 5], 0], (0.02, np.inf, 0.1))
-    said = report.sentences()
+    said = report.summary()
     assert "±x: pushed farther than 20 mm off its target, the whole target waits." in said
     assert "±yaw: pushed farther than 0.10 rad off its target, its target comes along." in said
     assert sum("off its target" in line for line in said) == 2
@@ -225,14 +227,14 @@ def test_check_takes_a_posture_a_path_and_a_pose(controller, model, q):
 
 def test_check_names_the_setting_and_a_value_that_works(model, q):
     asked = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=80.0)})
-    check = pliant.check(model, asked, q)
+    check = pliant.feasibility.check_path(model, asked, q)
     assert not check
     worst = min((f for f in check.findings if f.required), key=lambda f: f.value)
     assert worst.setting == "axes.y.firm"
     assert worst.about in ("+y", "−y")
     assert f"nearest that works: axes.y.firm={worst.value:g}" in str(check)
     better = asked.replace(axes={"y": pliant.Axis(soft=4.0, firm=worst.value)})
-    assert pliant.check(model, better, q)
+    assert pliant.feasibility.check_path(model, better, q)
 
 
 def test_tracking_raises_soft_to_three_times_the_friction(model, q):
@@ -262,10 +264,10 @@ def test_a_singular_pose_that_a_push_leads_to_is_said(model):
         target = model.forward_kinematics(bent)
         target[0, 3] += share * far
         assert model.inverse_kinematics(target, bent).converged is reached
-    (said,) = [s for s in report.sentences() if "singular" in s]
+    (said,) = [s for s in report.summary() if "singular" in s]
     assert said.startswith(f"+x: pushed by {1e3 * far:.0f} mm the arm is near a singular pose")
 
-    check = pliant.check(model, settings, np.stack([q, bent]))
+    check = pliant.feasibility.check_path(model, settings, np.stack([q, bent]))
     assert check.sigma_pose == 1
     assert check.sigma_min == pytest.approx(report.sigma_min, rel=0.01)
     assert check.way_sigma[0, 1] == report.way_sigma[0, 1]
@@ -277,16 +279,16 @@ def test_a_singular_pose_that_a_push_leads_to_is_said(model):
 def test_check_takes_what_a_step_takes(model, q, target):
     at = target[:3, 3]
     lone = pliant.Settings(task="xyz")
-    wanted = str(pliant.check(model, lone, target, q0=q))
+    wanted = str(pliant.feasibility.check_path(model, lone, target, q0=q))
 
     class Held:
         matrix = target
 
     for form in (at, at.tolist(), pliant.Pose(target), Held()):
-        assert str(pliant.check(model, lone, form, q0=q)) == wanted
+        assert str(pliant.feasibility.check_path(model, lone, form, q0=q)) == wanted
         pliant.Controller(model, lone).step(q, form)
     with pytest.raises(pliant.ShapeError, match=r"expected \(4, 4\), \(3,\), \(7,\) or \(N, 7\)"):
-        pliant.check(model, lone, np.zeros(5))
+        pliant.feasibility.check_path(model, lone, np.zeros(5))
     with pytest.raises(pliant.ShapeError, match=r"expected \(4, 4\), \(7,\) or \(N, 7\)"):
-        pliant.check(model, pliant.Settings(), at)
-    assert not pliant.check(model, lone, [0.9, 0.0, 0.9])
+        pliant.feasibility.check_path(model, pliant.Settings(), at)
+    assert not pliant.feasibility.check_path(model, lone, [0.9, 0.0, 0.9])

@@ -99,7 +99,9 @@ VALUES = [
     Task("x z pitch", frame=[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], length=0.3),
     Servos(kp=[100.0, 50.0], max_torque=5.0, limit_type="pwm", no_load_speed=[6.0, 7.0]),
     Servos(kp=100.0, max_torque=5.0),
-    Servos(kp=[9.0, 8.0], max_torque=5.0, load_friction=0.2, stribeck=[0.1, 0.0], stribeck_speed=2.0),
+    Servos(
+        kp=[9.0, 8.0], max_torque=5.0, load_friction=0.2, stribeck=[0.1, 0.0], stribeck_speed=2.0
+    ),
     Payload(0.5, (0.0, 0.1, 0.2)),
     Pose.from_rpy([0.1, 0.2, 0.3], [0.4, 0.5, 0.6]),
 ]
@@ -230,7 +232,11 @@ WRONG = {
         r"yields: must be one of 'both', '\+', '-', 'none', got 1",
     ),
     "text for a number": (lambda: Settings(rate="fast"), r"rate: must be a number, got 'fast'"),
-    "a flag for a number": (lambda: Axis(adaptation=True), r"eta: must be a number, got True"),
+    "a flag for a number": (
+        lambda: Axis(adaptation=True),
+        r"adaptation: must be a number, got "
+        "True",
+    ),
     "a number for a flag": (lambda: Settings(raw_deviation=1), r"must be True or False, got 1"),
     "a triple for a pair": (lambda: Axis(soft=(1, 2, 3)), r"soft: must be a number, or a pair"),
     "a gravity": (lambda: Settings(gravity="off"), r"True, False, 'goal' or 'limits', got 'off'"),
@@ -249,10 +255,10 @@ WRONG = {
     "no rotation": (lambda: Task(frame=np.ones((3, 3))), r"task.frame: .*not a rotation"),
     "an axis without effect": (lambda: Axis(adaptation=0.5), r"Axis.adaptation: 0.5 has no effect"),
     "a risk": (lambda: Settings(accept="heat"), r"'heat' is not a risk"),
-    "servos without torque": (lambda: Servos(kp=1.0), r"servos.torque: is required"),
+    "servos without torque": (lambda: Servos(kp=1.0), r"servos.max_torque: is required"),
     "duty without speed": (
         lambda: Servos(kp=1.0, max_torque=1.0, limit_type="pwm"),
-        r"servos.no_load_speed: kind=\"duty\" needs",
+        r"servos.no_load_speed: limit_type=\"pwm\" needs",
     ),
     "an unknown keyword of a model": (
         lambda: pliant.Model.from_urdf_str("", bsae="x"),

@@ -174,7 +174,9 @@ def test_rows_that_are_too_far_become_nan_where_asked():
                 out = controller.step_batch(rows, poses, state=state, invalid="nan")
                 assert np.array_equal(np.isnan(out.goal).any(axis=1), far)
                 first = int(np.flatnonzero(far)[0])
-                with pytest.raises(pliant.OutOfRangeError, match=rf"targets\[{first}\].*millimetres"):
+                with pytest.raises(
+                    pliant.OutOfRangeError, match=rf"targets\[{first}\].*millimetres"
+                ):
                     controller.step_batch(rows, poses, state=state)
 
 

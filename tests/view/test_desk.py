@@ -24,7 +24,10 @@ def own_files(task):
         "firm": pliant.Settings.firm(task=task),
         "by hand": pliant.Settings(
             task=task,
-            axes={names[-1]: pliant.Axis(hold=1.0), names[0]: pliant.Axis(yields="+", adaptation=0.5)},
+            axes={
+                names[-1]: pliant.Axis(hold=1.0),
+                names[0]: pliant.Axis(yields="+", adaptation=0.5),
+            },
         ),
         "nothing": pliant.Settings(task=task),
     }

@@ -194,7 +194,7 @@ def test_scale_holds_thresholds_and_does_not_flicker(seen):
 
 def test_text_from_errors_is_no_markup(seen):
     assert "<script>" not in meters.notice("<script>alert(1)</script>", wrong=True)
-    assert "<b>" not in meters.sentences(["<b>"])
+    assert "<b>" not in meters.summary(["<b>"])
 
 
 def test_stop_and_torque_on(seen):
@@ -242,7 +242,7 @@ def test_controls_show_what_is_in_force_once_the_edit_is_answered(seen):
     controls.show(replace(late, edit=last - 1))
     assert controls.eta.value == 0.3
     controls.show(replace(late, edit=last))
-    assert controls.eta.value == late.shown.axes["x"]["eta"]
+    assert controls.eta.value == late.shown.axes["x"]["adaptation"]
     assert controls.yields["x"].value == "gives way"
 
 

@@ -204,8 +204,8 @@ class Arm:
         """To a pose (n,) [rad], by default the rest pose, straight through joint space; then lower.
 
         Raises:
-            ConfigError, ShapeError, OutOfRangeError: No pose of this arm, or it is inside the table;
-                nothing has moved.
+            ConfigError, ShapeError, OutOfRangeError: No pose of this arm, or it is inside the
+                table; nothing has moved.
             ServoError: As `lower`.
         """
         if pose is None and self.rest_q is None:
@@ -403,7 +403,8 @@ class Arm:
         grow older: `State.fresh`, `State.age`.
 
         Raises:
-            ServoTimeoutError: The program was away for too long, and the arm has been lowered meanwhile.
+            ServoTimeoutError: The program was away for too long, and the arm has been lowered
+                meanwhile.
             ServoError: The connection is gone, or another process switched torque on.
         """
         with self._keeper:

@@ -10,7 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant import Joint, Model
+    from pliant import Model
+    from pliant.model import Joint
 
     Array = NDArray[np.float64]
 

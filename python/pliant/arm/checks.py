@@ -29,7 +29,8 @@ def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) ->
     """A joint vector (n,) that can be sent.
 
     Raises:
-        ShapeError: Another shape, or no real numbers. OutOfRangeError: Not finite, where it has to be.
+        ShapeError: Another shape, or no real numbers. OutOfRangeError: Not finite, where it has to
+            be.
     """
     try:
         raw = np.asarray(value)

@@ -16,7 +16,17 @@ if TYPE_CHECKING:
 
 #: Arguments that belong to the arm, whatever drives it.
 OF_THE_ARM = frozenset(
-    ("rest_q", "on_exit", "rate", "comm_timeout", "budget", "grippers", "watchdog", "signals", "table")
+    (
+        "rest_q",
+        "on_exit",
+        "rate",
+        "comm_timeout",
+        "budget",
+        "grippers",
+        "watchdog",
+        "signals",
+        "table",
+    )
 )
 
 #: Arguments that replace words of a configuration file.

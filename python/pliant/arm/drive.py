@@ -135,8 +135,8 @@ class Drive(Protocol):
     torque above which a servo protects itself; `stall_current` (N,) [A], for the supply's budget;
     `enabled` (N,), which joints have torque already; `orders`, goals (N,) [rad] and limits (N,)
     [N·m] that stand in the servos, NaN where they are not known; `refusing` (N,), which joints are
-    known not to take goals; `stiffness_known` (N,), which stiffnesses are known within 10 %, where that is
-    not the same for all.
+    known not to take goals; `stiffness_known` (N,), which stiffnesses are known within 10 %, where
+    that is not the same for all.
     """
 
     @property

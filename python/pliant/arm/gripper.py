@@ -152,7 +152,10 @@ def check_grippers(grippers: Mapping[str, GripperConfig] | None) -> dict[str, Gr
     """
     hint = "as {'gripper': pliant.arm.GripperConfig(lever=0.05)}"
     named = {} if grippers is None else mapping(grippers, "grippers", hint)
-    return {name: instance(jaw, GripperConfig, f"grippers[{name!r}]", hint) for name, jaw in named.items()}
+    return {
+        name: instance(jaw, GripperConfig, f"grippers[{name!r}]", hint)
+        for name, jaw in named.items()
+    }
 
 
 def make_grippers(

@@ -87,8 +87,8 @@ class Roster:
         """Goals [rad] and limits [N·m] of joints beside the chain, as numbers that can be sent.
 
         Raises:
-            TypeError: No mapping. ConfigError: No such joint, or no two numbers. OutOfRangeError: Not
-                finite, or a negative limit.
+            TypeError: No mapping. ConfigError: No such joint, or no two numbers. OutOfRangeError:
+                Not finite, or a negative limit.
         """
         checked = {}
         for name, order in mapping(orders, "extra", EXTRA).items():

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 #: Fields of a servo table with one number per joint.
 COLUMNS = (
     "kp",
-    "torque",
+    "max_torque",
     "friction",
     "load_friction",
     "stribeck",
@@ -27,7 +27,7 @@ COLUMNS = (
     "damping",
     "kv",
     "armature",
-    "count",
+    "encoder_step",
 )
 #: No-load speed that stands for none [rad/s].
 UNREACHABLE = 1e6
@@ -52,10 +52,10 @@ def spread(table: Servos, n: int) -> Servos:
 
 
 def join(first: Servos, rest: Sequence[Servos]) -> Servos:
-    """Return one table of several: limit kind and `stiffness_known` are those of the first.
+    """Return one table of several: limit type and `stiffness_known` are those of the first.
 
-    Where the first is of kind `duty`, a servo of another kind counts with an unreachable no-load
-    speed, that is without back-EMF.
+    Where the first is of limit type `pwm`, a servo of another type counts with an unreachable
+    no-load speed, that is without back-EMF.
     """
     tables = [first, *rest]
     sizes = [np.size(table.kp) for table in tables]

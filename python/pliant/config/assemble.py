@@ -155,7 +155,7 @@ def simulated(
     if config.servo:
         options |= {
             "extra_servos": build.extra_servos(config, model),
-            "count": build.chain_servos(config, model).count,
+            "count": build.chain_servos(config, model).encoder_step,
         }
     options |= plant
     options["scene"] = [*tabletop(config), *options.get("scene", ())]

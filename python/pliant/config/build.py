@@ -126,7 +126,7 @@ def servo_table(config: Config) -> tuple[tuple[str, ...], pliant.Servos]:
 
 
 def chain_servos(config: Config, model: Model) -> pliant.Servos:
-    """Servos of the chain's joints (n,) by the file; `stiffness_known` where the file has `kp` for all."""
+    """Return the servos (n,) of the chain; `stiffness_known` where the file gives every `kp`."""
     names, table = servo_table(config)
     known = all(config.servo[joint].kp is not None for joint in model.joint_names)
     places = [names.index(joint) for joint in model.joint_names]

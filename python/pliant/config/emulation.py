@@ -86,7 +86,9 @@ def mounts(config: Config) -> list[Mount]:
                 sign=servo.sign,
                 zero=None if zero is None else round(zero),
                 gear=servo.gear,
-                secondary=None if servo.secondary is None else (servo.secondary.id, servo.secondary.sign),
+                secondary=None
+                if servo.secondary is None
+                else (servo.secondary.id, servo.secondary.sign),
                 port=servo.port,
                 registers=_as_set_up(servo) | _calibrated(files.get(joint), servo),
             )

@@ -71,7 +71,7 @@ class JointPosition:
     def __init__(self, model: pliant.Model, period: float, *, fraction: float = 1.0) -> None:
         """Take the arm; `fraction` of the servos' torque is the limit of every joint."""
         self._model = model
-        self._limit = fraction * np.asarray(servos(model).torque)
+        self._limit = fraction * np.asarray(servos(model).max_torque)
 
     def reset(self, q: Array) -> None:
         """Start in q (n,) [rad]."""
@@ -118,7 +118,7 @@ class Impedance:
         self._spring = np.where(free, spring, np.repeat(stiffness, 3))
         self._model, self._servo = model, servo
         self._kp = np.asarray(servos(model).kp)
-        self._torque = np.asarray(servos(model).torque)
+        self._torque = np.asarray(servos(model).max_torque)
         self._joints = Joints(model, period) if compensated else None
 
     def reset(self, q: Array) -> None:
@@ -130,7 +130,7 @@ class Impedance:
     def step(self, q: Array, target: Array) -> Goals:
         """Turn the pose error into torques."""
         pose, jacobian = self._model.kinematics(q)
-        force = self._spring * np.asarray(pliant.pose_error(pose, target))
+        force = self._spring * np.asarray(pliant.functional.pose_error(pose, target))
         inverse = np.linalg.pinv(jacobian)
         null = self._rest - q
         null = null - inverse @ (jacobian @ null)

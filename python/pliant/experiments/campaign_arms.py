@@ -161,7 +161,7 @@ def _table(name: str, bare: pliant.Model) -> pliant.Servos:
     like = {"so101 (real)": "so101", "koch (real)": "koch"}.get(name)
     if like is not None:
         ours = load(like).servos
-        fields = ("kp", "torque", "friction", "damping", "armature", "count")
+        fields = ("kp", "max_torque", "friction", "damping", "armature", "encoder_step")
         cut = {field: np.asarray(getattr(ours, field))[: bare.n] for field in fields}
         speed = np.asarray(ours.no_load_speed)[: bare.n]
         return pliant.Servos(**cut, limit_type="pwm", no_load_speed=speed, stiffness_known=True)

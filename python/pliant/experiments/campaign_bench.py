@@ -253,7 +253,7 @@ class Bench:
             plant.write(command.goal, command.torque_limit)
             plant.advance()
             if now >= end - LOOK:
-                error = pliant.pose_error(plant.tool, target)
+                error = pliant.functional.pose_error(plant.tool, target)
                 felt.append(sign * grip.force(row))
                 moved.append(abs(error[row]))
                 speeds.append(np.abs(plant.dq))

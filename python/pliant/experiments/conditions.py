@@ -80,7 +80,7 @@ class Conditions:
             load_stribeck=self.believed * np.asarray(true.load_stribeck),
             damping=self.believed * np.asarray(true.damping),
             kv=self.believed * np.asarray(true.kv),
-            count=self.count,
+            encoder_step=self.count,
         )
 
     def controller(self, law: pliant.Settings | FromModel) -> Controlling:

@@ -1,8 +1,8 @@
 """The host dies in the middle of its work, and a hand comes: what it meets, against the report.
 
-``python -m pliant.experiments.host_loss`` lets every arm follow a moving target in random poses, half of
-them while a hand leans on the yielding axis, freezes goals and limits, and then drags the tool
-along every axis of the task, both ways, by 0.15 m or 0.4 rad. What the hand meets at most is
+``python -m pliant.experiments.host_loss`` lets every arm follow a moving target in random poses,
+half of them while a hand leans on the yielding axis, freezes goals and limits, and then drags the
+tool along every axis of the task, both ways, by 0.15 m or 0.4 rad. What the hand meets at most is
 compared with ``report().host_loss_force``, taken from the last step before the death.
 """
 
@@ -132,7 +132,7 @@ class Bench:
             hand=self.hand[kind],
         )
 
-    def _work(self, pose: int, *, leans: bool) -> pliant.Report:
+    def _work(self, pose: int, *, leans: bool) -> pliant.feasibility.PoseReport:
         """Follow a moving target until the host dies; the report of the last step."""
         rng = np.random.default_rng((pose, 7))
         way, death, lean = rng.standard_normal(3), rng.uniform(*WORK), rng.choice((-LEAN, LEAN))
@@ -164,7 +164,7 @@ class Bench:
             # The hand's spring takes part of its way: it goes on until the tool has gone it.
             grip.move(row, way / TAKES)
             plant.advance()
-            gone = float(pliant.pose_error(start, plant.tool)[row])
+            gone = float(pliant.functional.pose_error(start, plant.tool)[row])
             force = float(np.sign(way)) * grip.force(row)
             if force > most:
                 most, at = force, abs(gone)

@@ -193,7 +193,11 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     found = identify.run(body, robots.arm7(), table, span=span)
     gains = body.gains
     true = table.replace(
-        kp=gains.kp, friction=gains.friction, damping=gains.damping, kv=gains.kv, stiffness_known=True
+        kp=gains.kp,
+        friction=gains.friction,
+        damping=gains.damping,
+        kv=gains.kv,
+        stiffness_known=True,
     )
     beliefs = {
         "the table, wrong": (table, 0.0),

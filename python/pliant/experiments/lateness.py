@@ -94,7 +94,10 @@ class Timed:
 def run(way: Way, link: Link | None, seconds: float, folder: Path) -> None:
     """Control the arm one way, and count."""
     source = Configured(
-        config.load("so101", backend="emulator"), on_exit="leave_enabled", signals=False, comm_timeout=PATIENCE
+        config.load("so101", backend="emulator"),
+        on_exit="leave_enabled",
+        signals=False,
+        comm_timeout=PATIENCE,
     )
     timed = Timed(link if way.page else None, round(seconds * RATE))
     session = Session(source, cast("Link", timed), folder / "run.mcap" if way.log else None)

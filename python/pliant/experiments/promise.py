@@ -103,7 +103,7 @@ def capacity(q: Array, axis: int, sign: float) -> float:
     model = arm()
     lever = sign * model.jacobian(q)[axis]
     felt = np.abs(lever) > 1e-6
-    room = np.asarray(servos().torque) + np.sign(lever) * model.gravity(q)
+    room = np.asarray(servos().max_torque) + np.sign(lever) * model.gravity(q)
     return float((room[felt] / np.abs(lever[felt])).min())
 
 

@@ -281,7 +281,12 @@ def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> 
         chain = Recorder(assemble.specs(read, bus.ports), rate=rate, patience=PATIENCE)
         try:
             arm = Arm(
-                read.model(), chain, rate=rate, comm_timeout=COMM_TIMEOUT, watchdog=WATCHDOG, signals=False
+                read.model(),
+                chain,
+                rate=rate,
+                comm_timeout=COMM_TIMEOUT,
+                watchdog=WATCHDOG,
+                signals=False,
             )
             arm.open()
             bus.call("faults.by_chance", **shares())

@@ -142,7 +142,7 @@ def _passable(it: Arm, q: Array, way: Array, least: float) -> bool:
             pose, jacobian = model.kinematics(q)
             target = start.copy()
             target[:3, 3] += share * way
-            error = np.asarray(pliant.pose_error(pose, target))[it.rows]
+            error = np.asarray(pliant.functional.pose_error(pose, target))[it.rows]
             rows = jacobian[it.rows]
             pull = np.linalg.solve(rows @ rows.T + 1e-6 * np.eye(len(rows)), error)
             q += np.clip(rows.T @ pull, -0.1, 0.1)

@@ -12,9 +12,9 @@ simulated. Each call is also a `Procedure` with `step(q)` for a loop of one's ow
 """
 
 from pliant.identify.capture import Captured, capture, capturing
-from pliant.identify.hand_guiding import HandGuiding
 from pliant.identify.found import Identification, PayloadEstimate
 from pliant.identify.guided import identification, run
+from pliant.identify.hand_guiding import HandGuiding
 from pliant.identify.payload import payload, weighing
 from pliant.identify.seam import Order, Procedure, drive
 

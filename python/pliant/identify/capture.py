@@ -69,7 +69,7 @@ class Captured:
         """Whether it stood still, nothing was clipped, and the check moved the tool too little."""
         return self.still and not self.clipped.any() and not self.drift > self.bound
 
-    def sentences(self) -> list[str]:
+    def summary(self) -> list[str]:
         """One sentence per joint, then what the check showed."""
         out = []
         for i, name in enumerate(self.joint_names):
@@ -115,7 +115,7 @@ class Captured:
         )
 
     def __str__(self) -> str:
-        return "\n".join(self.sentences())
+        return "\n".join(self.summary())
 
 
 def capture(

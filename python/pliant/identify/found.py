@@ -71,7 +71,7 @@ class PayloadEstimate:
         """As a `pliant.Payload`; of mass 0 where none was found."""
         return pliant.Payload(self.mass if self.found else 0.0, self.com)
 
-    def sentences(self) -> list[str]:
+    def summary(self) -> list[str]:
         """What it weighs, where its centre is, and what the poses could not tell."""
         if not self.found:
             out = [f"no payload found: {self.mass:.3f} ± {2 * self.mass_sigma:.3f} kg (95 %)."]
@@ -192,7 +192,7 @@ class Identification:
         controller.set_delay(self.delay)
         return controller
 
-    def sentences(self) -> list[str]:
+    def summary(self) -> list[str]:
         """One sentence per joint, then bus, payload, and what to be wary of."""
         out = []
         servos, old = self.servos, self.believed
@@ -215,7 +215,7 @@ class Identification:
             f"loop delay {1e3 * self.delay:.1f} ± {2e3 * self.delay_sigma:.1f} ms, from reading to "
             "arrival of the goal."
         )
-        out += self.payload.sentences()
+        out += self.payload.summary()
         unsure = self.errors["kp"] > 0.1 * np.asarray(servos.kp)
         for name in np.asarray(self.joint_names)[unsure]:
             out.append(
@@ -234,4 +234,4 @@ class Identification:
         return out
 
     def __str__(self) -> str:
-        return "\n".join(self.sentences())
+        return "\n".join(self.summary())

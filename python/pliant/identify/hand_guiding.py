@@ -62,8 +62,8 @@ class HandGuiding:
 
     Args:
         model: The arm.
-        servos: What is believed of its servos; None for the model's. With `stiffness_known=True` k_p is
-            taken to be right within 10 %, else within a factor of 2.
+        servos: What is believed of its servos; None for the model's. With `stiffness_known=True`
+            k_p is taken to be right within 10 %, else within a factor of 2.
         rate: Control rate [Hz] where `step` is given no `dt`.
         delay: From reading to arrival of the goal [s].
         payload: What the tool carries beside the model: a `pliant.Payload` or (mass, com).
@@ -99,7 +99,9 @@ class HandGuiding:
         known = instance(model, pliant.Model, "model").servos
         table = known if servos is None else instance(servos, pliant.Servos, "servos")
         if table is None:
-            raise pliant.ConfigError("HandGuiding needs a servo table: pass servos=pliant.Servos(…)")
+            raise pliant.ConfigError(
+                "HandGuiding needs a servo table: pass servos=pliant.Servos(…)"
+            )
         rate, delay = (
             number(rate, "rate", 10.0, 1000.0, "Hz"),
             number(delay, "delay", 0.0, 0.5, "s"),
@@ -153,7 +155,8 @@ class HandGuiding:
 
         Raises:
             ShapeError: Not n finite positions; nothing has changed then.
-            OutOfRangeError: `dt` is out of range, or the first swing would leave the position limits.
+            OutOfRangeError: `dt` is out of range, or the first swing would leave the position
+                limits.
             ServoError: A joint does not follow the first swing.
         """
         q = self._positions(q)

@@ -54,8 +54,8 @@ def payload(
 
     Raises:
         ConfigError: The controller has no servos.
-        OutOfRangeError: The motion would leave the position limits, or the servos cannot hold what was
-            found. ServoError: A joint does not follow; the arm is left holding.
+        OutOfRangeError: The motion would leave the position limits, or the servos cannot hold what
+            was found. ServoError: A joint does not follow; the arm is left holding.
     """
     procedure = weighing(controller, poses=poses, span=span, amplitude=amplitude)
     return drive(arm, procedure, loop, rate=controller.settings.rate)

@@ -1,6 +1,7 @@
 """What pushed at the tool during a logged run, and what its controller says of it.
 
-The log has what the controller was told, so a fresh one is told it again with a `ContactEstimator` beside
+The log has what the controller was told, so a fresh one is told it again with a `ContactEstimator`
+beside
 it: no force needs to be recorded.
 """
 
@@ -42,7 +43,7 @@ class Felt:
     force: Array
     bound: Array
     worst: int
-    report: pliant.Report
+    report: pliant.feasibility.PoseReport
     strengths: dict[str, pliant.Axis]
 
 
@@ -66,7 +67,7 @@ def feel(log: Log) -> Felt | None:
     force = np.zeros((ticks, len(axes)))
     bound = np.full_like(force, np.inf)
     strengths: dict[str, pliant.Axis] = {}
-    found: pliant.Report | None = None
+    found: pliant.feasibility.PoseReport | None = None
     contact: pliant.ContactEstimator | None = None
     tick = 0
 

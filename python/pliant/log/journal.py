@@ -149,7 +149,7 @@ class Journal:
                 slots[name][:] = value
         slots["goal"][:] = command.goal
         slots["torque_limit"][:] = command.torque_limit
-        slots["velocity"][:] = command.velocity
+        slots["speed_limit"][:] = command.speed_limit
         self._sender.send(frames.STEP, STEP.pack(self.calls, joints), self._row.tobytes())
         self.calls += 1
 
@@ -164,4 +164,4 @@ def _pose(target: Any) -> Array:
     """The array that a target stands for, by itself where it is one."""
     if isinstance(target, np.ndarray | list | tuple):
         return np.array(target, dtype=np.float64)
-    return np.asarray(pliant.as_pose(target).matrix)
+    return np.asarray(pliant.functional.as_pose(target).matrix)

@@ -76,7 +76,7 @@ TEXT = "string data\n"
 
 #: Of the joints (n,): what is read, and what is sent.
 STATE = ("q", "dq", "load", "current", "voltage", "temperature", "age")
-COMMAND = ("goal", "torque_limit", "velocity")
+COMMAND = ("goal", "torque_limit", "speed_limit")
 #: Of the axes of the task (k,), as the controller names them.
 AXES = (
     "deviation",

@@ -155,9 +155,9 @@ class Recorder:
         if command is not None:
             slots["goal"][:] = command.goal
             slots["torque_limit"][:] = command.torque_limit
-            velocity = getattr(command, "velocity", None)
-            if velocity is not None:
-                slots["velocity"][:] = velocity
+            speed_limit = getattr(command, "speed_limit", None)
+            if speed_limit is not None:
+                slots["speed_limit"][:] = speed_limit
         if self._extra:
             slots["extra"][:] = [state.extra.get(name, np.nan) for name in self._extra]
         if self._journal is not None:

@@ -143,7 +143,7 @@ def _soft(log: Log, felt: Felt | None, folder: Path) -> str:
             f'<p><b class="head">What the controller says of the pose at {when:.2f} s</b>, where '
             "the tool was farthest off:</p>"
         )
-        parts.append(_list(felt.report.sentences()))
+        parts.append(_list(felt.report.summary()))
     return "".join(parts)
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 #: What a controller is told beside steps.
 CALLS = ("reset", "update", "set_payload", "set_gravity", "set_delay", "capture_gravity")
-COMMAND = ("goal", "torque_limit", "velocity")
+COMMAND = ("goal", "torque_limit", "speed_limit")
 
 
 @dataclass(frozen=True)

@@ -36,12 +36,12 @@ __all__ = [
     "Moment",
     "Noted",
     "Reaction",
+    "ReactionMonitor",
     "Retract",
     "Running",
     "Saturated",
     "Speed",
     "Stop",
     "Touched",
-    "ReactionMonitor",
     "Yield",
 ]

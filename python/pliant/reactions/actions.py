@@ -116,7 +116,8 @@ class Yield(Action):
 
     Args:
         axes: Axis key of the task.
-        fields: Other attributes of `pliant.Axis` meanwhile, e.g. ``{"soft": 2.0, "eta": 0.9}``.
+        fields: Other attributes of `pliant.Axis` meanwhile, e.g. ``{"soft": 2.0, "adaptation":
+            0.9}``.
     """
 
     axes: str
@@ -164,7 +165,7 @@ class _Leashed(Running):
 
     def _off(self, now: Moment, target: Array) -> tuple[Array, Array]:
         frame = now.base_from_task
-        error = pliant.pose_error(now.tool, target)
+        error = pliant.functional.pose_error(now.tool, target)
         return frame, np.concatenate((frame.T @ error[:3], frame.T @ error[3:]))
 
     def target(self, now: Moment, target: Array) -> Array:

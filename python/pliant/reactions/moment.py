@@ -67,7 +67,9 @@ class Moment:
             ConfigError: The watch does not feel.
         """
         if self.felt is None:
-            raise pliant.ConfigError("this watch feels no force: give it contact=ContactEstimator(...)")
+            raise pliant.ConfigError(
+                "this watch feels no force: give it contact=ContactEstimator(...)"
+            )
         return self.felt
 
     @property

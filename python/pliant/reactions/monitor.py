@@ -51,7 +51,9 @@ class Reaction:
                 f"list, got {given(self.then)}"
             )
         if self.until is not None and any(isinstance(one, Stop) for one in self.actions):
-            raise pliant.ConfigError("a Stop ends by ReactionMonitor.resume() alone; use Hold with until")
+            raise pliant.ConfigError(
+                "a Stop ends by ReactionMonitor.resume() alone; use Hold with until"
+            )
         number(self.clear, "Reaction.clear", 0.0, unit="s")
 
     @property
@@ -240,7 +242,8 @@ class ReactionMonitor:
             The target for the step: the caller's own object while nothing is in force.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError: An input that cannot be used; nothing has changed.
+            ShapeError, OutOfRangeError, ConfigError: An input that cannot be used; nothing has
+                changed.
             Exception: What a called function raises.
         """
         now = self._look(q, target, dt, load, current, sent)
@@ -260,7 +263,7 @@ class ReactionMonitor:
     def _look(self, q: Any, target: Any, dt: float | None, *measured: Any) -> Moment:
         """What this tick is like."""
         controller = self.controller
-        wanted = pliant.as_pose(target).matrix
+        wanted = pliant.functional.as_pose(target).matrix
         tool = controller.model.forward_kinematics(q)
         felt, guard = None, 1.0
         if self.contact is not None:

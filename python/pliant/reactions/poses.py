@@ -24,7 +24,7 @@ def moved(pose: Array, shift: Array, turn: Array) -> Array:
 
 def toward(pose: Array, target: Array, way: float, angle: float) -> Array:
     """Pose (4, 4) a step nearer to a target: at most `way` [m] and `angle` [rad]."""
-    error = pliant.pose_error(pose, target)
+    error = pliant.functional.pose_error(pose, target)
     shift, turn = error[:3], error[3:]
     shares = [
         min(1.0, most / size) if (size := float(np.linalg.norm(part))) > 0.0 else 1.0

@@ -7,7 +7,8 @@
 | `koch` | 5 and a gripper, Koch-like | XL430 at 11.1 V (pan, lift), XL330 at 5 V, factory gains |
 
 None of them is a copy or a measurement of a robot; a table of real servos and a real URDF come from
-the user. Their tables define them, so `stiffness_known` is True: on the simulator that is what they are. A
+the user. Their tables define them, so `stiffness_known` is True: on the simulator that is what
+    they are. A
 configuration file and a bus have servos of their own, and know k_p only where it was identified.
 """
 

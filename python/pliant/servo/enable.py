@@ -156,7 +156,9 @@ def _look(device: Device, ports: Ports, goal: Array) -> Image:
     names = [name for name in _BEFORE if name in device.family.registers]
     image = _image(device, ports, *names)
     if device.hardware:
-        raise ServoFaultError("\n".join(device.faults) + f"\nreboot({device.spec.name!r}) clears it")
+        raise ServoFaultError(
+            "\n".join(device.faults) + f"\nreboot({device.spec.name!r}) clears it"
+        )
     if device.position is None:
         raise ServoError(f"{device.name} has not been read yet")
     here = device.angle(device.position)

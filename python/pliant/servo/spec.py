@@ -71,7 +71,9 @@ class ServoSpec:
             if not 0 <= number <= highest:
                 raise ConfigError(f"{self.name}: id {number} is outside 0..{highest}")
         if len(set(ids)) < len(ids):
-            raise ConfigError(f"{self.name}: the secondary has the id of the first servo, {self.id}")
+            raise ConfigError(
+                f"{self.name}: the secondary has the id of the first servo, {self.id}"
+            )
         if any(sign not in {-1, 1} for sign in signs):
             raise ConfigError(f"{self.name}: a sign is +1 or -1, got {signs}")
         if not (np.isfinite(self.gear) and self.gear > 0.0):

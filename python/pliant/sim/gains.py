@@ -119,7 +119,9 @@ def tabulate(model: Any, servos: Servos | None, kind: Kind | None) -> Servos:
         raise ConfigError(
             "servos of limit_type 'pwm' need no_load_speed [rad/s]: it sets their back-EMF"
         )
-    return spread(table, model.n) if kind is None else spread(table, model.n).replace(kind=kind)
+    return (
+        spread(table, model.n) if kind is None else spread(table, model.n).replace(limit_type=kind)
+    )
 
 
 def resolve(table: Servos) -> Gains:

@@ -176,7 +176,7 @@ class Replay:
     def _advance(self, q: Array, dt: float) -> None:
         """Let the clock go on as far as the tool has followed."""
         here, there = (self._model.forward_kinematics(at) for at in (q, self._target()))
-        error = pliant.pose_error(here, there)[self._rows]
+        error = pliant.functional.pose_error(here, there)[self._rows]
         share = float(np.abs(error / self._bound).max())
         wanted = min(max((1.0 - share) / (1.0 - SLOW), 0.0), 1.0)
         self.pace = min(wanted, self.pace + dt / RISE)

@@ -135,7 +135,10 @@ class Desk:
                     raise ConfigError(f"the task has no axis {name!r}; it has {there}")
                 made = fields_of(strengths[name])
                 if name in axes:
-                    made["yields"], made["adaptation"] = yields_of(axes[name]), axes[name].adaptation
+                    made["yields"], made["adaptation"] = (
+                        yields_of(axes[name]),
+                        axes[name].adaptation,
+                    )
                 made |= fields
                 if made["yields"] == "none":
                     made["adaptation"] = 0.0

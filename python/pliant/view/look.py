@@ -104,7 +104,7 @@ class Look:
             return
         now = time.perf_counter()
         if now - self._report[0] > REPORT:
-            self._report = (now, tuple(controller.report().sentences()))
+            self._report = (now, tuple(controller.report().summary()))
         self._step = Step(
             target=target,
             reference=controller.reference,

@@ -214,7 +214,7 @@ def matrix(stage: Stage, step: Step) -> str:
     return _table(("", *names), rows, (92, *([36] * len(names))))
 
 
-def sentences(lines: Sequence[str]) -> str:
+def summary(lines: Sequence[str]) -> str:
     """The report."""
     items = "".join(f'<li style="margin:3px 0">{escape(line)}</li>' for line in lines)
     return _box(f'<ul style="margin:0;padding-left:16px">{items}</ul>')

@@ -79,4 +79,4 @@ class Panel:
             self._last = None
         if now.report != self._report:
             self._report = now.report
-            self._sentences.content = meters.sentences(now.report)
+            self._sentences.content = meters.summary(now.report)

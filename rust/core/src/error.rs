@@ -120,7 +120,9 @@ impl Error {
     #[inline(never)]
     pub(crate) fn in_row(self, batch: &str, row: usize) -> Self {
         match self {
-            Self::OutOfRange { what, value, bound } => Self::OutOfRange { what: format!("{batch}[{row}]: {what}"), value, bound },
+            Self::OutOfRange { what, value, bound } => {
+                Self::OutOfRange { what: format!("{batch}[{row}]: {what}"), value, bound }
+            }
             Self::Config { key, message } => Self::Config { key: format!("{batch}[{row}]: {key}"), message },
             other => other,
         }

@@ -76,14 +76,14 @@ pub use functions::{
     activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,
     null_space_projector, pose_error, responsibility,
 };
-pub use kinematics::{Frames, IkOptions, IkReason, IkSolution, Masses, Reference};
+pub use kinematics::{Frames, IkOptions, IkReason, IkResult, Masses, Reference};
 pub use model::{Model, ModelOptions, Payload};
 pub use number::Instructions;
 pub use pose::Pose;
-pub use report::{Check, Finding, Report};
+pub use report::{FeasibilityReport, Issue, PoseReport};
 pub use servos::{LimitType, Servos};
 pub use settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
-pub use task::axes::{Axis, OnDeviationLimit, Frame, Profile, Task, Yields};
+pub use task::axes::{Axis, Frame, OnDeviationLimit, Profile, Task, Yields};
 
 /// Most independent joints of a chain, and most joints between base and tip, mimic followers included.
 ///

@@ -83,7 +83,11 @@ impl Servos {
             for (i, &value) in values.iter().enumerate() {
                 if !(value >= low && value <= MOST) {
                     let least = if low > 0.0 { format!("{low:e}") } else { "0".into() };
-                    return Err(Error::out_of_range(format!("servos.{name}[{i}]"), value, format!("[{least}, {MOST:e}]")));
+                    return Err(Error::out_of_range(
+                        format!("servos.{name}[{i}]"),
+                        value,
+                        format!("[{least}, {MOST:e}]"),
+                    ));
                 }
             }
         }

@@ -180,7 +180,8 @@ fn jumps(probe: &Probe, a: &[f64], b: &[f64], most: f64) -> Vec<(f64, bool, bool
 fn one_sided(yields: Yields, axis: &str) -> Settings {
     let mut settings = Settings { limits: LimitRule::Demand, ..open() };
     let adaptation = if yields == Yields::None { 0.0 } else { 0.9 };
-    let given = Axis { soft: Some([0.5, 1.0]), firm: Some([2.0, 1.5]), yields: Some(yields), adaptation, ..Axis::default() };
+    let given =
+        Axis { soft: Some([0.5, 1.0]), firm: Some([2.0, 1.5]), yields: Some(yields), adaptation, ..Axis::default() };
     settings.set_axes(axis, given).unwrap();
     settings
 }

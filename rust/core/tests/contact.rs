@@ -58,7 +58,13 @@ fn goal(q: &[f64], torque: &[f64]) -> Vec<f64> {
 }
 
 /// Force and bound, base axes, after readings of an arm at rest that was sent these goals and limits.
-fn felt(contact: &mut ContactEstimator, ctl: &Controller, q: &[f64], goal: &[f64], limit: &[f64]) -> ([f64; 6], [f64; 6]) {
+fn felt(
+    contact: &mut ContactEstimator,
+    ctl: &Controller,
+    q: &[f64],
+    goal: &[f64],
+    limit: &[f64],
+) -> ([f64; 6], [f64; 6]) {
     let input = ContactInput { sent: Some([goal, limit]), ..ContactInput::default() };
     let mut last = ([0.0; 6], [0.0; 6]);
     for _ in 0..100 {
@@ -314,5 +320,7 @@ fn options_are_checked_by_name() {
         },
         None,
     );
-    assert!(ContactEstimator::new(&blind.unwrap(), known()).unwrap_err().to_string().contains("give the controller servos"));
+    assert!(
+        ContactEstimator::new(&blind.unwrap(), known()).unwrap_err().to_string().contains("give the controller servos")
+    );
 }

@@ -6,8 +6,8 @@
 use std::sync::Arc;
 
 use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector};
-use pliant_core::task::axes::{Axis, OnDeviationLimit, Frame, Profile, Task, Yields};
-use pliant_core::{Controller, Error, Model, ModelOptions, Payload, Pose, LimitType, Servos, Settings, StepInput};
+use pliant_core::task::axes::{Axis, Frame, OnDeviationLimit, Profile, Task, Yields};
+use pliant_core::{Controller, Error, LimitType, Model, ModelOptions, Payload, Pose, Servos, Settings, StepInput};
 
 #[path = "oracle/cases.rs"]
 mod cases;
@@ -306,7 +306,13 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
 fn fuzz_servos(random: &mut Random, index: usize, n: usize) -> Servos {
     let mut servos = seeded::servos(index).for_joints(n).unwrap();
     if random.chance(0.2) {
-        let fields = [&mut servos.kp, &mut servos.max_torque, &mut servos.friction, &mut servos.damping, &mut servos.encoder_step];
+        let fields = [
+            &mut servos.kp,
+            &mut servos.max_torque,
+            &mut servos.friction,
+            &mut servos.damping,
+            &mut servos.encoder_step,
+        ];
         for field in fields {
             if random.chance(0.3) {
                 field[random.below(n)] = strange(random);

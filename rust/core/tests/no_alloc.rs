@@ -6,7 +6,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use pliant_core::settings::{Follow, GravityUse, Law, LimitRule, Projector};
-use pliant_core::task::axes::{Axis, OnDeviationLimit, Frame, Task, Yields};
+use pliant_core::task::axes::{Axis, Frame, OnDeviationLimit, Task, Yields};
 use pliant_core::{Controller, ModelOptions, Settings, StepInput};
 
 #[path = "common/seeded.rs"]

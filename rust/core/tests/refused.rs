@@ -6,8 +6,8 @@ use std::sync::Arc;
 use pliant_core::settings::{GravityUse, Law};
 use pliant_core::task::axes::{Axis, Task};
 use pliant_core::{
-    BatchCommand, BatchInput, ContactEstimator, ContactInput, ContactOptions, Controller, Error, Invalid, Model, ModelOptions,
-    Payload, Servos, Settings, StepInput, Targets,
+    BatchCommand, BatchInput, ContactEstimator, ContactInput, ContactOptions, Controller, Error, Invalid, Model,
+    ModelOptions, Payload, Servos, Settings, StepInput, Targets,
 };
 
 #[path = "common/mod.rs"]
@@ -90,7 +90,7 @@ fn numbers_that_no_step_could_use_are_refused_by_name() {
     }
     let cases = [
         ("servos.kp[0]", Servos { kp: vec![1e-308], ..servos() }),
-        ("servos.torque[0]", Servos { max_torque: vec![1e308], ..servos() }),
+        ("servos.max_torque[0]", Servos { max_torque: vec![1e308], ..servos() }),
         ("servos.stribeck_speed[0]", Servos { stribeck: vec![0.1], stribeck_speed: vec![1e-320], ..servos() }),
     ];
     for (name, servos) in cases {
@@ -149,7 +149,8 @@ fn there_is_no_last_command_before_a_step() {
 
 #[test]
 fn a_contact_is_not_asked_about_another_arm() {
-    let mut contact = ContactEstimator::new(&made(Settings::default(), servos()).unwrap(), ContactOptions::default()).unwrap();
+    let mut contact =
+        ContactEstimator::new(&made(Settings::default(), servos()).unwrap(), ContactOptions::default()).unwrap();
     let model = Arc::new(Model::from_urdf_str(PLANAR, &ModelOptions::default()).unwrap());
     let settings = Settings { law: Law::Cap, task: Task::of("xy").unwrap(), ..Settings::default() };
     let other = Controller::new(model, settings, Some(servos())).unwrap();

@@ -187,7 +187,7 @@ fn an_arm_that_cannot_hold_itself_says_so() {
     let report = controller.report_at(&GRASP).unwrap();
     assert!(report.capacity[2][0] < 0.0 && report.static_force[2][0] < 0.0);
     assert!(report.gravity_margin.iter().flatten().any(|margin| *margin < 0.0));
-    assert!(report.sentences().iter().any(|sentence| sentence.contains("cannot hold")));
+    assert!(report.summary().iter().any(|sentence| sentence.contains("cannot hold")));
     let check = controller.check(&[GRASP.to_vec()]).unwrap();
     assert!(!check.achievable && check.findings[0].setting.is_none(), "{check}");
 }
@@ -212,7 +212,7 @@ fn coupling_names_the_axis_that_shares_the_joints() {
         assert!(report.coupling[1][side] > 0.0 && report.coupling[1][side] <= report.gives_way[1][side][0]);
         assert!(report.coupled_to[1][side].is_some());
     }
-    assert!(report.sentences().iter().any(|sentence| sentence.contains("is held")));
+    assert!(report.summary().iter().any(|sentence| sentence.contains("is held")));
 }
 
 #[test]

@@ -29,7 +29,11 @@ impl Command {
 impl Command {
     fn new(py: Python<'_>, core: &CoreCommand) -> Self {
         let array = |values: &[f64]| new_array(py, &[values.len()], values).unbind();
-        Self { goal: array(core.goal()), torque_limit: array(core.torque_limit()), speed_limit: array(core.speed_limit()) }
+        Self {
+            goal: array(core.goal()),
+            torque_limit: array(core.torque_limit()),
+            speed_limit: array(core.speed_limit()),
+        }
     }
 
     /// Of arrays that exist already.

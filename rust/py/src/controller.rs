@@ -21,7 +21,7 @@ use crate::model::Model;
 use crate::pickle::{self, Reduced};
 use crate::read::{self, array_into, joints, pose, real, vector3};
 use crate::record::readings;
-use crate::report::{Check, Report, check_with};
+use crate::report::{FeasibilityReport, PoseReport, check_with};
 use crate::servos::Servos;
 use crate::settings::Settings;
 use crate::step_batch::{BatchCall, BatchState};
@@ -228,12 +228,12 @@ readings! {
         }
 
         #[pyo3(signature = (q = None))]
-        fn report(&self, q: Option<&Bound<'_, PyAny>>) -> PyResult<Report> {
+        fn report(&self, q: Option<&Bound<'_, PyAny>>) -> PyResult<PoseReport> {
             let report = match q {
                 Some(q) => self.core.report_at(&joints("q", q, self.n)?[..self.n]),
                 None => self.core.report(),
             };
-            report.or_raise().map(Report)
+            report.or_raise().map(PoseReport)
         }
 
         #[pyo3(signature = (path_or_pose, *, q0 = None))]
@@ -241,7 +241,7 @@ readings! {
             &self,
             path_or_pose: &Bound<'_, PyAny>,
             q0: Option<&Bound<'_, PyAny>>,
-        ) -> PyResult<Check> {
+        ) -> PyResult<FeasibilityReport> {
             check_with(&self.core, self.position_only, path_or_pose, q0)
         }
 

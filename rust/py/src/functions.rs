@@ -77,7 +77,8 @@ pub(crate) fn compliance<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let of = list("deviation", deviation)?;
     let k = of.len();
-    let c = core::compliance(&of, &spread("soft_until", soft_until, k)?, &spread("firm_from", firm_from, k)?).or_raise()?;
+    let c =
+        core::compliance(&of, &spread("soft_until", soft_until, k)?, &spread("firm_from", firm_from, k)?).or_raise()?;
     like(deviation, &c)
 }
 

@@ -59,13 +59,13 @@ mod _core {
     #[pymodule_export]
     use crate::pose::{Pose, as_pose};
     #[pymodule_export]
-    use crate::report::{Check, Finding, Report, check};
+    use crate::report::{FeasibilityReport, Issue, PoseReport, check_path};
     #[pymodule_export]
     use crate::servos::Servos;
     #[pymodule_export]
     use crate::settings::Settings;
     #[pymodule_export]
-    use crate::solution::IkSolution;
+    use crate::solution::IkResult;
     #[pymodule_export]
     use crate::step_batch::BatchState;
     #[pymodule_export]

@@ -20,7 +20,7 @@ use crate::pickle::{self, Reduced};
 use crate::pose::matrix;
 use crate::read::{count, given, joints, pose, real};
 use crate::servos::Servos;
-use crate::solution::{IkSolution, search};
+use crate::solution::{IkResult, search};
 use crate::tree::{Joint, Link};
 use crate::words::Word;
 
@@ -263,7 +263,7 @@ impl Model {
         rotation_tolerance: Option<&Bound<'_, PyAny>>,
         max_iterations: Option<&Bound<'_, PyAny>>,
         restarts: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<IkSolution> {
+    ) -> PyResult<IkResult> {
         let mut options = IkOptions::default();
         given(&mut options.position_tolerance, position_tolerance, |it| {
             real("position_tolerance", "a number [m]", it)

@@ -1,9 +1,9 @@
-//! `Report`, `Check` and `Finding`.
+//! `PoseReport`, `FeasibilityReport` and `Issue`.
 
 use numpy::PyArray1;
 use pliant_core::{
-    Check as CoreCheck, Controller as CoreController, Finding as CoreFinding, Model as CoreModel, Pose as CorePose,
-    Report as CoreReport,
+    Controller as CoreController, FeasibilityReport as CoreCheck, Issue as CoreFinding, Model as CoreModel,
+    Pose as CorePose, PoseReport as CoreReport,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -17,15 +17,15 @@ use crate::read::{joints, numbers, pose_of_object};
 use crate::servos::Servos;
 use crate::settings::Settings;
 
-#[pyclass(module = "pliant", frozen, eq)]
+#[pyclass(module = "pliant.feasibility", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Report(pub(crate) CoreReport);
+pub(crate) struct PoseReport(pub(crate) CoreReport);
 
 /// Attributes from fields of the core's report.
 macro_rules! attributes {
     (vectors: $($vector:ident),*; pairs: $($pair:ident),*; flags: $($flag:ident),*; numbers: $($number:ident),*;) => {
         #[pymethods]
-        impl Report {
+        impl PoseReport {
             $(#[getter]
             fn $vector<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
                 new_array(py, &[self.0.$vector.len()], &self.0.$vector)
@@ -81,8 +81,8 @@ macro_rules! attributes {
                 stop_joints(&self.0)
             }
 
-            fn sentences(&self) -> Vec<String> {
-                self.0.sentences()
+            fn summary(&self) -> Vec<String> {
+                self.0.summary()
             }
 
             fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
@@ -98,7 +98,7 @@ macro_rules! attributes {
                 out.set_item("yields", &report.yields)?;
                 out.set_item("coupled_to", &report.coupled_to)?;
                 out.set_item("stop_joint", stop_joints(report))?;
-                out.set_item("sentences", report.sentences())?;
+                out.set_item("sentences", report.summary())?;
                 Ok(out)
             }
 
@@ -107,7 +107,7 @@ macro_rules! attributes {
             }
 
             fn __repr__(&self) -> String {
-                format!("<Report: axes {}; {} joints>", self.0.axes.join(" "), self.0.joints.len())
+                format!("<PoseReport: axes {}; {} joints>", self.0.axes.join(" "), self.0.joints.len())
             }
         }
     };
@@ -130,12 +130,12 @@ fn pairs<'py>(py: Python<'py>, values: &[[f64; 2]]) -> Bound<'py, PyAny> {
     new_array(py, &[values.len(), 2], values.as_flattened())
 }
 
-#[pyclass(module = "pliant", frozen, eq)]
+#[pyclass(module = "pliant.feasibility", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Finding(CoreFinding);
+pub(crate) struct Issue(CoreFinding);
 
 #[pymethods]
-impl Finding {
+impl Issue {
     #[getter]
     fn pose(&self) -> usize {
         self.0.pose
@@ -168,16 +168,16 @@ impl Finding {
 
     fn __repr__(&self) -> String {
         let weight = if self.0.required { "required" } else { "note" };
-        format!("<Finding ({weight}): {} at pose {}: {}>", self.0.about, self.0.pose, self.0.reason)
+        format!("<Issue ({weight}): {} at pose {}: {}>", self.0.about, self.0.pose, self.0.reason)
     }
 }
 
-#[pyclass(module = "pliant", frozen, eq)]
+#[pyclass(module = "pliant.feasibility", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Check(CoreCheck);
+pub(crate) struct FeasibilityReport(CoreCheck);
 
 #[pymethods]
-impl Check {
+impl FeasibilityReport {
     #[getter]
     fn achievable(&self) -> bool {
         self.0.achievable
@@ -191,7 +191,7 @@ impl Check {
     #[getter]
     fn findings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let found: PyResult<Vec<_>> =
-            self.0.findings.iter().map(|finding| Bound::new(py, Finding(finding.clone()))).collect();
+            self.0.findings.iter().map(|finding| Bound::new(py, Issue(finding.clone()))).collect();
         PyTuple::new(py, found?)
     }
 
@@ -245,7 +245,7 @@ impl Check {
 
     fn __repr__(&self) -> String {
         let verdict = if self.0.achievable { "achievable" } else { "not achievable" };
-        format!("<Check: {verdict}, {} poses, {} findings>", self.0.poses, self.0.findings.len())
+        format!("<FeasibilityReport: {verdict}, {} poses, {} findings>", self.0.poses, self.0.findings.len())
     }
 }
 
@@ -303,30 +303,30 @@ pub(crate) fn check_with(
     position_only: bool,
     path_or_pose: &Bound<'_, PyAny>,
     q0: Option<&Bound<'_, PyAny>>,
-) -> PyResult<Check> {
+) -> PyResult<FeasibilityReport> {
     let n = core.model().n();
     match checked(path_or_pose, n, position_only)? {
-        Checked::Path(path) => path_or_pose.py().detach(|| core.check(&path)).or_raise().map(Check),
+        Checked::Path(path) => path_or_pose.py().detach(|| core.check(&path)).or_raise().map(FeasibilityReport),
         Checked::Pose(target) => {
             let start = match q0 {
                 Some(q0) => joints("q0", q0, n)?[..n].to_vec(),
                 None => middle(core.model()),
             };
-            core.check_pose(&target, &start).or_raise().map(Check)
+            core.check_pose(&target, &start).or_raise().map(FeasibilityReport)
         }
     }
 }
 
-#[doc = stub!(check)]
+#[doc = stub!(check_path)]
 #[pyfunction]
 #[pyo3(signature = (model, settings, path_or_pose, *, servos = None, q0 = None))]
-pub(crate) fn check(
+pub(crate) fn check_path(
     py: Python<'_>,
     #[pyo3(from_py_with = arguments::model)] model: Py<Model>,
     #[pyo3(from_py_with = arguments::settings)] settings: Py<Settings>,
     path_or_pose: &Bound<'_, PyAny>,
     #[pyo3(from_py_with = arguments::servos_or_none)] servos: Option<Py<Servos>>,
     q0: Option<&Bound<'_, PyAny>>,
-) -> PyResult<Check> {
+) -> PyResult<FeasibilityReport> {
     Controller::new(py, model, Some(settings), servos)?.check(path_or_pose, q0)
 }

@@ -1,6 +1,6 @@
-//! `IkSolution`.
+//! `IkResult`.
 
-use pliant_core::{IkOptions, IkSolution as CoreSolution};
+use pliant_core::{IkOptions, IkResult as CoreSolution};
 use pyo3::prelude::*;
 
 use crate::convert::new_array;
@@ -9,12 +9,12 @@ use crate::kinds::{AxisKey, Kind};
 use crate::model::Model;
 use crate::read::{joints, pose};
 
-#[pyclass(module = "pliant", frozen)]
+#[pyclass(module = "pliant.model", frozen)]
 #[derive(Debug)]
-pub(crate) struct IkSolution(CoreSolution);
+pub(crate) struct IkResult(CoreSolution);
 
 #[pymethods]
-impl IkSolution {
+impl IkResult {
     #[getter]
     fn q<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[self.0.q.len()], &self.0.q)
@@ -52,7 +52,7 @@ impl IkSolution {
     fn __repr__(&self) -> String {
         let (solution, status) = (&self.0, &self.0.reason);
         format!(
-            "<IkSolution: {status}; {:.1e} m, {:.1e} rad after {} iterations>",
+            "<IkResult: {status}; {:.1e} m, {:.1e} rad after {} iterations>",
             solution.position_error, solution.rotation_error, solution.iterations
         )
     }
@@ -65,10 +65,10 @@ pub(crate) fn search(
     q0: &Bound<'_, PyAny>,
     axes: Option<&Bound<'_, PyAny>>,
     options: &IkOptions,
-) -> PyResult<IkSolution> {
+) -> PyResult<IkResult> {
     let axes = axes.map_or(Ok(options.axes), |axes| AxisKey::read("axes", axes))?;
     let n = model.core.n();
     let (target, start) = (pose("target", target, axes[3..].iter().all(|on| !on))?, joints("q0", q0, n)?);
     let options = IkOptions { axes, ..options.clone() };
-    model.core.inverse_kinematics(&target, &start[..n], &options).or_raise().map(IkSolution)
+    model.core.inverse_kinematics(&target, &start[..n], &options).or_raise().map(IkResult)
 }

@@ -1,7 +1,9 @@
 //! `Task` and `Axis`.
 
 use pliant_core::MAX_AXES;
-use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis, OnDeviationLimit, Profile, Task as CoreTask, Yields, parse_axes};
+use pliant_core::task::axes::{
+    AXIS_NAMES, Axis as CoreAxis, OnDeviationLimit, Profile, Task as CoreTask, Yields, parse_axes,
+};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping, PyMappingProxy, PyTuple};
 

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use crate::convert::new_array;
 use crate::pose::Pose;
 
-#[pyclass(module = "pliant", frozen)]
+#[pyclass(module = "pliant.model", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Inertial(model::Inertial);
 
@@ -37,7 +37,7 @@ impl Inertial {
     }
 }
 
-#[pyclass(module = "pliant", frozen)]
+#[pyclass(module = "pliant.model", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Link(pub(crate) model::Link);
 
@@ -63,7 +63,7 @@ impl Link {
     }
 }
 
-#[pyclass(module = "pliant", frozen)]
+#[pyclass(module = "pliant.model", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Mimic(model::Mimic);
 
@@ -89,7 +89,7 @@ impl Mimic {
     }
 }
 
-#[pyclass(module = "pliant", frozen)]
+#[pyclass(module = "pliant.model", frozen)]
 #[derive(Debug, Clone)]
 pub(crate) struct Joint(pub(crate) model::Joint);
 

@@ -2,7 +2,9 @@
 
 use std::marker::PhantomData;
 
-use pliant_core::{OnDeviationLimit, Follow, GravityUse, Law, LimitRule, Profile, Projector, Reference, LimitType, Yields};
+use pliant_core::{
+    Follow, GravityUse, Law, LimitRule, LimitType, OnDeviationLimit, Profile, Projector, Reference, Yields,
+};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyString};
 

@@ -84,7 +84,7 @@ def measure(outcomes: Mapping[str, Any]) -> Numbers:
 
 
 def _opened(run: Opened) -> dict[str, float]:
-    usable = np.asarray(NOMINAL.servos().torque)
+    usable = np.asarray(NOMINAL.servos().max_torque)
     return {
         "angle": run.angle,
         "force": run.force,

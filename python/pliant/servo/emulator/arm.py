@@ -302,5 +302,9 @@ def _servos(model: Robot, mounts: Sequence[Mount]) -> Servos:
         armature.append(pair * gear**2 * motor.inertia)
     # Stiffness is set tick by tick; the ceiling leaves room for a supply above the nominal one.
     return Servos(
-        kp=[1.0] * len(torque), max_torque=torque, friction=friction, damping=damping, armature=armature
+        kp=[1.0] * len(torque),
+        max_torque=torque,
+        friction=friction,
+        damping=damping,
+        armature=armature,
     )

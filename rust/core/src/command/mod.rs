@@ -1,7 +1,7 @@
 //! From motion and force to what the servos get: lines 11 and 12 of the control step.
 
-pub(crate) mod host_loss;
 pub(crate) mod goal;
+pub(crate) mod host_loss;
 pub(crate) mod integral;
 pub(crate) mod limits;
 pub(crate) mod spare;

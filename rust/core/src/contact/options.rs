@@ -79,7 +79,11 @@ impl ContactOptions {
     /// [`Error::OutOfRange`] or [`Error::Config`] naming the option, [`Error::Shape`] for the torque constants.
     pub fn validate(&self, n: usize) -> Result<()> {
         let within = |what: &str, value: f64, most: f64| {
-            if (0.0..=most).contains(&value) { Ok(()) } else { Err(Error::out_of_range(what, value, format!("[0, {most}]"))) }
+            if (0.0..=most).contains(&value) {
+                Ok(())
+            } else {
+                Err(Error::out_of_range(what, value, format!("[0, {most}]")))
+            }
         };
         within("filter [s]", self.filter, LONGEST)?;
         within("min_time [s]", self.min_time, LONGEST)?;

@@ -340,8 +340,12 @@ impl ContactEstimator {
         // The load's error is one number for all joints: it does not add up joint by joint.
         bound.iter_mut().zip(estimator.apply(&payload)).for_each(|(bound, load)| *bound += load.abs());
         let residual_ratio = (0..n).fold(0.0_f64, |most, i| most.max((felt[i].abs() - payload[i].abs()) / total[i]));
-        let mut out =
-            WrenchEstimate { torque_residual: felt, torque_uncertainty: total, residual_ratio, ..WrenchEstimate::empty(n) };
+        let mut out = WrenchEstimate {
+            torque_residual: felt,
+            torque_uncertainty: total,
+            residual_ratio,
+            ..WrenchEstimate::empty(n)
+        };
         for (r, &axis) in self.axes.iter().enumerate() {
             (out.force[axis], out.uncertainty[axis]) = (force[r], bound[r]);
         }

@@ -72,7 +72,7 @@ impl fmt::Display for IkReason {
 
 /// The closest joint positions that were found, and how close they are.
 #[derive(Debug, Clone, PartialEq)]
-pub struct IkSolution {
+pub struct IkResult {
     /// Joint positions (`n`) [rad or m], inside the limits.
     pub q: Vec<f64>,
     /// Whether both errors are within tolerance.
@@ -110,7 +110,7 @@ impl Model {
     /// # Ok(())
     /// # }
     /// ```
-    pub fn inverse_kinematics(&self, target: &Pose, q0: &[f64], options: &IkOptions) -> Result<IkSolution> {
+    pub fn inverse_kinematics(&self, target: &Pose, q0: &[f64], options: &IkOptions) -> Result<IkResult> {
         let q0 = self.joint_vector(q0)?;
         target.validate()?;
         options.validate()?;
@@ -129,7 +129,7 @@ impl Model {
         }
         let converged = best.converged(options);
         let reason = if converged { IkReason::Converged } else { search.why_not(&best) };
-        Ok(IkSolution {
+        Ok(IkResult {
             q: best.q[..self.n().min(MAX_JOINTS)].to_vec(),
             converged,
             iterations,

@@ -20,7 +20,7 @@ pub(crate) mod spatial;
 pub use forward::Frames;
 pub use gravity::Masses;
 pub(crate) use inertia::JointMatrix;
-pub use inverse::{IkOptions, IkReason, IkSolution};
+pub use inverse::{IkOptions, IkReason, IkResult};
 pub(crate) use look::{LookScratch, View};
 
 /// Axes of a Jacobian's rows; its reference point is the tool in both.

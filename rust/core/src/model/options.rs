@@ -64,7 +64,11 @@ impl Payload {
 pub(crate) fn finite_vector(what: &str, unit: &str, vector: &[f64; 3]) -> Result<()> {
     for (axis, &value) in ["x", "y", "z"].iter().zip(vector) {
         if !(value.abs() <= COORDINATE_BOUND) {
-            return Err(Error::out_of_range(format!("{what}.{axis} [{unit}]"), value, format!("±{COORDINATE_BOUND:e}")));
+            return Err(Error::out_of_range(
+                format!("{what}.{axis} [{unit}]"),
+                value,
+                format!("±{COORDINATE_BOUND:e}"),
+            ));
         }
     }
     Ok(())

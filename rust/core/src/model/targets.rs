@@ -154,7 +154,11 @@ impl Model {
         }
         let named = |i: usize| self.joint_names.get(i).map_or("", String::as_str);
         if let Some(i) = values.iter().position(|value| !(value.abs() <= COORDINATE_BOUND)) {
-            return Error::out_of_range(format!("{what}[{i}] ({})", named(i)), values[i], format!("±{COORDINATE_BOUND:e}"));
+            return Error::out_of_range(
+                format!("{what}[{i}] ({})", named(i)),
+                values[i],
+                format!("±{COORDINATE_BOUND:e}"),
+            );
         }
         let outside = |&i: &usize| !(least[i] < values[i] && values[i] < most[i]);
         let i = (0..self.n().min(MAX_JOINTS)).find(outside).unwrap_or(0);

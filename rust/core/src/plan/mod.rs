@@ -184,7 +184,9 @@ impl Plan {
             takeover_damping: damping_scale.map(|scale| {
                 scale * (damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2))
             }),
-            heavy: settings.gravity != GravityUse::Off || settings.integrate > 0.0 || settings.max_host_loss_force.is_some(),
+            heavy: settings.gravity != GravityUse::Off
+                || settings.integrate > 0.0
+                || settings.max_host_loss_force.is_some(),
             follows_sigma: scales::follows_sigma(settings, &damping),
             damping,
             cost: resolve_cost(model, settings)?,

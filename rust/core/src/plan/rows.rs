@@ -76,7 +76,7 @@ fn check_defaults(settings: &Settings, axes: &[usize], defaults: &[[f64; 3]; 2])
             return Err(Error::config(
                 format!("axes.{}", AXIS_NAMES[axis]),
                 "no default strength: in the median of 512 poses gravity takes all the torque that the servos have; \
-                 check servos.torque [N·m] and the masses, or give soft, firm and hold",
+                 check servos.max_torque [N·m] and the masses, or give soft, firm and hold",
             ));
         }
     }
@@ -108,7 +108,13 @@ pub(super) fn resolve_rows(
     Ok(rows.map(|row| row.unwrap_or(spare)))
 }
 
-fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], spring: f64, stiffness_known: bool) -> Result<Row> {
+fn resolve_row(
+    settings: &Settings,
+    axis: usize,
+    defaults: [f64; 3],
+    spring: f64,
+    stiffness_known: bool,
+) -> Result<Row> {
     let (given, name) = (&settings.axes[axis], AXIS_NAMES[axis]);
     let paper = settings.law == Law::Paper;
     let [soft, firm, hold] = defaults;
@@ -131,7 +137,11 @@ fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], spring: f64
             ));
         }
     }
-    if !paper && given.adaptation > ETA_UNPROVEN && !stiffness_known && !settings.accept.iter().any(|risk| risk == "eta") {
+    if !paper
+        && given.adaptation > ETA_UNPROVEN
+        && !stiffness_known
+        && !settings.accept.iter().any(|risk| risk == "eta")
+    {
         return Err(Error::out_of_range(
             format!("axes.{name}.adaptation"),
             given.adaptation,
@@ -145,7 +155,11 @@ fn resolve_row(settings: &Settings, axis: usize, defaults: [f64; 3], spring: f64
     let soft_until = given.soft_until.unwrap_or(if translation { 0.01 } else { 0.04 });
     let firm_from = given.firm_from.unwrap_or(if translation { 0.10 } else { 0.40 });
     if soft_until >= firm_from {
-        return Err(Error::out_of_range(format!("axes.{name}.soft_until"), soft_until, format!("[0, firm_from = {firm_from})")));
+        return Err(Error::out_of_range(
+            format!("axes.{name}.soft_until"),
+            soft_until,
+            format!("[0, firm_from = {firm_from})"),
+        ));
     }
     let soft_step = match (paper, translation) {
         (true, true) => 0.1,

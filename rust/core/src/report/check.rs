@@ -15,7 +15,7 @@ pub(super) const NEAR_SINGULAR: f64 = 0.1;
 
 /// One thing that a pose cannot do as asked.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Finding {
+pub struct Issue {
     /// Index of the worst pose on the path.
     pub pose: usize,
     /// Axis or joint it is about, with the side of an axis: `+y`.
@@ -32,13 +32,13 @@ pub struct Finding {
 
 /// Whether a path can do what the settings ask.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Check {
+pub struct FeasibilityReport {
     /// Whether nothing that is asked for by name is missing.
     pub achievable: bool,
     /// How many poses were looked at.
     pub poses: usize,
     /// What is missing, the required first.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Issue>,
     /// Names of the task's axes.
     pub axes: Vec<&'static str>,
     /// Least force that the servos' torque can answer along each axis, pushed toward (−, +) [N, N·m].
@@ -81,7 +81,7 @@ impl Controller {
     /// # Ok(())
     /// # }
     /// ```
-    pub fn check(&self, path: &[Vec<f64>]) -> Result<Check> {
+    pub fn check(&self, path: &[Vec<f64>]) -> Result<FeasibilityReport> {
         if path.is_empty() {
             let expected = format!("(N, {}) with N of at least 1", self.plan.n);
             return Err(Error::Shape { what: "path".into(), got: format!("(0, {})", self.plan.n), expected });
@@ -150,7 +150,7 @@ impl Controller {
         findings.extend(self.host_loss_finding(dead.0, dead.1, dead.2));
         let least = NEAR_SINGULAR * self.plan.damping.sigma_0;
         if -singular.value < least {
-            findings.push(Finding {
+            findings.push(Issue {
                 pose: singular.pose,
                 about: "σ_min".into(),
                 required: false,
@@ -165,7 +165,7 @@ impl Controller {
         }
         let (mut findings, hints): (Vec<_>, Vec<_>) = findings.into_iter().partition(|finding| finding.required);
         findings.extend(hints);
-        Ok(Check {
+        Ok(FeasibilityReport {
             achievable: !findings.iter().any(|finding| finding.required),
             poses: path.len(),
             findings,
@@ -184,7 +184,7 @@ impl Controller {
     ///
     /// # Errors
     /// As [`Controller::step`].
-    pub fn check_pose(&self, target: &ToolPose, q0: &[f64]) -> Result<Check> {
+    pub fn check_pose(&self, target: &ToolPose, q0: &[f64]) -> Result<FeasibilityReport> {
         self.check_target("target", target)?;
         let task = &self.settings().task;
         let mut axes = task.axes;
@@ -199,7 +199,7 @@ impl Controller {
         let mut check = self.check(&[found.q])?;
         if !found.converged {
             check.achievable = false;
-            let finding = Finding {
+            let finding = Issue {
                 pose: 0,
                 about: "target".into(),
                 required: true,

@@ -1,7 +1,7 @@
 //! What a check says of the worst that it has seen along a path.
 
 use crate::controller::Controller;
-use crate::report::check::{Finding, NEAR_SINGULAR};
+use crate::report::check::{Issue, NEAR_SINGULAR};
 use crate::report::stops::Push;
 use crate::report::words::{length, number, round_down, round_up, unit};
 use crate::settings::Law;
@@ -31,12 +31,12 @@ pub(super) type Past = (Worst, Option<(Push, f64)>);
 pub(super) type Near = (Worst, Option<(usize, f64)>);
 
 impl Controller {
-    pub(super) fn joint_findings(&self, weight: &[Worst], limit: &[Worst], outside: &[Worst]) -> Vec<Finding> {
+    pub(super) fn joint_findings(&self, weight: &[Worst], limit: &[Worst], outside: &[Worst]) -> Vec<Issue> {
         let mut out = Vec::new();
         for (i, name) in self.model().joint_names().iter().enumerate() {
             let mut add = |worst: Worst, reason: String, setting: Option<&str>, value: Option<f64>| {
                 let (about, setting) = (name.clone(), setting.map(Into::into));
-                out.push(Finding { pose: worst.pose, about, required: true, reason, setting, value });
+                out.push(Issue { pose: worst.pose, about, required: true, reason, setting, value });
             };
             if outside[i].value > 1e-6 {
                 add(outside[i], format!("is {} rad beyond its position limit", number(outside[i].value)), None, None);
@@ -70,7 +70,7 @@ impl Controller {
     }
 
     /// Position limits that are met before an axis gives its whole cap; pushed so far, the stop gives more than that.
-    pub(super) fn stop_findings(&self, r: usize, near: [Near; 2], out: &mut Vec<Finding>) {
+    pub(super) fn stop_findings(&self, r: usize, near: [Near; 2], out: &mut Vec<Issue>) {
         if self.plan.law == Law::Paper {
             return; // Without a cap there is no whole one.
         }
@@ -79,7 +79,7 @@ impl Controller {
         for (side, (worst, what)) in near.into_iter().enumerate() {
             let distance = -worst.value;
             if let Some((joint, full)) = what.filter(|&(_, full)| distance < full) {
-                out.push(Finding {
+                out.push(Issue {
                     pose: worst.pose,
                     about: format!("{}{name}", ["−", "+"][side]),
                     required: false,
@@ -98,11 +98,11 @@ impl Controller {
     }
 
     /// Singular poses that a push leads to from poses that are not near one.
-    pub(super) fn way_findings(&self, r: usize, past: [Past; 2], out: &mut Vec<Finding>) {
+    pub(super) fn way_findings(&self, r: usize, past: [Past; 2], out: &mut Vec<Issue>) {
         let (axis, least) = (self.plan.rows[r].axis, NEAR_SINGULAR * self.plan.damping.sigma_0);
         for (side, (worst, what)) in past.into_iter().enumerate() {
             if let Some((push, friction)) = what.filter(|(push, _)| push.sigma < least && push.at > 0.0) {
-                out.push(Finding {
+                out.push(Issue {
                     pose: worst.pose,
                     about: format!("{}{}", ["−", "+"][side], AXIS_NAMES[axis]),
                     required: false,
@@ -124,9 +124,9 @@ impl Controller {
     }
 
     /// More than a hand shall meet on a dead arm, though the limits hold no more than its weight.
-    pub(super) fn host_loss_finding(&self, worst: Worst, row: usize, sign: f64) -> Option<Finding> {
+    pub(super) fn host_loss_finding(&self, worst: Worst, row: usize, sign: f64) -> Option<Issue> {
         let most = self.plan.max_host_loss_force.filter(|most| worst.value > most * (1.0 + 1e-9))?;
-        Some(Finding {
+        Some(Issue {
             pose: worst.pose,
             about: format!("{}{}", if sign < 0.0 { "−" } else { "+" }, AXIS_NAMES[self.plan.rows[row].axis]),
             required: true,
@@ -140,7 +140,7 @@ impl Controller {
         })
     }
 
-    pub(super) fn axis_findings(&self, r: usize, lack: [Worst; 2], rub: Worst, out: &mut Vec<Finding>) {
+    pub(super) fn axis_findings(&self, r: usize, lack: [Worst; 2], rub: Worst, out: &mut Vec<Issue>) {
         if self.plan.law == Law::Paper {
             return; // Budgets, not forces: what they hold is in the report.
         }
@@ -156,7 +156,7 @@ impl Controller {
             for &(field, strength, required) in asked {
                 if strength > has {
                     let most = round_down(has).max(0.0);
-                    out.push(Finding {
+                    out.push(Issue {
                         pose: lack[side].pose,
                         about: about.clone(),
                         required,
@@ -171,7 +171,7 @@ impl Controller {
                 }
             }
             if row.yields[side] > 0.0 && row.soft[side] < rub.value {
-                out.push(Finding {
+                out.push(Issue {
                     pose: rub.pose,
                     about,
                     required: given.soft.is_some(),

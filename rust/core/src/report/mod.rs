@@ -20,7 +20,7 @@ use crate::settings::Law;
 use crate::task::axes::{AXIS_NAMES, OnDeviationLimit};
 use crate::{JointVec, MAX_JOINTS};
 
-pub use check::{Check, Finding};
+pub use check::{FeasibilityReport, Issue};
 
 use promise::Pose;
 use stops::Way;
@@ -29,7 +29,7 @@ use stops::Way;
 ///
 /// Forces in N, for rotations N·m; all torques in N·m.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Report {
+pub struct PoseReport {
     /// Names of the task's axes.
     pub axes: Vec<&'static str>,
     /// Names of the joints.
@@ -114,7 +114,7 @@ impl Controller {
     ///
     /// # Errors
     /// [`Error::Config`] before the first step.
-    pub fn report(&self) -> Result<Report> {
+    pub fn report(&self) -> Result<PoseReport> {
         if self.memory.limit.is_none() {
             return Err(Error::config("report", "no step has been made yet: make one, or report on a given q"));
         }
@@ -140,7 +140,7 @@ impl Controller {
     /// # Ok(())
     /// # }
     /// ```
-    pub fn report_at(&self, q: &[f64]) -> Result<Report> {
+    pub fn report_at(&self, q: &[f64]) -> Result<PoseReport> {
         Ok(self.at_rest(q)?.compose())
     }
 
@@ -157,7 +157,7 @@ impl Controller {
         Ok(copy)
     }
 
-    fn compose(&self) -> Report {
+    fn compose(&self) -> PoseReport {
         let (plan, record) = (&self.plan, &self.record());
         let (k, n) = (plan.k, plan.n);
         let limit = self.limits_in_force();
@@ -165,7 +165,7 @@ impl Controller {
         let singular = record.singular_values(plan);
         let sigma_min = singular.iter().copied().fold(f64::INFINITY, f64::min);
         let friction = pose.friction();
-        let mut report = Report {
+        let mut report = PoseReport {
             axes: plan.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
             joints: self.model().joint_names().to_vec(),
             law: plan.law,

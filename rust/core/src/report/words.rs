@@ -3,8 +3,8 @@
 use std::fmt::{self, Write as _};
 
 use crate::command::host_loss::TRAVEL;
-use crate::report::Report;
-use crate::report::check::{Check, Finding, NEAR_SINGULAR};
+use crate::report::PoseReport;
+use crate::report::check::{FeasibilityReport, Issue, NEAR_SINGULAR};
 use crate::settings::Law;
 use crate::task::axes::OnDeviationLimit;
 
@@ -56,9 +56,9 @@ fn digits(value: f64, round: impl Fn(f64) -> f64) -> f64 {
     }
 }
 
-impl Report {
+impl PoseReport {
     /// One plain sentence for each axis, and for each thing that is in the way.
-    pub fn sentences(&self) -> Vec<String> {
+    pub fn summary(&self) -> Vec<String> {
         let mut out = Vec::new();
         for row in 0..self.axes.len() {
             let said = [0, 1].map(|side| self.axis_sentence(row, side));
@@ -254,7 +254,7 @@ impl Report {
     }
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for PoseReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "axis      gives way    held by limits   torque ends   host dead   friction left  unit")?;
         for (row, axis) in self.axes.iter().enumerate() {
@@ -275,14 +275,14 @@ impl fmt::Display for Report {
                 )?;
             }
         }
-        for sentence in self.sentences() {
+        for sentence in self.summary() {
             writeln!(f, "{sentence}")?;
         }
         Ok(())
     }
 }
 
-impl fmt::Display for Check {
+impl fmt::Display for FeasibilityReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let verdict = if self.achievable { "achievable" } else { "not achievable" };
         write!(f, "{verdict} in {} {}", self.poses, if self.poses == 1 { "pose" } else { "poses" })?;
@@ -293,7 +293,7 @@ impl fmt::Display for Check {
     }
 }
 
-impl fmt::Display for Finding {
+impl fmt::Display for Issue {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let weight = if self.required { "" } else { "note: " };
         write!(f, "{weight}{} at pose {}: {}", self.about, self.pose, self.reason)?;

@@ -175,7 +175,8 @@ mod tests {
     fn a_side_that_yields_has_no_limit() {
         let tool = Pose::IDENTITY;
         let pushed = Pushed { tool: &tool, base_from_task: &FRAME, before: &tool };
-        let limits = [DeviationLimit { axis: 1, most: [0.02, f64::INFINITY], on_deviation_limit: OnDeviationLimit::Yield }];
+        let limits =
+            [DeviationLimit { axis: 1, most: [0.02, f64::INFINITY], on_deviation_limit: OnDeviationLimit::Yield }];
         assert!(pushed.keep(&limits, &at(0.0, -0.5, 0.0)).is_none());
         assert!((pushed.keep(&limits, &at(0.0, 0.5, 0.0)).unwrap().error[1] - 0.02).abs() < 1e-15);
     }

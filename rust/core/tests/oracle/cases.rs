@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
-use pliant_core::task::axes::{Axis, OnDeviationLimit, Frame, Profile, Task, Yields};
+use pliant_core::task::axes::{Axis, Frame, OnDeviationLimit, Profile, Task, Yields};
 use pliant_core::{Controller, Model, Servos};
 
 use crate::seeded::Random;

@@ -64,7 +64,8 @@ impl Oracle {
         let angular = turn.transpose() * scaled_axis(&(rotation(&reference) * rotation(tool).inverse()));
         let e = Vector::from_iterator(6, linear.iter().chain(angular.iter()).copied());
         let mut kept = e.clone();
-        for &axis in axes.iter().filter(|&&axis| self.settings.axes[axis].on_deviation_limit == OnDeviationLimit::Yield) {
+        for &axis in axes.iter().filter(|&&axis| self.settings.axes[axis].on_deviation_limit == OnDeviationLimit::Yield)
+        {
             let (low, high) = self.allowed(axis);
             kept[axis] = e[axis].max(low).min(high);
         }

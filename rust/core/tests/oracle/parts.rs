@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use pliant_core::settings::{Gain, Law};
 use pliant_core::task::axes::{Frame, Profile, Yields};
-use pliant_core::{Pose, Reference, LimitType, Servos, StepInput};
+use pliant_core::{LimitType, Pose, Reference, Servos, StepInput};
 
 use super::{Matrix, Oracle, Row, Vector};
 
@@ -33,9 +33,9 @@ impl Oracle {
     /// Gears, the servo's own damping and, for a duty limit, back-EMF τ_stall / w₀.
     pub(super) fn resistance(&self) -> Vector {
         let back_emf = match self.servos.as_ref() {
-            Some(s) if s.limit_type == LimitType::Pwm => {
-                self.joint(|s| &s.max_torque, 0.0).component_div(&self.joint(|s| s.no_load_speed.as_ref().unwrap(), 1.0))
-            }
+            Some(s) if s.limit_type == LimitType::Pwm => self
+                .joint(|s| &s.max_torque, 0.0)
+                .component_div(&self.joint(|s| s.no_load_speed.as_ref().unwrap(), 1.0)),
             _ => Vector::zeros(self.n()),
         };
         self.joint(|s| &s.damping, 0.0) + self.joint(|s| &s.kv, 0.0) + back_emf
