@@ -986,7 +986,7 @@ class Axis:
         """Largest deviation toward a side that does not yield [m or rad]."""
 
     @property
-    def beyond(self) -> Literal["follow", "hold"]:
+    def on_deviation_limit(self) -> Literal["yield", "wait"]:
         """What the target does beyond it."""
 
     def replace(self, **changes: Unpack[_AxisFields]) -> Axis:
