@@ -13,7 +13,7 @@ import pliant
 SECONDS = 2.0 if os.environ.get("PLIANT_SHORT") else 6.0
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
 
-arm = pliant.connect("sim:so101", q=START)
+arm = pliant.connect("so101", backend="sim", q=START)
 settings = pliant.Settings(task=pliant.Task(axes="xyz"), axes={"y": pliant.Axis(soft=1.0)})
 
 with arm:  # torque on: limits, goals, torque, then a ramp of half a second

@@ -33,7 +33,7 @@ def grip(axis, distance, start, rise, end):
 
 # Teach: the arm floats; from 9 s on a hand leads the tool to the side and up, and lets go.
 hands = [grip("y", 0.08, 9.0, 3.0, 12.5), grip("z", 0.03, 9.0, 3.0, 12.5)]
-with pliant.connect("sim:so101", q=START, scene=hands) as arm:
+with pliant.connect("so101", backend="sim", q=START, scene=hands) as arm:
     motion = pliant.teach.teach(arm, tell=print)
 motion.save(folder / "wave.json")
 
@@ -43,21 +43,19 @@ settings = pliant.Settings(task="xyz", axes={"y": pliant.Axis(soft=2.0, profile=
 wall = grip("y", 0.0, 0.0, 0.0, 2.0 + HELD)
 
 with contextlib.ExitStack() as stack:
-    arm = stack.enter_context(pliant.connect("sim:so101", q=START, scene=[wall]))
+    arm = stack.enter_context(pliant.connect("so101", backend="sim", q=START, scene=[wall]))
     controller = pliant.Controller(arm.model, settings, arm.servos)
     recorder = None
     if importlib.util.find_spec("mcap_ros2") is not None:
         from pliant.log import Recorder
 
-        recorder = stack.enter_context(Recorder(folder / "replay.mcap", arm, controller))
-        controller = recorder.controller
-    replay = pliant.teach.Replay(controller, motion)
+        recorder = Recorder(folder / "replay.mcap")
+    loop = pliant.Loop(arm, controller, recorder=recorder)
+    replay = pliant.teach.Replay(loop.controller, motion)
     state, forces = "", []
-    for tick in pliant.Loop(arm, controller):
+    for tick in loop:
         command = replay.step(tick.q, dt=tick.dt)
         tick.write(command, replay.extra(arm))
-        if recorder is not None:
-            recorder.add(tick, command)
         forces.append(np.linalg.norm(arm.drive.plant.hands[0].force))
         if replay.state != state:
             state = replay.state

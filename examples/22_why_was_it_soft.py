@@ -31,20 +31,16 @@ def pull(axis, start):
 
 
 settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})  # [N]
-with pliant.connect("sim:arm7", q=START, scene=[pull("y", 1.0), pull("z", 4.0)]) as arm:
-    made = pliant.Controller(arm.model, settings, arm.servos)
+with pliant.connect("arm7", backend="sim", q=START, scene=[pull("y", 1.0), pull("z", 4.0)]) as arm:
+    controller = pliant.Controller(arm.model, settings, arm.servos)
     target = arm.model.forward_kinematics(arm.read().q)
-    with pliant.log.Recorder(folder / "run.mcap", arm, made, note="two pulls") as recorder:
-        controller = recorder.controller
-        for tick in pliant.Loop(arm, controller, duration=SECONDS):
-            command = controller.step(tick.q, target, dt=tick.dt)
-            tick.write(command)
-            recorder.add(tick, command)
+    recorder = pliant.log.Recorder(folder / "run.mcap", note="two pulls")
+    for tick in pliant.Loop(arm, controller, duration=SECONDS, recorder=recorder):
+        tick.step(target)
 
 log = pliant.log.read(folder / "run.mcap")
-seen = felt.feel(
-    log
-)  # the controller again, with a ContactEstimator beside it: no force was recorded
+# The controller runs again, with a ContactEstimator beside it: no force was recorded.
+seen = felt.feel(log)
 for k in range(3):
     force = float(np.abs(seen.force[:, k]).max())
     print(findings.sentence(log, seen, k), f"Felt: {force:.0f} N at most.")

@@ -202,7 +202,7 @@ def _of_consumer(consumer: Any, plant: Plant) -> dict[str, Any]:
         "kp": _chain(own.kp, n) / table.kp,
         "friction": _over(_chain(own.friction, n), table.friction),
         "damping": _over(_damping(own, n), _damping(table, n)),
-        "torque": _chain(own.torque, n) / table.max_torque,
+        "torque": _chain(own.max_torque, n) / table.max_torque,
         "payload": 0.0 if load is None else load.mass,
         "reach": _over(
             np.subtract(model.upper, model.lower),

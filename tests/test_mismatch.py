@@ -16,7 +16,6 @@ from mismatch import DRAWN, Mismatch, Parameters, under
 
 import pliant
 from pliant.arm import Arm
-from pliant.arm.simulated import SimDrive
 from pliant.experiments import (
     campaign_bench,
     campaign_jobs,
@@ -42,6 +41,7 @@ from pliant.experiments.chapters import comparison_stress
 from pliant.experiments.conditions import NOMINAL, Conditions
 from pliant.experiments.setups import VERTICAL
 from pliant.sim import LIGHT, Plant
+from pliant.sim.drive import SimDrive
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 GEARS = campaign_jobs.REAL_GEARS["arm7"]

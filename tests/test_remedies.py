@@ -22,7 +22,7 @@ pytest.importorskip("mcap", reason="texts name parts of the extra log")
 import tyro
 
 import pliant
-from pliant.arm.connect import OF_THE_ARM, OF_THE_FILE, plant_options
+from pliant._connect import ARM_OPTIONS, FILE_OPTIONS, PLANT_OPTIONS
 from pliant.cli import COMMANDS
 from pliant.cli import main as cli_main
 from pliant.config.schema import Config
@@ -273,7 +273,7 @@ def resolve(dotted: str) -> list[object]:
 def keywords(thing: object) -> set[str]:
     """Keywords that a callable takes."""
     if thing is pliant.connect:
-        return {*OF_THE_ARM, *OF_THE_FILE, *plant_options(), "q", "real_time"}
+        return {*ARM_OPTIONS, *FILE_OPTIONS, *PLANT_OPTIONS, "q", "real_time"}
     try:
         return set(inspect.signature(thing).parameters)
     except (TypeError, ValueError):

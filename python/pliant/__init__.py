@@ -52,13 +52,17 @@ if TYPE_CHECKING:
     from pliant import servo as servo
     from pliant import sim as sim
     from pliant import teach as teach
-    from pliant.arm.connect import connect as connect
+    from pliant._connect import connect as connect
+    from pliant.arm import Arm as Arm
     from pliant.identify.hand_guiding import HandGuiding as HandGuiding
     from pliant.loop import Loop as Loop
+    from pliant.loop import Tick as Tick
     from pliant.reactions import Reaction as Reaction
     from pliant.reactions import ReactionMonitor as ReactionMonitor
 
 __all__ = [
+    "AXES",
+    "Arm",
     "Axis",
     "BatchState",
     "Command",
@@ -82,11 +86,15 @@ __all__ = [
     "Settings",
     "ShapeError",
     "Task",
+    "Tick",
     "UrdfError",
     "WrenchEstimate",
     "__version__",
     "connect",
 ]
+
+#: Task axes in their order: translations [m], then rotations [rad].
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 #: Parts that are loaded when they are first named: they need extras, or time.
 _PARTS = (
@@ -106,11 +114,13 @@ _PARTS = (
 )
 #: Names that live in one of them.
 _NAMES = {
+    "Arm": "pliant.arm",
     "HandGuiding": "pliant.identify.hand_guiding",
     "Loop": "pliant.loop",
     "Reaction": "pliant.reactions",
     "ReactionMonitor": "pliant.reactions",
-    "connect": "pliant.arm.connect",
+    "Tick": "pliant.loop",
+    "connect": "pliant._connect",
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -18,9 +19,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pliant.arm import Arm, State
+    from pliant.log import Recorder
 
     Array = NDArray[np.float64]
 
+LOG = logging.getLogger("pliant")
 #: After a gap this long between two steps a controller starts anew from where the arm is [s].
 RESTART = 0.25
 #: A command made from positions older than this many periods, and this long [s], is not sent.
@@ -57,9 +60,10 @@ class Tick:
         time: When the tick began [s]; 0 at the first tick of the loop, on every backend.
         index: Count of ticks before it.
         began: `time` on the arm's clock, which `state.time` and `arm.time` are read from [s].
+        command: The last command given to `write`; None before.
     """
 
-    __slots__ = ("_loop", "answered", "began", "dt", "index", "q", "state", "time")
+    __slots__ = ("_loop", "answered", "began", "command", "dt", "index", "q", "state", "time")
 
     def __init__(
         self, loop: Loop, state: State, dt: float, times: tuple[float, float], index: int
@@ -68,6 +72,32 @@ class Tick:
         began, first = times
         self._loop, self.state, self.q, self.dt = loop, state, state.q, dt
         self.began, self.time, self.index, self.answered = began, began - first, index, False
+        self.command: Commanded | None = None
+
+    def step(self, *args: Any, **inputs: Any) -> Any:
+        """Step the loop's controller with `q` and `dt`, write its command and return it.
+
+        Short for ``command = loop.controller.step(tick.q, *args, dt=tick.dt, **inputs)`` and
+        ``tick.write(command)``.
+
+        Args:
+            *args: Arguments of the controller's `step` after q: the target pose of a
+                `pliant.Controller`, nothing for `pliant.HandGuiding`.
+            **inputs: Keywords of the controller's `step`, such as `twist`.
+
+        Raises:
+            ConfigError: The loop has no controller with `step`. All that the controller's `step`
+                and `write` raise.
+        """
+        step = getattr(self._loop.controller, "step", None)
+        if step is None:
+            raise ConfigError(
+                "tick.step(...) needs a controller: pliant.Loop(arm, controller), or send commands "
+                "with tick.write(command)"
+            )
+        command = step(self.q, *args, dt=self.dt, **inputs)
+        self.write(command)
+        return command
 
     def write(
         self, command: Commanded, extra: Mapping[str, tuple[float, float]] | None = None
@@ -90,6 +120,7 @@ class Tick:
             TypeError: No command.
             ServoError: Torque is off, or the connection is gone.
         """
+        self.command = command
         self.answered = self._loop._write(self, command, extra)
         return self.answered
 
@@ -117,13 +148,18 @@ class Loop:
         duration: Ends the loop [s]; None: never.
         max_step_time: Longest time that one turn of the program may take [s]; None:
             `arm.comm_timeout`.
+        recorder: A `pliant.log.Recorder`, or anything with its `start`, `add` and `close`: it gets
+            every tick with its command, and is closed when the loop ends.
 
     Attributes:
-        period: [s].
+        controller: The controller to step: with a recorder one that records its calls. Give this
+            one to whatever steps it for you (`pliant.teach.Replay`).
+        period: Time between two ticks [s].
+        duration: As given.
         lateness: Histogram of how late ticks began.
         missed: Deadlines that were skipped because a turn took too long.
-        stale: Ticks without new positions of all joints.
-        refused: Commands that were not sent.
+        missing: Ticks without new positions of all joints.
+        rejected: Commands that were not sent.
         restarts: How often the controller started anew.
         delay: Measured, from positions to the arrival of the goal [s].
 
@@ -134,10 +170,10 @@ class Loop:
         ServoFaultError: While looping: a servo reports a fault, or is too hot.
 
     Example:
-        >>> with pliant.connect("sim:arm7") as arm:
+        >>> with pliant.connect("arm7", backend="sim") as arm:
         ...     ctl = pliant.Controller(arm.model, settings, arm.servos)
         ...     for tick in pliant.Loop(arm, ctl, rate=100.0):
-        ...         tick.write(ctl.step(tick.q, target, dt=tick.dt))
+        ...         tick.step(target)
     """
 
     def __init__(
@@ -148,6 +184,7 @@ class Loop:
         rate: float | None = None,
         duration: float | None = None,
         max_step_time: float | None = None,
+        recorder: Recorder | None = None,
     ) -> None:
         """Check that it can run."""
         if not hasattr(arm, "clock"):
@@ -173,7 +210,7 @@ class Loop:
                 f"the simulated arm runs at {1.0 / grain:g} Hz and cannot run {rate:g} "
                 f"ticks per second: connect(..., rate={rate:g})"
             )
-        self._arm, self._controller, self._duration = arm, controller, duration
+        self._arm, self.duration = arm, duration
         self._max_step_time = arm.comm_timeout if max_step_time is None else float(max_step_time)
         self.lateness = Lateness()
         self.missed = self.missing = self.rejected = self.restarts = 0
@@ -181,14 +218,33 @@ class Loop:
         self._told: float | None = None
         self._check: Callable[[], None] = _never
         self._delays: list[float] = []
+        self._recorder = recorder
+        self.controller: Any = controller
+        if recorder is not None:
+            self.controller = recorder.start(arm, controller, rate)
 
     def __iter__(self) -> Iterator[Tick]:
         """Wait, read, give out a tick; again."""
         if not self._arm.enabled:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
-        with self._arm.watched(patience) as self._check:
-            yield from self._turns()
+        ended = False
+        try:
+            with self._arm.watched(patience) as self._check:
+                yield from self._turns()
+            ended = True
+        finally:
+            if self._recorder is not None:
+                self._close(self._recorder, raises=ended)
+
+    def _close(self, recorder: Recorder, *, raises: bool) -> None:
+        """Close the recorder; an error is logged where raising it would hide another."""
+        try:
+            recorder.close()
+        except OSError as error:
+            if raises:
+                raise
+            LOG.error("%s", error)
 
     def _turns(self) -> Iterator[Tick]:
         """The loop itself."""
@@ -197,7 +253,7 @@ class Loop:
         last: float | None = None
         first: float | None = None
         commanded, before, index = begin, begin, 0
-        while self._duration is None or deadline - begin < self._duration - 1e-9:
+        while self.duration is None or deadline - begin < self.duration - 1e-9:
             clock.wait_until(deadline)
             now = clock.now()
             self.lateness.add(now - deadline)
@@ -212,7 +268,11 @@ class Loop:
                 last = state.time
                 first = now if first is None else first
                 tick = Tick(self, state, dt, (now, first), index)
-                yield tick
+                try:
+                    yield tick
+                finally:
+                    if self._recorder is not None:
+                        self._recorder.add(tick, tick.command)
                 self._check()
                 index += 1
                 done = clock.now()
@@ -256,7 +316,7 @@ class Loop:
 
     def _restart(self, q: Array, *, first: bool) -> None:
         """Let the controller begin at q (n,) [rad], and its first goal carry the weight."""
-        controller = self._controller
+        controller = self.controller
         if not first:
             self.restarts += 1
             self._arm.ease()
@@ -272,7 +332,7 @@ class Loop:
 
     def _capture(self, q: Array) -> None:
         """Tell the controller by which leads joints of unknown stiffness are carried at q (n,)."""
-        arm, capture = self._arm, getattr(self._controller, "capture_gravity", None)
+        arm, capture = self._arm, getattr(self.controller, "capture_gravity", None)
         leads = getattr(arm, "leads", None)
         if capture is None or leads is None or arm.servos.stiffness_known:
             return
@@ -312,7 +372,7 @@ class Loop:
         told = self._told
         if told is None or abs(self.delay - told) > max(CHANGE, CHANGE_SHARE * told):
             self._told = self.delay
-            tell = getattr(self._controller, "set_delay", None)
+            tell = getattr(self.controller, "set_delay", None)
             if tell is not None:
                 tell(self.delay)
 

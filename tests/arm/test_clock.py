@@ -8,6 +8,8 @@ import pytest
 pytest.importorskip("rustypot", reason="servo buses need the extra servo")
 pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
 
+from bare_arm import bare_arm
+
 import pliant
 from pliant.log import Recorder, read
 from pliant.reactions import Call, Force, Reaction, ReactionMonitor
@@ -19,7 +21,7 @@ START = np.array([0.0, -0.3, 0.3, 0.9, 0.0])
 
 @contextmanager
 def simulated():
-    with pliant.connect("sim:so101", q=START, on_exit="leave_enabled") as arm:
+    with bare_arm("so101", q=START, on_exit="leave_enabled") as arm:
         yield arm
 
 
@@ -41,21 +43,19 @@ def test_time_begins_with_the_loop(backend, tmp_path):
         )
         watch = ReactionMonitor(controller, [Reaction(Force("z", above=90.0), Call(called.append))])
         arm.clock.wait_until(arm.clock.now() + 0.7)  # the program does something else before
-        with Recorder(tmp_path / "run.mcap", arm, controller) as recorder:
-            ticks, watched, began = [], [], []
-            target = None
-            for tick in pliant.Loop(arm, recorder.controller, rate=50.0, duration=1.0):
-                if target is None:
-                    target = arm.model.forward_kinematics(tick.q)
-                watch.update(tick.q, target, dt=tick.dt)
-                command = recorder.controller.step(tick.q, target, dt=tick.dt)
-                tick.write(command)
-                recorder.add(tick, command)
-                ticks.append(tick.time)
-                began.append(tick.began)
-                watched.append(watch._time)
-            again = next(iter(pliant.Loop(arm, controller, rate=50.0)))
-            again.skip()
+        ticks, watched, began = [], [], []
+        target = None
+        recorder = Recorder(tmp_path / "run.mcap")
+        for tick in pliant.Loop(arm, controller, rate=50.0, duration=1.0, recorder=recorder):
+            if target is None:
+                target = arm.model.forward_kinematics(tick.q)
+            watch.update(tick.q, target, dt=tick.dt)
+            tick.step(target)
+            ticks.append(tick.time)
+            began.append(tick.began)
+            watched.append(watch._time)
+        again = next(iter(pliant.Loop(arm, controller, rate=50.0)))
+        again.skip()
     assert ticks[0] == 0.0
     assert again.time == 0.0
     assert np.allclose(np.diff(ticks), np.diff(began))

@@ -14,6 +14,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extra sim")
 
+
 import pliant
 import pliant.arm.arm
 from pliant.arm.ending import Ending
@@ -30,7 +31,7 @@ for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
 
 def connect(**options):
     global arm, start
-    arm = pliant.connect("sim:koch", q=np.array([0.0, 1.2, 0.0, 0.0, 0.0]), **options)
+    arm = bare_arm("koch", q=np.array([0.0, 1.2, 0.0, 0.0, 0.0]), **options)
     start = arm.drive.plant.tool[2, 3]
     return arm
 

@@ -17,7 +17,8 @@ PROGRAM = """
 import atexit, os, signal, sys, time, pliant
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-arm, asked, parent = pliant.connect("sim:koch"), [], os.getpid()
+arm = pliant.connect("koch", backend="sim", table=False, rest_q=None)
+asked, parent = [], os.getpid()
 
 def noted(verb, call):
     return lambda *args: (asked.append(verb), call(*args))[1]

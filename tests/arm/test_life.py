@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="these arms are simulated: extra sim")
 
+from bare_arm import bare_arm
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import (
@@ -23,8 +24,8 @@ from hypothesis.stateful import (
 import pliant
 import pliant.arm.arm
 import pliant.arm.signals
-from pliant.arm.simulated import SimDrive
 from pliant.sim import Plant
+from pliant.sim.drive import SimDrive
 
 CAUGHT = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 NUMBERS = [getattr(signal, name) for name in CAUGHT if hasattr(signal, name)]
@@ -225,7 +226,7 @@ def test_a_handler_that_a_program_puts_back_later_acts_as_the_former_one():
     heard = []
     before = signal.signal(signal.SIGTERM, lambda *_: heard.append("former"))
     try:
-        arm = pliant.connect("sim:koch", q=LOW)
+        arm = bare_arm("koch", q=LOW)
         arm.enable()
         ours = signal.signal(signal.SIGTERM, lambda *_: heard.append("program"))
         arm.leave_enabled()

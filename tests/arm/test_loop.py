@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from bare_arm import bare_arm
 
 import pliant
 from pliant.arm.lateness import Lateness
@@ -127,7 +128,7 @@ def test_leaving_the_loop_lowers(make):
 
 
 def test_other_threads_run_while_the_loop_waits():
-    arm = pliant.connect("sim:koch", real_time=True, signals=False)
+    arm = bare_arm("koch", real_time=True, signals=False)
     arm.enable()
     count, stop = [0], threading.Event()
 
@@ -209,7 +210,7 @@ def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
 
 
 def test_lost_readings_do_not_forgive_missing_commands():
-    with pliant.connect("sim:arm7", read_loss=0.1, seed=1, signals=False) as arm:
+    with bare_arm("arm7", read_loss=0.1, seed=1, signals=False) as arm:
         loop = pliant.Loop(arm, rate=100.0, duration=5.0)
         with pytest.raises(pliant.ServoTimeoutError, match="no command could be sent"):
             list(loop)

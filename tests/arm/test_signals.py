@@ -20,7 +20,7 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 def report():
     plant = arm.drive.plant
     print(f"{arm.enabled} {arm.drive.enabled.any()} {plant.tool[2, 3] < start - 0.02}", flush=True)
-arm = pliant.connect("sim:koch", q=[0.0, 1.2, 0.0, 0.0, 0.0])
+arm = pliant.connect("koch", backend="sim", table=False, rest_q=None, q=[0.0, 1.2, 0.0, 0.0, 0.0])
 start = arm.drive.plant.tool[2, 3]
 """
 
@@ -84,7 +84,7 @@ def test_the_end_of_the_program_lowers():
 
 
 def test_other_threads_are_told_that_signals_do_nothing():
-    arm = pliant.connect("sim:koch")
+    arm = pliant.connect("koch", backend="sim", table=False, rest_q=None)
     found = []
 
     def work():

@@ -9,6 +9,8 @@ import pytest
 pytest.importorskip("mujoco", reason="runs need the extra sim")
 pytest.importorskip("mcap_ros2", reason="logs need the extra log")
 
+from bare_arm import bare_arm
+
 import pliant
 from pliant.cli import main
 from pliant.log import Recorder
@@ -75,13 +77,10 @@ def test_no_input_and_no_other_kind_is_written_over(words, folder, capsys):
 
 
 def test_pictures_and_tables_keep_to_their_kind(folder, capsys):
-    with pliant.connect("sim:koch", on_exit="leave_enabled") as arm:
+    with bare_arm("koch", on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.firm(task="xyz"), arm.servos)
-        with Recorder("run.mcap", arm, controller) as recorder:
-            for tick in pliant.Loop(arm, recorder.controller, duration=0.1):
-                command = recorder.controller.step(tick.q, arm.model.forward_kinematics(tick.q))
-                tick.write(command)
-                recorder.add(tick, command)
+        for tick in pliant.Loop(arm, controller, duration=0.1, recorder=Recorder("run.mcap")):
+            tick.step(arm.model.forward_kinematics(tick.q))
     (folder / "letter.png").write_text("a letter")
     (folder / "numbers.npz").write_text("a letter")
     (folder / "run_report").write_text("a letter")
@@ -120,11 +119,8 @@ def test_recorder_and_motion_keep_to_their_kind_without_the_shell(folder):
     for name in ("my_arm.json", "mine.toml", "targets.jsonl"):
         with pytest.raises(pliant.ConfigError, match="is no motion"):
             motion.save(name)
-        with (
-            pliant.connect("sim:koch", on_exit="leave_enabled") as arm,
-            pytest.raises(pliant.ConfigError, match="is no log"),
-        ):
-            Recorder(name, arm)
+        with pytest.raises(pliant.ConfigError, match="is no log"):
+            Recorder(name)
     motion.save("wave.json")
     assert contents(folder) == before
 

@@ -100,7 +100,7 @@ def test_mistakes_are_named_with_what_would_be_right(text, said):
 def test_a_rest_pose_of_another_arm_is_named_with_its_file(rest, said):
     read = config.parse(f"{SIM}[life]\nrest_q = {rest}", source="arm.toml")
     with pytest.raises(pliant.ConfigError, match=said) as caught:
-        read.arm()
+        pliant.connect(read)
     assert str(caught.value).startswith("arm.toml")
 
 
@@ -247,7 +247,7 @@ def test_the_file_for_the_makers_so101_runs_as_printed(backend, tmp_path):
     if not urdf.is_file():
         pytest.skip(f"no {urdf}")
     read = config.load(file, backend=backend, urdf=urdf)
-    with read.arm(signals=False) as arm:
+    with pliant.connect(read, signals=False) as arm:
         controller = pliant.Controller(arm.model, read.settings(), arm.servos)
         start = arm.read().q
         target = arm.model.forward_kinematics(start)
@@ -281,7 +281,7 @@ def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
     left, sent = [], []
     for bound in ("", "max_host_loss_force = 44.0\n"):
         read = config.parse(text + bound)
-        still = read.arm()
+        still = pliant.connect(read)
         still.drive.plant.reset(work)
         with still as arm:
             controller = pliant.Controller(arm.model, read.settings(), arm.servos)

@@ -53,7 +53,7 @@ def on_bytes(own, model):
     """What the driver of a real bus reads from such servos."""
     with emulated(own, clock="steps") as bus:
         chain = ServoBus(assemble.specs(own, bus.ports), patience=0.5, clock=StepClock(bus))
-        arm = pliant.connect(model, chain, grippers=assemble.grippers(own), signals=False)
+        arm = pliant.Arm(model, chain, grippers=assemble.grippers(own), signals=False)
         arm.open()
         try:
             return arm.servos, bus.plant.gains, arm.model.servos
@@ -65,7 +65,7 @@ def on_bytes(own, model):
 def test_the_arm_believes_the_same_servos_on_every_backend(name, tmp_path):
     own = read(name, tmp_path, "sim")
     model = own.model()
-    arm = own.arm(signals=False)
+    arm = pliant.connect(own, signals=False)
     simulated, truth = arm.servos, arm.drive.plant.gains
     heard, _, _ = on_bytes(read(name, tmp_path, "emulator"), model)
     for table in (heard, model.servos, arm.model.servos):
@@ -102,7 +102,7 @@ def test_what_the_caller_says_of_the_plant_is_not_believed():
 
 def test_the_gripper_of_the_simulator_has_the_servo_of_the_file():
     own = config.load("koch", backend="sim")
-    arm = own.arm(signals=False)
+    arm = pliant.connect(own, signals=False)
     drive = arm.drive
     at = drive.names.index("gripper")
     servo = drive.plant.mj_model.actuator("gripper")
@@ -124,7 +124,7 @@ def test_k_p_is_known_where_the_file_has_it_for_the_whole_chain(kp):
         'servo = {{ model = "STS3215-7.4V", id = 6 }}\n'
     )
     simulated = config.parse(text.replace("{{", "{").replace("}}", "}").replace("{}", "sim"))
-    assert simulated.arm(signals=False).servos.stiffness_known is kp
+    assert pliant.connect(simulated, signals=False).servos.stiffness_known is kp
     wired = config.parse(text.replace("{{", "{").replace("}}", "}").replace("{}", "emulator"))
     heard, _, _ = on_bytes(wired, wired.model())
     assert heard.stiffness_known is kp

@@ -1,13 +1,16 @@
 """Ready arms stand on a table and know where to lie down on it."""
 
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bare_arm import bare_arm
 from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant import config
+from pliant._connect import ARM_OPTIONS, PLANT_OPTIONS
 from pliant.arm.points import Points
 from pliant.arm.rest import STEPS, obstacle
 from pliant.config import assemble
@@ -64,7 +67,7 @@ def test_a_rest_pose_lies_within_limits_above_the_table_and_presses_on_nothing(n
 @pytest.mark.parametrize("name", ["koch", "so101", "vx300s"])
 def test_an_arm_of_a_ready_file_is_parked_and_lies_on_its_table(name):
     read = load(name, backend="sim")
-    arm = read.arm(signals=False)
+    arm = pliant.connect(read, signals=False)
     plant = arm.drive.plant
     (table,) = plant.fixtures
     rest = np.array(read.life.rest_q)
@@ -143,7 +146,7 @@ def test_the_table_can_be_taken_away_moved_and_added_to():
     assert len(arm.drive.plant.fixtures) == 1
     assert [felt.hand for felt in arm.drive.plant.hands] == [push]
     assert pliant.connect("arm7", **options).drive.plant.fixtures == ()
-    assert pliant.connect("sim:so101", signals=False).drive.plant.fixtures == ()
+    assert bare_arm("so101", signals=False).drive.plant.fixtures == ()
     read = config.load("so101", backend="sim")
     assert pliant.connect(read, table=False, signals=False).drive.plant.fixtures == ()
     assert pliant.connect(read, table=-0.3, signals=False).table == -0.3
@@ -193,27 +196,17 @@ def test_backend_sim_takes_the_options_of_the_simulator():
         pliant.connect("so101", backend="sim", q=[0.0])
 
 
-def test_a_ready_file_that_is_no_built_in_model_is_named_with_the_way_to_simulate_it():
-    with pytest.raises(pliant.ConfigError, match=r'connect\("so100", backend="sim"\)'):
-        pliant.connect("sim:so100")
-    assert pliant.connect("so100", backend="sim", signals=False).model.n == 5
+def test_the_kind_of_a_simulated_arms_servos_is_an_option_of_the_plant():
+    arm = pliant.connect("so101", backend="sim", kind="current", signals=False)
+    assert arm.drive.plant.table.limit_type == "current"
 
 
-def test_the_kind_of_a_simulated_arms_servos_is_no_kind_of_arm():
-    assert pliant.connect("sim:so101", kind="current").servos.limit_type == "current"
-    mapping = {"kind": "sim", "robot": "so101"}
-    assert pliant.connect(mapping, kind="current").servos.limit_type == "current"
+def test_the_typed_options_of_connect_are_those_of_arm_and_plant():
+    def keywords(made):
+        return frozenset(signature(made).parameters)
 
-
-@pytest.mark.parametrize("option", ["backend", "port", "urdf", "calibration"])
-def test_options_of_a_file_are_refused_for_an_arm_without_one(option):
-    with pytest.raises(pliant.ConfigError) as error:
-        pliant.connect("sim:koch", **{option: "sim"})
-    said = str(error.value)
-    assert said.startswith(f"{option!r} is for the file of an arm")
-    assert "did you mean" not in said
-    remedy = said.rpartition("or ")[2]
-    assert eval(remedy, {"connect": pliant.connect}).model.n == pliant.robots.koch().n
+    assert keywords(pliant.Arm) - {"model", "drive"} == ARM_OPTIONS
+    assert keywords(pliant.sim.Plant) - {"model", "rate"} == PLANT_OPTIONS
 
 
 @pytest.mark.parametrize("soft", ["", "x y"])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from bare_arm import bare_arm
 from mismatch import Mismatch, Parameters
 
 import pliant
@@ -82,7 +83,7 @@ def test_settings_come_back_after_an_exception(arm, grasp):
 
 
 def test_it_runs_on_a_connected_arm():
-    with pliant.connect("sim:arm7") as connected:
+    with bare_arm("arm7") as connected:
         controller = pliant.Controller(connected.model, pliant.Settings.soft("y"))
         found = identify.capture(connected, controller, seconds=1.0, check=0.5)
         assert found.captured.sum() >= 3

@@ -9,6 +9,8 @@ import pytest
 
 pytest.importorskip("mcap", reason="logs need the extra log")
 
+from bare_arm import bare_arm
+
 import pliant
 from pliant.cli import main
 from pliant.log import Recorder, read, verify
@@ -20,16 +22,12 @@ from pliant.teach import Motion
 def made(tmp_path_factory):
     """A short log of an arm that moves, its bytes and its columns."""
     path = tmp_path_factory.mktemp("log") / "run.mcap"
-    with pliant.connect("sim:so101", on_exit="leave_enabled") as arm:
+    with bare_arm("so101", on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
-        with Recorder(path, arm, controller) as recorder:
-            q = arm.read().q
-            for tick in pliant.Loop(arm, recorder.controller, duration=2.0):
-                turned = q + 0.2 * np.sin(tick.time) * np.eye(len(q))[0]
-                pose = arm.model.forward_kinematics(turned)
-                command = recorder.controller.step(tick.q, pose, dt=tick.dt)
-                tick.write(command)
-                recorder.add(tick, command)
+        q = arm.read().q
+        for tick in pliant.Loop(arm, controller, duration=2.0, recorder=Recorder(path)):
+            turned = q + 0.2 * np.sin(tick.time) * np.eye(len(q))[0]
+            tick.step(arm.model.forward_kinematics(turned))
     return path.read_bytes(), read(path)
 
 

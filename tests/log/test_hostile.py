@@ -10,6 +10,8 @@ import pytest
 pytest.importorskip("mujoco", reason="runs need the extra sim")
 pytest.importorskip("mcap_ros2", reason="logs need the extra log")
 
+from bare_arm import bare_arm
+
 import pliant
 from pliant.cli import main
 from pliant.config.lerobot import read_calibration
@@ -32,15 +34,13 @@ ODD += [
 def content(tmp_path_factory):
     """Bytes of a whole log."""
     path = tmp_path_factory.mktemp("logs") / "run.mcap"
-    with pliant.connect("sim:koch", on_exit="leave_enabled") as arm:
+    with bare_arm("koch", on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
-        with Recorder(path, arm, controller, note="[/x] [the] \x1b]0;title\x07") as recorder:
-            recorder.controller.set_delay(0.01)
-            for tick in pliant.Loop(arm, recorder.controller, duration=0.2):
-                target = arm.model.forward_kinematics(tick.q)
-                command = recorder.controller.step(tick.q, target, dt=tick.dt)
-                tick.write(command)
-                recorder.add(tick, command)
+        recorder = Recorder(path, note="[/x] [the] \x1b]0;title\x07")
+        loop = pliant.Loop(arm, controller, duration=0.2, recorder=recorder)
+        loop.controller.set_delay(0.01)
+        for tick in loop:
+            tick.step(arm.model.forward_kinematics(tick.q))
     return path.read_bytes()
 
 

@@ -3,10 +3,12 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bare_arm import bare_arm
 
 import pliant
 from pliant.cli import main
@@ -22,32 +24,32 @@ START = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]
 
 def record(path, ticks=40, **options):
     """A run that uses every input of the controller once."""
-    with pliant.connect("sim:arm7", q=START) as arm:
+    with bare_arm("arm7", q=START) as arm:
         settings = pliant.Settings.soft("y")
         made = pliant.Controller(arm.model, settings, arm.servos)
-        with Recorder(path, arm, made, **options) as recorder:
-            controller = recorder.controller
-            pose = arm.model.forward_kinematics(arm.read().q)
-            for tick in pliant.Loop(arm, controller, duration=ticks / 100.0):
-                given = {"dt": tick.dt} if tick.index % 2 else {}
-                if tick.index == 10:
-                    controller.update(settings.replace(axes={"x": pliant.Axis(soft=3.0)}))
-                    controller.set_payload(0.1, [0.0, 0.0, 0.05])
-                    controller.set_gravity([0.1, 0.0, -9.8])
-                    controller.set_delay(0.013)
-                if tick.index > 15:
-                    given["dq"] = 0.01 * np.sin(np.arange(7) + tick.index)
-                    given["gradient"] = np.full(7, 0.1)
-                if tick.index > 20:
-                    given["twist"] = [0.0, 0.02, 0.0, 0.0, 0.0, 0.1]
-                if tick.index == 30:
-                    command = controller.step_joints(tick.q, tick.q + 0.01, **given)
-                else:
-                    target = pliant.Pose(pose) if tick.index == 5 else pose
-                    command = controller.step(tick.q, target, **given)
-                tick.write(command)
-                recorder.add(tick, command)
-            assert recorder.dropped == 0
+        recorder = Recorder(path, **options)
+        pose = arm.model.forward_kinematics(arm.read().q)
+        loop = pliant.Loop(arm, made, duration=ticks / 100.0, recorder=recorder)
+        controller = loop.controller
+        for tick in loop:
+            given = {"dt": tick.dt} if tick.index % 2 else {}
+            if tick.index == 10:
+                controller.update(settings.replace(axes={"x": pliant.Axis(soft=3.0)}))
+                controller.set_payload(0.1, [0.0, 0.0, 0.05])
+                controller.set_gravity([0.1, 0.0, -9.8])
+                controller.set_delay(0.013)
+            if tick.index > 15:
+                given["dq"] = 0.01 * np.sin(np.arange(7) + tick.index)
+                given["gradient"] = np.full(7, 0.1)
+            if tick.index > 20:
+                given["twist"] = [0.0, 0.02, 0.0, 0.0, 0.0, 0.1]
+            if tick.index == 30:
+                command = controller.step_joints(tick.q, tick.q + 0.01, **given)
+            else:
+                target = pliant.Pose(pose) if tick.index == 5 else pose
+                command = controller.step(tick.q, target, **given)
+            tick.write(command)
+        assert recorder.dropped == 0
     return read(path)
 
 
@@ -148,15 +150,13 @@ def test_two_other_readers_open_it(file):
 LOOP = """
 import sys
 from test_log import *
-arm = pliant.connect("sim:arm7", q=START, real_time=True, on_exit="leave_enabled")
+arm = bare_arm("arm7", q=START, real_time=True, on_exit="leave_enabled")
 arm.enable()
 made = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
-recorder = Recorder(sys.argv[1], arm, made)
+recorder = Recorder(sys.argv[1])
 pose = arm.model.forward_kinematics(arm.read().q)
-for tick in pliant.Loop(arm, recorder.controller):
-    command = recorder.controller.step(tick.q, pose, dt=tick.dt)
-    tick.write(command)
-    recorder.add(tick, command)
+for tick in pliant.Loop(arm, made, recorder=recorder):
+    tick.step(pose)
     if tick.index == 150:
         print(recorder._process.pid, flush=True)
 """
@@ -165,8 +165,8 @@ for tick in pliant.Loop(arm, recorder.controller):
 @pytest.mark.parametrize("both", [False, True], ids=["the program", "program and writer"])
 def test_a_killed_run_can_be_read(tmp_path, both):
     path = tmp_path / "killed.mcap"
-    here = str(Path(__file__).parent)
-    found = os.pathsep.join((os.environ.get("PYTHONPATH", ""), here))
+    here = Path(__file__).parent
+    found = os.pathsep.join((os.environ.get("PYTHONPATH", ""), str(here), str(here.parent)))
     environment = {**os.environ, "PYTHONPATH": found}
     with subprocess.Popen(
         [sys.executable, "-c", LOOP, str(path)], stdout=subprocess.PIPE, text=True, env=environment
@@ -186,19 +186,18 @@ def test_a_killed_run_can_be_read(tmp_path, both):
 
 
 def test_a_writer_that_is_gone_does_not_stop_the_loop(tmp_path):
-    with pliant.connect("sim:arm7", q=START) as arm:
+    with bare_arm("arm7", q=START) as arm:
         made = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
-        recorder = Recorder(tmp_path / "gone.mcap", arm, made)
+        recorder = Recorder(tmp_path / "gone.mcap")
+        loop = pliant.Loop(arm, made, duration=0.1, recorder=recorder)
         recorder._process.kill()
         recorder._process.wait()
         pose = arm.model.forward_kinematics(arm.read().q)
-        for tick in pliant.Loop(arm, recorder.controller, duration=0.1):
-            command = recorder.controller.step(tick.q, pose, dt=tick.dt)
-            tick.write(command)
-            recorder.add(tick, command)
+        written = (tick.step(pose) for tick in loop)
+        assert len(list(islice(written, 10))) == 10
         assert recorder.dropped > 0
         with pytest.raises(OSError, match=r"gone\.mcap"):
-            recorder.close()
+            next(written)
 
 
 def test_memory_is_bounded(tmp_path):
@@ -251,15 +250,10 @@ def test_a_soft_run_can_be_logged_from_the_shell(tmp_path):
 
 def test_hand_guiding_is_logged_without_a_controller(tmp_path):
     path = tmp_path / "float.mcap"
-    with (
-        pliant.connect("sim:so101", on_exit="leave_enabled") as arm,
-        Recorder(path, arm) as recorder,
-    ):
-        floating = pliant.HandGuiding(arm.model, arm.servos)
-        for tick in pliant.Loop(arm, duration=0.2):
-            order = floating.step(tick.q)
-            tick.write(order)
-            recorder.add(tick, order)
+    with bare_arm("so101", on_exit="leave_enabled") as arm:
+        guiding = pliant.HandGuiding(arm.model, arm.servos)
+        for tick in pliant.Loop(arm, guiding, duration=0.2, recorder=Recorder(path)):
+            tick.step()
     log = read(path)
     assert len(log) == 20
     assert np.isfinite(log.goal).all()
@@ -268,11 +262,11 @@ def test_hand_guiding_is_logged_without_a_controller(tmp_path):
 
 
 def test_what_cannot_be_a_log_is_said(tmp_path):
-    with pliant.connect("sim:arm7", q=START) as arm:
+    with bare_arm("arm7", q=START) as arm:
         made = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
         made.step(START, arm.model.forward_kinematics(START))
-        with pytest.raises(pliant.ConfigError, match="before"):
-            Recorder(tmp_path / "late.mcap", arm, made)
+        with pytest.raises(pliant.ConfigError, match="has made steps"):
+            pliant.Loop(arm, made, recorder=Recorder(tmp_path / "late.mcap"))
     assert not (tmp_path / "late.mcap").exists()
     (tmp_path / "none.mcap").write_bytes(b"no log")
     with pytest.raises(pliant.ConfigError, match="no log"):

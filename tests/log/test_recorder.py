@@ -4,13 +4,15 @@ import pytest
 
 pytest.importorskip("mcap", reason="logs need the extra log")
 
+from bare_arm import bare_arm
+
 import pliant
-from pliant.log import Recorder, read
+from pliant.log import Recorder, read, verify
 
 
 @pytest.fixture
 def arm():
-    with pliant.connect("sim:so101", on_exit="leave_enabled") as live:
+    with bare_arm("so101", on_exit="leave_enabled") as live:
         yield live
 
 
@@ -18,31 +20,45 @@ def arm():
     ("change", "kind", "said"),
     [
         ({"path": 3}, TypeError, r"path must be that of a file, got 3 \(int\)"),
-        ({"arm": "so101"}, TypeError, "arm must be an Arm, as pliant.connect makes one, got"),
-        ({"controller": 5}, TypeError, "controller must be a Controller, or None without one"),
         ({"config": "so101"}, TypeError, "config must be what pliant.config.load gives"),
         ({"note": 5}, TypeError, "note must be a str"),
-        ({"rate": "fast"}, pliant.ConfigError, r"rate must be a number"),
-        ({"rate": float("nan")}, pliant.OutOfRangeError, r"rate \[Hz\] must be in"),
-        ({"rate": 0.0}, pliant.OutOfRangeError, r"rate \[Hz\] must be above 0"),
     ],
 )
-def test_arguments_of_another_kind_are_named(change, kind, said, arm, tmp_path):
-    given = {"path": tmp_path / "x.mcap", "arm": arm, **change}
+def test_arguments_of_another_kind_are_named(change, kind, said, tmp_path):
+    given = {"path": tmp_path / "x.mcap", **change}
     with pytest.raises(kind, match=said):
-        Recorder(given.pop("path"), given.pop("arm"), **given)
+        Recorder(given.pop("path"), **given)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_tick_after_the_end_is_refused(arm, tmp_path):
-    path = tmp_path / "x.mcap"
-    recorder = Recorder(path, arm)
-    for tick in pliant.Loop(arm, duration=0.05):
-        recorder.add(tick)
-    with pytest.raises(TypeError, match=r"tick must be a Tick, as pliant\.Loop yields them"):
-        recorder.add(5)
+def test_a_recorder_serves_one_loop_and_is_closed_with_it(arm, tmp_path):
+    recorder = Recorder(tmp_path / "x.mcap")
+    for tick in pliant.Loop(arm, duration=0.05, recorder=recorder):
+        tick.skip()
     recorder.close()
-    recorder.close()
-    with pytest.raises(pliant.ConfigError, match=r"x\.mcap is closed: add ticks within"):
-        recorder.add(tick)
-    assert len(read(path)) == recorder.ticks == 5
+    log = read(tmp_path / "x.mcap")
+    assert log.whole
+    assert len(log) == recorder.ticks == 5
+    with pytest.raises(pliant.ConfigError, match=r"x\.mcap belongs to another loop"):
+        pliant.Loop(arm, recorder=recorder)
+
+
+def test_a_loop_left_early_leaves_a_whole_log_with_its_last_tick(arm, tmp_path):
+    controller = pliant.Controller(arm.model, pliant.Settings.firm(task="xyz"), arm.servos)
+    target = arm.model.forward_kinematics(arm.read().q)
+    for tick in pliant.Loop(arm, controller, recorder=Recorder(tmp_path / "x.mcap")):
+        command = tick.step(target)
+        if tick.index == 7:
+            break
+    log = read(tmp_path / "x.mcap")
+    assert log.whole
+    assert len(log) == 8
+    assert log.goal[-1].tolist() == command.goal.tolist()
+    assert verify(log).same
+
+
+def test_a_loop_without_a_controller_cannot_step(arm):
+    for tick in pliant.Loop(arm, duration=0.02):
+        with pytest.raises(pliant.ConfigError, match=r"tick\.step\(...\) needs a controller"):
+            tick.step(arm.model.forward_kinematics(tick.q))
+        tick.skip()

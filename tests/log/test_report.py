@@ -5,6 +5,7 @@ from html import unescape
 
 import numpy as np
 import pytest
+from bare_arm import bare_arm
 from demo.test_report import check_page
 
 import pliant
@@ -27,20 +28,16 @@ def record(path, settings, duration=3.0, **options):
         axis="y", distance=AWAY, stiffness=3000.0, limit=80.0, at="tool", course=course
     )
     forces = []
-    with pliant.connect("sim:arm7", q=START, scene=[hand]) as arm:
+    with bare_arm("arm7", q=START, scene=[hand]) as arm:
         made = None if settings is None else pliant.Controller(arm.model, settings, arm.servos)
         pose = arm.model.forward_kinematics(arm.read().q)
-        with Recorder(path, arm, made, **options) as recorder:
-            controller = recorder.controller
-            for tick in pliant.Loop(arm, controller, duration=duration):
-                command = None
-                if controller is None:
-                    tick.skip()
-                else:
-                    command = controller.step(tick.q, pose, dt=tick.dt)
-                    tick.write(command)
-                recorder.add(tick, command)
-                forces.append(arm.drive.plant.hands[0].force.copy())
+        recorder = Recorder(path, **options)
+        for tick in pliant.Loop(arm, made, duration=duration, recorder=recorder):
+            if made is None:
+                tick.skip()
+            else:
+                tick.step(pose)
+            forces.append(arm.drive.plant.hands[0].force.copy())
     return read(path), np.array(forces)
 
 

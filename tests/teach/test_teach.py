@@ -7,6 +7,8 @@ import pytest
 
 pytest.importorskip("mujoco", reason="the arm needs the extra sim")
 
+from bare_arm import bare_arm
+
 import pliant
 import pliant.robots
 from pliant.cli import main
@@ -29,7 +31,7 @@ def wave(seconds=2.0, size=0.3):
 def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **options):
     """Play; rows of clock, tool (3,), force of the hand, and the motion's own tool (3,)."""
     rows = []
-    with pliant.connect("sim:so101", q=START, scene=scene, on_exit="leave_enabled") as arm:
+    with bare_arm("so101", q=START, scene=scene, on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, SETTINGS, arm.servos)
         replay = Replay(controller, motion, **options)
         for tick in pliant.Loop(arm, controller, duration=seconds):
@@ -47,7 +49,7 @@ def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **opt
 def test_a_hand_teaches_and_the_arm_repeats(tmp_path):
     course = Course(start=9.0, rise=2.0, end=11.5)
     hand = Drag(axis="y", distance=0.06, stiffness=2000.0, limit=60.0, at="tool", course=course)
-    with pliant.connect("sim:so101", q=START, scene=[hand], on_exit="leave_enabled") as arm:
+    with bare_arm("so101", q=START, scene=[hand], on_exit="leave_enabled") as arm:
         motion = teach(arm, rest=1.0)
         led = arm.drive.plant.tool[:3, 3]
     ends = [MODEL.forward_kinematics(q)[:3, 3] for q in (motion.q[0], motion.q[-1])]
@@ -114,7 +116,7 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
 
 
 def test_a_press_of_the_gripper_counts_once():
-    with pliant.connect("sim:so101", q=START, on_exit="leave_enabled") as arm:
+    with bare_arm("so101", q=START, on_exit="leave_enabled") as arm:
         teacher, state = Teacher(arm), arm.read()
         jaw = arm.gripper
         shares = [0.5, 0.1, 0.05, 0.5, 0.0]
@@ -167,7 +169,7 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
     (tmp_path / "no.json").write_text("{}")
     with pytest.raises(pliant.ConfigError, match=r"no\.json"):
         Motion.load(tmp_path / "no.json")
-    with pliant.connect("sim:so101", q=START, on_exit="leave_enabled") as arm:
+    with bare_arm("so101", q=START, on_exit="leave_enabled") as arm:
         teacher = Teacher(arm)
         with pytest.raises(pliant.PliantError, match="swings") as error:
             teacher.start()
@@ -175,7 +177,7 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
 
 
 def test_a_recording_in_which_nothing_was_led_is_no_error_of_a_configuration():
-    with pliant.connect("sim:so101", q=START, on_exit="leave_enabled") as arm:
+    with bare_arm("so101", q=START, on_exit="leave_enabled") as arm:
         with pytest.raises(pliant.PliantError, match="nothing was recorded") as error:
             Teacher(arm).stop()
         assert error.type is pliant.PliantError

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
+    from pliant.config import Config
+    from pliant.log import Recorder
+
 
 def check_written(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()) -> None:
     """Check that a file can be written, and say where one of its kind will be replaced.
@@ -38,3 +41,10 @@ def check_log(path: Path | None, inputs: Iterable[Path | str | None] = ()) -> No
         check_written(path, "log", inputs)
         if path.suffix != ".mcap":
             raise ConfigError(f"--log {path}: a log ends with .mcap: {path.with_suffix('.mcap')}")
+
+
+def recorder_of(path: Path, *, config: Config, note: str = "") -> Recorder:
+    """Return the recorder of a command's log; the extra is imported only where one is written."""
+    from pliant.log import Recorder
+
+    return Recorder(path, config=config, note=note)

@@ -9,7 +9,7 @@ import tyro
 from rich.console import Console
 
 import pliant
-from pliant.cli.files import check_log
+from pliant.cli.files import check_log, recorder_of
 from pliant.cli.flags import ArmName, Axes, File, MotionFile, Override
 from pliant.cli.keys import Keys
 from pliant.cli.soft import softened
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pliant.arm import Arm
-    from pliant.log import Recorder
     from pliant.teach import Replay
 
 
@@ -60,7 +59,7 @@ def run(
     loaded = _load(motion)
     loaded.fits(read.model())
     options: dict[str, Any] = {"speed": speed, "wait": wait, "stop": stop}
-    made = read.arm()
+    made = pliant.connect(read)
     # What does not go together is said before torque comes on.
     pliant.teach.Replay(pliant.Controller(made.model, settings, made.servos), loaded, **options)
     play = _Play(times)
@@ -68,14 +67,9 @@ def run(
         with made as live:
             controller = pliant.Controller(live.model, settings, live.servos)
             replay = partial(pliant.teach.Replay, motion=loaded, **options)
-            if log is None:
-                play.run(live, controller, replay, None)
-                return
-            from pliant.log import Recorder
-
             note = f"replay of {motion}"
-            with Recorder(log, live, controller, config=read, note=note) as recorder:
-                play.run(live, recorder.controller, replay, recorder)
+            recorder = None if log is None else recorder_of(log, config=read, note=note)
+            play.run(pliant.Loop(live, controller, recorder=recorder), live, replay)
     finally:
         play.summary()
 
@@ -110,23 +104,15 @@ class _Play:
         self._took = self._waited = 0.0
         self._console = Console()
 
-    def run(
-        self,
-        arm: Arm,
-        controller: Any,
-        make: Callable[..., Replay],
-        recorder: Recorder | None,
-    ) -> None:
+    def run(self, loop: pliant.Loop, arm: Arm, make: Callable[..., Replay]) -> None:
         """Play it."""
-        keys, replay, said = Keys(), make(controller), ""
+        keys, replay, said = Keys(), make(loop.controller), ""
         begun: float | None = None
-        for tick in pliant.Loop(arm, controller):
+        for tick in loop:
             begun = tick.time if begun is None else begun
             self._took = tick.time - begun
             command = replay.step(tick.q, dt=tick.dt, load=tick.state.load)
             tick.write(command, replay.extra(arm))
-            if recorder is not None:
-                recorder.add(tick, command)
             if keys.enter():
                 replay.resume()
             if replay.state != said:
@@ -139,7 +125,7 @@ class _Play:
                 self._played, self._waited = self._played + 1, self._waited + replay.waited
                 if self._played == self._times:
                     break
-                replay = make(controller)
+                replay = make(loop.controller)
 
     def summary(self) -> None:
         """Say how often it was played; once the arm is down, for a terminal may block."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -13,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 
 import pliant
-from pliant.cli.files import check_log
+from pliant.cli.files import check_log, recorder_of
 from pliant.cli.flags import ArmName, Axes, File, Override, Seconds
 from pliant.cli.soft import softened
 from pliant.cli.targets import Targets, open_targets
@@ -22,10 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pliant.arm import Arm
-    from pliant.log import Recorder
     from pliant.loop import Tick
 
-AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 #: How often the table is drawn [Hz].
 FRAMES = 5.0
 #: How long the last of the targets is held without --duration [s].
@@ -68,43 +65,35 @@ def run(
         raise pliant.ConfigError(f"--duration must be above 0 s, got {duration:g}")
     model = read.model()
     settings = softened(settings, soft, model, holds=False)
-    connected = read.arm()
+    connected = pliant.connect(read)
     # What does not go together is said before torque comes on.
     pliant.Controller(connected.model, settings, connected.servos)
     made: list[tuple[Arm, pliant.Loop, list[str]]] = []
     try:
         with open_targets(targets, model) as source, connected as live:
             controller = pliant.Controller(live.model, settings, live.servos)
-            begin = partial(_loop, made, live, source=source, duration=duration, quiet=quiet)
-            if log is None:
-                begin(controller)
-                return
-            from pliant.log import Recorder
-
-            with Recorder(log, live, controller, config=read) as recorder:
-                begin(recorder.controller, recorder=recorder)
+            rate = controller.settings.rate
+            recorder = None if log is None else recorder_of(log, config=read)
+            loop = pliant.Loop(live, controller, rate=rate, duration=duration, recorder=recorder)
+            _follow(made, live, loop, source=source, quiet=quiet)
     finally:
         # After Ctrl-C too, and once the arm is down: a terminal may block.
         for ended in made:
             _summary(*ended)
 
 
-def _loop(
+def _follow(
     made: list[tuple[Arm, pliant.Loop, list[str]]],
     arm: Arm,
-    controller: pliant.Controller,
+    loop: pliant.Loop,
     *,
     source: Targets,
-    duration: float | None,
     quiet: bool,
-    recorder: Recorder | None = None,
 ) -> None:
-    """Control the arm; its loop goes into `made` for the summary."""
-    rate = controller.settings.rate
-    loop = pliant.Loop(arm, controller, rate=rate, duration=duration)
+    """Follow the targets; the loop goes into `made` for the summary."""
     notes: list[str] = []
     made.append((arm, loop, notes))
-    every = max(round(rate / FRAMES), 1)
+    every = max(round(1.0 / (FRAMES * loop.period)), 1)
     pose: NDArray[np.float64] | None = None
     told, is_led = 0.0, False
     with Live(console=Console(), auto_refresh=False, transient=True) as live:
@@ -115,14 +104,11 @@ def _loop(
             if wanted is not None:
                 pose = wanted.pose(arm.model, pose)
                 told, is_led = tick.time, True
-            if source.done and duration is None and tick.time - told > LINGER:
+            if source.done and loop.duration is None and tick.time - told > LINGER:
                 break
-            command = controller.step(tick.q, pose, dt=tick.dt)
-            tick.write(command)
-            if recorder is not None:
-                recorder.add(tick, command)
+            command = tick.step(pose)
             if not quiet and tick.index % every == 0:
-                live.update(_table(arm, controller, tick, command, here), refresh=True)
+                live.update(_table(arm, loop.controller, tick, command, here), refresh=True)
     if is_led and pose is not None:
         notes += _missed(arm.model, tick.q, pose)
 
@@ -168,7 +154,7 @@ def _table(
     for row in range(max(len(axes), arm.model.n)):
         cells = [""] * 9
         if row < len(axes):
-            place = AXES.index(axes[row])
+            place = pliant.AXES.index(axes[row])
             unit = "mm" if place < 3 else "mrad"
             cells[0] = axes[row]
             cells[1] = f"{here[place, 3] * 1e3:.0f} mm" if place < 3 else ""

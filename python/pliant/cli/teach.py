@@ -93,7 +93,7 @@ def run(
 
     made: list[Motion] = []
     cut: list[Motion] = []
-    live = read.arm()
+    live = pliant.connect(read)
     lead = prepare(live) if hand else lambda: None
     try:
         with live:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant import ConfigError, OutOfRangeError, ServoError, ShapeError
+from pliant._connect import ARM_OPTIONS, PLANT_OPTIONS, check_options
 from pliant.arguments import real
 from pliant.arm import Arm, Budget, GripperConfig
 from pliant.arm.checks import posture, vector
-from pliant.arm.connect import OF_THE_ARM, check_options, plant_options
 from pliant.arm.points import Points
 from pliant.config import build
 from pliant.servo import ServoBus, ServoSpec, serial_ports
@@ -96,7 +96,7 @@ def _beside(config: Config, options: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ConfigError: There is no such option on this backend.
     """
-    of_the_sim = {"q", "real_time", *plant_options()} - OF_THE_ARM
+    of_the_sim = {"q", "real_time", *PLANT_OPTIONS} - ARM_OPTIONS
     known = {"bus": set(), "emulator": {"q"}, "sim": of_the_sim}[config.backend]
     for key in options:
         if key in of_the_sim - known:
@@ -104,7 +104,7 @@ def _beside(config: Config, options: dict[str, Any]) -> dict[str, Any]:
                 f"{key!r} is an option of a simulated arm, and this one has backend "
                 f'{config.backend!r}: connect(..., backend="sim")'
             )
-    check_options(options, OF_THE_ARM | known)
+    check_options(options, ARM_OPTIONS | known)
     return {key: value for key, value in options.items() if key in known}
 
 
@@ -148,8 +148,8 @@ def simulated(
     config: Config, model: Model, *, q: ArrayLike | None, real_time: bool, **plant: Any
 ) -> Drive:
     """The arm on the simulator: servos by the file, on its table."""
-    from pliant.arm.simulated import SimDrive
     from pliant.sim import Plant
+    from pliant.sim.drive import SimDrive
 
     options: dict[str, Any] = {"rate": config.loop.rate}
     if config.servo:

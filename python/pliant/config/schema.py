@@ -19,7 +19,6 @@ from pliant.servo.wire import LONGEST_PATIENCE
 
 if TYPE_CHECKING:
     from pliant import Model, Settings
-    from pliant.arm import Arm
 
 # Strict: a number in quotes is a mistake, not a number.
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
@@ -298,12 +297,6 @@ class Config(Table):
             ConfigError: Its joints are not those that have servos.
         """
         return build.model(self)
-
-    def arm(self, **options: Any) -> Arm:
-        """The arm, to be enabled by `with`; options as for `pliant.connect`."""
-        from pliant.config.assemble import arm
-
-        return arm(self, **options)
 
     def settings(self) -> Settings:
         """The controller's settings, validated by the same code as those made in Python.

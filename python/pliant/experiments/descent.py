@@ -18,7 +18,6 @@ import numpy as np
 
 from pliant import config
 from pliant.arm.arm import Arm
-from pliant.arm.simulated import SimDrive
 from pliant.config import assemble
 from pliant.config.emulation import PATIENCE, emulated
 from pliant.experiments.campaign_arms import BESIDE, ROBOTS, load
@@ -28,6 +27,7 @@ from pliant.experiments.sheet import POSES
 from pliant.servo import ServoBus
 from pliant.servo.emulator import StepClock, Timing
 from pliant.sim import Plant, table
+from pliant.sim.drive import SimDrive
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -10,10 +10,10 @@ import numpy as np
 import pliant
 from pliant.arm.arm import Arm
 from pliant.arm.drive import Sample
-from pliant.arm.simulated import SimDrive
 from pliant.experiments.setups import VERTICAL, arm, displaced, tool
 from pliant.loop import Loop, Tick
 from pliant.sim import Guide, Plant
+from pliant.sim.drive import SimDrive
 from pliant.sim.hand import Course
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ import tyro
 
 import pliant
 from pliant import robots
-from pliant.config import load, names
+from pliant.config import names
 from pliant.experiments.campaign_arms import BESIDE, REACH_OF_ONE, ROBOTS, Arm
 from pliant.experiments.parallel import parallel
 from pliant.sim import Plant
@@ -68,7 +68,7 @@ def arm(name: str) -> Arm:
     path = ROBOTS / file
     if not path.exists():
         raise FileNotFoundError(f"{file} does not lie beside this checkout")
-    servos = load(name, urdf=path, backend="emulator").arm().servos
+    servos = pliant.connect(name, urdf=path, backend="emulator").servos
     return Arm(name, pliant.Model.from_urdf(path, base=base, tip=tip, servos=servos))
 
 

@@ -14,10 +14,10 @@ import numpy as np
 import tyro
 
 import pliant
-from pliant.arm.simulated import SimDrive
 from pliant.experiments.campaign_arms import load
 from pliant.experiments.runner import Job, Workers
-from pliant.sim import Course, Drag
+from pliant.sim import Course, Drag, Plant
+from pliant.sim.drive import SimDrive
 from pliant.teach import Motion, Replay, teach
 
 if TYPE_CHECKING:
@@ -56,9 +56,10 @@ def teaching(name: str, kp_scale: float) -> Motion:
 
 
 def _connect(name: str, q: Iterable[float], kp_scale: float, scene: list[Drag]) -> pliant.arm.Arm:
-    return pliant.connect(
-        f"sim:{name}", q=q, scene=scene, kp_scale=kp_scale, count=COUNT, on_exit="leave_enabled"
-    )
+    model: pliant.Model = pliant.robots.load(name)
+    plant = Plant(model, scene=scene, kp_scale=kp_scale, count=COUNT)
+    plant.reset(np.array(list(q)))
+    return pliant.Arm(model, SimDrive(plant), on_exit="leave_enabled")
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,7 @@
 """Logs that open anywhere: MCAP with ROS 2 messages, enough to run the controller again.
 
->>> with pliant.log.Recorder("run.mcap", arm, controller) as recorder:
-...     ctl = recorder.controller                       # in place of the controller
-...     for tick in pliant.Loop(arm, ctl):
-...         command = ctl.step(tick.q, target, dt=tick.dt)
-...         tick.write(command)
-...         recorder.add(tick, command)
+>>> for tick in pliant.Loop(arm, controller, recorder=pliant.log.Recorder("run.mcap")):
+...     tick.step(target)
 >>> log = pliant.log.read("run.mcap")
 >>> log.q, log.goal, pliant.log.verify(log).same
 """

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 #: Deviation of a rotation that weighs as much as one metre [rad].
 RADIANS_PER_METRE = 4.0
 
@@ -79,7 +78,7 @@ def feel(log: Log) -> Felt | None:
             contact.reset()
         if call.sequence not in primes and tick < ticks:
             estimate = contact.update(np.array(call.q), dt=None if np.isnan(call.dt) else call.dt)
-            rows = [AXES.index(name) for name in axes]
+            rows = [pliant.AXES.index(name) for name in axes]
             force[tick], bound[tick] = estimate.force[rows], estimate.uncertainty[rows]
 
     for call, controller, _ in steps(log, before=before):

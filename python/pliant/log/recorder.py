@@ -13,20 +13,17 @@ import numpy as np
 
 import pliant
 from pliant import ConfigError
-from pliant.arguments import given, instance, positive
-from pliant.arm import Arm
+from pliant.arguments import given, instance
 from pliant.log import frames, layout, words
 from pliant.log.journal import Journal
-from pliant.loop import Tick
 from pliant.outputs import check_output
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import TracebackType
 
-    from pliant import Controller
+    from pliant.arm import Arm
     from pliant.config import Config
-    from pliant.loop import Commanded
+    from pliant.loop import Commanded, Tick
 
 #: How long `close` waits for the writer to take the rest, and then to finish [s]: an arm may be
 #: held meanwhile.
@@ -36,16 +33,12 @@ PATIENCE = 5.0
 class Recorder:
     """Writes a run to an MCAP file, from a process of its own: the loop only fills a pipe.
 
-    The writer survives the program: one that is killed leaves a whole file. `with` closes it.
+    Give it to `pliant.Loop`, which starts it, adds every tick and closes it. The writer survives
+    the program: one that is killed leaves a whole file.
 
     Args:
         path: The file; a log that is there is replaced, a file of another kind refused.
-        arm: The arm.
-        controller: The controller, before its first step; use `recorder.controller` in its place,
-            so that the log has all that it is told. None: without one (hand guiding).
         config: The arm's configuration, to be attached.
-        rate: Ticks per second that are to come [Hz]; None: the controller's, or the arm's. What a
-            crash of the machine may cost is half a second of these.
         note: A line of your own.
 
     Attributes:
@@ -53,61 +46,76 @@ class Recorder:
         ticks: Ticks so far.
 
     Raises:
-        ConfigError: The controller has made steps already, or belongs to another arm; the rate is
-            not above 0.
+        ConfigError: The file exists and is not a log.
         TypeError: An argument is of another kind.
         OSError: The file cannot be written.
         ImportError: The extra is missing.
+
+    Example:
+        >>> loop = pliant.Loop(arm, controller, recorder=pliant.log.Recorder("run.mcap"))
+        >>> for tick in loop:
+        ...     tick.step(target)
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        arm: Arm,
-        controller: Controller | None = None,
-        *,
-        config: Config | None = None,
-        rate: float | None = None,
-        note: str = "",
-    ) -> None:
-        instance(arm, Arm, "arm", "as pliant.connect makes one")
+    def __init__(self, path: str | Path, *, config: Config | None = None, note: str = "") -> None:
         instance(note, str, "note")
         if not isinstance(path, str | PathLike):
             raise TypeError(f"path must be that of a file, got {given(path)}")
-        if controller is not None:
-            instance(controller, pliant.Controller, "controller", "or None without one")
         if config is not None and not hasattr(config, "model_dump_json"):
             raise TypeError(f"config must be what pliant.config.load gives, got {given(config)}")
-        if rate is not None:
-            positive(rate, "rate", "Hz")
+        self.path, self.ticks = Path(path), 0
+        self._config, self._note = config, note
+        self._process: subprocess.Popen[bytes] | None = None
+        self._closed = False
+        self._journal: Journal | None = None
+        check_output(self.path, "log")
+
+    def start(self, arm: Arm, controller: Any | None, rate: float) -> Any:
+        """Open the file; called by `pliant.Loop`.
+
+        Args:
+            arm: The arm.
+            controller: The controller, before its first step; anything else is not recorded, and
+                the log holds ticks and commands alone.
+            rate: Ticks per second that are to come [Hz]. A crash of the machine may cost half a
+                second of these.
+
+        Returns:
+            The controller to use in its place: it records every call.
+
+        Raises:
+            ConfigError: The recorder has been started already, or the controller has made steps
+                or belongs to another arm.
+        """
+        if self._process is not None:
+            raise ConfigError(f"{self.path} belongs to another loop: make a Recorder for each")
+        given_controller = controller
+        controller = controller if isinstance(controller, pliant.Controller) else None
         if controller is not None and controller.commands_made:
             raise ConfigError(
-                "the controller has made steps that the log would lack: make the recorder before "
-                "the first one (or controller=None for a log that cannot be run again)"
+                "the controller has made steps that the log would lack: give the recorder to the "
+                "loop in which it makes its first one, or make a new controller"
             )
         if controller is not None and controller.model.joint_names != arm.model.joint_names:
             raise ConfigError("the controller is that of another arm")
-        wanted = arm.rate if controller is None else controller.settings.rate
-        self.path, self.ticks = Path(path), 0
         self._extra = tuple(arm.grippers)
         self._counters: Callable[[], dict[str, int]] = lambda: arm.counters
         axes = None if controller is None else controller.settings.task.names
         vector = layout.tick(arm.model.n, None if axes is None else len(axes), len(self._extra))
         self._row, self._axes = np.empty(vector.size), axes
         self._slots = vector.split(self._row)
-        check_output(self.path, "log")
         run = {
             "version": layout.VERSION,
             "pliant": pliant.__version__,
-            "note": note,
-            "rate": float(wanted if rate is None else rate),
+            "note": self._note,
+            "rate": float(rate),
             "joints": arm.model.joint_names,
             "extra": self._extra,
             "axes": axes,
             "model": words.describe(arm.model if controller is None else controller.model),
             "servos": arm.servos if controller is None else controller.servos,
             "settings": None if controller is None else controller.settings,
-            "config": None if config is None else config.model_dump_json(by_alias=True),
+            "config": None if self._config is None else self._config.model_dump_json(by_alias=True),
             "wall": time.time(),
             "clock": arm.clock.now(),
         }
@@ -120,29 +128,18 @@ class Recorder:
         assert self._process.stdin is not None
         self._sender = frames.Sender(self._process.stdin.fileno())
         self._sender.send(frames.RUN, words.write(run).encode())
-        self._closed = False
-        self._journal = None if controller is None else Journal(controller, self._sender)
-
-    @property
-    def controller(self) -> Any:
-        """The controller to be used; None without one."""
+        if controller is None:
+            return given_controller
+        self._journal = Journal(controller, self._sender)
         return self._journal
 
     @property
     def dropped(self) -> int:
-        """Records that did not fit: the writer was too far behind, or is gone."""
-        return self._sender.dropped
+        """Number of records that did not fit: the writer was too far behind, or is gone."""
+        return 0 if self._process is None else self._sender.dropped
 
     def add(self, tick: Tick, command: Commanded | None = None) -> None:
-        """Record a tick and what was commanded in it; never waits, never raises for the writer.
-
-        Raises:
-            ConfigError: The command is not one of `recorder.controller`, or the recorder is closed.
-            TypeError: The tick is none of `pliant.Loop`.
-        """
-        if self._closed:
-            raise ConfigError(f"{self.path} is closed: add ticks within `with Recorder(…)`")
-        instance(tick, Tick, "tick", "as pliant.Loop yields them")
+        """Record a tick and its command; called by `pliant.Loop`. Does not wait for the writer."""
         slots, state = self._slots, tick.state
         self._row.fill(np.nan)
         slots["time"][0] = state.time
@@ -168,11 +165,8 @@ class Recorder:
     def _look(self, journal: Journal) -> None:
         """What the controller knows after its step."""
         target, inner, slots = journal.target, journal.inner, self._slots
-        if target is None:
-            raise ConfigError(
-                "the log has no step of this tick: use recorder.controller in place of the "
-                "controller"
-            )
+        if target is None:  # no step in this tick
+            return
         slots["delay"][0] = journal.delay
         slots["target"][:] = target.reshape(-1)
         slots["reference"][:] = inner.reference.reshape(-1)
@@ -192,7 +186,7 @@ class Recorder:
                 read.
         """
         process = self._process
-        if self._closed or process.stdin is None:
+        if self._closed or process is None or process.stdin is None:
             return
         self._closed = True
         counted = {"counters": self._counters(), "dropped": self.dropped}
@@ -205,14 +199,3 @@ class Recorder:
             raise OSError(f"{self.path}: the disk is slow; the writer goes on by itself") from None
         if code != 0:
             raise OSError(f"{self.path}: the log could not be written to its end")
-
-    def __enter__(self) -> Recorder:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()

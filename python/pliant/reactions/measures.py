@@ -12,7 +12,7 @@ import numpy as np
 import pliant
 from pliant.arguments import given, number, positive, rounded_up
 from pliant.reactions.conditions import Condition, Judge
-from pliant.reactions.moment import AXES, indices
+from pliant.reactions.moment import indices
 
 if TYPE_CHECKING:
     from pliant.reactions.moment import Moment
@@ -73,7 +73,7 @@ class Force(Condition):
             if self.above < least[axis]:
                 unit = "N" if axis < 3 else "N·m"
                 raise pliant.OutOfRangeError(
-                    f"{self!r}: {AXES[axis]} = {self.above:g} {unit} is outside "
+                    f"{self!r}: {pliant.AXES[axis]} = {self.above:g} {unit} is outside "
                     f"[{rounded_up(least[axis])}, ∞): below it this arm, at rest in the median "
                     "pose, cannot tell a contact from friction, k_p and gravity; raise it, say in "
                     "ContactEstimator(...) how well the arm is known, or accept=('thresholds',)"

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-
 
 @dataclass(frozen=True)
 class Moment:
@@ -81,7 +79,7 @@ class Moment:
         return frame
 
 
-def indices(axes: str, names: Sequence[str] = AXES) -> tuple[int, ...]:
+def indices(axes: str, names: Sequence[str] = pliant.AXES) -> tuple[int, ...]:
     """Places of an axis key's axes among `names`.
 
     Raises:

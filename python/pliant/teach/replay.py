@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 #: Speed on the way to the motion's beginning, and back to it after a stop [rad/s].
 APPROACH = 0.4
 #: Time within which the motion's clock comes up to speed again [s].
@@ -80,14 +79,14 @@ class Replay:
         self.motion, self.speed = motion, speed
         self._controller, self._model = controller, controller.model
         names = controller.settings.task.names
-        self._rows = [AXES.index(name) for name in names]
+        self._rows = [pliant.AXES.index(name) for name in names]
         self._bound = np.array([wait[row >= 3] for row in self._rows])
         self._contact: pliant.ContactEstimator | None = None
         if stop is not None:
             axes = "".join(name for name in names if name in "xyz")
             inner = getattr(controller, "inner", controller)
             contact = pliant.ContactEstimator(inner)
-            felt = contact.typical_uncertainty()[[AXES.index(name) for name in axes]]
+            felt = contact.typical_uncertainty()[[pliant.AXES.index(name) for name in axes]]
             least = rounded_up(contact.guard * felt.max(initial=1e-3))
             if not float(least) <= stop < math.inf:
                 raise OutOfRangeError(

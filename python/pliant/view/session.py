@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from pliant import Command, Controller
     from pliant.arm import Arm
-    from pliant.log import Recorder
     from pliant.loop import Tick
     from pliant.view.link import Link
     from pliant.view.source import Source
@@ -121,30 +120,24 @@ class Session:
     def _control(self, arm: Arm) -> None:
         """The loop, with its log."""
         controller = self._begin(arm)
-        if self._log is None:
-            self._turns(arm, controller, None)
-            return
-        from pliant.log import Recorder
+        recorder = None
+        if self._log is not None:
+            from pliant.log import Recorder
 
-        path = self._log
-        if self._life > 1:
-            path = path.with_stem(f"{path.stem}-{self._life}")
-        with Recorder(path, arm, controller, config=self._source.config) as recorder:
-            self._turns(arm, recorder.controller, recorder)
-
-    def _turns(self, arm: Arm, controller: Controller, recorder: Recorder | None) -> None:
-        """Until somebody wants something else."""
+            path = self._log
+            if self._life > 1:
+                path = path.with_stem(f"{path.stem}-{self._life}")
+            recorder = Recorder(path, config=self._source.config)
         self.look.phase = "running"
         self.look.settle("target", "hand", "settings", "fault")
-        loop = self.loop = Loop(arm, controller, rate=self._source.rate)
+        loop = self.loop = Loop(arm, controller, rate=self._source.rate, recorder=recorder)
+        controller = loop.controller
         for tick in loop:
             self._take(controller)
             self._scripted(tick.began)
             self.look.before_step(tick, loop)
             command = self._step(tick, controller)
             tick.write(command)
-            if recorder is not None:
-                recorder.add(tick, command)
             self.look.after_step(tick, controller, command, self.target, loop)
             if self._next is not None:
                 return

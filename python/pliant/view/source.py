@@ -92,14 +92,13 @@ class Simulated:
 
     def arm(self) -> Arm:
         """A new simulation."""
+        from pliant.sim import Plant
+        from pliant.sim.drive import SimDrive
+
         scene = self.scenes[self.name]
-        return pliant.connect(
-            "sim",
-            robot=self.model,
-            q=scene.q,
-            rate=self.rate,
-            scene=scene.make(),
-        )
+        plant = Plant(self.model, rate=self.rate, scene=scene.make())
+        plant.reset(scene.q)
+        return pliant.Arm(self.model, SimDrive(plant), rate=self.rate)
 
 
 class Configured:
@@ -127,4 +126,4 @@ class Configured:
     def arm(self) -> Arm:
         """The arm, on a port that the one before has let go of."""
         assert self.config is not None
-        return self.config.arm(**self._options)
+        return pliant.connect(self.config, **self._options)

@@ -1,0 +1,149 @@
+"""`connect`: from a configuration to an arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
+
+from pliant import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import ArrayLike
+
+    from pliant import Servos
+    from pliant.arm import Arm, Budget, GripperConfig
+    from pliant.config import Config
+    from pliant.sim import Fixture, Friction, Hand, Overload
+
+
+class ArmOptions(TypedDict, total=False):
+    """Options of `pliant.Arm`, in place of what the configuration says."""
+
+    rest_q: ArrayLike | None
+    on_exit: Literal["lower", "leave_enabled"]
+    rate: float
+    comm_timeout: float
+    budget: Budget | None
+    grippers: Mapping[str, GripperConfig] | None
+    watchdog: float
+    signals: bool
+    table: float | bool | None
+
+
+class ConnectOptions(ArmOptions, total=False):
+    """Options of `connect`: those of the arm, and with ``backend="sim"`` of `pliant.sim.Plant`."""
+
+    servos: Servos | None
+    extra_servos: Mapping[str, Servos] | None
+    dt: float
+    delay: tuple[int, int]
+    count: ArrayLike
+    flicker: int
+    noise: ArrayLike
+    deadband: ArrayLike
+    backlash: ArrayLike
+    read_loss: float
+    write_loss: float
+    silent: tuple[float, float] | None
+    kp_scale: ArrayLike
+    friction_scale: ArrayLike
+    damping_scale: ArrayLike
+    payload: tuple[float, Sequence[float]] | None
+    speed_limit: ArrayLike | None
+    kind: Literal["current", "pwm"] | None
+    overload: Overload | None
+    friction: Literal["coulomb"] | Friction
+    creep: float
+    off_chain: Literal["held", "welded"]
+    scene: Iterable[Hand | Fixture]
+    seed: int
+
+
+ARM_OPTIONS = frozenset(ArmOptions.__annotations__)
+PLANT_OPTIONS = frozenset(ConnectOptions.__annotations__) - ARM_OPTIONS
+#: Keywords of `connect` that replace words of a configuration file.
+FILE_OPTIONS = frozenset(("backend", "port", "urdf", "calibration"))
+ALL_OPTIONS = ARM_OPTIONS | PLANT_OPTIONS | FILE_OPTIONS | {"q", "real_time"}
+
+
+def connect(
+    config: str | Path | Config,
+    *,
+    backend: Literal["bus", "emulator", "sim"] | None = None,
+    port: str | None = None,
+    urdf: str | Path | None = None,
+    calibration: str | Path | None = None,
+    q: ArrayLike | None = None,
+    real_time: bool = False,
+    **options: Unpack[ConnectOptions],
+) -> Arm:
+    """Make the arm of a configuration; `with` enables it, and lowers it at the end.
+
+    Nothing is opened and nothing moves before `with`. For a drive of your own, or a model without a
+    configuration, construct `pliant.Arm(model, drive)`.
+
+    Args:
+        config: Name of a ready arm (`pliant.config.names()`), path of a TOML file, or a `Config`.
+        backend: `"bus"`: the servos; `"emulator"`: emulated servos on a virtual serial port;
+            `"sim"`: the simulator without a bus; None: as the file has it.
+        port: Serial device in place of the file's, or `"auto"`.
+        urdf: URDF file in place of the file's.
+        calibration: LeRobot's calibration file in place of the file's.
+        q: Initial joint positions (n,) [rad] of a simulated or emulated arm; None: near zero,
+            clear of the table.
+        real_time: Run the simulator in real time; otherwise as fast as it can.
+        **options: Options of `pliant.Arm`, in place of the file's; with ``backend="sim"`` also of
+            `pliant.sim.Plant` (``scene=[...]``). `table` is the height of the table [m], or False
+            for none.
+
+    Returns:
+        The arm, with torque as it was.
+
+    Raises:
+        ConfigError: An unknown name or option, with the nearest known one; a wrong file; options
+            that do not go together.
+        ServoError: The file leaves the port open and there is none, or a choice.
+
+    Example:
+        >>> with pliant.connect("so101", backend="sim") as arm:
+        ...     state = arm.read()
+    """
+    from pliant.config import assemble, load
+
+    check_options(options, ALL_OPTIONS)
+    given = {"backend": backend, "port": port, "urdf": urdf, "calibration": calibration}
+    replaced = {name: value for name, value in given.items() if value is not None}
+    if isinstance(config, str | Path):
+        config = load(config, **replaced)  # type: ignore[arg-type]
+    elif not hasattr(config, "model_dump_json"):
+        raise ConfigError(
+            f"cannot connect to {config!r}: give the name of a ready arm, the path of a "
+            "configuration file or a Config; with a model and a drive use pliant.Arm(model, drive)"
+        )
+    elif replaced:
+        name = next(iter(replaced))
+        raise ConfigError(
+            f"{name}= replaces a word of a file, and this is a Config: give it to "
+            f"pliant.config.load(..., {name}=...)"
+        )
+    if q is not None:
+        options = {**options, "q": q}  # type: ignore[typeddict-unknown-key]
+    if real_time:
+        options = {**options, "real_time": True}  # type: ignore[typeddict-unknown-key]
+    return assemble.arm(config, **options)
+
+
+def check_options(options: Iterable[str], known: Iterable[str]) -> None:
+    """Check that there are such options, before anything is opened.
+
+    Raises:
+        ConfigError: An unknown option; the message has the nearest and all.
+    """
+    names = frozenset(known)
+    for key in options:
+        if key not in names:
+            from pliant.config.messages import suggest
+
+            raise ConfigError(f"an arm has no option {key!r} here; {suggest(key, names)}")
