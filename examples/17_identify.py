@@ -33,14 +33,14 @@ table = model.servos.replace(encoder_step=np.deg2rad(0.088), stiffness_known=Fal
 # 1. What is known after capturing gravity in place: nothing moves, four seconds.
 settings = pliant.Settings.soft("y")
 controller = pliant.Controller(model, settings, table)
-print(f"capture\n{pliant.identify.capture(arm, controller)}\n")
+print(f"capture\n{pliant.identify.capture_gravity(arm, controller)}\n")
 
 # 2. Weighing alone. The table's k_p is wrong, so the error bars are wide.
 if not SHORT:
-    print(f"weigh\n{pliant.identify.payload(arm, controller, span=0.4).summary()}\n")
+    print(f"weigh\n{pliant.identify.estimate_payload(arm, controller, span=0.4).summary()}\n")
 
 # 3. Everything, about two and a half minutes of the arm's time. Poses within ±0.4 rad are free.
-found = pliant.identify.run(arm, model, table, span=0.4)
+found = pliant.identify.identify_servos(arm, model, table, span=0.4)
 print(f"identify\n{found}\n")
 
 # 4. A controller that believes all of it: table, payload and delay.

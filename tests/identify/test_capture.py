@@ -32,7 +32,7 @@ def standing(arm, q, settings=FOLLOWING, **differs):
 @pytest.mark.parametrize("kp", [0.5, 0.8, 1.25, 2.0])
 def test_an_arm_that_would_walk_stays_after_the_capture(arm, grasp, kp):
     plant, controller = standing(arm, grasp, kp=kp)
-    found = identify.capture(plant, controller)
+    found = identify.capture_gravity(plant, controller)
     assert found.stays, str(found)
     assert found.drift < 2e-3  # (.0007)
     assert controller.settings == FOLLOWING
@@ -49,7 +49,7 @@ def test_an_arm_that_walks_is_stopped_and_told_what_helps():
     )
     plant, controller = standing(so101, [0.2, -0.3, 0.3, 0.9, 0.0], settings, kp=2.0)
     start = plant.tool[:3, 3]
-    found = identify.capture(plant, controller)
+    found = identify.capture_gravity(plant, controller)
     assert not found.stays
     assert found.bound < found.drift < 5e-3
     assert np.linalg.norm(plant.tool[:3, 3] - start) < 0.02
@@ -61,7 +61,7 @@ def test_an_arm_that_walks_is_stopped_and_told_what_helps():
 
 def test_a_wrong_payload_is_said_to_be_clipped(arm, grasp):
     plant, controller = standing(arm, grasp, payload=1.2, kp=0.4)
-    found = identify.capture(plant, controller, check=0.0)
+    found = identify.capture_gravity(plant, controller, check=0.0)
     assert found.clipped.any()
     assert not found.stays
     assert any("clipped" in text and "wrong payload" in text for text in found.summary())
@@ -69,7 +69,7 @@ def test_a_wrong_payload_is_said_to_be_clipped(arm, grasp):
 
 def test_settings_come_back_after_an_exception(arm, grasp):
     plant, controller = standing(arm, grasp)
-    procedure = identify.capturing(controller)
+    procedure = identify.capture_gravity.procedure(controller)
     for _ in range(5):
         plant.write(procedure.step(plant.read().q).goal)
         plant.advance()
@@ -85,7 +85,7 @@ def test_settings_come_back_after_an_exception(arm, grasp):
 def test_it_runs_on_a_connected_arm():
     with bare_arm("arm7") as connected:
         controller = pliant.Controller(connected.model, pliant.Settings.soft("y"))
-        found = identify.capture(connected, controller, seconds=1.0, check=0.5)
+        found = identify.capture_gravity(connected, controller, seconds=1.0, check=0.5)
         assert found.captured.sum() >= 3
         assert found.drift < 2e-3
 
@@ -93,7 +93,7 @@ def test_it_runs_on_a_connected_arm():
 def test_numbers_out_of_range_are_refused(arm):
     controller = pliant.Controller(arm)
     with pytest.raises(pliant.OutOfRangeError, match="seconds"):
-        identify.capturing(controller, seconds=0.2)
+        identify.capture_gravity.procedure(controller, seconds=0.2)
     bare = pliant.Controller(arm, pliant.Settings.paper())
     assert bare.servos is not None  # built-in arms carry theirs
 

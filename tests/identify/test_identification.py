@@ -112,15 +112,15 @@ def test_bad_arguments_are_refused_before_anything_moves():
     plant.reset(model.upper - 1e-3)
     outside = np.tile(model.upper, (3, 1))
     with pytest.raises(pliant.OutOfRangeError, match="amplitude"):
-        identify.run(plant, model, amplitude=2.0)
+        identify.identify_servos(plant, model, amplitude=2.0)
     with pytest.raises(pliant.OutOfRangeError, match="torque_share"):
-        identify.identification(model, torque_share=0.0)
+        identify.identify_servos.procedure(model, torque_share=0.0)
     plant.reset(experiment.STARTS["so101"])
     with pytest.raises(pliant.OutOfRangeError, match="shoulder_pan would move"):
-        identify.run(plant, model, poses=outside)
+        identify.identify_servos(plant, model, poses=outside)
     bare = pliant.Model.from_urdf_str(BARE, base="a", tip="b")
     with pytest.raises(pliant.ConfigError, match="servo table"):
-        identify.identification(bare)
+        identify.identify_servos.procedure(bare)
 
 
 BARE = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="1"/>
@@ -138,6 +138,6 @@ def test_an_arm_that_is_held_is_left_holding():
         plant = gap.build(model)
         plant.reset(experiment.STARTS["arm7"])
         with pytest.raises(pliant.ServoError, match=r"behind|left its range"):
-            identify.run(plant, model, gap.servos(model))
+            identify.identify_servos(plant, model, gap.servos(model))
     sent = plant._bus.sent
     assert np.abs(sent.goal - plant.q).max() < 0.2  # near where it is, not the plan

@@ -32,7 +32,7 @@ def weighed(name, seed):
     task = "xyz rpy" if model.n > 5 else "xyz"
     controller = pliant.Controller(model, pliant.Settings(task=task), table)
     gap.check(controller)
-    found = identify.payload(plant, controller)
+    found = identify.estimate_payload(plant, controller)
     truth = first_moments(mass, com)
     return (found.moments - truth) / np.sqrt(np.diag(found.covariance)), found, mass, controller
 
@@ -66,7 +66,7 @@ def test_poses_that_cannot_tell_say_so():
     plant.reset(STARTS["so101"])
     controller = pliant.Controller(model, pliant.Settings(task="xyz"), model.servos)
     gap.check(controller)
-    found = identify.payload(plant, controller, poses=1)
+    found = identify.estimate_payload(plant, controller, poses=1)
     weak = [text for text in found.summary() if "cannot be told" in text]
     assert (found.separated < 0.5).sum() >= 1
     assert len(weak) == 1

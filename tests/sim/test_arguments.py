@@ -44,13 +44,16 @@ def test_a_plant_names_what_it_cannot_take(options, text):
         (lambda: pliant.HandGuiding(ARM, "sts"), r"servos must be a Servos"),
         (lambda: pliant.HandGuiding(ARM, rate="x"), r"rate must be a number, got 'x'"),
         (lambda: pliant.HandGuiding(ARM, payload=(0.3,)), r"payload must be a Payload, or mass"),
-        (lambda: identify.capturing(ARM), r"controller must be a Controller, got <Model"),
-        (lambda: identify.capture(None, pliant.Controller(ARM)), r"arm must have read\(\)"),
-        (lambda: identify.identification("arm7"), r"model must be a Model"),
-        (lambda: identify.identification(ARM, span=np.nan), r"span \[rad\] must be in"),
-        (lambda: identify.identification(ARM, poses=[[0.0]]), r"postures \(K, 7\)"),
-        (lambda: identify.identification(ARM, poses=0), r"poses must be at least 1"),
-        (lambda: identify.run(Plant(ARM), ARM, rate=np.nan), r"rate \[Hz\] must be in"),
+        (
+            lambda: identify.capture_gravity.procedure(ARM),
+            r"controller must be a Controller, got <Model",
+        ),
+        (lambda: identify.capture_gravity(None, pliant.Controller(ARM)), r"arm must have read\(\)"),
+        (lambda: identify.identify_servos.procedure("arm7"), r"model must be a Model"),
+        (lambda: identify.identify_servos.procedure(ARM, span=np.nan), r"span \[rad\] must be in"),
+        (lambda: identify.identify_servos.procedure(ARM, poses=[[0.0]]), r"postures \(K, 7\)"),
+        (lambda: identify.identify_servos.procedure(ARM, poses=0), r"poses must be at least 1"),
+        (lambda: identify.identify_servos(Plant(ARM), ARM, rate=np.nan), r"rate \[Hz\] must be in"),
     ],
 )
 def test_whoever_gives_something_else_is_told_what_would_do(make, text):
@@ -60,7 +63,7 @@ def test_whoever_gives_something_else_is_told_what_would_do(make, text):
 
 def test_another_arms_positions_end_a_procedure():
     with pytest.raises(pliant.ShapeError, match="7 finite numbers"):
-        identify.capture(Plant(pliant.robots.so101()), pliant.Controller(ARM))
+        identify.capture_gravity(Plant(pliant.robots.so101()), pliant.Controller(ARM))
 
 
 def test_a_simulation_that_diverges_is_no_error_of_a_configuration(monkeypatch):

@@ -247,5 +247,6 @@ def strange_leads(cycle: Cycle, leads: Array) -> str | None:
     return (
         f"servos are stiffer or softer than their table, or weights differ from the model: "
         f"{', '.join(found)} the believed k_p; forces are wrong by as much: "
-        "pliant.identify.run(arm, model) measures k_p, controller.set_payload tells of a load"
+        "pliant.identify.identify_servos(arm, model) measures k_p, controller.set_payload tells of "
+        "a load"
     )

@@ -61,7 +61,7 @@ def tried(
     axes = {"y": pliant.Axis(yields="both", adaptation=eta)}
     settings = pliant.Settings(task=" ".join(arm.axes), axes=axes, accept=("eta",))
     controller = pliant.Controller(arm.model, settings, table)
-    found = identify.capture(plant, controller)
+    found = identify.capture_gravity(plant, controller)
     if found.remedy is not None:
         controller.update(found.remedy)
     place, q = plant.tool[:3, 3], plant.read().q

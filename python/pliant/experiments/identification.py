@@ -122,7 +122,7 @@ def identified(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> O
     body = plant(arm, case, rate)
     model = robots.load(arm)
     table = believed(model)
-    found = identify.run(body, model, table, span=span)
+    found = identify.identify_servos(body, model, table, span=span)
     gains, servos = body.gains, found.servos
     gravity = np.asarray(model.gravity(STARTS[arm]))
     lift = CASES[case].get("lift", 0.0) * LIFTS[arm]
@@ -190,7 +190,7 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     body = Plant(robots.arm7(), delay=delay, **options)
     body.reset(STARTS["arm7"])
     table = believed(robots.arm7())
-    found = identify.run(body, robots.arm7(), table, span=span)
+    found = identify.identify_servos(body, robots.arm7(), table, span=span)
     gains = body.gains
     true = table.replace(
         kp=gains.kp,

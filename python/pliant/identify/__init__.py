@@ -1,35 +1,33 @@
-"""The arm finds out about itself: gravity offset, payload, servos, delay; and a mode to guide it.
+"""Identification of gravity offset, payload, servos and delay; and hand guiding.
 
-    >>> found = pliant.identify.run(arm, arm.model, arm.servos)       # 2 minutes
+    >>> found = pliant.identify.identify_servos(arm, arm.model, arm.servos)       # 2 minutes
     >>> print(found)
     >>> controller = found.controller(arm.model, settings)
-    >>> pliant.identify.capture(arm, controller)                      # 4 s, moves nothing
-    >>> pliant.identify.payload(arm, controller)                      # 30 s
+    >>> pliant.identify.capture_gravity(arm, controller)                      # 4 s, moves nothing
+    >>> pliant.identify.estimate_payload(arm, controller)                      # 30 s
 
 From positions, goals and torque limits alone, on any arm that has `read` and `write`: connected or
-simulated. Each call is also a `Procedure` with `step(q)` for a loop of one's own (`capturing`,
-`weighing`, `identification`).
+simulated. Each function has `.procedure(...)`, which makes a `Procedure` with `step(q)` for a loop
+of your own.
 """
 
-from pliant.identify.capture import Captured, capture, capturing
+from pliant.identify.capture import Captured, capture_gravity
 from pliant.identify.found import Identification, PayloadEstimate
-from pliant.identify.guided import identification, run
+from pliant.identify.guided import identify_servos
 from pliant.identify.hand_guiding import HandGuiding
-from pliant.identify.payload import payload, weighing
-from pliant.identify.seam import Order, Procedure, drive
+from pliant.identify.payload import estimate_payload
+from pliant.identify.seam import Guided, Order, Procedure, drive
 
 __all__ = [
     "Captured",
+    "Guided",
     "HandGuiding",
     "Identification",
     "Order",
     "PayloadEstimate",
     "Procedure",
-    "capture",
-    "capturing",
+    "capture_gravity",
     "drive",
-    "identification",
-    "payload",
-    "run",
-    "weighing",
+    "estimate_payload",
+    "identify_servos",
 ]

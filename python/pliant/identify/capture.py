@@ -9,7 +9,7 @@ import numpy as np
 
 import pliant
 from pliant.arguments import instance, number
-from pliant.identify.seam import Order, Procedure, drive
+from pliant.identify.seam import Order, Procedure, drive, guided
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -118,7 +118,25 @@ class Captured:
         return "\n".join(self.summary())
 
 
-def capture(
+def _gravity(
+    controller: Controller, *, seconds: float = 2.0, check: float = 2.0, bound: float = 2e-3
+) -> Procedure[Captured]:
+    """Make the procedure of `capture_gravity`."""
+    servos = instance(controller, pliant.Controller, "controller").servos
+    if servos is None:
+        raise pliant.ConfigError(
+            "capturing gravity needs the believed k_p: Controller(model, settings, servos=…)"
+        )
+    numbers = (
+        number(seconds, "seconds", 1.0, unit="s"),
+        number(check, "check", 0.0, unit="s"),
+        number(bound, "bound", 0.0, unit="m"),
+    )
+    return Procedure(lambda q: _capture(controller, servos, q, numbers), controller.model.n)
+
+
+@guided(_gravity)
+def capture_gravity(
     arm: Arm,
     controller: Controller,
     *,
@@ -147,25 +165,8 @@ def capture(
         OutOfRangeError: A number out of range. TypeError: This is no arm, or no controller.
         ShapeError: The arm has other joints than the controller's model.
     """
-    procedure = capturing(controller, seconds=seconds, check=check, bound=bound)
+    procedure = _gravity(controller, seconds=seconds, check=check, bound=bound)
     return drive(arm, procedure, loop, rate=controller.settings.rate)
-
-
-def capturing(
-    controller: Controller, *, seconds: float = 2.0, check: float = 2.0, bound: float = 2e-3
-) -> Procedure[Captured]:
-    """The procedure of `capture`, for a loop of one's own."""
-    servos = instance(controller, pliant.Controller, "controller").servos
-    if servos is None:
-        raise pliant.ConfigError(
-            "capturing gravity needs the believed k_p: Controller(model, settings, servos=…)"
-        )
-    numbers = (
-        number(seconds, "seconds", 1.0, unit="s"),
-        number(check, "check", 0.0, unit="s"),
-        number(bound, "bound", 0.0, unit="m"),
-    )
-    return Procedure(lambda q: _capture(controller, servos, q, numbers), controller.model.n)
 
 
 def _capture(

@@ -13,7 +13,7 @@ from pliant.identify.found import Identification
 from pliant.identify.poses import SPAN, SWING, pose_list, wanted
 from pliant.identify.regress import Beliefs, Solution, solve
 from pliant.identify.rig import Rig
-from pliant.identify.seam import Procedure, drive
+from pliant.identify.seam import Procedure, drive, guided
 from pliant.identify.slides import bare_gravity, payload_rows, slides
 
 if TYPE_CHECKING:
@@ -40,47 +40,7 @@ PUSHES = ((1.8, 2.25), (5.0, 1.25))
 JUMPS = 7
 
 
-def run(
-    arm: Arm,
-    model: Model,
-    servos: Servos | None = None,
-    *,
-    poses: int | ArrayLike = 5,
-    span: float = 0.1,
-    amplitude: float = 0.05,
-    rate: float | None = None,
-    loop: Iterable[Tick] | None = None,
-    **options: float,
-) -> Identification:
-    """Identify stiffness, friction, damping, payload and delay on the arm; about 1.5 minutes.
-
-    Swings all joints slowly at a few poses, then each joint by the torque of its limit, then lets
-    each goal jump. Nobody may touch the arm. Arguments as `identification`.
-
-    Args:
-        arm: The arm, at rest, simulated or connected and enabled.
-        model: Its description.
-        servos: What is believed of its servos; None for the model's.
-        poses: How many poses to choose within `span`, or postures (K, n) [rad].
-        span: How far chosen poses may be from the present one, per joint [rad].
-        amplitude: Swing about each pose [rad], before what friction takes.
-        rate: Control rate [Hz]; None for the arm's, or 100.
-        loop: Ticks of a loop of one's own; None for one at the right rate.
-        **options: As `identification`.
-
-    Raises:
-        OutOfRangeError: The motion would leave the position limits. Nothing is sent.
-        ServoError: A joint does not follow. The arm is left holding.
-    """
-    own = rate if rate is not None else getattr(arm, "rate", 100.0)
-    period = 1.0 / number(own, "rate", 10.0, 1000.0, "Hz")
-    procedure = identification(
-        model, servos, period=period, poses=poses, span=span, amplitude=amplitude, **options
-    )
-    return drive(arm, procedure, loop, rate=1.0 / period)
-
-
-def identification(
+def _servos(
     model: Model,
     servos: Servos | None = None,
     *,
@@ -91,7 +51,7 @@ def identification(
     torque_share: float = 0.6,
     limit_error: float = 0.05,
 ) -> Procedure[Identification]:
-    """The procedure of `run`, for a loop of one's own.
+    """Make the procedure of `identify_servos`.
 
     Args:
         model: Description of the arm.
@@ -110,7 +70,7 @@ def identification(
     believed = known if servos is None else instance(servos, pliant.Servos, "servos")
     if believed is None:
         raise pliant.ConfigError(
-            "identification starts from a servo table: pass servos=pliant.Servos(kp=…, torque=…)"
+            "identification starts from a servo table: pass servos=pliant.Servos(kp=…, max_torque=…)"
         )
     rig = Rig(model, believed, period, torque_share=torque_share)
     numbers = (
@@ -120,6 +80,47 @@ def identification(
     )
     chosen = wanted(poses, rig.n)
     return Procedure(lambda q: _identify(rig, q, chosen, numbers), rig.n)
+
+
+@guided(_servos)
+def identify_servos(
+    arm: Arm,
+    model: Model,
+    servos: Servos | None = None,
+    *,
+    poses: int | ArrayLike = 5,
+    span: float = 0.1,
+    amplitude: float = 0.05,
+    rate: float | None = None,
+    loop: Iterable[Tick] | None = None,
+    **options: float,
+) -> Identification:
+    """Identify stiffness, friction, damping, payload and delay on the arm; about 1.5 minutes.
+
+    Swings all joints slowly at a few poses, then each joint by the torque of its limit, then lets
+    each goal jump. Nobody may touch the arm. Arguments as `identify_servos.procedure`.
+
+    Args:
+        arm: The arm, at rest, simulated or connected and enabled.
+        model: Its description.
+        servos: What is believed of its servos; None for the model's.
+        poses: How many poses to choose within `span`, or postures (K, n) [rad].
+        span: How far chosen poses may be from the present one, per joint [rad].
+        amplitude: Swing about each pose [rad], before what friction takes.
+        rate: Control rate [Hz]; None for the arm's, or 100.
+        loop: Ticks of a loop of one's own; None for one at the right rate.
+        **options: As `identify_servos.procedure`.
+
+    Raises:
+        OutOfRangeError: The motion would leave the position limits. Nothing is sent.
+        ServoError: A joint does not follow. The arm is left holding.
+    """
+    own = rate if rate is not None else getattr(arm, "rate", 100.0)
+    period = 1.0 / number(own, "rate", 10.0, 1000.0, "Hz")
+    procedure = _servos(
+        model, servos, period=period, poses=poses, span=span, amplitude=amplitude, **options
+    )
+    return drive(arm, procedure, loop, rate=1.0 / period)
 
 
 def swing(rig: Rig, amplitude: float) -> Array:

@@ -13,7 +13,7 @@ from pliant.identify.guided import statics, wide_enough
 from pliant.identify.poses import SPAN, SWING, pose_list, wanted
 from pliant.identify.regress import Beliefs, solve
 from pliant.identify.rig import Rig
-from pliant.identify.seam import Procedure, drive
+from pliant.identify.seam import Procedure, drive, guided
 from pliant.identify.slides import slides
 
 if TYPE_CHECKING:
@@ -30,7 +30,27 @@ if TYPE_CHECKING:
 KNOWN, UNKNOWN = 0.05, 0.3
 
 
-def payload(
+def _payload(
+    controller: Controller,
+    *,
+    poses: int | ArrayLike = 5,
+    span: float = 0.3,
+    amplitude: float = 0.05,
+) -> Procedure[PayloadEstimate]:
+    """Make the procedure of `estimate_payload`."""
+    servos = instance(controller, pliant.Controller, "controller").servos
+    if servos is None:
+        raise pliant.ConfigError(
+            "weighing needs to know the servos: Controller(model, settings, servos=…)"
+        )
+    rig = Rig(controller.model, servos, 1.0 / controller.settings.rate)
+    numbers = number(span, "span", 0.0, SPAN, "rad"), number(amplitude, "amplitude", *SWING, "rad")
+    chosen = wanted(poses, rig.n)
+    return Procedure(lambda q: _weigh(rig, controller, q, chosen, numbers), rig.n)
+
+
+@guided(_payload)
+def estimate_payload(
     arm: Arm,
     controller: Controller,
     *,
@@ -57,27 +77,8 @@ def payload(
         OutOfRangeError: The motion would leave the position limits, or the servos cannot hold what
             was found. ServoError: A joint does not follow; the arm is left holding.
     """
-    procedure = weighing(controller, poses=poses, span=span, amplitude=amplitude)
+    procedure = _payload(controller, poses=poses, span=span, amplitude=amplitude)
     return drive(arm, procedure, loop, rate=controller.settings.rate)
-
-
-def weighing(
-    controller: Controller,
-    *,
-    poses: int | ArrayLike = 5,
-    span: float = 0.3,
-    amplitude: float = 0.05,
-) -> Procedure[PayloadEstimate]:
-    """The procedure of `payload`, for a loop of one's own."""
-    servos = instance(controller, pliant.Controller, "controller").servos
-    if servos is None:
-        raise pliant.ConfigError(
-            "weighing needs to know the servos: Controller(model, settings, servos=…)"
-        )
-    rig = Rig(controller.model, servos, 1.0 / controller.settings.rate)
-    numbers = number(span, "span", 0.0, SPAN, "rad"), number(amplitude, "amplitude", *SWING, "rad")
-    chosen = wanted(poses, rig.n)
-    return Procedure(lambda q: _weigh(rig, controller, q, chosen, numbers), rig.n)
 
 
 def _weigh(

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from functools import update_wrapper
+from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
@@ -23,7 +24,10 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+P = ParamSpec("P")
+Q = ParamSpec("Q")
 T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,7 @@ class Procedure(Generic[T]):
         done: Whether it has ended; the last order then goes on holding the arm.
 
     Example:
+        >>> procedure = pliant.identify.capture_gravity.procedure(controller)
         >>> for tick in pliant.Loop(arm, controller):
         ...     tick.write(procedure.step(tick.q))
         ...     if procedure.done:
@@ -89,8 +94,13 @@ class Procedure(Generic[T]):
         self._result: list[T] = []
         self.done = False
 
-    def step(self, q: ArrayLike) -> Order:
+    def step(self, q: ArrayLike, *, dt: float | None = None) -> Order:
         """Return what to send for the positions q (n,) [rad]; the last order once done.
+
+        Args:
+            q: Measured joint positions (n,) [rad].
+            dt: Time since the last step [s]; not used: a procedure keeps the period it was made
+                for. It lets `pliant.Tick.step` drive a procedure as it drives a controller.
 
         Raises:
             ShapeError, ServoError: q cannot be used; the procedure's own finding. It has then put
@@ -131,6 +141,28 @@ class Procedure(Generic[T]):
         if not self._result:
             raise ConfigError("this procedure has no result yet: call step(q) until it is done")
         return self._result[0]
+
+
+class Guided(Generic[P, Q, T_co]):
+    """A function that drives an arm through a procedure, with the bare procedure beside it."""
+
+    def __init__(self, function: Callable[P, T_co], make: Callable[Q, Procedure[T_co]]) -> None:
+        """Made by `guided`."""
+        self._function, self._make = function, make
+        update_wrapper(self, function)
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T_co:
+        """Drive the arm; arguments, result and errors as documented on the function."""
+        return self._function(*args, **kwargs)
+
+    def procedure(self, *args: Q.args, **kwargs: Q.kwargs) -> Procedure[T_co]:
+        """Make the procedure for a loop of your own; arguments as the function, without the arm."""
+        return self._make(*args, **kwargs)
+
+
+def guided(make: Callable[Q, Procedure[T]]) -> Callable[[Callable[P, T]], Guided[P, Q, T]]:
+    """Give a function the attribute `procedure`, which makes its procedure by `make`."""
+    return lambda function: Guided(function, make)
 
 
 def drive(

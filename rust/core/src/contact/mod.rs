@@ -198,7 +198,7 @@ impl ContactEstimator {
         let Some(servos) = controller.servos() else {
             return Err(Error::config(
                 "servos",
-                "a contact is felt through the stiffness of the servos: give the controller servos=Servos(kp=[...], torque=[...])",
+                "a contact is felt through the stiffness of the servos: give the controller servos=Servos(kp=[...], max_torque=[...])",
             ));
         };
         let task = controller.settings().task.axes;

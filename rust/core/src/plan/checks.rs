@@ -89,7 +89,7 @@ pub(super) fn check_kp(settings: &Settings, servos: &ServoArrays, model: &Model)
         Err(Error::config(
             "servos",
             format!(
-                "{what} needs the stiffness k_p of joints {}: give servos=Servos(kp=[...] [N·m/rad], torque=[...] [N·m]), \
+                "{what} needs the stiffness k_p of joints {}: give servos=Servos(kp=[...] [N·m/rad], max_torque=[...] [N·m]), \
                  from the servo's table or identified on the arm",
                 model.joint_names().join(", ")
             ),
