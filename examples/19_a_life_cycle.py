@@ -25,13 +25,11 @@ with arm:  # torque on: limits, goals, torque, then a ramp of half a second
     for tick in loop:
         target = start + 0.03 * np.sin(np.pi * tick.time) * np.array([0.0, 1.0, 0.0])  # [m]
         if 100 <= tick.index < 120:
-            target = np.full(3, np.nan)  # a policy that has lost its mind
+            target = np.full(3, np.nan)  # a policy that returns NaN
         try:
-            command = controller.step(tick.q, target, dt=tick.dt)
+            tick.step(target)
         except pliant.OutOfRangeError:
             tick.skip()  # goal and limits stay; without this line the error would lower the arm
-        else:
-            tick.write(command)
 
     print(f"late: {loop.lateness}; missed {loop.missed}, delay {1e3 * loop.delay:.0f} ms")
     hottest = max(arm.heat, key=arm.heat.get)

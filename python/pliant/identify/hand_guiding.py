@@ -80,9 +80,9 @@ class HandGuiding:
         OutOfRangeError: A number out of range. TypeError: This is no model, or no servo table.
 
     Example:
-        >>> floating = pliant.HandGuiding(model)
-        >>> for tick in pliant.Loop(arm, rate=100.0):
-        ...     tick.write(floating.step(tick.q, dt=tick.dt))
+        >>> guiding = pliant.HandGuiding(arm.model, arm.servos)
+        >>> for tick in pliant.Loop(arm, guiding, rate=100.0):
+        ...     tick.step()
     """
 
     def __init__(
