@@ -15,7 +15,7 @@ from contest.problem import Array
 
 def controller(model: pliant.Model) -> pliant.Controller:
     """Law `paper`: fixed λ, printed projector, posture and limit cost; no gravity, no limits."""
-    endless = {"step_limit": np.inf, "soft_step_limit": np.inf}
+    endless = {"max_velocity": np.inf, "soft_step_limit": np.inf}
     stiff = pliant.Axis(**endless)
     soft = pliant.Axis(soft=problem.SOFT, firm=problem.FIRM, adaptation=problem.ETA, **endless)
     settings = pliant.Settings.paper(

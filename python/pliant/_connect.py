@@ -52,7 +52,7 @@ class ConnectOptions(ArmOptions, total=False):
     damping_scale: ArrayLike
     payload: tuple[float, Sequence[float]] | None
     speed_limit: ArrayLike | None
-    kind: Literal["current", "pwm"] | None
+    limit_type: Literal["current", "pwm"] | None
     overload: Overload | None
     friction: Literal["coulomb"] | Friction
     creep: float

@@ -74,7 +74,7 @@ def test_the_arm_believes_the_same_servos_on_every_backend(name, tmp_path):
             assert (mine is None) == (other is None), field
             if mine is not None:
                 np.testing.assert_allclose(mine, other, rtol=1e-9, err_msg=field)
-        assert (simulated.kind, simulated.stiffness_known) == (
+        assert (simulated.limit_type, simulated.stiffness_known) == (
             table.limit_type,
             table.stiffness_known,
         )

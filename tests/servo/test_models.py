@@ -149,7 +149,7 @@ def test_stiffness_follows_the_gain_register():
 def test_a_mixed_chain_counts_back_emf_as_damping():
     alone = Servos.of(["XL430-W250"])
     mixed = Servos.of(["XL430-W250", "XL330-M288"])
-    assert alone.kind == "pwm"
-    assert mixed.kind == "current"
+    assert alone.limit_type == "pwm"
+    assert mixed.limit_type == "current"
     back_emf = alone.torque[0] / alone.no_load_speed[0]
     assert mixed.damping[0] == pytest.approx(alone.damping[0] + back_emf)

@@ -153,8 +153,8 @@ def test_the_gripper_rides_along(grasp):
         ({"deadband": [0.1, 0.1]}, "deadband has shape"),
         ({"backlash": -0.1}, "backlash"),
         ({"kp_scale": -1.0}, "kp_scale"),
-        ({"kind": "voltage"}, "kind 'voltage'"),
-        ({"kind": "pwm"}, "no_load_speed"),
+        ({"limit_type": "voltage"}, "limit_type 'voltage'"),
+        ({"limit_type": "pwm"}, "no_load_speed"),
         ({"payload": (-1.0, (0, 0, 0))}, "payload"),
     ],
 )

@@ -199,7 +199,7 @@ def test_target_that_only_the_core_refuses_does_not_end_the_life(script, monkeyp
 def test_refused_setting_is_forgotten_after_a_good_one(script):
     bad, good = orders.Eta(1, 1.5), orders.Eta(2, 0.5)
     _, link = live(script, {4: bad, 16: good, 30: END})
-    assert any("eta = 1.5" in s.said[1] for s in link.running)
+    assert any("adaptation = 1.5" in s.said[1] for s in link.running)
     assert link.running[-1].said[1:] == ("", False)
 
 

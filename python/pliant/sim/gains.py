@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-Kind = Literal["current", "pwm"]
+LimitType = Literal["current", "pwm"]
 
 #: Error at which a servo of unknown gain is assumed to reach its full effort [rad].
 FULL_EFFORT_ERROR = 0.07
@@ -95,32 +95,34 @@ def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> N
     return array
 
 
-def tabulate(model: Any, servos: Servos | None, kind: Kind | None) -> Servos:
+def tabulate(model: Any, servos: Servos | None, limit_type: LimitType | None) -> Servos:
     """Return the servo table of a model, n entries, or guesses from its efforts.
 
     Args:
         model: The robot; `model.servos` and `model.effort_limit` are used when `servos` is missing.
         servos: The table, or None for the model's own, or for guesses from the efforts.
-        kind: Overrides the limit kind of the table.
+        limit_type: Overrides the limit type of the table.
 
     Returns:
         The table. ``stiffness_known`` of a guess is False.
 
     Raises:
-        ConfigError: Nothing is known about a joint, or the kind is `duty` without a no-load speed.
+        ConfigError: Nothing is known about a joint, or `limit_type` is `pwm` without a no-load speed.
         ShapeError: The table is for another number of joints.
     """
     table = servos if servos is not None else getattr(model, "servos", None)
     if table is None:
         return _guess(model)
-    if kind not in {None, "current", "pwm"}:
-        raise ConfigError(f"servo limit type {kind!r} is unknown; choose 'current' or 'pwm'")
-    if (kind or table.limit_type) == "pwm" and table.no_load_speed is None:
+    if limit_type not in {None, "current", "pwm"}:
+        raise ConfigError(f"servo limit_type {limit_type!r} is unknown; choose 'current' or 'pwm'")
+    if (limit_type or table.limit_type) == "pwm" and table.no_load_speed is None:
         raise ConfigError(
             "servos of limit_type 'pwm' need no_load_speed [rad/s]: it sets their back-EMF"
         )
     return (
-        spread(table, model.n) if kind is None else spread(table, model.n).replace(limit_type=kind)
+        spread(table, model.n)
+        if limit_type is None
+        else spread(table, model.n).replace(limit_type=limit_type)
     )
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant import Servos
-    from pliant.sim.gains import Kind
+    from pliant.sim.gains import LimitType
     from pliant.sim.hand import Hand
     from pliant.sim.imperfections import Overload
     from pliant.sim.scene import Fixture
@@ -68,7 +68,7 @@ class Plant:
         payload: Mass [kg] and centre (3,) in the tool frame [m] of a load nobody told the
             controller of.
         speed_limit: Speed at which servos walk to their goals [rad/s], None for at once.
-        kind: `current` or `duty`, overriding the table.
+        limit_type: `current` or `pwm`, overriding the table.
         overload: Self-protection of the servos, None for none.
         friction: Dry friction of the gears: `coulomb`, as in the table, or by speed and load.
         creep: How fast a joint slides that dry friction should hold, in [0.001, 1]: about
@@ -127,7 +127,7 @@ class Plant:
         damping_scale: ArrayLike = 1.0,
         payload: tuple[float, Sequence[float]] | None = None,
         speed_limit: ArrayLike | None = None,
-        kind: Kind | None = None,
+        limit_type: LimitType | None = None,
         overload: Overload | None = None,
         friction: Literal["coulomb"] | Friction = "coulomb",
         creep: float = 1.0,
@@ -141,7 +141,7 @@ class Plant:
         self.model, self.dt, self.rate = model, float(dt), float(rate)
         self.period = 1.0 / self.rate
         checks.off_chain(off_chain)
-        self.table = tabulate(model, checks.table(servos), kind)
+        self.table = tabulate(model, checks.table(servos), limit_type)
         self.tabulated = resolve(self.table)
         self.gains = self.tabulated.scaled(kp_scale, friction_scale, damping_scale)
         self._bus = Bus(
