@@ -80,7 +80,7 @@ def test_the_arm_believes_the_same_servos_on_every_backend(name, tmp_path):
         )
     # The plant is what the arm believes, unless the caller says otherwise.
     np.testing.assert_array_equal(truth.kp, simulated.kp)
-    np.testing.assert_array_equal(truth.torque, simulated.torque)
+    np.testing.assert_array_equal(truth.torque, simulated.max_torque)
     np.testing.assert_array_equal(truth.friction, simulated.friction)
     np.testing.assert_array_equal(truth.armature, simulated.armature)
     assert simulated.stiffness_known == (name == "koch by its URDF")

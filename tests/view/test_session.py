@@ -133,7 +133,7 @@ def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
         (orders.Change(1, "y", {"soft": (float("nan"), 1.0)}), "axes.y.soft"),
         (orders.Change(1, "w", {"soft": (1.0, 1.0)}), "no axis 'w'"),
         (orders.Change(1, "y", {"softness": 1.0}), "softness"),
-        (orders.Eta(1, 1.5), "eta = 1.5"),
+        (orders.Eta(1, 1.5), "adaptation = 1.5"),
         (orders.Preset(1, "softest"), "no preset 'softest'"),
         (orders.Law(1, "gravity"), "gravity"),
     ],

@@ -70,7 +70,7 @@ def _servos(
     believed = known if servos is None else instance(servos, pliant.Servos, "servos")
     if believed is None:
         raise pliant.ConfigError(
-            "identification starts from a servo table: give servos=pliant.Servos(kp=…, max_torque=…)"
+            "identification needs a servo table: give servos=pliant.Servos(kp=…, max_torque=…)"
         )
     rig = Rig(model, believed, period, torque_share=torque_share)
     numbers = (

@@ -107,7 +107,7 @@ def tabulate(model: Any, servos: Servos | None, limit_type: LimitType | None) ->
         The table. ``stiffness_known`` of a guess is False.
 
     Raises:
-        ConfigError: Nothing is known about a joint, or `limit_type` is `pwm` without a no-load speed.
+        ConfigError: Nothing is known about a joint, or `pwm` without a no-load speed.
         ShapeError: The table is for another number of joints.
     """
     table = servos if servos is not None else getattr(model, "servos", None)
