@@ -1,0 +1,65 @@
+"""The glossary holds every public word, and no word that does not exist."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import pliant
+from pliant._connect import ARM_OPTIONS
+
+ROOT = Path(__file__).resolve().parents[1]
+TEXT = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+ROWS = [line for line in TEXT.splitlines() if line.startswith("| ")]
+#: Backticked words of the first column.
+TERMS = {word for row in ROWS for word in re.findall(r"`([^`]+)`", row.split("|")[1])}
+#: Options that speak for themselves, or are explained with their class.
+SELF_EXPLAINING = {"budget", "grippers", "rate", "signals", "table", "watchdog"}
+
+
+def words_of(*things: object) -> set[str]:
+    """Names that these classes and modules offer."""
+    found = set()
+    for thing in things:
+        found |= {name for name in dir(thing) if not name.startswith("_")}
+        if inspect.isclass(thing):
+            found |= set(inspect.signature(thing).parameters)
+            documented = re.findall(r"^ +([\w, ]+): ", thing.__doc__ or "", re.MULTILINE)
+            found |= {name for names in documented for name in names.split(", ")}
+    return found
+
+
+SPOKEN = words_of(
+    *(pliant, pliant.Arm, pliant.Axis, pliant.Command, pliant.Controller, pliant.Loop),
+    pliant.feasibility.PoseReport,
+    *(pliant.Servos, pliant.Settings, pliant.Task, pliant.Tick, pliant.WrenchEstimate),
+    *(pliant.arm, pliant.feasibility, pliant.identify, pliant.log, pliant.servo),
+    *(pliant.servo.ServoSpec,),
+)
+
+
+def test_every_field_of_an_axis_and_option_of_an_arm_is_explained():
+    wanted = set(inspect.signature(pliant.Axis).parameters) | ARM_OPTIONS - SELF_EXPLAINING
+    assert wanted - {"soft_step_limit"} <= {term.split(".")[-1] for term in TERMS}
+
+
+def test_every_exception_is_listed_with_the_built_in_that_it_derives_from():
+    for name in pliant.__all__:
+        kind = getattr(pliant, name)
+        if inspect.isclass(kind) and issubclass(kind, pliant.PliantError):
+            row = next(
+                row for row in ROWS if row.startswith(f"| `{name}`") or name == "PliantError"
+            )
+            cells = row.split("|")
+            for base in re.findall(r"`(\w+)`", cells[3]) if name != "PliantError" else ():
+                assert issubclass(kind, getattr(__import__("builtins"), base))
+
+
+@pytest.mark.parametrize("term", sorted(TERMS))
+def test_every_term_exists(term):
+    last = term.split(".")[-1].split("(")[0]
+    plain = {"x y z roll pitch yaw", "q", "dq", "target"}
+    assert term in plain or last in SPOKEN, f"{term} is not a public name"
