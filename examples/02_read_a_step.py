@@ -1,4 +1,4 @@
-"""What one control step knows: deviation, compliance, strength, activation, damping, gravity."""
+"""Read the intermediate values of one control step, from deviation to activation."""
 
 import numpy as np
 
@@ -25,19 +25,19 @@ held[1, 3] += 0.06
 pushed = model.inverse_kinematics(held, q)
 command = controller.step(pushed.q, target)
 
-names = ["x", "y", "z", "roll", "pitch", "yaw"]
+last = controller.diagnostics
 np.set_printoptions(precision=3, suppress=True)
 print("axis      deviation  adapted  softness  compliance  strength   wrench")
-for k, name in enumerate(names):
+for k, name in enumerate(pliant.AXES):
     print(
-        f"{name:6} {controller.deviation[k]:12.4f} {controller.adapted_deviation[k]:8.4f}"
-        f" {controller.softness[k]:9.2f} {controller.compliance[k]:11.2f}"
-        f" {controller.holding_torque[k]:9.2f} {controller.wrench[k]:8.2f}"
+        f"{name:6} {last.deviation[k]:12.4f} {last.adapted_deviation[k]:8.4f}"
+        f" {last.softness[k]:9.2f} {last.compliance[k]:11.2f}"
+        f" {last.axis_strength[k]:9.2f} {last.wrench[k]:8.2f}"
     )
 print("\njoint            goal - q   torque limit   gravity")
 for k, name in enumerate(model.joint_names):
     lead = command.goal[k] - pushed.q[k]
-    print(f"{name:16} {lead:+8.4f} {command.torque_limit[k]:12.2f} {controller.gravity[k]:10.2f}")
-print(f"\nsmallest singular value {controller.sigma_min:.3f}, damping {controller.damping:.3f}")
+    print(f"{name:16} {lead:+8.4f} {command.torque_limit[k]:12.2f} {last.gravity[k]:10.2f}")
+print(f"\nsmallest singular value {last.sigma_min:.3f}, damping {last.damping:.3f}")
 print("activation (joints × axes, the null space last):")
-print(controller.activation)
+print(last.activation)

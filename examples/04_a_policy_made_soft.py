@@ -36,6 +36,6 @@ for name, axes in {"stiff": {}, "soft": {"x": pliant.Axis(soft=8.0, firm=8.0)}}.
         command = controller.step_joints(arm.read().q, policy(arm.time))
         arm.write(command.goal, command.torque_limit)
         arm.advance()
-        lag = max(lag, float(np.abs(controller.deviation[:3]).max()))
+        lag = max(lag, float(np.abs(controller.diagnostics.deviation[:3]).max()))
     force = arm.hands[0].peak_force
     print(f"{name:5}: most force on the wall {force:5.1f} N, most lag {1e3 * lag:5.1f} mm")

@@ -29,7 +29,7 @@ settings = pliant.Settings(
     task=pliant.Task("xyz"), axes={"y": pliant.Axis(adaptation=0.9, yields="both")}
 )
 controller = pliant.Controller(model, settings)
-for axis, strength in controller.strengths.items():
+for axis, strength in controller.axes.items():
     print(f"  {axis}: soft {strength.soft}, firm {strength.firm}, hold {strength.hold} N")
 
 bent = np.resize([0.2, -0.3, 0.3, 0.9, 0.0], model.n)  # [rad]

@@ -30,7 +30,7 @@ for name, settings in ways.items():
         command = controller.step(arm.read().q, target)
         arm.write(command.goal, command.torque_limit)
         arm.advance()
-        away = float(np.linalg.norm(controller.deviation[:3]))  # [m]
+        away = float(np.linalg.norm(controller.diagnostics.deviation[:3]))  # [m]
         if arm.time < 2.0:
             sag = away
         elif thing.released is None and away > TAKEN:

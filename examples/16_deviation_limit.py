@@ -38,7 +38,7 @@ for name, axis in ways.items():
         arm.write(command.goal, command.torque_limit)
         arm.advance()
         if abs(arm.time - 3.9) < 1e-6:
-            waits = " (reported)" if controller.deviation_limited[0] else ""
+            waits = " (reported)" if controller.diagnostics.deviation_limited[0] else ""
             force = -arm.hands[0].force[0]
             y = arm.tool[1, 3] - start[1, 3]
             print(f"{name}{waits}: {force:.0f} N on the wall, y at {1e3 * y:.0f} of 100 mm", end="")

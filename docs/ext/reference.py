@@ -51,7 +51,7 @@ CORE = {
         "Model and poses",
         "Model Pose Payload",
     ),
-    "controller": ("Controller", "Controller Command BatchState"),
+    "controller": ("Controller", "Controller Command Diagnostics BatchState"),
     "settings": ("Settings", "Settings Task Axis Servos"),
     "contact": ("Contact", "ContactEstimator WrenchEstimate"),
     "loop": ("Arm and loop", "connect Loop HandGuiding"),

@@ -17,6 +17,7 @@ __all__ = [
     "ConfigError",
     "ContactEstimator",
     "Controller",
+    "Diagnostics",
     "FeasibilityReport",
     "FrameNotFoundError",
     "IkResult",
@@ -1836,16 +1837,12 @@ class Controller:
         """The servos, one entry per joint."""
 
     @property
-    def strengths(self) -> dict[_AxisName, Axis]:
-        """Every axis of the task, all that depends on law and arm filled in."""
+    def axes(self) -> dict[_AxisName, Axis]:
+        """Axes of the task, with every default that depends on law and arm filled in."""
 
     @property
-    def damping_constants(self) -> tuple[float, float, float]:
-        """lambda_0, sigma_0, lambda_max in force."""
-
-    @property
-    def gain_factor(self) -> float:
-        """Factor <= 1 on K_x that the delay demands; law impedance: on the stiffness, last step."""
+    def diagnostics(self) -> Diagnostics:
+        """Intermediate values of the last step, as a snapshot."""
 
     @property
     def instructions(self) -> str:
@@ -1860,16 +1857,23 @@ class Controller:
     def commands_made(self) -> int:
         """How many commands had to be allocated: stays at 3 in a loop that keeps none."""
 
+@final
+class Diagnostics:
+    """Intermediate values of a controller's last step; made by `Controller.diagnostics`.
+
+    A snapshot: it keeps its values when the controller goes on. k is the number of task axes.
+    """
+
     @property
     def deviation(self) -> _Array:
-        """Deviation `reference` - actual (k,) [m, rad]; like all below of the last step."""
+        """Deviation `reference` - actual (k,) [m, rad]."""
 
     @property
     def adapted_deviation(self) -> _Array:
         """Adapted deviation (1 - eta w) e (k,) [m, rad]."""
 
     @property
-    def dx(self) -> _Array:
+    def task_velocity(self) -> _Array:
         """Task velocity K_x e + twist within its per-axis limits (k,) [m/s, rad/s]."""
 
     @property
@@ -1881,7 +1885,7 @@ class Controller:
         """Compliance c of (8) (k,), 0 to 1."""
 
     @property
-    def holding_torque(self) -> _Array:
+    def axis_strength(self) -> _Array:
         """Strength (k,): tau^x of (9) [N m] under law paper, else the cap [N, N m]."""
 
     @property
@@ -1935,6 +1939,14 @@ class Controller:
     @property
     def damping(self) -> float:
         """Damping lambda."""
+
+    @property
+    def damping_constants(self) -> tuple[float, float, float]:
+        """lambda_0, sigma_0, lambda_max in force."""
+
+    @property
+    def gain_factor(self) -> float:
+        """Factor <= 1 on K_x that the delay demands; law impedance: on the stiffness, last step."""
 
     @property
     def gamma(self) -> float:

@@ -204,8 +204,8 @@ def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
     gears = np.abs(lever).T @ np.asarray(model.servos.friction)
     got = suffer(next(m for m in MISHAPS if m.title.startswith("target jumps")), held=True)
     # x and z are stiff and push with their `hold`, y is soft; all within the band of a cap.
-    most = 1.15 * np.asarray(controller.holding_torque[:3]) + gears
-    assert got.along[0] > 0.9 * controller.holding_torque[0]
+    most = 1.15 * np.asarray(controller.diagnostics.axis_strength[:3]) + gears
+    assert got.along[0] > 0.9 * controller.diagnostics.axis_strength[0]
     assert np.all(got.along < most), (got.along, most)
 
 

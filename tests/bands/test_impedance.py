@@ -123,7 +123,7 @@ def test_well_damped_servos_bear_more_than_their_own_stiffness():
         plant.write(command.goal, command.torque_limit)
         plant.advance()
         speeds.append(plant.dq)
-    assert controller.gain_factor == 1.0
+    assert controller.diagnostics.gain_factor == 1.0
     assert np.sqrt(np.mean(np.square(speeds[-50:]))) < 0.005  # [rad/s] (.0004)
 
 

@@ -25,7 +25,7 @@ def led(speed, axis):
         command = controller.step(arm.read().q, target)
         arm.write(command.goal, command.torque_limit)
         arm.advance()
-        places.append((controller.reference[:3, 3], arm.tool[:3, 3]))
+        places.append((controller.diagnostics.reference[:3, 3], arm.tool[:3, 3]))
     assert abs(arm.tool[axis, 3] - target[axis, 3]) < 0.002  # [m]
     return np.linalg.norm(np.diff(np.array(places[99:]), axis=0), axis=2).T * arm.rate
 

@@ -26,7 +26,7 @@ def test_no_words_change_nothing(holds):
 def test_a_cap_is_constant_over_the_deviation(words):
     for holds in (True, False):
         made = soft(words, holds=holds)
-        strengths = pliant.Controller(MODEL, made).strengths
+        strengths = pliant.Controller(MODEL, made).axes
         assert [strengths[name].soft for name in "yz"] == [(2.0, 2.0), (3.5, 3.5)]
         assert [made.axes[name].profile for name in "yz"] == ["constant", "constant"]
         assert made.axes["z"].adaptation == 0.0, "a named axis is as the flag says"
@@ -72,7 +72,7 @@ def test_what_cannot_be_is_refused(words, said, holds):
 
 
 def test_the_largest_cap_is_what_the_arm_holds():
-    most = pliant.Controller(MODEL, pliant.Settings.firm(task=TASK)).strengths["y"].hold
+    most = pliant.Controller(MODEL, pliant.Settings.firm(task=TASK)).axes["y"].hold
     assert soft(f"y={most}", holds=True).axes["y"].soft == (most, most)
     with pytest.raises(pliant.ConfigError, match="holds y with at most"):
         soft(f"y={1.01 * most}", holds=True)

@@ -47,7 +47,7 @@ def test_a_payload_is_weighed_within_its_error_bars(name):
     q = STARTS[name]
     controller.step(q, controller.model.forward_kinematics(q))
     expected = controller.model.gravity(q) + payload_rows(controller.model, q) @ found.moments
-    np.testing.assert_allclose(controller.gravity, expected, atol=1e-9)
+    np.testing.assert_allclose(controller.diagnostics.gravity, expected, atol=1e-9)
 
 
 @pytest.mark.full

@@ -65,7 +65,7 @@ def test_without_a_state_rows_are_first_steps_without_slew(model, law):
     command = controller.step_batch(q, targets)
     for row in range(100):
         assert same(command, row, pliant.Controller(model, free).step(q[row], targets[row]))
-    assert np.array_equal(controller.q_predicted, q[3]), "its own readings stay"
+    assert np.array_equal(controller.diagnostics.q_predicted, q[3]), "its own readings stay"
 
 
 @budget(max_examples=30, deadline=None)

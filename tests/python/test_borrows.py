@@ -63,7 +63,7 @@ def uses(controller, contact, target):
         "set_gravity": lambda: controller.set_gravity([0, 0, -9.81]),
         "report": lambda: controller.report(Q),
         "check": lambda: controller.check(Q),
-        "reading": lambda: controller.deviation,
+        "reading": lambda: controller.diagnostics.deviation,
     }
 
 

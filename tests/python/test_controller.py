@@ -10,10 +10,10 @@ import pliant
 INTERMEDIATES = {
     "deviation": "k",
     "adapted_deviation": "k",
-    "dx": "k",
+    "task_velocity": "k",
     "softness": "k",
     "compliance": "k",
-    "holding_torque": "k",
+    "axis_strength": "k",
     "wrench": "k",
     "q_predicted": "n",
     "velocity": "n",
@@ -36,29 +36,33 @@ def test_intermediates_have_the_size_of_the_task(model, q, target, task):
     k = len(pliant.Task(task))
     sizes = {"k": k, "n": 7, "m": k + 1}
     for name, axes in INTERMEDIATES.items():
-        assert getattr(controller, name).shape == tuple(sizes[a] for a in axes), name
+        assert getattr(controller.diagnostics, name).shape == tuple(sizes[a] for a in axes), name
     for name in ("sigma_min", "sigma_max", "damping", "gamma", "gain_factor"):
-        assert isinstance(getattr(controller, name), float)
-    assert controller.saturated.dtype == bool
-    assert len(controller.factors) == len(controller.damping_constants) == 3
-    assert tuple(controller.strengths) == pliant.Task(task).names
+        assert isinstance(getattr(controller.diagnostics, name), float)
+    assert controller.diagnostics.saturated.dtype == bool
+    assert len(controller.diagnostics.factors) == len(controller.diagnostics.damping_constants) == 3
+    assert tuple(controller.axes) == pliant.Task(task).names
 
 
 def test_rows_are_those_of_the_task_in_order(model, q, target):
     controller = pliant.Controller(model, pliant.Settings(task="x z pitch"))
     controller.step(q, target, dt=1.0)
     rows = [0, 2, 4]
-    np.testing.assert_allclose(controller.task_jacobian, model.jacobian(q)[rows], atol=1e-15)
+    np.testing.assert_allclose(
+        controller.diagnostics.task_jacobian, model.jacobian(q)[rows], atol=1e-15
+    )
     wide = pliant.Controller(model, pliant.Settings())
     wide.step(q, target, dt=1.0)
-    np.testing.assert_allclose(controller.deviation, wide.deviation[rows], atol=1e-15)
-    np.testing.assert_allclose(controller.gravity, model.gravity(q), atol=1e-14)
+    np.testing.assert_allclose(
+        controller.diagnostics.deviation, wide.diagnostics.deviation[rows], atol=1e-15
+    )
+    np.testing.assert_allclose(controller.diagnostics.gravity, model.gravity(q), atol=1e-14)
 
 
 def test_what_is_read_cannot_be_used_to_write(controller, q, target):
     controller.step(q, target)
-    controller.deviation[:] = 7.0
-    assert (controller.deviation != 7.0).all()
+    controller.diagnostics.deviation[:] = 7.0
+    assert (controller.diagnostics.deviation != 7.0).all()
     with pytest.raises(AttributeError):
         controller.deviation = np.zeros(6)
 
@@ -67,9 +71,9 @@ def test_parts_can_be_read(model, controller, servos):
     assert controller.model is model
     assert controller.servos == model.servos == servos
     assert controller.settings == pliant.Settings.soft("y")
-    assert controller.strengths["y"].yields == "both"
-    assert controller.strengths["x"].yields == "none"
-    assert controller.strengths["x"].hold == 40.0
+    assert controller.axes["y"].yields == "both"
+    assert controller.axes["x"].yields == "none"
+    assert controller.axes["x"].hold == 40.0
     assert "arm7" in repr(controller)
     bare = pliant.Controller(model)
     assert bare.settings == pliant.Settings()
@@ -164,7 +168,7 @@ def test_after_an_error_the_next_step_is_as_if_nothing_had_been(model, q, target
         for controller in (calm, shaken):
             for i in range(5):
                 controller.step(q + 0.003 * i, target)
-    before = shaken.deviation
+    before = shaken.diagnostics.deviation
     with pytest.raises((pliant.PliantError, TypeError)):
         shaken.step(**{"q": q, "target": target} | BAD_STEPS[bad])
     assert shaken.deviation.tobytes() == before.tobytes()
@@ -236,23 +240,25 @@ def test_step_joints_is_a_step_to_their_pose_with_them_as_posture(model, q):
 
 def test_payload_gravity_and_delay_while_running(model, controller, q, target):
     controller.step(q, target)
-    before = controller.gravity
+    before = controller.diagnostics.gravity
     controller.set_payload(0.5, (0.0, 0.0, 0.1))
     controller.step(q, target)
-    np.testing.assert_allclose(controller.gravity, before, atol=1e-12)  # half a second until all
+    np.testing.assert_allclose(
+        controller.diagnostics.gravity, before, atol=1e-12
+    )  # half a second until all
     for _ in range(50):
         controller.step(q, target)
     loaded = pliant.robots.arm7(payload=pliant.Payload(0.5, (0.0, 0.0, 0.1)))
-    np.testing.assert_allclose(controller.gravity, loaded.gravity(q), atol=1e-12)
+    np.testing.assert_allclose(controller.diagnostics.gravity, loaded.gravity(q), atol=1e-12)
     controller.set_payload(0.0)
     controller.set_gravity([0.0, 0.0, 0.0])
     controller.step(q, target)
-    assert not controller.gravity.any()
+    assert not controller.diagnostics.gravity.any()
     controller.set_delay(0.3)
-    assert controller.gain_factor == 1.0
+    assert controller.diagnostics.gain_factor == 1.0
     stiff = pliant.Controller(model, pliant.Settings(kx=6.0))
     stiff.set_delay(0.02)
-    assert stiff.gain_factor < 1.0
+    assert stiff.diagnostics.gain_factor < 1.0
     stiffness = controller.capture_gravity(q, q)
     np.testing.assert_allclose(stiffness, model.servos.kp)
 
@@ -262,7 +268,7 @@ def test_update_takes_over_position_targets(model, q, target):
     controller.step(q, target)
     controller.update(pliant.Settings(task="xyz"))
     assert controller.settings.task == pliant.Task("xyz")
-    assert controller.deviation.shape == (3,)
+    assert controller.diagnostics.deviation.shape == (3,)
     controller.step(q, target[:3, 3])
 
 
@@ -282,7 +288,7 @@ def test_update_surveys_what_a_fresh_controller_would(model, q, target):
         settings = pliant.Settings(task=task)
         running.update(settings)
         fresh = pliant.Controller(model, settings)
-        assert running.strengths == fresh.strengths
+        assert running.axes == fresh.axes
         running.reset(q)
         assert running.step(q, target).goal.tobytes() == fresh.step(q, target).goal.tobytes()
         assert running.report().sigma_0 == fresh.report().sigma_0
@@ -309,7 +315,7 @@ def test_springs_of_law_impedance(q):
     target = model.forward_kinematics(q)
     settings = pliant.Settings(law="impedance", axes={"y": pliant.Axis(yields="both")})
     controller = pliant.Controller(model, settings)
-    strengths = controller.strengths
+    strengths = controller.axes
     assert strengths["x"].stiffness == (800.0, 800.0)
     assert strengths["y"].stiffness == (0.0, 0.0)
     assert strengths["yaw"].stiffness == (20.0, 20.0)
@@ -318,13 +324,15 @@ def test_springs_of_law_impedance(q):
     away[:2, 3] += 0.01
     for _ in range(100):  # the target moves no faster than the tool may
         controller.step(q, away)
-    assert controller.gain_factor == 1.0
-    np.testing.assert_allclose(controller.wrench, [8.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-6)
+    assert controller.diagnostics.gain_factor == 1.0
+    np.testing.assert_allclose(
+        controller.diagnostics.wrench, [8.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-6
+    )
     controller.set_delay(0.1)  # a slow bus: springs no stiffer than the servos
     controller.step(q, away)
-    assert 0.2 < controller.gain_factor < 0.6
-    wrench = controller.wrench
-    assert wrench[0] == pytest.approx(8.0 * controller.gain_factor, rel=1e-6)
+    assert 0.2 < controller.diagnostics.gain_factor < 0.6
+    wrench = controller.diagnostics.wrench
+    assert wrench[0] == pytest.approx(8.0 * controller.diagnostics.gain_factor, rel=1e-6)
 
 
 def test_too_stiff_springs_are_refused_with_the_nearest_that_work():

@@ -119,20 +119,20 @@ def test_controller(case):
     controller = pliant.Controller(model, _settings(case))
     target = pose(case["target_p"], case["target_R"])
     command = controller.step(case["q"], target, gradient=-case["grad"])
-    close(controller.deviation, case["d_rotvec"])
-    close(controller.dx, case["dx"])
-    close(controller.compliance, case["c"])
-    close(controller.gravity, case["gravity"])
-    assert np.array_equal(controller.softness > 0.5, case["mask"])
+    close(controller.diagnostics.deviation, case["d_rotvec"])
+    close(controller.diagnostics.task_velocity, case["dx"])
+    close(controller.diagnostics.compliance, case["c"])
+    close(controller.diagnostics.gravity, case["gravity"])
+    assert np.array_equal(controller.diagnostics.softness > 0.5, case["mask"])
 
     goal = case["q"] + 0.25 * case["dq"]
     if ((goal <= model.lower) | (goal >= model.upper)).any():
-        assert controller.locked.any()
+        assert controller.diagnostics.locked.any()
         return
     close((command.goal - case["q"]) / 0.25, case["dq"], np.abs(case["dq"]).max())
-    close(controller.activation, case["A"])
+    close(controller.diagnostics.activation, case["A"])
     if (case["tau_max"] <= case["tau_stiff"]).all():  # others are refused by Axis
-        close(controller.holding_torque, case["tau_x"])
+        close(controller.diagnostics.axis_strength, case["tau_x"])
         close(command.torque_limit, np.minimum(case["tau_q"], model.effort_limit), 10.0)
 
 

@@ -51,12 +51,12 @@ def test_a_copy_goes_on_to_the_bit(model, q, target, way, law):
     assert running is not controller
     assert running.settings == controller.settings
     assert running.servos == controller.servos
-    before = controller.deviation
+    before = controller.diagnostics.deviation
     here = steps(controller, q, target)
     controller.reset(q)
     assert steps(running, q, target) == here
-    assert running.gain_factor == controller.gain_factor
-    assert (before != running.deviation).any()
+    assert running.diagnostics.gain_factor == controller.diagnostics.gain_factor
+    assert (before != running.diagnostics.deviation).any()
     changed = LAWS[law].replace(kx=2.0)
     for one in (controller, running):
         one.update(changed)
@@ -94,10 +94,13 @@ def test_copies_share_what_cannot_change(model, controller):
 
 def test_a_pickle_leaves_readings_behind_and_a_copy_does_not(controller, q, target):
     controller.step(q, target)
-    assert copy.copy(controller).deviation.tobytes() == controller.deviation.tobytes()
+    assert (
+        copy.copy(controller).diagnostics.deviation.tobytes()
+        == controller.diagnostics.deviation.tobytes()
+    )
     assert str(copy.deepcopy(controller).report()) == str(controller.report())
     away = pickle.loads(pickle.dumps(controller))
-    assert not away.deviation.any()
+    assert not away.diagnostics.deviation.any()
     assert str(away.report(q)) == str(controller.report(q))
 
 

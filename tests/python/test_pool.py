@@ -131,10 +131,10 @@ def test_out_overwrites_the_callers_command(controller, q, target):
     assert mine.goal is view
     assert controller.step_joints(q, 0.9 * q, out=mine) is mine
     mine.torque_limit.flags.writeable = False
-    before = controller.q_predicted
+    before = controller.diagnostics.q_predicted
     with pytest.raises(TypeError, match="out must be a command whose arrays are writable"):
         controller.step(q + 0.5, target, out=mine)
-    assert np.array_equal(controller.q_predicted, before)
+    assert np.array_equal(controller.diagnostics.q_predicted, before)
     with pytest.raises(TypeError):
         controller.step(q, target, out=view)
 

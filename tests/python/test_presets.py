@@ -41,13 +41,13 @@ def test_every_preset_fits_every_arm(name, robot):
 
 
 def test_forces_are_the_arm_s_own_or_those_given(arm):
-    own = Controller(arm, Settings.plug()).strengths["z"]
+    own = Controller(arm, Settings.plug()).axes["z"]
     assert own.soft == (4.0, 4.0)
     assert own.firm == (15.0, 15.0)
-    given = Controller(arm, Settings.plug(push=10.0)).strengths["z"]
+    given = Controller(arm, Settings.plug(push=10.0)).axes["z"]
     assert given.soft == (10.0, 10.0)
     assert given.profile == "constant"
-    assert Controller(arm, Settings.wipe()).strengths["z"].soft == (4.0, 4.0)
+    assert Controller(arm, Settings.wipe()).axes["z"].soft == (4.0, 4.0)
     assert Settings.wipe(press=5.0, axis="x").axes["x"].soft == (5.0, 5.0)
     assert Settings.drawer(axis="y", pull=7.0).axes["y"].soft == (7.0, 7.0)
 
@@ -111,9 +111,16 @@ def pushed_away(arm, controller, metres, ticks=60):
 def test_a_target_that_follows_is_reported_and_does_not_bump(arm):
     controller = Controller(arm, Settings(axes={"y": Axis(deviation_limit=0.02)}))
     goals, _, target = pushed_away(arm, controller, 0.06)
-    assert controller.deviation_limited.tolist() == [False, True, False, False, False, False]
-    assert controller.deviation[1] == pytest.approx(-0.02, abs=1e-9)
-    assert controller.reference[1, 3] - target[1, 3] == pytest.approx(0.04, abs=1e-4)
+    assert controller.diagnostics.deviation_limited.tolist() == [
+        False,
+        True,
+        False,
+        False,
+        False,
+        False,
+    ]
+    assert controller.diagnostics.deviation[1] == pytest.approx(-0.02, abs=1e-9)
+    assert controller.diagnostics.reference[1, 3] - target[1, 3] == pytest.approx(0.04, abs=1e-4)
     # Beyond the limit the goals go with the arm, no faster: 1 mm a tick turns a joint by 2.4 mrad.
     # The first ticks take up gravity.
     assert np.abs(np.diff(goals[10:], axis=0)).max() < 3e-3  # [rad] (2.6e-3)
@@ -128,9 +135,16 @@ def test_a_target_at_rest_that_waits_does_what_it_did_without_a_limit(arm):
     )
     goals, _, target = pushed_away(arm, waiting, 0.06)
     np.testing.assert_array_equal(goals, pushed_away(arm, free, 0.06)[0])
-    assert waiting.deviation_limited.tolist() == [False, True, False, False, False, False]
-    assert not free.deviation_limited.any()
-    np.testing.assert_allclose(waiting.reference, target, atol=1e-9)
+    assert waiting.diagnostics.deviation_limited.tolist() == [
+        False,
+        True,
+        False,
+        False,
+        False,
+        False,
+    ]
+    assert not free.diagnostics.deviation_limited.any()
+    np.testing.assert_allclose(waiting.diagnostics.reference, target, atol=1e-9)
 
 
 def test_a_limit_that_comes_while_the_arm_is_beyond_it_comes_within_the_slew(arm):
@@ -138,7 +152,7 @@ def test_a_limit_that_comes_while_the_arm_is_beyond_it_comes_within_the_slew(arm
     goals, q, target = pushed_away(arm, controller, 0.06)
     controller.update(Settings(axes={"y": Axis(deviation_limit=0.01)}))
     after = controller.step(q, target)
-    assert controller.deviation[1] == pytest.approx(-0.01, abs=1e-9)
+    assert controller.diagnostics.deviation[1] == pytest.approx(-0.01, abs=1e-9)
     slew = controller.settings.goal_slew / controller.settings.rate
     assert np.abs(after.goal - goals[-1]).max() <= slew + 1e-12
 
@@ -150,11 +164,11 @@ def test_a_followed_target_is_led_back_at_the_tool_s_speed(arm):
     places = []
     for _ in range(200):
         controller.step(Q, target)
-        places.append(controller.reference[1, 3])
+        places.append(controller.diagnostics.reference[1, 3])
     speed = np.abs(np.diff(places)).max() * controller.settings.rate
     assert speed <= 0.1 + 1e-9
     assert places[-1] == pytest.approx(target[1, 3], abs=1e-12)
-    assert not controller.deviation_limited.any()
+    assert not controller.diagnostics.deviation_limited.any()
 
 
 def test_a_side_that_yields_has_no_limit(arm):
@@ -162,4 +176,4 @@ def test_a_side_that_yields_has_no_limit(arm):
     for metres, limited in ((0.06, False), (-0.06, True)):
         controller = Controller(arm, settings)
         pushed_away(arm, controller, metres)
-        assert bool(controller.deviation_limited[1]) is limited
+        assert bool(controller.diagnostics.deviation_limited[1]) is limited

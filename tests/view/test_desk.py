@@ -46,12 +46,12 @@ def test_every_preset_law_and_switch_works(robot, task):
         for law in LAWS:
             desk.take(orders.Preset(1, preset), controller)
             desk.take(orders.Law(2, law), controller)
-            soft = {n: a.yields for n, a in controller.strengths.items()}
+            soft = {n: a.yields for n, a in controller.axes.items()}
             desk.take(orders.Firm(3, True), controller)
             assert controller.settings.law == law
-            assert {a.yields for a in controller.strengths.values()} == {"none"}
+            assert {a.yields for a in controller.axes.values()} == {"none"}
             desk.take(orders.Firm(4, False), controller)
-            assert {n: a.yields for n, a in controller.strengths.items()} == soft
+            assert {n: a.yields for n, a in controller.axes.items()} == soft
 
 
 @pytest.mark.parametrize("kind", ["soft all", "firm", "by hand", "nothing"])
@@ -65,7 +65,7 @@ def test_own_settings_take_every_law_and_every_edit(robot, task, kind):
         for name in pliant.Task(axes=task).names:
             for yields in ("both", "+", "-", "none"):
                 desk.take(orders.Change(2, name, {"yields": yields, "adaptation": 0.5}), controller)
-                assert controller.strengths[name].yields == yields
+                assert controller.axes[name].yields == yields
         desk.take(orders.Eta(3, 0.7), controller)
         desk.take(orders.Firm(4, True), controller)
         desk.take(orders.Firm(5, False), controller)

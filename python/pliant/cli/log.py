@@ -30,7 +30,7 @@ FIGURES = {
     ),
     "task": (
         ("deviation", "deviation [m, rad]"),
-        ("holding_torque", "cap [N, N·m]"),
+        ("axis_strength", "cap [N, N·m]"),
         ("softness", "softness"),
     ),
 }

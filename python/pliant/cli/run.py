@@ -149,7 +149,8 @@ def _table(
     for name in ("axis", "tool", "off by", "softness", "joint", "q", "limit", "of usable", "heat"):
         table.add_column(name, justify="left" if name in {"axis", "joint"} else "right")
     axes = controller.settings.task.names
-    error, softness = controller.deviation, controller.softness
+    last = controller.diagnostics
+    error, softness = last.deviation, last.softness
     limit, usable, heat = command.torque_limit, np.asarray(arm.servos.max_torque), arm.heat
     for row in range(max(len(axes), arm.model.n)):
         cells = [""] * 9

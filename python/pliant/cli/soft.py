@@ -75,7 +75,7 @@ def softened(
     axes: dict[str, pliant.Axis] = {} if holds else dict(settings.axes.items())
     found = caps(soft, task)
     strongest: dict[str, pliant.Axis] = dict(
-        pliant.Controller(model, pliant.Settings.firm(task=task)).strengths.items()
+        pliant.Controller(model, pliant.Settings.firm(task=task)).axes.items()
     )
     preset: dict[str, pliant.Axis] = dict(
         pliant.Settings.soft(" ".join(found), task=task).axes.items()

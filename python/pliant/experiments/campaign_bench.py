@@ -266,7 +266,7 @@ class Bench:
         rubs = self.damping * joint_speed if seen.moving else 0.0 * joint_speed
         dry = self._dry(plant.q)
         friction = float(inverse @ (dry + rubs))
-        moves = ~np.asarray(controller.locked)
+        moves = ~np.asarray(controller.diagnostics.locked)
         left = np.abs(np.linalg.pinv(jacobian[:, moves])[:, self.arm.rows.index(row)])
         space = np.minimum(plant.q - model.lower, np.asarray(model.upper) - plant.q)
         return Promise(
@@ -281,7 +281,7 @@ class Bench:
             band=(0.40 if seen.wrong else 0.15) * cap + friction,
             stop=-sign * float(column @ self._stops()),
             left=float(left @ dry[moves]),
-            locked=bool(np.any(controller.locked)),
+            locked=bool(np.any(controller.diagnostics.locked)),
             room=float(space.min()),
             drift=drift,
             speed=float(np.sqrt(np.mean(np.square(speeds)))),

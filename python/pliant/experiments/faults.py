@@ -287,12 +287,14 @@ def _allowed(controller: pliant.Controller, mishap: Mishap, plant: Plant) -> All
     y = report.axes.index("y")
     if mishap.state == "host loss":
         return Allowed(still=float(report.host_loss_force[y].max()) + MOVING)
-    lever = np.abs(np.linalg.pinv(controller.model.jacobian(controller.q_predicted))[:, y])
+    lever = np.abs(
+        np.linalg.pinv(controller.model.jacobian(controller.diagnostics.q_predicted))[:, y]
+    )
     friction, damping = _gears(plant)
     assert controller.servos is not None
     old = 0.5 / controller.settings.rate * np.asarray(controller.servos.kp)
     return Allowed(
-        still=float((1.0 + BAND) * controller.holding_torque[y] + lever @ friction),
+        still=float((1.0 + BAND) * controller.diagnostics.axis_strength[y] + lever @ friction),
         drag=lever * (damping + old),
     )
 

@@ -57,7 +57,7 @@ class ByResistance:
     @property
     def compliance(self) -> Array:
         """That of the controller inside."""
-        return self._inner.compliance
+        return self._inner.diagnostics.compliance
 
     def step(self, q: Array, target: Array) -> Commanded:
         """One tick; `target` is the pose (4, 4) at the closed door."""

@@ -206,7 +206,10 @@ def _capture(
         if drift > bound:
             remedy = yield from _remedy(controller, q, (check, bound), stiff)
     believed = np.array(servos.kp)
-    lead, gravity = goal - where, np.asarray(controller.gravity if check else model.gravity(where))
+    lead, gravity = (
+        goal - where,
+        np.asarray(controller.diagnostics.gravity if check else model.gravity(where)),
+    )
     measured = np.abs(gravity) > 3.0 * np.asarray(servos.friction)
     ratio = stiffness / believed
     return Captured(

@@ -87,7 +87,7 @@ def feel(log: Log) -> Felt | None:
             continue
         if tick in farthest:
             here = [name for name, at in zip(axes, farthest, strict=True) if at == tick]
-            strengths.update((n, axis) for n, axis in controller.strengths.items() if n in here)
+            strengths.update((n, axis) for n, axis in controller.axes.items() if n in here)
         if tick == worst:
             found = controller.report()
         tick += 1

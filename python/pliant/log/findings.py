@@ -88,7 +88,7 @@ def _asking(log: Log, joint: int, first: int, last: int) -> str | None:
     """
     axes, here = log.run["axes"], slice(first, last + 1)
     used = log.wrench[here]
-    force = np.abs(used) if np.isfinite(used).all() else log.holding_torque[here]
+    force = np.abs(used) if np.isfinite(used).all() else log.axis_strength[here]
     mean = (log.activation[here, joint, : len(axes)] * force).mean(axis=0)
     return str(axes[int(mean.argmax())]) if mean.max() > 0.0 else None
 
@@ -112,7 +112,7 @@ def sentence(log: Log, felt: Felt | None, k: int) -> str:
     """Why an axis was soft, firm or stiff where it was farthest off."""
     name, tick = log.run["axes"][k], int(np.abs(log.deviation[:, k]).argmax())
     off = f"{1e3 * log.deviation[tick, k]:+.1f} {unit(name)} at {since(log)[tick]:.2f} s"
-    cap = f"{log.holding_torque[tick, k]:.3g} {unit(name, force=True)}"
+    cap = f"{log.axis_strength[tick, k]:.3g} {unit(name, force=True)}"
     softness, c = log.softness[tick, k], log.compliance[tick, k]
     axis = None if felt is None else felt.strengths.get(name)
     if softness < FIRM:
@@ -145,7 +145,7 @@ def most_felt(felt: Felt, k: int) -> int | None:
 
 def above(log: Log, felt: Felt, k: int) -> float:
     """Share of ticks in which more than cap, friction and doubt together was felt along an axis."""
-    allowed = log.holding_torque[:, k] + felt.report.friction[k] + felt.bound[:, k]
+    allowed = log.axis_strength[:, k] + felt.report.friction[k] + felt.bound[:, k]
     return float((np.abs(felt.force[:, k]) > allowed).mean())
 
 

@@ -130,7 +130,7 @@ class Journal:
             return self.inner.model.forward_kinematics(given)
         if given.shape == (4, 4):
             return given
-        pose = self.inner.reference
+        pose = self.inner.diagnostics.reference
         pose[:3, 3] = given
         return pose
 

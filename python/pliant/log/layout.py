@@ -81,10 +81,10 @@ COMMAND = ("goal", "torque_limit", "speed_limit")
 AXES = (
     "deviation",
     "adapted_deviation",
-    "dx",
+    "task_velocity",
     "softness",
     "compliance",
-    "holding_torque",
+    "axis_strength",
     "wrench",
     "deviation_limited",
 )

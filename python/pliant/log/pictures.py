@@ -43,7 +43,7 @@ def softness(folder: Path, log: Log, felt: Felt | None) -> None:
                 for side in felt.report.thresholds[k]:
                     for at in (-1e3 * side, 1e3 * side):
                         left.axhline(at, color=style.MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
-            cap, newton = log.holding_torque[few, k], unit(name, force=True)
+            cap, newton = log.axis_strength[few, k], unit(name, force=True)
             right.fill_between(time[few], -cap, cap, color=style.MUTED, alpha=0.15, linewidth=0)
             most = float(cap.max())
             if felt is not None:

@@ -164,19 +164,20 @@ class Recorder:
 
     def _look(self, journal: Journal) -> None:
         """What the controller knows after its step."""
-        target, inner, slots = journal.target, journal.inner, self._slots
+        target, slots = journal.target, self._slots
         if target is None:  # no step in this tick
             return
+        last = journal.inner.diagnostics
         slots["delay"][0] = journal.delay
         slots["target"][:] = target.reshape(-1)
-        slots["reference"][:] = inner.reference.reshape(-1)
-        slots["activation"][:] = inner.activation.reshape(-1)
+        slots["reference"][:] = last.reference.reshape(-1)
+        slots["activation"][:] = last.activation.reshape(-1)
         for name in (*layout.AXES, *layout.JOINT):
-            value = getattr(inner, name)
+            value = getattr(last, name)
             if value.size == slots[name].size:
                 slots[name][:] = value
         for name in layout.SCALARS:
-            slots[name][0] = getattr(inner, name)
+            slots[name][0] = getattr(last, name)
 
     def close(self) -> None:
         """Hand over the rest and wait until the file is whole.

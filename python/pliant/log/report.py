@@ -151,7 +151,7 @@ def _caps(log: Log, felt: Felt | None) -> Table:
     """Caps against forces."""
     rows = []
     for k, name in enumerate(log.run["axes"]):
-        cap, strengths = log.holding_torque[:, k], None if felt is None else felt.strengths
+        cap, strengths = log.axis_strength[:, k], None if felt is None else felt.strengths
         row = [name, findings.asked(None if strengths is None else strengths.get(name), name)]
         low, high = f"{cap.min():.3g}", f"{cap.max():.3g}"
         row += [low if low == high else f"{low} to {high}"]

@@ -95,7 +95,9 @@ class Log:
         poses = {"actual": actual}
         if self.run["axes"] is not None:
             axes, zero = self.run["axes"], pieces["deviation"]
-            self._joints("/task/joint_states", axes, zero, pieces["dx"], pieces["holding_torque"])
+            self._joints(
+                "/task/joint_states", axes, zero, pieces["task_velocity"], pieces["axis_strength"]
+            )
             poses["target"] = pieces["target"].reshape(4, 4)
             poses["intermediate"] = pieces["reference"].reshape(4, 4)
         for name, pose in poses.items():

@@ -49,13 +49,13 @@ class Moment:
     @property
     def deviation(self) -> Array:
         """Target minus actual (k,) [m, rad] at the last step, task frame."""
-        return self.controller.deviation
+        return self.controller.diagnostics.deviation
 
     @property
     def speed(self) -> Array:
         """Velocity of the tool (k,) [m/s, rad/s] along the task's axes."""
-        velocity = self.controller.velocity if self.felt is None else self.felt.velocity
-        moved: Array = self.controller.task_jacobian @ velocity
+        velocity = self.controller.diagnostics.velocity if self.felt is None else self.felt.velocity
+        moved: Array = self.controller.diagnostics.task_jacobian @ velocity
         return moved
 
     def force(self) -> pliant.WrenchEstimate:

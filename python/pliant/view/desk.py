@@ -129,7 +129,7 @@ class Desk:
                 known = cast("Literal['cap', 'impedance', 'paper']", law)
                 self.settings = self.settings.replace(law=known, axes=axes)
             case orders.Change(axis=name, fields=fields):
-                strengths: dict[str, pliant.Axis] = {n: a for n, a in controller.strengths.items()}
+                strengths: dict[str, pliant.Axis] = {n: a for n, a in controller.axes.items()}
                 if name not in strengths:
                     there = ", ".join(strengths)
                     raise ConfigError(f"the task has no axis {name!r}; it has {there}")
@@ -154,7 +154,7 @@ class Desk:
     def show(self, controller: Controller, q: Array | None = None) -> Shown:
         """The settings in force, for the controls; q (n,) [rad] where there was no step yet."""
         axes: dict[str, dict[str, Any]] = {
-            name: fields_of(axis) for name, axis in controller.strengths.items()
+            name: fields_of(axis) for name, axis in controller.axes.items()
         }
         if self.firm:
             for name, axis in self._axes(self.settings).items():

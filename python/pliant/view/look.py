@@ -105,18 +105,19 @@ class Look:
         now = time.perf_counter()
         if now - self._report[0] > REPORT:
             self._report = (now, tuple(controller.report().summary()))
+        last = controller.diagnostics
         self._step = Step(
             target=target,
-            reference=controller.reference,
-            deviation=controller.deviation,
-            compliance=controller.compliance,
-            softness=controller.softness,
-            strength=controller.holding_torque,
-            wrench=controller.wrench,
-            activation=controller.activation,
+            reference=last.reference,
+            deviation=last.deviation,
+            compliance=last.compliance,
+            softness=last.softness,
+            strength=last.axis_strength,
+            wrench=last.wrench,
+            activation=last.activation,
             limit=command.torque_limit,
-            saturated=controller.saturated,
-            locked=controller.locked,
+            saturated=last.saturated,
+            locked=last.locked,
         )
         self._health = self._punctuality(loop)
         self._link.send(self._snapshot(tick.q, dict(tick.state.extra), tick.began))

@@ -167,7 +167,7 @@ class Session:
         self.home = np.asarray(arm.model.forward_kinematics(q))
         self.target = self._accepted = self.home.copy()
         self._played = None
-        strengths = controller.strengths
+        strengths = controller.axes
         strong = [STRONG * float(axis.hold or 0.0) for axis in strengths.values()]
         names = tuple(strengths)
         linear = [f for f, name in zip(strong, names, strict=True) if name in "xyz"]

@@ -60,12 +60,12 @@ fn caps_ceilings_and_floors_hold() {
             for r in 0..controller.task_len() {
                 if settings.law == Law::Impedance && !record.locked.contains(&true) {
                     stiff_ticks += 1;
-                    assert!(record.wrench[r].abs() <= record.holding_torque[r] * (1.0 + 1e-12));
+                    assert!(record.wrench[r].abs() <= record.axis_strength[r] * (1.0 + 1e-12));
                 }
                 let free = settings.effective_follow() == Follow::Free && settings.law == Law::Cap;
                 if free && record.softness[r] >= 1.0 {
                     soft_ticks += 1;
-                    assert!(record.wrench[r].abs() <= record.holding_torque[r] * (1.0 + 1e-12));
+                    assert!(record.wrench[r].abs() <= record.axis_strength[r] * (1.0 + 1e-12));
                 }
             }
         }

@@ -114,7 +114,7 @@ fn the_step_reproduces_every_quantity() {
         let record = controller.record();
         for axis in 0..6 {
             close("deviation", index, record.deviation[axis], vector(&case["d_rotvec"])[axis], 1.0);
-            close("dx", index, record.dx[axis], vector(&case["dx"])[axis], 1.0);
+            close("dx", index, record.task_velocity[axis], vector(&case["dx"])[axis], 1.0);
             close("c", index, record.compliance[axis], vector(&case["c"])[axis], 1.0);
             assert_eq!(record.softness[axis] > 0.5, flags(&case["mask"])[axis], "case {index}, mask {axis}");
         }

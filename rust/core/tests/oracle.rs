@@ -67,8 +67,8 @@ impl Judge<'_> {
         self.same("adapted e", &record.adapted_deviation[..k], &tick.adapted);
         self.same("w", &record.softness[..k], &tick.softness);
         self.same("c", &record.compliance[..k], &tick.compliance);
-        self.same("strength", &record.holding_torque[..k], &tick.most);
-        self.same("dx", &record.dx[..k], &tick.dx);
+        self.same("strength", &record.axis_strength[..k], &tick.most);
+        self.same("dx", &record.task_velocity[..k], &tick.dx);
         self.same("gradient", &record.gradient, &tick.gradient);
         self.same("g", &record.gravity, &tick.gravity);
         self.same("ff", &record.feed_forward, &tick.feed_forward);

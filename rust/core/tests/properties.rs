@@ -69,7 +69,7 @@ fn activation_is_a_distribution() {
             }
             // (11): budgets are spread, none is lost.
             let record = controller.record();
-            let budget: f64 = record.holding_torque.iter().take(controller.task_len()).sum::<f64>() + 2.0;
+            let budget: f64 = record.axis_strength.iter().take(controller.task_len()).sum::<f64>() + 2.0;
             let ceiling = [10.7, 10.7, 10.7, 10.7, 6.4, 6.4, 6.4];
             if limit.iter().zip(ceiling).all(|(l, c)| *l < c) {
                 assert!((limit.iter().sum::<f64>() - budget).abs() < 1e-10);
@@ -186,7 +186,7 @@ fn sides_are_named_by_the_push() {
                         assert!((record.deviation[axis] + amount).abs() < 1e-9, "{name}: {:?}", record.deviation);
                         let strength = if give { firm[usize::from(push > 0.0)] } else { 9.0 };
                         assert!((record.softness[axis] - f64::from(u8::from(give))).abs() < 1e-15, "{name} {push}");
-                        assert!((record.holding_torque[axis] - strength).abs() < 1e-12, "{name} {push}");
+                        assert!((record.axis_strength[axis] - strength).abs() < 1e-12, "{name} {push}");
                         // It pulls back toward the target: against the push.
                         let rows = controller.task_jacobian();
                         let gravity = controller.record().gravity;
@@ -243,9 +243,9 @@ fn springs_pull_home_and_dampers_take_energy() {
                 assert!(force * record.deviation[r] >= 0.0, "a spring pushes away");
             }
             if !record.locked.contains(&true) {
-                assert!(force.abs() <= record.holding_torque[r] * (1.0 + 1e-12));
+                assert!(force.abs() <= record.axis_strength[r] * (1.0 + 1e-12));
             }
-            capped += usize::from(force.abs() > 0.999 * record.holding_torque[r]);
+            capped += usize::from(force.abs() > 0.999 * record.axis_strength[r]);
         }
         // What is exerted is never stiffer than the bound, here the servos themselves.
         let k = DVector::from_fn(6, |r, _| if r < 3 { stiffness } else { 0.02 * stiffness } * controller.gain_factor());

@@ -363,7 +363,7 @@ fn a_twist_is_fed_forward_within_the_tool_speed() {
     let (_, mut controller, target) = make(Settings::default());
     let twist = [0.0, 0.1, 0.0, 0.0, 0.0, 2.0];
     controller.step(&Q, &target, &StepInput { twist: Some(&twist), ..StepInput::default() }).unwrap();
-    let dx = controller.record().dx;
+    let dx = controller.record().task_velocity;
     assert!((dx[1] - 0.1).abs() < 1e-9 && (dx[5] - 1.0).abs() < 1e-9 && dx[0].abs() < 1e-9, "{dx:?}");
 }
 

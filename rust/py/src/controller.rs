@@ -14,13 +14,13 @@ use pyo3::types::PyDict;
 use crate::arguments;
 use crate::command::{Command, Pool};
 use crate::convert::new_array;
+use crate::diagnostics::Diagnostics;
 use crate::error::OrRaise;
 use crate::extras::{Extras, SECONDS};
 use crate::in_use::{exclusive, shared};
 use crate::model::Model;
 use crate::pickle::{self, Reduced};
 use crate::read::{self, array_into, joints, pose, real, vector3};
-use crate::record::readings;
 use crate::report::{FeasibilityReport, PoseReport, check_with};
 use crate::servos::Servos;
 use crate::settings::Settings;
@@ -74,288 +74,237 @@ impl Controller {
     }
 }
 
-readings! {
-    Controller {
-        axes: deviation, adapted_deviation, dx, softness, compliance, holding_torque, wrench;
-        joints: velocity, gravity, feed_forward, gradient;
-        numbers: damping, gamma;
-        flags: saturated, locked;
-        matrices: activation, responsibility, task_jacobian;
+#[pymethods]
+impl Controller {
+    #[new]
+    #[pyo3(signature = (model, settings = None, servos = None))]
+    pub(crate) fn new(
+        py: Python<'_>,
+        #[pyo3(from_py_with = arguments::model)] model: Py<Model>,
+        #[pyo3(from_py_with = arguments::settings_or_none)] settings: Option<Py<Settings>>,
+        #[pyo3(from_py_with = arguments::servos_or_none)] servos: Option<Py<Servos>>,
+    ) -> PyResult<Self> {
+        let settings = match settings {
+            Some(settings) => settings,
+            None => Py::new(py, Settings(CoreSettings::default()))?,
+        };
+        let servos = match servos {
+            Some(servos) => Some(Py::new(py, Servos(servos.get().0.for_joints(model.get().core.n()).or_raise()?))?),
+            None => model.get().servos.as_ref().map(|servos| servos.clone_ref(py)),
+        };
+        Self::made(py, model, settings, servos, None)
     }
-    methods {
-        #[new]
-        #[pyo3(signature = (model, settings = None, servos = None))]
-        pub(crate) fn new(
-            py: Python<'_>,
-            #[pyo3(from_py_with = arguments::model)] model: Py<Model>,
-            #[pyo3(from_py_with = arguments::settings_or_none)] settings: Option<Py<Settings>>,
-            #[pyo3(from_py_with = arguments::servos_or_none)] servos: Option<Py<Servos>>,
-        ) -> PyResult<Self> {
-            let settings = match settings {
-                Some(settings) => settings,
-                None => Py::new(py, Settings(CoreSettings::default()))?,
+
+    #[pyo3(signature = (q, target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
+    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    fn step(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        q: &Bound<'_, PyAny>,
+        target: &Bound<'_, PyAny>,
+        dt: Option<&Bound<'_, PyAny>>,
+        dq: Option<&Bound<'_, PyAny>>,
+        twist: Option<&Bound<'_, PyAny>>,
+        gradient: Option<&Bound<'_, PyAny>>,
+        out: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Py<Command>> {
+        let (n, position_only) = sizes(slf)?;
+        let target = pose("target", target, position_only)?;
+        let mut extras = Extras::default();
+        extras.read(n, dt, dq, twist, gradient)?;
+        // Last: reading the others may run code that makes another array of q.
+        let mut position = [0.0; MAX_JOINTS];
+        array_into("q", q, &[n], &mut position)?;
+        let out = out.map(|out| Command::writable(out, n)).transpose()?;
+        let Self { core, pool, .. } = &mut *exclusive(slf)?;
+        let command = core.step(&position[..n], &target, &extras.input(n)).or_raise()?;
+        hand_out(py, pool, command, out)
+    }
+
+    #[pyo3(signature = (q, q_target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
+    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    fn step_joints(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        q: &Bound<'_, PyAny>,
+        q_target: &Bound<'_, PyAny>,
+        dt: Option<&Bound<'_, PyAny>>,
+        dq: Option<&Bound<'_, PyAny>>,
+        twist: Option<&Bound<'_, PyAny>>,
+        gradient: Option<&Bound<'_, PyAny>>,
+        out: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Py<Command>> {
+        let (n, _) = sizes(slf)?;
+        let (q, wanted) = (joints("q", q, n)?, joints("q_target", q_target, n)?);
+        let mut extras = Extras::default();
+        extras.read(n, dt, dq, twist, gradient)?;
+        let out = out.map(|out| Command::writable(out, n)).transpose()?;
+        let Self { core, pool, .. } = &mut *exclusive(slf)?;
+        let command = core.step_joints(&q[..n], &wanted[..n], &extras.input(n)).or_raise()?;
+        hand_out(py, pool, command, out)
+    }
+
+    #[pyo3(
+        signature = (Q, targets, *, state = None, dt = None, dq = None, invalid = None, out = None),
+        text_signature = "($self, Q, targets, *, state=None, dt=None, dq=None, invalid='raise', out=None)"
+    )]
+    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    #[expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
+    fn step_batch(
+        &self,
+        py: Python<'_>,
+        Q: &Bound<'_, PyAny>,
+        targets: &Bound<'_, PyAny>,
+        state: Option<&Bound<'_, PyAny>>,
+        dt: Option<&Bound<'_, PyAny>>,
+        dq: Option<&Bound<'_, PyAny>>,
+        invalid: Option<&Bound<'_, PyAny>>,
+        out: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Py<Command>> {
+        let mut extras = Extras::default();
+        extras.read(self.n, dt, None, None, None)?;
+        let call = BatchCall { targets, position_only: self.position_only, dt: extras.dt, dq, invalid, out };
+        call.run(py, &self.core, Q, state.map(BatchState::given).transpose()?)
+    }
+
+    fn batch_state(&self, count: &Bound<'_, PyAny>) -> PyResult<BatchState> {
+        BatchState::of(self.n, read::count("count", count)?)
+    }
+
+    fn reset(slf: &Bound<'_, Self>, q: &Bound<'_, PyAny>) -> PyResult<()> {
+        let (n, _) = sizes(slf)?;
+        let q = joints("q", q, n)?;
+        exclusive(slf)?.core.reset(&q[..n]).or_raise()
+    }
+
+    fn update(
+        slf: &Bound<'_, Self>,
+        #[pyo3(from_py_with = arguments::settings)] settings: Py<Settings>,
+    ) -> PyResult<()> {
+        let mut own = exclusive(slf)?;
+        own.core.update(settings.get().0.clone()).or_raise()?;
+        own.position_only = position_only(&settings.get().0);
+        own.settings = settings;
+        Ok(())
+    }
+
+    #[pyo3(signature = (mass, com = None), text_signature = "($self, mass, com=(0.0, 0.0, 0.0))")]
+    fn set_payload(slf: &Bound<'_, Self>, mass: &Bound<'_, PyAny>, com: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        let mass = real("mass", "a number [kg]; 0 for no payload", mass)?;
+        let com = com.map_or(Ok([0.0; 3]), |com| vector3("com", com))?;
+        exclusive(slf)?.core.set_payload(Some(&CorePayload { mass, com })).or_raise()
+    }
+
+    fn set_gravity(slf: &Bound<'_, Self>, vector: &Bound<'_, PyAny>) -> PyResult<()> {
+        let vector = vector3("vector", vector)?;
+        exclusive(slf)?.core.set_gravity(vector).or_raise()
+    }
+
+    fn set_delay(slf: &Bound<'_, Self>, delay: &Bound<'_, PyAny>) -> PyResult<()> {
+        let delay = real("delay", SECONDS, delay)?;
+        exclusive(slf)?.core.set_delay(delay).or_raise()
+    }
+
+    fn capture_gravity<'py>(
+        slf: &Bound<'py, Self>,
+        q: &Bound<'py, PyAny>,
+        goal: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let (n, _) = sizes(slf)?;
+        let (at, goal) = (joints("q", q, n)?, joints("goal", goal, n)?);
+        let stiffness = exclusive(slf)?.core.capture_gravity(&at[..n], &goal[..n]).or_raise()?;
+        Ok(new_array(q.py(), &[n], &stiffness))
+    }
+
+    #[pyo3(signature = (q = None))]
+    fn report(&self, q: Option<&Bound<'_, PyAny>>) -> PyResult<PoseReport> {
+        let report = match q {
+            Some(q) => self.core.report_at(&joints("q", q, self.n)?[..self.n]),
+            None => self.core.report(),
+        };
+        report.or_raise().map(PoseReport)
+    }
+
+    #[pyo3(signature = (path_or_pose, *, q0 = None))]
+    pub(crate) fn check(
+        &self,
+        path_or_pose: &Bound<'_, PyAny>,
+        q0: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<FeasibilityReport> {
+        check_with(&self.core, self.position_only, path_or_pose, q0)
+    }
+
+    #[getter]
+    fn model(&self, py: Python<'_>) -> Py<Model> {
+        self.model.clone_ref(py)
+    }
+
+    #[getter]
+    fn settings(&self, py: Python<'_>) -> Py<Settings> {
+        self.settings.clone_ref(py)
+    }
+
+    #[getter]
+    fn servos(&self, py: Python<'_>) -> Option<Py<Servos>> {
+        self.servos.as_ref().map(|servos| servos.clone_ref(py))
+    }
+
+    #[getter]
+    fn axes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let settings = self.core.settings();
+        let axes = (0..AXIS_NAMES.len()).filter(|&axis| settings.task.axes[axis]);
+        let out = PyDict::new(py);
+        let springs = settings.law == Law::Impedance;
+        for ((axis, (soft, firm, hold)), (spring, damper)) in
+            axes.zip(self.core.strengths()).zip(self.core.impedances())
+        {
+            let given = settings.axes[axis];
+            let yields = Some(given.effective_yields());
+            let filled = CoreAxis {
+                soft: Some(soft),
+                firm: Some(firm),
+                hold: Some(hold),
+                stiffness: springs.then_some(spring),
+                damping: springs.then_some(damper),
+                yields,
+                ..given
             };
-            let servos = match servos {
-                Some(servos) => Some(Py::new(py, Servos(servos.get().0.for_joints(model.get().core.n()).or_raise()?))?),
-                None => model.get().servos.as_ref().map(|servos| servos.clone_ref(py)),
-            };
-            Self::made(py, model, settings, servos, None)
+            out.set_item(AXIS_NAMES[axis], Axis(filled).into_pyobject(py)?)?;
         }
+        Ok(out)
+    }
 
-        #[pyo3(signature = (q, target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
-        #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
-        fn step(
-            slf: &Bound<'_, Self>,
-            py: Python<'_>,
-            q: &Bound<'_, PyAny>,
-            target: &Bound<'_, PyAny>,
-            dt: Option<&Bound<'_, PyAny>>,
-            dq: Option<&Bound<'_, PyAny>>,
-            twist: Option<&Bound<'_, PyAny>>,
-            gradient: Option<&Bound<'_, PyAny>>,
-            out: Option<&Bound<'_, PyAny>>,
-        ) -> PyResult<Py<Command>> {
-            let (n, position_only) = sizes(slf)?;
-            let target = pose("target", target, position_only)?;
-            let mut extras = Extras::default();
-            extras.read(n, dt, dq, twist, gradient)?;
-            // Last: reading the others may run code that makes another array of q.
-            let mut position = [0.0; MAX_JOINTS];
-            array_into("q", q, &[n], &mut position)?;
-            let out = out.map(|out| Command::writable(out, n)).transpose()?;
-            let Self { core, pool, .. } = &mut *exclusive(slf)?;
-            let command = core.step(&position[..n], &target, &extras.input(n)).or_raise()?;
-            hand_out(py, pool, command, out)
-        }
+    #[getter]
+    fn diagnostics(&self) -> Diagnostics {
+        Diagnostics::new(&self.core)
+    }
 
-        #[pyo3(signature = (q, q_target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
-        #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
-        fn step_joints(
-            slf: &Bound<'_, Self>,
-            py: Python<'_>,
-            q: &Bound<'_, PyAny>,
-            q_target: &Bound<'_, PyAny>,
-            dt: Option<&Bound<'_, PyAny>>,
-            dq: Option<&Bound<'_, PyAny>>,
-            twist: Option<&Bound<'_, PyAny>>,
-            gradient: Option<&Bound<'_, PyAny>>,
-            out: Option<&Bound<'_, PyAny>>,
-        ) -> PyResult<Py<Command>> {
-            let (n, _) = sizes(slf)?;
-            let (q, wanted) = (joints("q", q, n)?, joints("q_target", q_target, n)?);
-            let mut extras = Extras::default();
-            extras.read(n, dt, dq, twist, gradient)?;
-            let out = out.map(|out| Command::writable(out, n)).transpose()?;
-            let Self { core, pool, .. } = &mut *exclusive(slf)?;
-            let command = core.step_joints(&q[..n], &wanted[..n], &extras.input(n)).or_raise()?;
-            hand_out(py, pool, command, out)
-        }
+    #[getter]
+    fn instructions(&self) -> &'static str {
+        self.core.instructions().name()
+    }
 
-        #[pyo3(
-            signature = (Q, targets, *, state = None, dt = None, dq = None, invalid = None, out = None),
-            text_signature = "($self, Q, targets, *, state=None, dt=None, dq=None, invalid='raise', out=None)"
-        )]
-        #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
-        #[expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
-        fn step_batch(
-            &self,
-            py: Python<'_>,
-            Q: &Bound<'_, PyAny>,
-            targets: &Bound<'_, PyAny>,
-            state: Option<&Bound<'_, PyAny>>,
-            dt: Option<&Bound<'_, PyAny>>,
-            dq: Option<&Bound<'_, PyAny>>,
-            invalid: Option<&Bound<'_, PyAny>>,
-            out: Option<&Bound<'_, PyAny>>,
-        ) -> PyResult<Py<Command>> {
-            let mut extras = Extras::default();
-            extras.read(self.n, dt, None, None, None)?;
-            let call = BatchCall { targets, position_only: self.position_only, dt: extras.dt, dq, invalid, out };
-            call.run(py, &self.core, Q, state.map(BatchState::given).transpose()?)
-        }
+    #[getter]
+    fn commands_made(&self) -> u64 {
+        self.pool.made
+    }
 
-        fn batch_state(&self, count: &Bound<'_, PyAny>) -> PyResult<BatchState> {
-            BatchState::of(self.n, read::count("count", count)?)
-        }
+    fn __copy__(&self, py: Python<'_>) -> Self {
+        self.twin(py)
+    }
 
-        fn reset(slf: &Bound<'_, Self>, q: &Bound<'_, PyAny>) -> PyResult<()> {
-            let (n, _) = sizes(slf)?;
-            let q = joints("q", q, n)?;
-            exclusive(slf)?.core.reset(&q[..n]).or_raise()
-        }
+    fn __deepcopy__(&self, py: Python<'_>, _memo: &Bound<'_, PyAny>) -> Self {
+        self.twin(py)
+    }
 
-        fn update(
-            slf: &Bound<'_, Self>,
-            #[pyo3(from_py_with = arguments::settings)] settings: Py<Settings>,
-        ) -> PyResult<()> {
-            let mut own = exclusive(slf)?;
-            own.core.update(settings.get().0.clone()).or_raise()?;
-            own.position_only = position_only(&settings.get().0);
-            own.settings = settings;
-            Ok(())
-        }
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Reduced<'py>> {
+        let parts = (self.model.clone_ref(py), self.settings.clone_ref(py), self.servos(py));
+        pickle::of_controller(py, parts, &self.core.carried())
+    }
 
-        #[pyo3(signature = (mass, com = None), text_signature = "($self, mass, com=(0.0, 0.0, 0.0))")]
-        fn set_payload(
-            slf: &Bound<'_, Self>,
-            mass: &Bound<'_, PyAny>,
-            com: Option<&Bound<'_, PyAny>>,
-        ) -> PyResult<()> {
-            let mass = real("mass", "a number [kg]; 0 for no payload", mass)?;
-            let com = com.map_or(Ok([0.0; 3]), |com| vector3("com", com))?;
-            exclusive(slf)?.core.set_payload(Some(&CorePayload { mass, com })).or_raise()
-        }
-
-        fn set_gravity(slf: &Bound<'_, Self>, vector: &Bound<'_, PyAny>) -> PyResult<()> {
-            let vector = vector3("vector", vector)?;
-            exclusive(slf)?.core.set_gravity(vector).or_raise()
-        }
-
-        fn set_delay(slf: &Bound<'_, Self>, delay: &Bound<'_, PyAny>) -> PyResult<()> {
-            let delay = real("delay", SECONDS, delay)?;
-            exclusive(slf)?.core.set_delay(delay).or_raise()
-        }
-
-        fn capture_gravity<'py>(
-            slf: &Bound<'py, Self>,
-            q: &Bound<'py, PyAny>,
-            goal: &Bound<'py, PyAny>,
-        ) -> PyResult<Bound<'py, PyAny>> {
-            let (n, _) = sizes(slf)?;
-            let (at, goal) = (joints("q", q, n)?, joints("goal", goal, n)?);
-            let stiffness = exclusive(slf)?.core.capture_gravity(&at[..n], &goal[..n]).or_raise()?;
-            Ok(new_array(q.py(), &[n], &stiffness))
-        }
-
-        #[pyo3(signature = (q = None))]
-        fn report(&self, q: Option<&Bound<'_, PyAny>>) -> PyResult<PoseReport> {
-            let report = match q {
-                Some(q) => self.core.report_at(&joints("q", q, self.n)?[..self.n]),
-                None => self.core.report(),
-            };
-            report.or_raise().map(PoseReport)
-        }
-
-        #[pyo3(signature = (path_or_pose, *, q0 = None))]
-        pub(crate) fn check(
-            &self,
-            path_or_pose: &Bound<'_, PyAny>,
-            q0: Option<&Bound<'_, PyAny>>,
-        ) -> PyResult<FeasibilityReport> {
-            check_with(&self.core, self.position_only, path_or_pose, q0)
-        }
-
-        #[getter]
-        fn model(&self, py: Python<'_>) -> Py<Model> {
-            self.model.clone_ref(py)
-        }
-
-        #[getter]
-        fn settings(&self, py: Python<'_>) -> Py<Settings> {
-            self.settings.clone_ref(py)
-        }
-
-        #[getter]
-        fn servos(&self, py: Python<'_>) -> Option<Py<Servos>> {
-            self.servos.as_ref().map(|servos| servos.clone_ref(py))
-        }
-
-        #[getter]
-        fn strengths<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-            let settings = self.core.settings();
-            let axes = (0..AXIS_NAMES.len()).filter(|&axis| settings.task.axes[axis]);
-            let out = PyDict::new(py);
-            let springs = settings.law == Law::Impedance;
-            for ((axis, (soft, firm, hold)), (spring, damper)) in axes.zip(self.core.strengths()).zip(self.core.impedances()) {
-                let given = settings.axes[axis];
-                let yields = Some(given.effective_yields());
-                let filled = CoreAxis {
-                    soft: Some(soft),
-                    firm: Some(firm),
-                    hold: Some(hold),
-                    stiffness: springs.then_some(spring),
-                    damping: springs.then_some(damper),
-                    yields,
-                    ..given
-                };
-                out.set_item(AXIS_NAMES[axis], Axis(filled).into_pyobject(py)?)?;
-            }
-            Ok(out)
-        }
-
-        #[getter]
-        fn sigma_min(&self) -> f64 {
-            self.core.sigma()[0]
-        }
-
-        #[getter]
-        fn sigma_max(&self) -> f64 {
-            self.core.sigma()[1]
-        }
-
-        #[getter]
-        fn instructions(&self) -> &'static str {
-            self.core.instructions().name()
-        }
-
-        #[getter]
-        fn damping_constants(&self) -> (f64, f64, f64) {
-            self.core.damping().into()
-        }
-
-        #[getter]
-        fn gain_factor(&self) -> f64 {
-            self.core.gain_factor()
-        }
-
-        #[getter]
-        fn commands_made(&self) -> u64 {
-            self.pool.made
-        }
-
-        #[getter]
-        fn q_predicted<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-            new_array(py, &[self.n], &self.core.record().q)
-        }
-
-        #[getter]
-        fn singular_values<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-            let values = self.core.singular_values();
-            new_array(py, &[values.len()], values.as_slice())
-        }
-
-        #[getter]
-        fn deviation_limited<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-            numpy::PyArray1::from_slice(py, &self.core.record().deviation_limited[..self.core.task_len()]).into_any()
-        }
-
-        #[getter]
-        fn reference<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-            new_array(py, &[4, 4], &self.core.record().reference.to_rows().concat())
-        }
-
-        #[getter]
-        fn factors(&self) -> (f64, f64, f64) {
-            self.core.record().factors.into()
-        }
-
-        fn __copy__(&self, py: Python<'_>) -> Self {
-            self.twin(py)
-        }
-
-        fn __deepcopy__(&self, py: Python<'_>, _memo: &Bound<'_, PyAny>) -> Self {
-            self.twin(py)
-        }
-
-        fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Reduced<'py>> {
-            let parts = (self.model.clone_ref(py), self.settings.clone_ref(py), self.servos(py));
-            pickle::of_controller(py, parts, &self.core.carried())
-        }
-
-        fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
-            let (model, settings) = (self.model.bind(py).repr()?, self.settings.bind(py).repr()?);
-            Ok(format!("<Controller of {model} with {settings}>"))
-        }
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let (model, settings) = (self.model.bind(py).repr()?, self.settings.bind(py).repr()?);
+        Ok(format!("<Controller of {model} with {settings}>"))
     }
 }
 

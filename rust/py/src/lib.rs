@@ -10,6 +10,7 @@ mod command;
 mod contact;
 mod controller;
 mod convert;
+mod diagnostics;
 mod error;
 mod extras;
 mod fields;
@@ -22,7 +23,6 @@ mod options;
 mod pickle;
 mod pose;
 mod read;
-mod record;
 mod report;
 mod servos;
 mod settings;
@@ -47,6 +47,8 @@ mod _core {
     use crate::contact::{ContactEstimator, WrenchEstimate};
     #[pymodule_export]
     use crate::controller::Controller;
+    #[pymodule_export]
+    use crate::diagnostics::Diagnostics;
     #[pymodule_export]
     use crate::functions::{
         activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,

@@ -74,7 +74,7 @@ def matrix(pose: str, *, damped: bool = False) -> Array:
     controller = pliant.Controller(arm(), settings)
     controller.reset(q)
     controller.step(q, tool(q))
-    return np.asarray(controller.activation)
+    return np.asarray(controller.diagnostics.activation)
 
 
 def jobs(options: Options) -> list[Job]:

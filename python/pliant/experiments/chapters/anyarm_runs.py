@@ -93,7 +93,7 @@ def activation(source: Source) -> Array:
     controller = pliant.Controller(arm.model, arm.law(soft="", damping=0.0), arm.servos)
     controller.reset(arm.pose)
     controller.step(arm.pose, arm.model.forward_kinematics(arm.pose))
-    return np.asarray(controller.activation)
+    return np.asarray(controller.diagnostics.activation)
 
 
 def strengths(source: Source) -> Strengths:
@@ -106,7 +106,7 @@ def strengths(source: Source) -> Strengths:
         controller = pliant.Controller(arm.model, arm.law(soft=soft), arm.servos)
         controller.reset(arm.pose)
         controller.step(arm.pose, setups.displaced(start, arm.soft, away))
-        return float(controller.holding_torque[row])
+        return float(controller.diagnostics.axis_strength[row])
 
     # Far from the target, and not farther than a target may be.
     far = min(1.0, float(arm.model.reach))

@@ -23,13 +23,13 @@ pub struct Record {
     /// Adapted deviation ẽ [m, rad].
     pub adapted_deviation: AxisVec,
     /// Δx = K_x ẽ + twist within its per-axis limits [m/s, rad/s].
-    pub dx: AxisVec,
+    pub task_velocity: AxisVec,
     /// Softness w ∈ [0, 1] for the side the axis is pushed from.
     pub softness: AxisVec,
     /// Compliance c ∈ [0, 1] of (8).
     pub compliance: AxisVec,
     /// Strength in force, `w F + (1 − w) hold`: holding torque τ^x of (9) under law `paper`, else cap [N, N·m].
-    pub holding_torque: AxisVec,
+    pub axis_strength: AxisVec,
     /// Wrench W on the target [N, N·m] (not under law `paper`).
     pub wrench: AxisVec,
     /// Torques that hold the arm at q̂ [N·m]; where a step has no use for them they are found when the record is asked for.
@@ -70,10 +70,10 @@ impl Record {
             velocity: [0.0; MAX_JOINTS],
             deviation: [0.0; MAX_AXES],
             adapted_deviation: [0.0; MAX_AXES],
-            dx: [0.0; MAX_AXES],
+            task_velocity: [0.0; MAX_AXES],
             softness: [0.0; MAX_AXES],
             compliance: [0.0; MAX_AXES],
-            holding_torque: [0.0; MAX_AXES],
+            axis_strength: [0.0; MAX_AXES],
             wrench: [0.0; MAX_AXES],
             gravity: [0.0; MAX_JOINTS],
             feed_forward: [0.0; MAX_JOINTS],
@@ -140,7 +140,7 @@ impl Record {
     /// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|` and `|α N∇g|`.
     pub(crate) fn responsibility(&self, plan: &Plan) -> DMatrix<f64> {
         let null = product(&self.projector(plan), &self.gradient);
-        responsibility(&self.pseudo_inverse(plan), &self.dx, &null, plan.alpha, (plan.k, plan.n))
+        responsibility(&self.pseudo_inverse(plan), &self.task_velocity, &null, plan.alpha, (plan.k, plan.n))
     }
 
     /// The task rows, k × n.

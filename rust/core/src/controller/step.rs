@@ -338,10 +338,10 @@ impl Cycle<'_> {
         filtered.velocity.store(&mut record.velocity);
         record.deviation = axes(wish.deviation);
         record.adapted_deviation = axes(wish.adapted);
-        record.dx = axes(wish.bounded * J::Axes::splat(1.0 / self.settings.horizon));
+        record.task_velocity = axes(wish.bounded * J::Axes::splat(1.0 / self.settings.horizon));
         record.softness = axes(wish.softness);
         record.compliance = axes(wish.compliance);
-        record.holding_torque = axes(wish.most);
+        record.axis_strength = axes(wish.most);
         record.wrench = axes(motion.wrench.whole());
         seen.view.holding.store(&mut record.gravity);
         solution.feed_forward.store(&mut record.feed_forward);

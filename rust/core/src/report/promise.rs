@@ -117,14 +117,14 @@ impl<'a> Pose<'a> {
 
     /// Static force that the limits would hold if axis `row` had this strength and the others what they have.
     fn with_strength(&self, row: usize, side: usize, most: f64) -> f64 {
-        let mut all = self.record.holding_torque;
+        let mut all = self.record.axis_strength;
         all[row] = most;
         self.held(row, side, &all)
     }
 
     /// How firm the axis is at strength 0, and which other axis asks for most of that.
     pub(super) fn coupling(&self, row: usize, side: usize) -> (f64, Option<usize>) {
-        let mut most = self.record.holding_torque;
+        let mut most = self.record.axis_strength;
         most[row] = 0.0;
         let whole = self.held(row, side, &most);
         let (mut least, mut with) = (whole - 1e-9 * whole.abs(), None);
