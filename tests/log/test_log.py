@@ -157,7 +157,7 @@ recorder = Recorder(sys.argv[1])
 pose = arm.model.forward_kinematics(arm.read().q)
 for tick in pliant.Loop(arm, made, recorder=recorder):
     tick.step(pose)
-    if tick.index == 150:
+    if tick.index == 151:
         print(recorder._process.pid, flush=True)
 """
 

@@ -171,7 +171,7 @@ def test_after_an_error_the_next_step_is_as_if_nothing_had_been(model, q, target
     before = shaken.diagnostics.deviation
     with pytest.raises((pliant.PliantError, TypeError)):
         shaken.step(**{"q": q, "target": target} | BAD_STEPS[bad])
-    assert shaken.deviation.tobytes() == before.tobytes()
+    assert shaken.diagnostics.deviation.tobytes() == before.tobytes()
     for i in range(5):
         a, b = calm.step(q + 0.01 * i, target), shaken.step(q + 0.01 * i, target)
         for field in ("goal", "torque_limit", "speed_limit"):
