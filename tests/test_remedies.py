@@ -32,7 +32,7 @@ MODULES = [pliant] + [
     import_module(f"pliant.{name}")
     for name in (
         *("arm", "config", "identify", "log", "loop", "reactions", "robots", "servo", "sim"),
-        *("servo.emulator", "teach", "view"),
+        *("emulator", "teach", "view"),
     )
 ]
 #: What texts call an object of a class.
@@ -106,11 +106,7 @@ def rust_texts(path: Path) -> list[str]:
 @cache
 def texts() -> dict[str, str]:
     """Texts of the package, by themselves, with the file they stand in."""
-    python = [
-        path
-        for path in sorted((ROOT / "python" / "pliant").rglob("*.py"))
-        if "experiments" not in path.parts
-    ]
+    python = sorted((ROOT / "python" / "pliant").rglob("*.py"))
     rust = sorted(
         path for crate in ("core", "py") for path in (ROOT / "rust" / crate / "src").rglob("*.rs")
     )

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import pliant
+from experiments.mishaps import MISHAPS, suffer
 from pliant.arm.lateness import Lateness
-from pliant.experiments.mishaps import MISHAPS, suffer
 
 
 @pytest.fixture
