@@ -199,5 +199,5 @@ fmt: setup ## Format all sources
 
 clean: ## Remove everything that make made
 	rm -rf $(VENV) build docs/_build target .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find python tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find python experiments benches tests -name __pycache__ -type d -prune -exec rm -rf {} +
 	rm -f python/pliant/_core*.so

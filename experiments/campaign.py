@@ -34,7 +34,7 @@ class Options:
     Attributes:
         poses: Poses of arm7; other arms have a quarter of them, each disturbance a tenth.
         arm: Arms by name; by default all there are.
-        jobs: Processes at once (extra `sweep`).
+        jobs: Processes at once.
         out: Folder for results.json and the picture.
         friction: Whether Stribeck and load-dependent friction join in: caps, drag and door.
         disturbed: Whether arm7 meets disturbances.

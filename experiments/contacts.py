@@ -46,7 +46,7 @@ class Options:
         contacts: Random contacts of the main case.
         minutes: Free motion of the main case.
         others: Share of both that the other cases get; 0 for none of them.
-        jobs: Processes at once (extra `sweep`).
+        jobs: Processes at once.
         out: Folder for results.json and the picture.
     """
 

@@ -221,7 +221,7 @@ class Options:
     Attributes:
         poses: Poses of arm7; other arms have a third.
         arm: Arms by name; by default those that ship with the package.
-        jobs: Processes at once (extra `sweep`).
+        jobs: Processes at once.
         out: File for every push, as JSON; none by default.
     """
 

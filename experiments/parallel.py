@@ -38,7 +38,7 @@ def parallel(work: Sequence[Job[R_co]], processes: int, what: str) -> Iterator[R
             from joblib import Parallel, delayed
             from joblib.parallel import get_active_backend
         except ImportError:
-            print(f"{what}: one process only; {missing('more', 'sweep')}")
+            print(f"{what}: one process only; {missing('more', 'experiments')}")
         else:
             backend, _ = get_active_backend()
             # Ray's backend hands out a list alone.

@@ -177,7 +177,7 @@ class Options:
     Attributes:
         poses: Of each arm.
         arm: Arms by name; by default those that ship with the package.
-        jobs: Processes at once (extra `sweep`).
+        jobs: Processes at once.
     """
 
     poses: int = POSES

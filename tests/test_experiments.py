@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("joblib", reason="experiments share their work by the extra sweep")
-pytest.importorskip("mujoco", reason="experiments need the extra sim")
+pytest.importorskip("joblib", reason="experiments share their work by joblib (extra experiments)")
+pytest.importorskip("mujoco", reason="experiments need the extra experiments")
 
 from joblib import parallel_config, register_parallel_backend
 from joblib._parallel_backends import ThreadingBackend
