@@ -54,15 +54,13 @@ class Blow:
 class Faults:
     """What goes wrong between servos and host.
 
-    | kind | what happens |
-    |---|---|
-    | `deaf` | the request does not reach the servo |
-    | `lose` | the answer does not reach the host |
-    | `late` | the answer arrives later, by default just before that to the next request |
-    | `corrupt` | one bit of the answer is flipped |
-    | `truncate` | the answer breaks off |
-    | `wrong_id` | the answer carries another id, with a checksum that fits |
-    | `noise` | a few bytes of noise come before the answer |
+    - `deaf`: the request does not reach the servo
+    - `lose`: the answer does not reach the host
+    - `late`: the answer arrives later, by default just before that to the next request
+    - `corrupt`: one bit of the answer is flipped
+    - `truncate`: the answer breaks off
+    - `wrong_id`: the answer carries another id, with a checksum that fits
+    - `noise`: a few bytes of noise come before the answer
 
     Args:
         seed: Of all chance; equal seeds and equal requests give equal faults.
