@@ -49,7 +49,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo test test-rust test-py lint lint-rust lint-py stubs deny docs gallery bench browser counts counts-check aarch64 peers soak wheel notices fmt clean FORCE
+.PHONY: help setup setup-demo demo campaign test test-rust test-py lint lint-rust lint-py stubs deny docs gallery bench bench-stages browser counts counts-check aarch64 peers soak wheel notices fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -74,7 +74,7 @@ $(VENV)/.with-test: $(BIN)/python pyproject.toml $(RUST) $(MISSING_CORE)
 	$(call install,test$(comma)lint$(comma)docs)
 
 $(VENV)/.with-demo: $(BIN)/python pyproject.toml $(RUST) $(MISSING_CORE)
-	$(call install,demo$(comma)servo$(comma)log$(comma)view)
+	$(call install,experiments$(comma)servo$(comma)log$(comma)view)
 
 comma := ,
 
@@ -82,7 +82,10 @@ setup: $(VENV)/.with-test ## Make .venv with everything for development
 setup-demo: $(VENV)/.with-demo
 
 demo: setup-demo ## Run the paper's experiments on the simulator and leave a report
-	@$(BIN)/pliant demo $(ARGS)
+	@$(BIN)/python -m experiments.demo $(ARGS)
+
+campaign: setup ## Every promised cap against the measured push-back, in random poses; ARGS='--poses 20'
+	@$(BIN)/python -m experiments.campaign $(ARGS)
 
 # --- tests ---------------------------------------------------------------------------------------------------------
 
@@ -153,9 +156,12 @@ browser: setup ## All tests of the page in a real browser, of which `make test` 
 	@$(BIN)/python -m pytest --numprocesses=0 -m '' tests/view/test_browser.py $(ARGS)
 
 soak: setup ## Ten minutes of emulated bus with faults on each family; ARGS='--family x --minutes 1'
-	@$(BIN)/python -m pliant.experiments.soak $(ARGS)
+	@$(BIN)/python -m experiments.soak $(ARGS)
 
-bench: setup ## Criterion benches per stage; ARGS='-- step' picks
+bench: setup ## Latency of a step on this machine; ARGS='--robot so101'
+	@$(BIN)/python benches/latency.py $(ARGS)
+
+bench-stages: setup ## Criterion benches per stage; ARGS='-- step' picks
 	@cargo bench $(LOCKED) $(ARGS)
 
 counts-check: setup ## Instructions of every stage against the stored ones; 5 % more is an error
@@ -193,5 +199,5 @@ fmt: setup ## Format all sources
 
 clean: ## Remove everything that make made
 	rm -rf $(VENV) build docs/_build target .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find python tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find python experiments benches tests -name __pycache__ -type d -prune -exec rm -rf {} +
 	rm -f python/pliant/_core*.so

@@ -26,7 +26,7 @@ from pliant.sim import Plant
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from pliant.experiments.conditions import Conditions
+    from experiments.conditions import Conditions
     from pliant.sim.friction import Friction
 
 #: Drawn at random: only a difference from the other side is asked for.

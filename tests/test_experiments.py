@@ -8,18 +8,18 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("joblib", reason="experiments share their work by the extra sweep")
-pytest.importorskip("mujoco", reason="experiments need the extra sim")
+pytest.importorskip("joblib", reason="experiments share their work by joblib (extra experiments)")
+pytest.importorskip("mujoco", reason="experiments need the extra experiments")
 
 from joblib import parallel_config, register_parallel_backend
 from joblib._parallel_backends import ThreadingBackend
 
-import pliant.experiments
-from pliant.experiments import campaign_arms
-from pliant.experiments import parallel as shared
-from pliant.experiments.parallel import parallel
+import experiments
+from experiments import campaign_arms
+from experiments import parallel as shared
+from experiments.parallel import parallel
 
-FOLDER = Path(pliant.experiments.__file__).parent
+FOLDER = Path(experiments.__file__).parent
 #: Options with which a module makes its jobs within a second.
 FEW = {"descent": ["--arms", "so101", "--poses", "1"]}
 
@@ -40,15 +40,15 @@ class Started(Exception):
 def test_another_process_finds_the_jobs_by_their_module(name, monkeypatch):
     def refuse(work, *_):
         assert work
-        assert {type(job).__module__ for job in work} == {f"pliant.experiments.{name}"}
+        assert {type(job).__module__ for job in work} == {f"experiments.{name}"}
         raise Started
 
-    module = importlib.import_module(f"pliant.experiments.{name}")
+    module = importlib.import_module(f"experiments.{name}")
     monkeypatch.setattr(shared, "parallel", refuse)
     monkeypatch.setattr(module, "parallel", refuse)
     monkeypatch.setattr(sys, "argv", [name, *FEW.get(name, [])])
     with pytest.raises(Started):
-        runpy.run_module(f"pliant.experiments.{name}", run_name="__main__")
+        runpy.run_module(f"experiments.{name}", run_name="__main__")
 
 
 @dataclass(frozen=True)
@@ -74,12 +74,12 @@ def test_results_come_in_order_from_every_backend(backend, capsys):
     assert "squares: 5 of 5" in capsys.readouterr().err
 
 
-def test_robots_are_looked_for_beside_a_checkout_only(tmp_path, monkeypatch):
+def test_robots_are_looked_for_beside_a_clone_only(tmp_path, monkeypatch):
     monkeypatch.delenv("PLIANT_ROBOTS", raising=False)
-    for root in ("checkout/python", "venv/lib/python3.11/site-packages"):
-        file = tmp_path / root / "pliant" / "experiments" / "campaign_arms.py"
+    for root in ("checkout", "venv/lib/python3.11/site-packages"):
+        file = tmp_path / root / "experiments" / "campaign_arms.py"
         monkeypatch.setattr(campaign_arms, "__file__", str(file))
-        beside = file.resolve().parents[3].parent / "shared" / "robots"
+        beside = file.resolve().parents[1].parent / "shared" / "robots"
         beside.mkdir(parents=True)
         file.parent.mkdir(parents=True)
         if root.startswith("checkout"):

@@ -15,8 +15,7 @@ pytest.importorskip("mujoco", reason="plants are simulated: extra sim")
 from mismatch import DRAWN, Mismatch, Parameters, under
 
 import pliant
-from pliant.arm import Arm
-from pliant.experiments import (
+from experiments import (
     campaign_bench,
     campaign_jobs,
     capturing,
@@ -36,12 +35,13 @@ from pliant.experiments import (
     steps,
     teaching,
 )
-from pliant.experiments.campaign_arms import load
-from pliant.experiments.chapters import comparison_stress
-from pliant.experiments.conditions import NOMINAL, Conditions
-from pliant.experiments.setups import VERTICAL
+from experiments.campaign_arms import load
+from experiments.chapters import comparison_stress
+from experiments.conditions import NOMINAL, Conditions
+from pliant.arm import Arm
 from pliant.sim import LIGHT, Plant
 from pliant.sim.drive import SimDrive
+from pliant.sim.postures import VERTICAL
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 GEARS = campaign_jobs.REAL_GEARS["arm7"]

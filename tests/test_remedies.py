@@ -32,7 +32,7 @@ MODULES = [pliant] + [
     import_module(f"pliant.{name}")
     for name in (
         *("arm", "config", "identify", "log", "loop", "reactions", "robots", "servo", "sim"),
-        *("servo.emulator", "teach", "view"),
+        *("emulator", "teach", "view"),
     )
 ]
 #: What texts call an object of a class.
@@ -87,7 +87,10 @@ def python_texts(path: Path) -> list[str]:
 
 def is_markup(text: str) -> bool:
     """Whether a string is HTML, CSS or JavaScript."""
-    return re.search(r"</|/>|<\w+ |\bfunction\b|\w+:has\(|rgba\(|charset=", text) is not None
+    return (
+        re.search(r"</|/>|<\w+ |\bfunction\b|\w+:has\(|rgba\(|charset=|\b(?:class|style)=", text)
+        is not None
+    )
 
 
 RUST = re.compile(
@@ -106,11 +109,7 @@ def rust_texts(path: Path) -> list[str]:
 @cache
 def texts() -> dict[str, str]:
     """Texts of the package, by themselves, with the file they stand in."""
-    python = [
-        path
-        for path in sorted((ROOT / "python" / "pliant").rglob("*.py"))
-        if "experiments" not in path.parts
-    ]
+    python = sorted((ROOT / "python" / "pliant").rglob("*.py"))
     rust = sorted(
         path for crate in ("core", "py") for path in (ROOT / "rust" / crate / "src").rglob("*.rs")
     )
@@ -497,7 +496,8 @@ def test_extras_exist():
     known = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     named = [
         node.args[1].value
-        for path in (ROOT / "python" / "pliant").rglob("*.py")
+        for folder in ("python/pliant", "experiments")
+        for path in (ROOT / folder).rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Call)
         and getattr(node.func, "id", "") == "missing"

@@ -22,6 +22,8 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+# The pictures are drawn by a folder of the clone that is not installed.
+sys.path.insert(0, str(ROOT))
 EXAMPLES, GALLERY = ROOT / "examples", ROOT / "docs" / "gallery"
 #: Examples whose page has a replay: a file of about 100 KB each.
 REPLAYED = ("01", "07")
@@ -143,7 +145,7 @@ class Film:
         import numpy as np
         from PIL import Image
 
-        from pliant.experiments.figures.pictures import Studio
+        from experiments.figures.pictures import Studio
 
         centre, size = self.scene()
         with Studio(self.plant, size=(330, 280), look_at=centre, distance=1.45 * size) as studio:
@@ -177,7 +179,7 @@ class Film:
         import mujoco
         import numpy as np
 
-        from pliant.experiments.figures.pictures import furnish
+        from experiments.figures.pictures import furnish
 
         spec = self.plant.spec.copy()
         furnish(spec, self.plant, handle=False)

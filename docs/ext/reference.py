@@ -75,6 +75,7 @@ MODULES = {
     "log": "Logs",
     "config": "Arms described in files",
     "servo": "Servos and their buses",
+    "emulator": "Emulated servos on a serial port",
     "sim": "The simulated arm",
 }
 

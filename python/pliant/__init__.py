@@ -42,7 +42,6 @@ from pliant._core import (
 if TYPE_CHECKING:
     from pliant import arm as arm
     from pliant import config as config
-    from pliant import experiments as experiments
     from pliant import feasibility as feasibility
     from pliant import functional as functional
     from pliant import identify as identify
@@ -102,7 +101,6 @@ AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 _PARTS = (
     "arm",
     "config",
-    "experiments",
     "feasibility",
     "functional",
     "identify",

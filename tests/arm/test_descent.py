@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="descents run on the simulator: extra sim")
 
-from pliant.experiments import descent
+from experiments import descent
 
 #: Runs of `descent.jobs` that always take place, by arm; odd ones over a table. `so101` 7 pressed
 #: with 11.4 N where 5 rest, 11 with 12.1, before the press was bounded by its force.

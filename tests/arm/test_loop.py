@@ -8,8 +8,8 @@ import pytest
 from bare_arm import bare_arm
 
 import pliant
+from experiments.mishaps import MISHAPS, suffer
 from pliant.arm.lateness import Lateness
-from pliant.experiments.mishaps import MISHAPS, suffer
 
 
 @pytest.fixture

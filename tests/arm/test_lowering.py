@@ -5,9 +5,9 @@ import pytest
 from mismatch import Mismatch, Parameters
 
 import pliant
+from experiments.lifecycle import LOAD, lower, postures
 from pliant.arm import Lowering
 from pliant.arm.points import Points
-from pliant.experiments.lifecycle import LOAD, lower, postures
 
 #: Delays of sampling and of writing by one tick each [s].
 TICKS = 0.02

@@ -10,11 +10,11 @@ pytest.importorskip("rustypot", reason="servo buses need the extra servo")
 pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
 
 import pliant
+from experiments import bus_lower
+from experiments.lifecycle import LOAD
 from pliant.arm import Arm
-from pliant.experiments import bus_lower
-from pliant.experiments.lifecycle import LOAD
+from pliant.emulator import Mount, emulate
 from pliant.servo import ServoBus, ServoSpec
-from pliant.servo.emulator import Mount, emulate
 
 #: A unit of the speed registers [rad/s].
 STEP, RPM = 2.0 * np.pi / 4096, 0.229 * np.pi / 30.0

@@ -1,6 +1,6 @@
 """Bands: what a correct implementation reaches on the simulated arm, one seed, nothing loosened.
 
-Each test names the preset in `pliant.experiments.laws` that reaches its band. Brackets hold what
+Each test names the preset in `experiments.laws` that reaches its band. Brackets hold what
 was reached when the band was set. Marked `full`: the long form of a test that always runs in part.
 """
 

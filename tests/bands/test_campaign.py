@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from pliant.experiments import campaign_table as table
-from pliant.experiments.campaign_arms import load
-from pliant.experiments.campaign_bench import DISTURBANCES, NOMINAL, Bench
-from pliant.experiments.campaign_jobs import jobs, run
+from experiments import campaign_table as table
+from experiments.campaign_arms import load
+from experiments.campaign_bench import DISTURBANCES, NOMINAL, Bench
+from experiments.campaign_jobs import jobs, run
 
 #: Seeded poses of `arm7`: one (1) has a joint at its stop, one (2) is clear of all of them.
 POSES = range(1, 3)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from mismatch import under
 
+from experiments import compliance, hands
+from experiments.conditions import NOMINAL, Conditions
 from pliant import Axis, Settings
-from pliant.experiments import compliance, hands
-from pliant.experiments.conditions import NOMINAL, Conditions
 
 SOFT, FIRM = 4.0, 15.0  # [N]
 #: Dry friction of the joints that the feed-forward leaves, seen along y, and a little [N].

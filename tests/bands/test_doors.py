@@ -2,7 +2,7 @@
 
 import pytest
 
-from pliant.experiments import doors, laws, resistance
+from experiments import doors, laws, resistance
 
 #: Scene and grip: least angle [deg], largest force [N], both set around the figures in brackets.
 CAP = {

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from mismatch import under
 
-from pliant.experiments import hands, laws, merits
-from pliant.experiments.campaign_jobs import REAL_GEARS
-from pliant.experiments.conditions import Conditions
+from experiments import hands, laws, merits
+from experiments.campaign_jobs import REAL_GEARS
+from experiments.conditions import Conditions
 
 UNKNOWN = Conditions(gears=REAL_GEARS["arm7"])
 KNOWN = Conditions(gears=REAL_GEARS["arm7"], gears_known=True)

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from mismatch import under
 
-from pliant.experiments import goals, laws, merits, rates
+from experiments import goals, laws, merits, rates
 
 #: The preset under test.
 KX = {"kx": 4.8}

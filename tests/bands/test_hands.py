@@ -2,9 +2,9 @@
 
 import pytest
 
-from pliant.experiments import hands, laws
-from pliant.experiments.setups import HORIZONTAL
+from experiments import hands, laws
 from pliant.sim import LIGHT, STRONG
+from pliant.sim.postures import HORIZONTAL
 
 
 def test_rec_follows_a_15_newton_hand():

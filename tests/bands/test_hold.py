@@ -2,8 +2,8 @@
 
 import pytest
 
-from pliant.experiments import hands, laws
-from pliant.experiments.conditions import Conditions
+from experiments import hands, laws
+from experiments.conditions import Conditions
 
 
 def test_paper_without_gravity_model_sags_at_10_newton_metres():

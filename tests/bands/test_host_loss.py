@@ -3,8 +3,8 @@
 import pytest
 
 import pliant
-from pliant.experiments.campaign_arms import load
-from pliant.experiments.host_loss import Bench
+from experiments.campaign_arms import load
+from experiments.host_loss import Bench
 
 #: Below the report by no more than this, as a share.
 LOW = 0.3  # (0.16)

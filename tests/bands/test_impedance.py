@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 
+from experiments import doors, hands, laws
+from experiments.conditions import Conditions
 from pliant import Axis, ConfigError, Controller, Settings, robots
-from pliant.experiments import doors, hands, laws
-from pliant.experiments.conditions import Conditions
-from pliant.experiments.setups import VERTICAL
 from pliant.sim import LIGHT, Plant
+from pliant.sim.postures import VERTICAL
 
 #: Springs as asked for, whatever the delay: as in the study that the figures in brackets are from.
 asked = partial(laws.impedance, accept=("stiffness",))

@@ -5,9 +5,9 @@ from contextlib import nullcontext
 import pytest
 from mismatch import under
 
+from experiments import doors, hands, skills
+from experiments.conditions import NOMINAL, Conditions
 from pliant import Settings
-from pliant.experiments import doors, hands, skills
-from pliant.experiments.conditions import NOMINAL, Conditions
 
 #: A tick of delay each way, friction and damping believed 30 % too low and too high.
 HARDWARE = [Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.3)]

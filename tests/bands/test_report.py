@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant.experiments import host, laws, promise
-from pliant.experiments.conditions import NOMINAL
-from pliant.experiments.episode import run
-from pliant.experiments.setups import AT_DOOR, AXES, HORIZONTAL, VERTICAL, arm, tool
+from experiments import host, laws, promise
+from experiments.conditions import NOMINAL
+from experiments.episode import run
+from experiments.setups import AXES, arm, tool
 from pliant.sim.hand import Course, Push
+from pliant.sim.postures import AT_DOOR, HORIZONTAL, VERTICAL
 
 RANDOM = promise.poses(4, promise.CLEAR)
 #: Axis, side and cap [N, N·m].

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pliant.experiments import host, laws, promise
+from experiments import host, laws, promise
 
 #: Sign and axis of the hand: largest force [N].
 DEAD = {"+y": 11.0, "-y": 17.0, "-x": 14.0, "-z": 11.0}  # (7.9, 12.4, 9.7, 6.9)

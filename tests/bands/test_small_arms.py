@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pliant.experiments import steps
-from pliant.experiments.campaign_arms import BESIDE, ROBOTS
+from experiments import steps
+from experiments.campaign_arms import BESIDE, ROBOTS
 
 COUNT = 3
 #: What the newcomer tried: 0.38 m/s where 0.25 was set, and 28 mm past the target.

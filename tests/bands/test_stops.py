@@ -5,11 +5,11 @@ import pytest
 from mismatch import DRAWN, Mismatch, Parameters
 
 import pliant
+from experiments import quiet
+from experiments.laws import UNBLURRED
 from pliant import robots
-from pliant.experiments import quiet
-from pliant.experiments.laws import UNBLURRED
-from pliant.experiments.setups import VERTICAL
 from pliant.sim import Plant
+from pliant.sim.postures import VERTICAL
 
 #: Start of each arm [rad], caps tried [N], most that the first joint may be driven out [rad].
 ARMS = {

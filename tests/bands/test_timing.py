@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from mismatch import Mismatch, Parameters
 
-from pliant.experiments import doors, hands, laws, metrics
-from pliant.experiments.conditions import Conditions
+from experiments import doors, hands, laws, metrics
+from experiments.conditions import Conditions
 from pliant.sim import LIGHT, ROBUST
 
 ROUGH = {"noise": np.deg2rad(0.05), "read_loss": 0.05, "write_loss": 0.05}

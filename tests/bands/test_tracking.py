@@ -2,9 +2,9 @@
 
 import pytest
 
-from pliant.experiments import laws, tracking
-from pliant.experiments.conditions import Conditions
-from pliant.experiments.setups import AXES
+from experiments import laws, tracking
+from experiments.conditions import Conditions
+from experiments.setups import AXES
 
 #: Rms error over amplitude (.013 .021 .041 .013 .034 .016), other positions [m] (.0044, .0061).
 CAP_SHARE = {"x": 0.025, "y": 0.035, "z": 0.06, "roll": 0.025, "pitch": 0.05, "yaw": 0.03}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pliant.experiments import laws, walls
+from experiments import laws, walls
 
 
 @pytest.mark.parametrize("speed", walls.SPEEDS)

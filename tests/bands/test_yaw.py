@@ -1,6 +1,6 @@
 """A hand turns the tool about an axis that yields; the orientation of a task is followed."""
 
-from pliant.experiments import hands, laws, tracking
+from experiments import hands, laws, tracking
 from pliant.sim import YAW
 
 

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from pliant.cli import main
-from pliant.servo.emulator import Device, Emulator
+from pliant.emulator import Device, Emulator
 
 rustypot = pytest.importorskip("rustypot")
 

@@ -11,7 +11,7 @@ import pytest
 
 import pliant
 from pliant.cli import main
-from pliant.servo.emulator import Device, Emulator
+from pliant.emulator import Device, Emulator
 
 rustypot = pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 

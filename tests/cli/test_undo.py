@@ -7,7 +7,7 @@ import shlex
 import pytest
 
 from pliant.cli import main
-from pliant.servo.emulator import Device, Emulator
+from pliant.emulator import Device, Emulator
 
 pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 

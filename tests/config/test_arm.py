@@ -5,8 +5,8 @@ import pliant
 from pliant import config
 from pliant.config import assemble
 from pliant.config.emulation import emulated
+from pliant.emulator import StepClock
 from pliant.servo import ServoBus
-from pliant.servo.emulator import StepClock
 from pliant.servo.units import Units
 
 

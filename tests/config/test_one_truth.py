@@ -12,8 +12,8 @@ from pliant import config
 from pliant.arm.tables import COLUMNS
 from pliant.config import assemble
 from pliant.config.emulation import emulated
+from pliant.emulator import StepClock
 from pliant.servo import ServoBus
-from pliant.servo.emulator import StepClock
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
 #: Ready files, and robots that are not ours with a file of their own.

@@ -7,11 +7,12 @@ from mismatch import DRAWN, Mismatch, Parameters
 pytest.importorskip("mujoco", reason="contacts are felt in the simulator: extra sim")
 
 import pliant
-from pliant.experiments import contacts_table as table
-from pliant.experiments.contacts import MAIN, Job, measure
-from pliant.experiments.contacts_bench import Bench, Case
-from pliant.experiments.setups import VERTICAL, arm
+from experiments import contacts_table as table
+from experiments.contacts import MAIN, Job, measure
+from experiments.contacts_bench import Bench, Case
+from experiments.setups import arm
 from pliant.sim import Course, Plant, Push
+from pliant.sim.postures import VERTICAL
 
 KNOWN = {"kp_error": 0.0, "gravity_error": 0.0, "friction_error": 0.1}
 

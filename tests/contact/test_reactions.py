@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import pliant
+from experiments.setups import arm
 from pliant import reactions as rx
-from pliant.experiments.setups import VERTICAL, arm
+from pliant.sim.postures import VERTICAL
 
 TARGET = arm().forward_kinematics(VERTICAL)
 

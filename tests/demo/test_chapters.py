@@ -11,17 +11,18 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from experiments import demonstration
+from experiments.chapters import anyarm
+from experiments.chapters.common import Options
+from experiments.result import Verdict
 from pliant import ConfigError
-from pliant.experiments import demo
-from pliant.experiments.chapters import anyarm
-from pliant.experiments.chapters.common import Options
-from pliant.experiments.result import Verdict
+from pliant.sim.postures import task_axes
 
 
 @cache
 def measured(number):
     """Numbers of a quick run of one chapter, as text, so that no test can change another's."""
-    module = demo.EXPERIMENTS[number]
+    module = demonstration.EXPERIMENTS[number]
     options = Options(quick=True, figures=Path("unused"))
     outcomes = {job.key: job.run() for job in module.jobs(options)}
     return json.dumps(module.measure(outcomes), allow_nan=False)
@@ -33,9 +34,9 @@ def statement(chapter, beginning):
     return found[0]
 
 
-@pytest.mark.parametrize("number", demo.EXPERIMENTS)
+@pytest.mark.parametrize("number", demonstration.EXPERIMENTS)
 def test_quick_numbers_carry_every_statement(number):
-    chapter = demo.EXPERIMENTS[number].chapter(json.loads(measured(number)))
+    chapter = demonstration.EXPERIMENTS[number].chapter(json.loads(measured(number)))
     assert chapter.number == number
     assert chapter.statements()
     assert chapter.headline
@@ -47,9 +48,9 @@ def test_quick_numbers_carry_every_statement(number):
         assert s.verdict is not Verdict.DISAGREES, s
 
 
-@pytest.mark.parametrize("number", demo.EXPERIMENTS)
+@pytest.mark.parametrize("number", demonstration.EXPERIMENTS)
 def test_full_runs_have_names_of_their_own(number):
-    module = demo.EXPERIMENTS[number]
+    module = demonstration.EXPERIMENTS[number]
     full, quick = (
         [job.key for job in module.jobs(Options(quick=q, figures=Path("unused")))]
         for q in (False, True)
@@ -87,7 +88,7 @@ FLIPS = [
 
 @pytest.mark.parametrize(("number", "claim", "path", "wrong"), FLIPS)
 def test_a_wrong_number_flips_its_verdict(number, claim, path, wrong):
-    module, numbers = demo.EXPERIMENTS[number], json.loads(measured(number))
+    module, numbers = demonstration.EXPERIMENTS[number], json.loads(measured(number))
     before = statement(module.chapter(copy.deepcopy(numbers)), claim)
     put(numbers, path, wrong)
     after = statement(module.chapter(numbers), claim)
@@ -97,7 +98,7 @@ def test_a_wrong_number_flips_its_verdict(number, claim, path, wrong):
 
 
 def test_a_wrong_matrix_flips_the_verdicts_of_the_first_chapter():
-    module, numbers = demo.EXPERIMENTS[1], json.loads(measured(1))
+    module, numbers = demonstration.EXPERIMENTS[1], json.loads(measured(1))
     share = np.array(numbers["activation"]["vertical"])
     numbers["activation"]["vertical"] = np.roll(share, 1, axis=0).tolist()
     numbers["largest_difference"]["vertical"] = 0.2
@@ -107,7 +108,7 @@ def test_a_wrong_matrix_flips_the_verdicts_of_the_first_chapter():
 
 
 def test_reasons_follow_the_numbers():
-    module, numbers = demo.EXPERIMENTS[2], json.loads(measured(2))
+    module, numbers = demonstration.EXPERIMENTS[2], json.loads(measured(2))
     claim = "Let go, the tool moves back"
     assert statement(module.chapter(numbers), claim).verdict is Verdict.DIFFERS
     for eta in ("0", "0.9"):
@@ -118,9 +119,9 @@ def test_reasons_follow_the_numbers():
 
 def test_an_experiment_that_does_not_exist_is_named_with_those_that_do():
     with pytest.raises(ConfigError, match=r"no experiment 9; choose from 1 \(Which joint"):
-        demo.choose(demo.EXPERIMENTS, (1, 9))
-    assert list(demo.choose(demo.EXPERIMENTS, (5, 2))) == [2, 5]
-    assert list(demo.choose(demo.EXPERIMENTS, ())) == [1, 2, 3, 4, 5, 6]
+        demonstration.choose(demonstration.EXPERIMENTS, (1, 9))
+    assert list(demonstration.choose(demonstration.EXPERIMENTS, (5, 2))) == [2, 5]
+    assert list(demonstration.choose(demonstration.EXPERIMENTS, ())) == [1, 2, 3, 4, 5, 6]
 
 
 @pytest.mark.parametrize(
@@ -128,7 +129,7 @@ def test_an_experiment_that_does_not_exist_is_named_with_those_that_do():
     [(7, "x y z roll pitch yaw"), (6, "x y z roll pitch yaw"), (5, "x y z"), (4, "x z pitch")],
 )
 def test_task_axes_follow_the_number_of_joints(joints, axes):
-    assert " ".join(anyarm.task_axes(joints)) == axes
+    assert " ".join(task_axes(joints)) == axes
 
 
 def test_the_pose_of_an_arm_is_inside_its_limits_and_can_hold_itself():

@@ -1,11 +1,16 @@
 """The command line: fast where it can be, and every error one line."""
 
+import re
+
 import pytest
 
 import pliant
+from experiments.demo import main as demo
 from pliant.cli import COMMANDS, main
 
-WITHOUT = "import sys; sys.modules['{name}'] = None; from pliant.cli import main; sys.exit(main())"
+WITHOUT = (
+    "import sys; sys.modules['{name}'] = None; from experiments.demo import main; sys.exit(main())"
+)
 LIGHT = """
 import sys
 from pliant.cli import main
@@ -31,31 +36,33 @@ def test_help_and_version_load_nothing_heavy(pliant_command):
     assert done.returncode == 0, done.stderr
 
 
-def test_help_of_the_demo_explains_its_flags(pliant_command):
-    done = pliant_command("demo", "--help")
+def test_help_of_the_demo_explains_its_flags(demo_command):
+    done = demo_command("--help")
     assert done.returncode == 0
     for flag in ("--out", "--only", "--quick", "--robot", "--urdf", "--base", "--tip", "--jobs"):
         assert flag in done.stdout
+    assert "--urdf FILE" in done.stdout
+    assert not re.search(r"\{None\}\|(STR|PATH)", done.stdout)
 
 
 ONE_LINE = [
-    (["demmo"], "did you mean 'demo'"),
-    (["--verson"], "no flag '--verson'"),
-    (["demo", "--only", "x"], "such as 1,3; got 'x'"),
-    (["demo", "--only", "1,9"], "no experiment 9; choose from 1"),
-    (["demo", "--jobs", "0"], "--jobs must be within 1 and"),
-    (["demo", "--tip", "tool"], "belong to --urdf"),
-    (["demo", "--urdf", "nowhere.urdf"], "nowhere.urdf"),
-    (["demo", "--robot", "koch", "--only", "5"], "no experiment 5"),
+    (main, ["teech"], "did you mean 'teach'"),
+    (main, ["--verson"], "no flag '--verson'"),
+    (demo, ["--only", "x"], "such as 1,3; got 'x'"),
+    (demo, ["--only", "1,9"], "no experiment 9; choose from 1"),
+    (demo, ["--jobs", "0"], "--jobs must be within 1 and"),
+    (demo, ["--tip", "tool"], "belong to --urdf"),
+    (demo, ["--urdf", "nowhere.urdf"], "nowhere.urdf"),
+    (demo, ["--robot", "koch", "--only", "5"], "no experiment 5"),
 ]
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"), ONE_LINE, ids=lambda v: v if isinstance(v, str) else None
+    ("command", "arguments", "words"), ONE_LINE, ids=lambda v: v if isinstance(v, str) else None
 )
-def test_errors_are_one_line(capsys, arguments, words):
+def test_errors_are_one_line(capsys, command, arguments, words):
     pytest.importorskip("mujoco")
-    assert main(arguments) == 2
+    assert command(arguments) == 2
     caught = capsys.readouterr()
     assert caught.err.startswith("error: ")
     assert caught.err.count("\n") == 1
@@ -63,7 +70,7 @@ def test_errors_are_one_line(capsys, arguments, words):
 
 
 def test_an_unknown_flag_gets_a_suggestion(capsys):
-    assert main(["demo", "--qick"]) == 2
+    assert demo(["--qick"]) == 2
     assert "--quick" in capsys.readouterr().err
 
 
@@ -71,7 +78,7 @@ def test_a_refused_urdf_is_one_line(capsys, tmp_path):
     pytest.importorskip("mujoco")
     bad = tmp_path / "bad.urdf"
     bad.write_text("<robot name='r'><link name='a'/>", encoding="utf-8")
-    assert main(["demo", "--urdf", str(bad)]) == 2
+    assert demo(["--urdf", str(bad)]) == 2
     caught = capsys.readouterr().err
     assert caught.startswith("error: ")
     assert "bad.urdf" in caught
@@ -79,25 +86,25 @@ def test_a_refused_urdf_is_one_line(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["mujoco", "matplotlib"])
-def test_a_missing_extra_names_the_pip_command(pliant_command, name):
-    done = pliant_command("demo", code=WITHOUT.format(name=name))
+def test_a_missing_extra_names_the_pip_command(demo_command, name):
+    done = demo_command(code=WITHOUT.format(name=name))
     assert done.returncode == 2
-    assert done.stderr.startswith('error: the demo needs the extra "demo": ')
-    assert done.stderr.strip().endswith(" install 'pliant[demo]'")
+    assert done.stderr.startswith('error: the demo needs the extra "experiments": ')
+    assert done.stderr.strip().endswith(" install 'pliant[experiments]'")
 
 
 def test_a_folder_that_cannot_be_made_is_one_line(capsys, tmp_path):
     pytest.importorskip("mujoco")
     file = tmp_path / "file"
     file.write_text("", encoding="utf-8")
-    assert main(["demo", "--quick", "--only", "1", "--jobs", "1", "--out", str(file)]) == 2
+    assert demo(["--quick", "--only", "1", "--jobs", "1", "--out", str(file)]) == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith("error: ")
 
 
 def test_bands_that_are_missed_are_said_with_number_and_reason():
     pytest.importorskip("mujoco")
-    from pliant.cli.demo import missed
-    from pliant.experiments.result import Chapter, Check, Figure, Statement
+    from experiments.demo import missed
+    from experiments.result import Chapter, Check, Figure, Statement
 
     kept = Check(name="force", value=3.0, high=4.0, unit="N")
     tests = (kept, Check(name="drift", value=0.0123, low=0.001, high=0.01, unit="m"))

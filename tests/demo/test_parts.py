@@ -6,19 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pliant.experiments.chapters import common
-from pliant.experiments.result import (
-    Check,
-    Statement,
-    Verdict,
-    at_least,
-    at_most,
-    between,
-    listed,
-    mm,
-    near,
-)
-from pliant.experiments.runner import Job, Workers, prefixed
+from experiments.chapters import common
+from experiments.result import Check, Statement, Verdict, at_least, at_most, between, mm, near
+from experiments.runner import Job, Workers, prefixed
+from pliant._report.words import listed
 
 
 def test_a_test_includes_its_bounds_and_no_number_passes_that_is_none():

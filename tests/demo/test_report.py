@@ -87,8 +87,8 @@ def check_folder(folder, done):
     return content, text
 
 
-def test_quick_demo_leaves_a_report_that_needs_nothing(pliant_command, tmp_path):
-    done = pliant_command("demo", "--quick", "--out", "here")
+def test_quick_demo_leaves_a_report_that_needs_nothing(demo_command, tmp_path):
+    done = demo_command("--quick", "--out", "here")
     content, text = check_folder(tmp_path / "here", done)
     assert sorted(content["experiments"]) == ["1", "2", "3", "4", "5", "6"]
     for experiment in content["experiments"].values():
@@ -100,9 +100,9 @@ def test_quick_demo_leaves_a_report_that_needs_nothing(pliant_command, tmp_path)
         assert f"{name} {version}" in text
 
 
-def test_processes_do_not_change_a_digit(pliant_command, tmp_path):
+def test_processes_do_not_change_a_digit(demo_command, tmp_path):
     for jobs in ("1", "2"):
-        done = pliant_command("demo", "--quick", "--only", "2", "--jobs", jobs, "--out", jobs)
+        done = demo_command("--quick", "--only", "2", "--jobs", jobs, "--out", jobs)
         assert done.returncode == 0, done.stderr
     one, two = ((tmp_path / jobs / "results.json").read_bytes() for jobs in ("1", "2"))
     assert one == two
@@ -110,16 +110,16 @@ def test_processes_do_not_change_a_digit(pliant_command, tmp_path):
         assert figure.read_bytes() == (tmp_path / "2" / "figures" / figure.name).read_bytes()
 
 
-def test_a_machine_that_cannot_draw_gets_a_report_without_pictures(pliant_command, tmp_path):
-    args = ("demo", "--quick", "--only", "1", "--jobs", "1", "--out", "here")
-    done = pliant_command(*args, MUJOCO_GL="disable")
+def test_a_machine_that_cannot_draw_gets_a_report_without_pictures(demo_command, tmp_path):
+    args = ("--quick", "--only", "1", "--jobs", "1", "--out", "here")
+    done = demo_command(*args, MUJOCO_GL="disable")
     _, text = check_folder(tmp_path / "here", done)
     assert "data:image/" not in text
 
 
 @pytest.mark.parametrize("robot", ["so101", "koch"])
-def test_quick_demo_of_a_small_arm(pliant_command, tmp_path, robot):
-    done = pliant_command("demo", "--quick", "--robot", robot, "--out", "here")
+def test_quick_demo_of_a_small_arm(demo_command, tmp_path, robot):
+    done = demo_command("--quick", "--robot", robot, "--out", "here")
     content, _ = check_folder(tmp_path / "here", done)
     assert content["robot"] == robot
     assert content["experiments"]["2"]["numbers"]["soft_axis"] == "y"
@@ -136,10 +136,10 @@ def robots():
 
 @pytest.mark.skipif(not robots(), reason="../shared/robots is absent: no reference arms to try")
 @pytest.mark.parametrize("robot", robots(), ids=lambda robot: robot[0].parent.name)
-def test_quick_demo_of_a_urdf(pliant_command, tmp_path, robot):
+def test_quick_demo_of_a_urdf(demo_command, tmp_path, robot):
     urdf, base, tip = robot
     args = ["--urdf", str(urdf), "--base", base, "--tip", tip]
     args += ["--only", "2", "--jobs", "1", "--out", "here"]
-    done = pliant_command("demo", "--quick", *args)
+    done = demo_command("--quick", *args)
     _, text = check_folder(tmp_path / "here", done)
     assert "guessed from the effort" in text

@@ -7,8 +7,8 @@ import termios
 import time
 import tty
 
+from pliant.emulator import Device, Line
 from pliant.extras import missing
-from pliant.servo.emulator import Device, Line
 
 BAUD = 1_000_000
 

@@ -13,7 +13,7 @@ import rustypot
 import scservo_sdk as scs
 from emulator.helpers import four, two
 
-from pliant.servo.emulator import Device, Emulator
+from pliant.emulator import Device, Emulator
 
 BAUD = 1_000_000
 IDS = [1, 2, 3]

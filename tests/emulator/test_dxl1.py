@@ -7,7 +7,7 @@ import math
 import pytest
 from emulator.helpers import ask, one, p1, pass_time, read1, two, wire, write1
 
-from pliant.servo.emulator import Device
+from pliant.emulator import Device
 
 ANGLE, RANGE, OVERLOAD, INSTRUCTION = 0x02, 0x08, 0x20, 0x40
 FAMILY = ["EX-106+", "RX-64", "MX-28", "MX-64", "MX-106"]

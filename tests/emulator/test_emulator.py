@@ -12,8 +12,8 @@ import pytest
 from emulator.helpers import Host, p1, two
 
 from pliant import ConfigError, ServoError
-from pliant.servo.emulator import Device, Emulator, StepClock, Timing
-from pliant.servo.emulator.line import Line
+from pliant.emulator import Device, Emulator, StepClock, Timing
+from pliant.emulator.line import Line
 
 
 def sts(count=1, **options):

@@ -8,9 +8,9 @@ import pytest
 from emulator.helpers import two
 
 from pliant import ConfigError
-from pliant.servo.emulator import MODELS, Device, Load
-from pliant.servo.emulator.models import ALIASES
-from pliant.servo.emulator.world import World
+from pliant.emulator import MODELS, Device, Load
+from pliant.emulator.models import ALIASES
+from pliant.emulator.world import World
 
 
 def world(model, **registers):

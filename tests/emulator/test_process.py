@@ -9,7 +9,7 @@ import pytest
 from emulator.helpers import Host, p1, two, without_extra
 
 from pliant import ConfigError, ServoError
-from pliant.servo.emulator import Device, Emulator, Remote
+from pliant.emulator import Device, Emulator, Remote
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ pytest.importorskip("mujoco", reason="the arm needs the extra sim")
 pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 
 import pliant
+from pliant.emulator import Faults, Mount, emulate
 from pliant.servo import ServoBus, ServoSpec
-from pliant.servo.emulator import Faults, Mount, emulate
 
 TICK = 0.01
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from emulator.helpers import ask, one, p1, pass_time, read1, two, wire, write1
 
-from pliant.servo.emulator import Device
+from pliant.emulator import Device
 
 OVERLOAD, HEAT, VOLTAGE = 0x20, 0x04, 0x01
 GOAL = (0x00, 0x08, 0, 0, 0xE8, 0x03)

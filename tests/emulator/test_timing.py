@@ -6,8 +6,8 @@ import pytest
 from emulator.helpers import p1, two
 
 from pliant import ConfigError
-from pliant.servo.emulator import Device, Line, Timing
-from pliant.servo.emulator.wire import packet_2
+from pliant.emulator import Device, Line, Timing
+from pliant.emulator.wire import packet_2
 
 IDS = list(range(1, 8))
 

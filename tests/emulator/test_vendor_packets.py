@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pliant.servo.emulator import Device, Line
-from pliant.servo.emulator.wire import crc16, stuff, unstuff
+from pliant.emulator import Device, Line
+from pliant.emulator.wire import crc16, stuff, unstuff
 
 
 def line(*devices, **values):

@@ -7,8 +7,8 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 import pliant.robots
+from experiments.capturing import tried
 from pliant import identify
-from pliant.experiments.capturing import tried
 from pliant.sim import Plant
 
 COUNT = np.deg2rad(0.088)

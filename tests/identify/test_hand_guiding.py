@@ -7,7 +7,7 @@ import pytest
 from mismatch import Mismatch, Parameters
 
 import pliant
-from pliant.experiments.floating import floated
+from experiments.floating import floated
 
 
 def afloat(arm, pose, kp):

@@ -5,8 +5,8 @@ import pytest
 from mismatch import Mismatch, Parameters
 
 import pliant
+from experiments import identification as experiment
 from pliant import identify, robots
-from pliant.experiments import identification as experiment
 from pliant.sim import Plant
 
 #: Largest errors: k_p of joints with and without gravity, friction, damping [1]; delay [s].

@@ -5,8 +5,8 @@ import pytest
 from mismatch import Mismatch, Parameters
 
 import pliant
+from experiments.identification import COUNT, LIFTS, STARTS
 from pliant import identify, robots
-from pliant.experiments.identification import COUNT, LIFTS, STARTS
 from pliant.identify.slides import first_moments, payload_rows
 
 

@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
 
+from pliant.emulator import Device, Emulator, StepClock
 from pliant.servo import BusError, ServoBus, ServoSpec
-from pliant.servo.emulator import Device, Emulator, StepClock
 
 
 class FakeBus:

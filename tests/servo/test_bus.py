@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pliant import ConfigError, ServoError, ShapeError
+from pliant.emulator import Device, Emulator, StepClock
 from pliant.servo import ServoBus, ServoSpec
-from pliant.servo.emulator import Device, Emulator, StepClock
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
 

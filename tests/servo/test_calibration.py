@@ -9,8 +9,8 @@ from pliant import config
 from pliant.config import assemble
 from pliant.config.doctor import examine
 from pliant.config.emulation import emulated, mounts
+from pliant.emulator import StepClock, emulate
 from pliant.servo import ServoBus
-from pliant.servo.emulator import StepClock, emulate
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 

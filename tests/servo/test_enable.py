@@ -4,11 +4,11 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from tests.servo.conftest import JOINTS, devices
 
 from pliant import ServoError
+from pliant.emulator import Emulator, StepClock
 from pliant.servo import ServoBus, ServoSpec
-from pliant.servo.emulator import Emulator, StepClock
+from tests.servo.conftest import JOINTS, devices
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
 #: Old goals are this far off [counts]: 44° on most encoders.
@@ -205,7 +205,7 @@ def test_compliance_that_another_program_left_does_not_weaken_a_servo(
 
 
 def test_a_pwm_limit_bounds_the_torque_that_is_reported():
-    from pliant.servo.emulator import Device
+    from pliant.emulator import Device
 
     part = Device("XM430-W350", 1, operating_mode=5, return_delay_time=0, pwm_limit=300)
     with Emulator([part], clock="steps") as bus, chain_on(bus, "xm", 1, patience=0.1) as chain:

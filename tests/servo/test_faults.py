@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from tests.servo.conftest import devices
 
 from pliant import ServoError, ServoFaultError
+from pliant.emulator import Emulator, StepClock
 from pliant.servo import BusError, ServoBus, ServoSpec
-from pliant.servo.emulator import Emulator, StepClock
+from tests.servo.conftest import devices
 
 PROTOCOLS = ["sts", "xm", "mx"]
 
@@ -432,7 +432,7 @@ def test_positions_go_on_across_the_seam(emulated, enabled):
 
 
 def test_chance_faults_never_give_a_stale_sample(emulated, enabled):
-    from pliant.servo.emulator import Faults
+    from pliant.emulator import Faults
 
     faults = Faults(seed=3)
     with emulated("sts", 6, clock="steps", faults=faults) as (bus, chain):

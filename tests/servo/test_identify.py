@@ -5,8 +5,8 @@ import time
 import pytest
 
 from pliant import ServoError
+from pliant.emulator import Device, Emulator, Timing
 from pliant.servo import ServoBus, ServoSpec
-from pliant.servo.emulator import Device, Emulator, Timing
 
 
 def opened(bus, *specs, **options):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pliant import ConfigError, Servos
+from pliant.emulator import MODELS as EMULATED
 from pliant.servo import ServoSpec, Units, find, names
-from pliant.servo.emulator import MODELS as EMULATED
 from pliant.servo.models import by_number
 
 ALL = names()

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
 
 from pliant import ServoError
-from pliant.servo.emulator import Device, Emulator, Timing
+from pliant.emulator import Device, Emulator, Timing
 from pliant.servo.scan import scan
 
 MODELS = {"xl": "XL430-W250", "sts": "STS3215", "mx": "MX-64"}

@@ -8,8 +8,8 @@ pytest.importorskip("mujoco", reason="an arm behind the emulator needs the extra
 import pliant
 import pliant.robots
 from pliant.arm import Arm
+from pliant.emulator import Faults, Mount, StepClock, emulate
 from pliant.servo import ServoBus, ServoSpec
-from pliant.servo.emulator import Faults, Mount, StepClock, emulate
 
 START = np.array([0.0, -0.5, 0.8, 0.3, 0.0])
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from pliant.emulator import Timing
 from pliant.servo import wire_bytes, wire_time
-from pliant.servo.emulator import Timing
 from pliant.servo.wire import reply_timeout
 
 

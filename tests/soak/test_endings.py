@@ -16,7 +16,7 @@ pytest.importorskip("pydantic", reason="the configurations need the extra config
 
 from soak.watched import so101
 
-from pliant.servo.emulator import Remote
+from pliant.emulator import Remote
 
 # A test run in the background is told to ignore Ctrl-C, and would hand that on.
 PROGRAM = """

@@ -8,8 +8,8 @@ pytest.importorskip("mujoco", reason="the arm behind the servos needs the extra 
 pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 pytest.importorskip("pydantic", reason="the configurations need the extra config")
 
-from pliant.experiments.bus_mishaps import MISHAPS
-from pliant.experiments.faults import WHEN, suffer
+from experiments.bus_mishaps import MISHAPS
+from experiments.faults import WHEN, suffer
 
 BY_TITLE = {mishap.title: mishap for mishap in MISHAPS}
 #: A computer may be busy for so long where every servo answers [s].

@@ -9,9 +9,9 @@ pytest.importorskip("mujoco", reason="the arm behind the servos needs the extra 
 pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 pytest.importorskip("pydantic", reason="the configurations need the extra config")
 
-from pliant.experiments import soak
-from pliant.experiments.bus_arm import FAMILIES, stepped
-from pliant.experiments.bus_audit import Audit
+from experiments import soak
+from experiments.bus_arm import FAMILIES, stepped
+from experiments.bus_audit import Audit
 
 
 @pytest.mark.parametrize("family", FAMILIES)

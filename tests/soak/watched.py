@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from experiments.faults import Watcher
 from pliant import config
 from pliant.config.emulation import emulated
-from pliant.experiments.faults import Watcher
 
 
 def so101():

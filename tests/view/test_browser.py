@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant.experiments.setups import VERTICAL
 from pliant.sim import Plant
+from pliant.sim.postures import VERTICAL
 from pliant.view.world import FOV, GIZMO, overlook
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pliant import ConfigError, ServoError
+from pliant import ConfigError, ServoError, robots
 from pliant.view import orders
 from pliant.view.link import PageGone
 from pliant.view.session import Session
@@ -353,3 +353,12 @@ def test_page_that_goes_during_the_descent_does_not_stop_it(script):
     session.run(1)
     assert not session._arm.enabled
     assert session._body.plant.tool[2, 3] < session.home[2, 3] - 0.2
+
+
+@pytest.mark.parametrize("robot", robots.names())
+def test_every_built_in_arm_stands_inside_its_limits(robot):
+    source = Simulated(robot)
+    q = source.scenes["free"].q
+    assert q.shape == (source.model.n,)
+    assert (q > source.model.lower).all()
+    assert (q < source.model.upper).all()

@@ -14,19 +14,17 @@ from typing import TYPE_CHECKING
 import pliant
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 #: Files that are named in place of one that is not there.
 SHOWN = 8
 #: Module and summary of each command; the module has a function `run` whose arguments are the
 #: flags.
 COMMANDS = {
-    "demo": ("pliant.cli.demo", "run the paper's experiments on the simulator and leave a report"),
     "scan": ("pliant.cli.scan", "find servos: ports, speeds, ids, models"),
     "doctor": ("pliant.cli.doctor", "say what stands between a configuration and a soft arm"),
     "setup": ("pliant.cli.setup", "set up servos: the only command that writes their EEPROM"),
     "run": ("pliant.cli.run", "hold an arm compliantly, or let it follow targets"),
-    "bench": ("pliant.cli.bench", "time a step on this machine: latency, loop rate"),
     "teach": ("pliant.cli.teach", "lead an arm by hand and keep the motion"),
     "view": ("pliant.cli.view", "push a simulated arm in the browser, or watch a real one"),
     "replay": ("pliant.cli.replay", "play a motion, softly: what is blocked waits"),
@@ -50,8 +48,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code: 0, 2 for an error that was explained in one line, 130 after Ctrl-C, 143 after
         SIGTERM, 129 after SIGHUP, 131 after SIGQUIT, 141 if nobody reads its output.
     """
+    return _guarded(lambda: _run(list(sys.argv[1:] if arguments is None else arguments)))
+
+
+def program(
+    run: Callable[..., object], prog: str, summary: str, arguments: Sequence[str] | None = None
+) -> int:
+    """Run a function as a program of its own, with the flags and errors of a command.
+
+    Args:
+        run: The function; its arguments are the flags.
+        prog: Name of the program in its help.
+        summary: One line for its help.
+        arguments: Without the name of the program; default those of the process.
+
+    Returns:
+        Exit code, as `main`.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    return _guarded(lambda: _call(lambda: run, prog, summary, given))
+
+
+def _guarded(call: Callable[[], int]) -> int:
+    """Return the exit code of a call, also where its output is closed."""
     try:
-        return _run(list(sys.argv[1:] if arguments is None else arguments))
+        return call()
     except BrokenPipeError:  # `pliant … | head`: nobody reads on, and nothing more can be said
         return CUT_OFF
     finally:
@@ -75,15 +96,21 @@ def _run(given: list[str]) -> int:
     # A command says how it leaves an arm in simulated time too.
     logging.getLogger("pliant.arm").setLevel(logging.DEBUG)
     module, summary = COMMANDS[first]
+    return _call(lambda: import_module(module).run, f"pliant {first}", summary, given[1:])
+
+
+def _call(
+    load: Callable[[], Callable[..., object]], prog: str, summary: str, given: list[str]
+) -> int:
+    """Load a function, run it with flags as arguments, and explain its errors in one line."""
     try:
         import tyro
 
-        command = import_module(module).run
         tyro.cli(
-            command,
-            prog=f"pliant {first}",
+            load(),
+            prog=prog,
             description=summary[0].upper() + summary[1:] + ".",
-            args=given[1:],
+            args=given,
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
         )
     except OSError as error:

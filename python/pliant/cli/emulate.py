@@ -11,7 +11,7 @@ from rich.console import Console
 from pliant import ConfigError
 from pliant.background import step_forward
 from pliant.cli.flags import ArmName, Files, Seconds
-from pliant.servo.emulator import Faults, Timing
+from pliant.emulator import Faults, Timing
 
 #: Signals of a service's manager, a terminal that closes, and Ctrl-\\.
 ENDS = tuple(

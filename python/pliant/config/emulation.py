@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 from pliant.arm.checks import vector
 from pliant.config import assemble, build
+from pliant.emulator import Mount, emulate
+from pliant.emulator.process import Remote
 from pliant.servo import ServoBus, find
-from pliant.servo.emulator import Mount, emulate
-from pliant.servo.emulator.process import Remote
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from pliant import Model
     from pliant.config.schema import Config, Servo
+    from pliant.emulator.arm import ArmEmulator
     from pliant.servo.calibration import Calibration
-    from pliant.servo.emulator.arm import ArmEmulator
 
 #: Least time to wait for an answer [s]: the emulator shares the machine with its host.
 PATIENCE = 0.05
@@ -59,7 +59,7 @@ def emulated(config: Config, *, q: ArrayLike | None = None, **options: Any) -> A
     Args:
         config: The configuration.
         q: Where the arm stands first (n,) [rad]; None: as `assemble.start` says.
-        **options: Of `pliant.servo.emulator.emulate`: `timing`, `faults`, `clock`, `plant`, ...
+        **options: Of `pliant.emulator.emulate`: `timing`, `faults`, `clock`, `plant`, ...
     """
     model = config.model()
     plant = dict(options.pop("plant", None) or {})

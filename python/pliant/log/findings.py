@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant.experiments.result import listed
+from pliant._report.words import listed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant.experiments.figures import style
+from pliant._report import style
 from pliant.log.findings import Span, health, since, unit
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
-from pliant.experiments import page, provenance
-from pliant.experiments.result import Table
+from pliant._report import page, provenance
+from pliant._report.page import Table
 from pliant.log import felt as feeling
 from pliant.log import findings, pictures
 

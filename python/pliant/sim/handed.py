@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from pliant.sim.plant import Plant
     from pliant.sim.spec import Build
 
+#: Distance of the tool from its target at which the gripper opens [m].
+OPENS = 0.05
+
 
 @dataclass(kw_only=True)
 class Handed(Gripped):

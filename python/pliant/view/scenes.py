@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
-from pliant.experiments.chapters import anyarm
-from pliant.experiments.setups import AT_DOOR, VERTICAL
-from pliant.experiments.skills import OPENS
 from pliant.sim import Course, Handed, Wall, door, drawer
+from pliant.sim.handed import OPENS
+from pliant.sim.postures import AT_DOOR, VERTICAL
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -75,8 +74,7 @@ def scenes(robot: str) -> tuple[pliant.Model, Mapping[str, Scene]]:
         ConfigError: No such arm.
     """
     if robot != "arm7":
-        arm = anyarm.load(anyarm.Source(name=robot))
-        return arm.model, of_any(np.array(AHEAD.get(robot, arm.pose)))
+        return pliant.robots.load(robot), of_any(np.array(AHEAD[robot]))
     free = Scene(
         about="Nothing around it: push the arm, or drag its target.", preset="soft y", q=VERTICAL
     )

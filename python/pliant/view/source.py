@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import pliant
 from pliant import ConfigError
 from pliant.config.build import inside
-from pliant.experiments.chapters.anyarm import task_axes
+from pliant.sim.postures import task_axes
 
 if TYPE_CHECKING:
     from pathlib import Path

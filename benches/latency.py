@@ -1,0 +1,252 @@
+"""How long a step takes on this machine, and the loop rate that it allows.
+
+    make bench                                          the built-in arm
+    make bench ARGS='--robot so101 --soft "x y"'        a ready arm or a configuration file
+    make bench ARGS='--urdf my_arm.urdf --law paper'    any URDF; its servos are made up
+
+Calls that do nothing are timed beside it and subtracted.
+"""
+
+from __future__ import annotations
+
+import gc
+import platform
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import pliant
+from pliant import config
+from pliant.cli import program
+from pliant.cli.flags import Axes, File, Frame, OtherArm, OtherAxes
+from pliant.cli.soft import check_soft
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+Law = Literal["cap", "impedance", "paper"]
+
+#: States in turn, so that no call repeats the one before.
+STATES = 256
+#: Share of a period that may be spent in the step; the rest belongs to the bus.
+SHARE = 0.1
+#: Share of the time in which this program had to wait for a core, from which on that is said.
+BUSY = 0.002
+#: Bins of the histogram, as ratios of the median.
+EDGES = (0.0, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 5.0, 20.0, np.inf)
+BAR = 40
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Times of single calls [s].
+
+    Attributes:
+        times: One a call, in order.
+    """
+
+    times: Array
+
+    def at(self, percent: float) -> float:
+        """Percentile [s]."""
+        return float(np.percentile(self.times, percent))
+
+    def less(self, seconds: float) -> Latency:
+        """The same without what each call costs beside the work; never below zero."""
+        return Latency(np.maximum(self.times - seconds, 0.0))
+
+
+def run(
+    *,
+    urdf: File = None,
+    tip: Frame = None,
+    robot: OtherArm = None,
+    law: Law | None = None,
+    axes: Axes = "",
+    soft: OtherAxes = None,
+    calls: int = 1_000_000,
+) -> None:
+    """Time single steps on this machine, garbage collector on, beside calls that do nothing.
+
+    Args:
+        urdf: URDF of an arm, in place of a configured one; its servos are then made up.
+        tip: Frame of the tool in it; may be left out where the choice is clear.
+        robot: Name of a ready arm (arm7, so101, koch, vx300s, ...) or a configuration file; default
+            arm7.
+        law: cap, impedance or paper; default: as the arm's configuration has it.
+        axes: Axes of the task, e.g. "xyz"; default: as the arm's configuration has it, and as many
+            as the arm has joints for with --urdf.
+        soft: Axes that yield; "" for none. Default: y, or the first axis of a task without it.
+        calls: How many steps are timed.
+    """
+    if calls < 100:
+        raise pliant.ConfigError(f"--calls must be at least 100, got {calls}")
+    if urdf is not None and robot is not None:
+        raise pliant.ConfigError(f"--urdf {urdf} and --robot {robot} are two arms: give one")
+    if urdf is None and tip is not None:
+        raise pliant.ConfigError(f"--tip {tip} belongs to --urdf, which was not given")
+    if urdf is not None:
+        model = pliant.Model.from_urdf(urdf, tip=tip)
+        settings = pliant.Settings(task=pliant.Task(axes=_axes(model)))
+    else:
+        read = config.load(robot or "arm7")
+        model, settings = read.model(), read.settings()
+    servos = _guessed(model) if model.servos is None else model.servos
+    controller = pliant.Controller(model, _wanted(settings, axes, law, soft), servos)
+    states = path(model)
+    targets = [model.forward_kinematics(q) for q in (*states[2:], *states[:2])]
+
+    def step(i: int) -> object:
+        command = controller.step(states[i], targets[i])
+        return command.goal, command.torque_limit
+
+    empty = measure(lambda i: states[i], calls)
+    before, start = _waited(), time.perf_counter()
+    found = measure(step, calls).less(empty.at(50.0))
+    taken = (_waited() - before) / (time.perf_counter() - start)
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(
+        f"{model.name}: {model.n} joints, law {controller.settings.law}, instructions "
+        f"{getattr(controller, 'instructions', 'of any machine')}; "
+        f"{_processor()}, CPython {platform.python_version()}"
+    )
+    console.print(_percentiles(found, empty.less(empty.at(50.0))))
+    console.print(_histogram(found))
+    rates = [_round(SHARE / max(found.at(p), 1e-9)) for p in (50.0, 99.9)]
+    console.print(
+        f"Within {SHARE:.0%} of a period, half of the steps end at {rates[0]:,.0f} Hz, 99.9 % of "
+        f"them at {rates[1]:,.0f} Hz."
+    )
+    if taken > BUSY:
+        console.print(
+            f"[yellow]note[/] other programs had this core for {taken:.0%} of the time: all beyond "
+            "the median is theirs too"
+        )
+
+
+def path(model: pliant.Model) -> list[Array]:
+    """A closed path through the middle of the joint ranges; continuous joints take ± π."""
+    low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
+    high = np.where(np.isfinite(model.upper), model.upper, np.pi)
+    turns = 2.0 * np.pi * np.arange(STATES) / STATES
+    wave = np.sin(turns[:, None] + 0.9 * np.arange(model.n))
+    return list(0.5 * (low + high) + 0.2 * (high - low) * wave)
+
+
+def measure(call: Callable[[int], object], calls: int) -> Latency:
+    """Time calls one by one, with the number of the state, the garbage collector on."""
+    times = np.empty(calls)
+    now = time.perf_counter_ns
+    for i in range(STATES):
+        call(i)
+    was = gc.isenabled()
+    gc.enable()
+    try:
+        for i in range(calls):
+            start = now()
+            call(i % STATES)
+            times[i] = now() - start
+    finally:
+        if not was:
+            gc.disable()
+    return Latency(1e-9 * times)
+
+
+def _guessed(model: pliant.Model) -> pliant.Servos:
+    """Servos for an arm of which only the URDF is known: its efforts, as the simulator has it."""
+    effort = np.nan_to_num(model.effort_limit, nan=1.0, posinf=1.0)
+    return pliant.Servos(kp=effort / 0.07, max_torque=effort, friction=0.02 * effort)
+
+
+def _axes(model: pliant.Model) -> str:
+    """As many axes as there are joints, translations first."""
+    return " ".join(("x", "y", "z", "roll", "pitch", "yaw")[: model.n])
+
+
+def _wanted(
+    settings: pliant.Settings, axes: str, law: Law | None, soft: str | None
+) -> pliant.Settings:
+    task = pliant.Task(axes=axes) if axes else settings.task
+    if soft is None:
+        soft = "y" if "y" in task.names else task.names[0]
+    elif soft:
+        check_soft(soft, task, 'another task: --axes "x y z yaw"')
+    if law == "paper":
+        settings = pliant.Settings.paper(task=task)
+    else:
+        settings = settings.replace(task=task, law=law or settings.law)
+    return settings.replace(axes={soft: pliant.Axis(yields="both")}) if soft else settings
+
+
+def _waited() -> float:
+    """Time [s] that this thread was ready and had no core; 0 where the system does not tell."""
+    try:
+        return 1e-9 * int(Path("/proc/thread-self/schedstat").read_text("ascii").split()[1])
+    except OSError:
+        return 0.0
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def _percentiles(found: Latency, empty: Latency) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for name in ("", "median", "p99", "p99.9", "largest"):
+        table.add_column(name, justify="right" if name else "left")
+    for name, latency in (("step, timer subtracted", found), ("calls that do nothing", empty)):
+        cells = [f"{1e6 * latency.at(p):.2f} µs" for p in (50.0, 99.0, 99.9, 100.0)]
+        table.add_row(name, *cells)
+    return table
+
+
+def _histogram(found: Latency) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("of the median", justify="right")
+    table.add_column("calls", justify="right")
+    table.add_column("", justify="left")
+    ratios = found.times / max(found.at(50.0), 1e-9)
+    counts = np.histogram(ratios, EDGES)[0]
+    for low, high, count in zip(EDGES, EDGES[1:], counts, strict=False):
+        name = f"{low:g} to {high:g}" if np.isfinite(high) else f"above {low:g}"
+        bar = "█" * round(BAR * count / counts.max()) or ("▏" if count else "")
+        table.add_row(name, f"{count:,}", bar)
+    return table
+
+
+def _round(rate: float) -> float:
+    """Two digits, downward."""
+    scale = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
+    return float(np.floor(rate / scale) * scale)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program.
+
+    Args:
+        arguments: Without the name of the program; default those of the process.
+
+    Returns:
+        Exit code, as `pliant.cli.main`.
+    """
+    summary = "time a step on this machine: latency, loop rate"
+    return program(run, "benches/latency.py", summary, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

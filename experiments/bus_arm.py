@@ -1,0 +1,132 @@
+"""`arm7` on emulated servos of each family: the whole stack down to bytes, for soaks and faults."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pliant import config
+from pliant.arm import Arm
+from pliant.config import assemble
+from pliant.config.emulation import emulated
+from pliant.emulator import StepClock, Timing
+from pliant.servo import ServoBus
+from pliant.sim.postures import VERTICAL
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from pliant.config import Config
+    from pliant.emulator import ArmEmulator
+
+    Array = NDArray[np.float64]
+
+#: Least time to wait for an answer [s]; the emulator's time stands still meanwhile. On a
+#: computer that is busy for longer an answer counts as lost.
+PATIENCE = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """Seven servos for `arm7`.
+
+    Attributes:
+        title: What they are.
+        models: Servo models in the order of the joints.
+        volts: Supply [V].
+        gravity: [m/s²]; less where the servos are too weak for the arm.
+        zeros: Count at joint angle 0 where that is not the middle, by joint.
+        limits: Position limits that fit the servos' travel.
+    """
+
+    title: str
+    models: tuple[str, ...]
+    volts: float
+    gravity: float = 9.81
+    zeros: dict[str, int] = field(default_factory=dict)
+    limits: str = ""
+
+
+JOINTS = (
+    "shoulder_pitch",
+    "shoulder_roll",
+    "shoulder_yaw",
+    "elbow_pitch",
+    "wrist_yaw",
+    "wrist_pitch",
+    "wrist_roll",
+)
+FAMILIES: dict[str, Family] = {
+    # 2.9 N·m do not carry this arm on Earth.
+    "sts": Family(title="7 STS3215-12V", models=("STS3215-12V",) * 7, volts=12.0, gravity=3.0),
+    "x": Family(
+        title="4 XM540-W270, 2 XM430-W350, 1 XL430-W250",
+        models=("XM540-W270",) * 4 + ("XM430-W350",) * 2 + ("XL430-W250",),
+        volts=11.1,
+    ),
+    "p1": Family(
+        title="4 EX-106+, 3 RX-64",
+        models=("EX-106+",) * 4 + ("RX-64",) * 3,
+        volts=18.5,
+        zeros={"shoulder_pitch": 2562, "shoulder_roll": 2702, "elbow_pitch": 3217},
+        limits="limits = { shoulder_pitch = [-2.7, 1.6], shoulder_yaw = [-2.15, 2.15] }",
+    ),
+}
+
+
+def configuration(family: str, q: Array = VERTICAL) -> Config:
+    """The arm on servos of a family, standing in q (n,) [rad], by default its grasp pose."""
+    kind = FAMILIES[family]
+    lines = [
+        '[robot]\nbuiltin = "arm7"',
+        f"gravity = [0.0, 0.0, {-kind.gravity}]\n{kind.limits}",
+        f"[supply]\nvoltage = {kind.volts}",
+        f"[life]\nrest_q = {q.tolist()}",
+        '[[port]]\npath = "auto"\n[servo]',
+    ]
+    for number, (joint, model) in enumerate(zip(JOINTS, kind.models, strict=True), 1):
+        zero = f", zero = {kind.zeros[joint]}" if joint in kind.zeros else ""
+        lines.append(f'{joint} = {{ model = "{model}", id = {number}{zero} }}')
+    return config.parse("\n".join(lines), source=family)
+
+
+def emulator(family: str, *, q: Array = VERTICAL, **options: Any) -> ArmEmulator:
+    """The servos of a family with the arm behind them, wire timing on, not yet started."""
+    return emulated(configuration(family, q), q=q, **{"timing": Timing(wire=True), **options})
+
+
+@contextmanager
+def stepped(
+    family: str,
+    *,
+    arm: dict[str, Any],
+    chain: type[ServoBus] = ServoBus,
+    q: Array = VERTICAL,
+    patience: float = PATIENCE,
+    **options: Any,
+) -> Iterator[tuple[ArmEmulator, Arm]]:
+    """The emulator and its arm in the emulator's own time, which passes when somebody waits.
+
+    Args:
+        family: `sts`, `x` or `p1`.
+        arm: Options of `pliant.arm.Arm`.
+        chain: What drives the servos.
+        q: Where the arm stands (n,) [rad].
+        patience: Least time to wait for an answer, by the clock on the wall [s].
+        **options: Of `emulator`.
+    """
+    read = configuration(family, q)
+    with emulator(family, q=q, clock="steps", **options) as bus:
+        drive = chain(
+            assemble.specs(read, bus.ports),
+            patience=patience,
+            clock=StepClock(bus),
+        )
+        try:
+            yield bus, Arm(read.model(), drive, **{"signals": False, **arm})
+        finally:
+            drive.close()

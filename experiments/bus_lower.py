@@ -1,0 +1,143 @@
+"""Torque on and `lower` over real bytes from many poses, with an unknown load, over a table.
+
+``python -m experiments.bus_lower [poses] [family]`` prints highest speeds and forces, how
+far the arm sinks as torque comes on, how long descents take, and the force on the table pose by
+pose. With one pose it is the grasp pose.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments.bus_arm import FAMILIES, configuration, stepped
+from experiments.faults import RATE, Watcher
+from experiments.lifecycle import AFTER, LOAD, TABLE, pose_table, postures
+from pliant.sim import table
+from pliant.sim.postures import VERTICAL
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+#: The rows: name, load at the tool that nobody told the arm of [kg], whether there is a table.
+CASES = (
+    ("nothing in the way", 0.0, False),
+    ("0.3 kg it does not know", LOAD, False),
+    ("load, and a table", LOAD, True),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Brought:
+    """What came of bringing an arm to life and down again.
+
+    Attributes:
+        sank: How far the tool sank as torque came on [m].
+        left: How far below it stood once `enable` was over [m].
+        lifted: Highest speed of the tool meanwhile [m/s].
+        speed: Highest speed of the tool on the way down [m/s].
+        force: Largest mean over a tick of the force on one point of the table [N].
+        resting: What rests on the table once torque is off [N].
+        seconds: How long the descent took.
+    """
+
+    sank: float
+    left: float
+    lifted: float
+    speed: float
+    force: float
+    resting: float
+    seconds: float
+
+
+def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False) -> Brought:
+    """Enable the arm in q (n,) [rad] and lower it.
+
+    Args:
+        family: `sts`, `x` or `p1`.
+        q: Posture (n,) [rad].
+        load: Mass at the tool that nobody told the arm of [kg].
+        over_table: Put a table 0.10 m below the lower of tool and wrist.
+
+    Returns:
+        What happened.
+    """
+    plant = {"payload": (load, (0.0, 0.0, 0.0))} if load else {}
+    with stepped(family, q=q, arm={"rate": RATE}, plant=plant) as (bus, arm):
+        if over_table:
+            low = min(bus.plant.tool[2, 3], bus.plant.wrist[2]) - TABLE
+            bus.plant.set_hands(table(low))
+        on = Watcher(bus)
+        on.begin()
+        arm.enable()
+        left = on.start - float(bus.plant.tool[2, 3])
+        on.end()
+        down = Watcher(bus)
+        down.begin()
+        begun = bus.plant.time
+        arm.lower()
+        seconds, force = bus.plant.time - begun, down.force
+        bus.advance(AFTER)
+        resting = sum(float(np.linalg.norm(felt.force)) for felt in bus.plant.hands)
+    return Brought(
+        sank=on.start - on.lowest,
+        left=left,
+        lifted=on.speeds[False],
+        speed=down.speeds[False],
+        force=force,
+        resting=resting,
+        seconds=seconds,
+    )
+
+
+def fits(family: str, q: Array) -> bool:
+    """Whether servos of a family can go to a pose (n,) [rad]."""
+    model = configuration(family).model()
+    return bool(np.all((model.lower < q) & (q < model.upper)))
+
+
+def poses(family: str, count: int) -> list[Array]:
+    """The grasp pose and random ones (n,) [rad] that the servos of a family can go to."""
+    return [q for q in [VERTICAL, *postures(4 * count)] if fits(family, q)][:count]
+
+
+def _worst(values: Sequence[float], digits: int, scale: float = 1.0) -> str:
+    """Largest and middle value."""
+    scaled = scale * np.asarray(values)
+    return f"{scaled.max():.{digits}f} ({np.median(scaled):.{digits}f})"
+
+
+def main() -> None:
+    """Print the tables: worst (median) over the poses, and the table pose by pose."""
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 10
+    family = sys.argv[2] if len(sys.argv) > 2 else "p1"
+    starts = poses(family, count)
+    print(
+        f"| {FAMILIES[family].title}, {len(starts)} poses | sinks [mm] | stands lower by [mm] | "
+        "meanwhile [m/s] | lowered at [m/s] | force on the table [N] | of which rests [N] | "
+        "takes [s] |\n|---|---|---|---|---|---|---|---|"
+    )
+    seen: list[Brought] = []
+    for name, load, over_table in CASES:
+        seen = [lower(family, q, load=load, over_table=over_table) for q in starts]
+        print(
+            f"| {name} | {_worst([one.sank for one in seen], 0, 1e3)} | "
+            f"{_worst([one.left for one in seen], 0, 1e3)} | "
+            f"{_worst([one.lifted for one in seen], 2)} | {_worst([one.speed for one in seen], 2)} "
+            f"| {_worst([one.force for one in seen], 1) if over_table else ''} | "
+            f"{_worst([one.resting for one in seen], 1) if over_table else ''} | "
+            f"{_worst([one.seconds for one in seen], 0)} |",
+            flush=True,
+        )
+    print("\n".join(["", *pose_table(seen)]))
+
+
+if __name__ == "__main__":
+    main()

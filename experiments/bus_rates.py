@@ -1,0 +1,133 @@
+"""How fast seven servos can be read and written over real bytes, against the wire's arithmetic.
+
+``python -m experiments.bus_rates [cycles]`` prints cycles per second of each family with and
+without wire timing, their ratio to the wire alone, and the share of a processor that an arm under
+control takes at 100 Hz.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import pliant
+from experiments.bus_arm import FAMILIES, configuration, emulator
+from pliant.arm import Arm
+from pliant.config import assemble
+from pliant.emulator import Device, Emulator, Remote, Timing
+from pliant.loop import Loop
+from pliant.servo import ServoBus, ServoSpec, wire_time
+
+#: Servos on the line, its speed [bit/s], and how long an arm is controlled for its share [s].
+SERVOS, BAUD, CONTROLLED = 7, 1_000_000, 10.0
+#: Servo that stands for each family.
+MODELS = {"sts": "STS3215-12V", "x": "XM540-W270", "p1": "EX-106+"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rate:
+    """Cycles of one reading and one write of all servos.
+
+    Attributes:
+        wire: Time the wire alone takes [s], servos' turnaround included.
+        median, late: Time a cycle took, the middle one and the 99th of a hundred [s].
+    """
+
+    wire: float
+    median: float
+    late: float
+
+    @property
+    def ratio(self) -> float:
+        """Share of the wire's own rate that is reached."""
+        return self.wire / self.median
+
+
+def wire(model: str) -> float:
+    """Time of a cycle on the wire [s]."""
+    family = ServoSpec(name="a", model=model, id=1, port="").row.family
+    size = family.read[0].size
+    if family.sync_read:
+        read = wire_time(family.protocol, "sync_read", SERVOS, size, baudrate=BAUD)
+    else:
+        read = SERVOS * wire_time(family.protocol, "read", 1, size, baudrate=BAUD)
+    writes = [
+        wire_time(
+            family.protocol,
+            "sync_write",
+            SERVOS,
+            sum(family.registers[name].size for name in names),
+            baudrate=BAUD,
+        )
+        for names in family.write
+    ]
+    return read + sum(writes)
+
+
+def measure(family: str, cycles: int, *, timed: bool) -> Rate:
+    """Read and write as fast as it goes, the emulator in a process of its own."""
+    model = MODELS[family]
+    own: dict[str, Any] = {"operating_mode": 5} if family == "x" else {}
+    devices = [Device(model, id, return_delay_time=0, **own) for id in range(1, SERVOS + 1)]
+    with Remote(Emulator, devices, timing=Timing(wire=timed)) as bus:
+        specs = [ServoSpec(name=f"j{d.id}", model=model, id=d.id, port=bus.port) for d in devices]
+        with ServoBus(specs, baudrate=BAUD, patience=0.05) as chain:
+            limit = 0.2 * np.asarray(chain.servos.max_torque)
+            goal = chain.read().position
+            chain.enable(goal, limit)
+            times = []
+            for _ in range(cycles):
+                begin = time.perf_counter()
+                chain.read()
+                chain.write(goal, limit)
+                times.append(time.perf_counter() - begin)
+            chain.disable()
+    return Rate(
+        wire=wire(model), median=float(np.median(times)), late=float(np.quantile(times, 0.99))
+    )
+
+
+def share(family: str, seconds: float) -> float:
+    """Share of a processor that control of the arm at 100 Hz takes in the host's process."""
+    read = configuration(family)
+    with Remote(emulator, family) as bus:
+        chain = ServoBus(assemble.specs(read, bus.ports), patience=0.05)
+        arm = Arm(read.model(), chain, comm_timeout=5.0, signals=False)
+        with chain:
+            arm.enable()
+            controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
+            target = arm.model.forward_kinematics(arm.read().q)
+            used, begin = time.process_time(), time.perf_counter()
+            for tick in Loop(arm, controller, rate=100.0, duration=seconds, max_step_time=5.0):
+                tick.write(controller.step(tick.q, target, dt=tick.dt))
+            out = (time.process_time() - used) / (time.perf_counter() - begin)
+            arm.disable_torque()
+    return out
+
+
+def main() -> None:
+    """Print the table."""
+    cycles = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
+    print(
+        "| 7 servos, 1 Mbit/s | wire [Hz] | timed [Hz] | of the wire | 99 % [ms] | untimed [Hz] |"
+        " processor at 100 Hz |\n|---|---|---|---|---|---|---|"
+    )
+    for family in FAMILIES:
+        timed = measure(family, cycles, timed=True)
+        bare = measure(family, cycles, timed=False)
+        print(
+            f"| {MODELS[family]} | {1.0 / timed.wire:.0f} | {1.0 / timed.median:.0f} | "
+            f"{timed.ratio:.0%} | {1e3 * timed.late:.1f} | {1.0 / bare.median:.0f} | "
+            f"{share(family, CONTROLLED):.0%} |",
+            flush=True,
+        )
+    print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
+
+
+if __name__ == "__main__":
+    main()

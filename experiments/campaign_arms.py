@@ -1,0 +1,168 @@
+"""The arms of the cap campaign: ours, and real robots' descriptions where they lie beside us."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+from pliant import robots
+from pliant.sim.gains import tabulate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+#: Poses that are drawn, and the share of the median σ below which one is left out.
+DRAWN, LEAST_SIGMA = 512, 0.65
+#: Caps as shares of the arm's median static capacity, translations and rotations.
+SHARES = ((0.15, 0.30, 0.60), (0.07, 0.14))
+#: Reach [m] of which the length is 1 m that weighs rotations against translations.
+REACH_OF_ONE = 0.71
+
+
+def _robots() -> Path:
+    """Folder of real robots' descriptions: `PLIANT_ROBOTS`, or beside a clone; else none."""
+    if folder := os.environ.get("PLIANT_ROBOTS"):
+        return Path(folder)
+    root = Path(__file__).resolve().parents[1]
+    # Only beside a clone: what lies beside another folder is not ours.
+    return (
+        root.parent / "shared" / "robots" if (root / "pyproject.toml").is_file() else Path("robots")
+    )
+
+
+#: Where real robots' descriptions are looked for: URDF, base and tip by name.
+ROBOTS = _robots()
+BESIDE = {
+    "so101 (real)": ("so101/so101_new_calib.urdf", "base_link", "gripper_frame_link"),
+    "koch (real)": ("koch_low_cost/low-cost-arm.urdf", "base_link", "gripper-static-motor_v2_1"),
+    "vx300s": ("vx300s/vx300s.urdf", "vx300s/base_link", "vx300s/ee_gripper_link"),
+    "panda": ("panda/panda.urdf", "panda_link0", "panda_link8"),
+    "ur5e": ("ur5e/ur5e.urdf", "world", "tool0"),
+    "xarm7": ("xarm7/xarm7.urdf", "world", "link_tcp"),
+}
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A robot with its servos, the axes it can control, and poses to try.
+
+    Attributes:
+        name: For tables.
+        model: The robot, servos attached.
+    """
+
+    name: str
+    model: pliant.Model
+
+    @property
+    def servos(self) -> pliant.Servos:
+        """Servo table, the truth of the nominal case."""
+        table = self.model.servos
+        if table is None:
+            raise pliant.ConfigError(f"{self.name} has no servos")
+        return table
+
+    @cached_property
+    def axes(self) -> tuple[str, ...]:
+        """What is controlled: all axes, xyz with five joints, x z pitch with four."""
+        few = {5: AXES[:3], 4: ("x", "z", "pitch")}
+        return few.get(self.model.n, AXES)
+
+    @cached_property
+    def rows(self) -> list[int]:
+        """Rows of the Jacobian of these axes."""
+        return [AXES.index(name) for name in self.axes]
+
+    @cached_property
+    def drawn(self) -> Array:
+        """Poses at random (512, n) inside the limits, ±π for joints without [rad]."""
+        low, high = np.asarray(self.model.lower), np.asarray(self.model.upper)
+        endless = ~(np.isfinite(low) & np.isfinite(high))
+        low, high = np.where(endless, -np.pi, low), np.where(endless, np.pi, high)
+        return np.random.default_rng(0).uniform(low, high, (DRAWN, self.model.n))
+
+    def poses(self, count: int) -> Array:
+        """The first `count` drawn poses (count, n) that are not near a singular one [rad]."""
+        jacobians = self.model.jacobian_batch(self.drawn)[:, self.rows, :]
+        length = self.model.reach / REACH_OF_ONE
+        weight = np.array([1.0 / length if row < 3 else 1.0 for row in self.rows])
+        sigma = np.linalg.svd(weight[:, None] * jacobians, compute_uv=False)[:, -1]
+        good: Array = self.drawn[sigma > LEAST_SIGMA * np.median(sigma)]
+        return good[:count]
+
+    def capacity(self, q: Array, row: int, sign: float, payload: float = 0.0) -> float:
+        """Largest push [N or N·m] toward `sign` along an axis that the limits can hold at q (n,).
+
+        ``min_i (usable_i + sign(a_i) g_i) / |a_i|`` with ``a = sign J_row``; negative: the arm
+        cannot hold itself. `payload` [kg] hangs at the tool.
+        """
+        jacobian = self.model.jacobian(q)
+        gravity = self.model.gravity(q) - payload * self.model.gravity_vector @ jacobian[:3]
+        lever = sign * jacobian[row]
+        felt = np.abs(lever) > 1e-6
+        if not felt.any():
+            return 0.0
+        room = np.asarray(self.servos.max_torque) + np.sign(lever) * gravity
+        return float((room[felt] / np.abs(lever[felt])).min())
+
+    @cached_property
+    def median_capacity(self) -> tuple[float, float]:
+        """Median of the capacity over drawn poses and signs: translations [N], rotations [N·m]."""
+
+        def median(rows: list[int]) -> float:
+            signs = (1.0, -1.0)
+            sizes = [self.capacity(q, r, s) for q in self.drawn for r in rows for s in signs]
+            return float(np.median(sizes)) if sizes else 0.0
+
+        return median([r for r in self.rows if r < 3]), median([r for r in self.rows if r > 2])
+
+    def caps(self, row: int) -> tuple[float, ...]:
+        """Caps to try on an axis [N or N·m], to one digit: 5, 10, 20 N and 0.5, 1 N·m on `arm7`."""
+        kind = row // 3
+        return tuple(float(f"{s * self.median_capacity[kind]:.0e}") for s in SHARES[kind])
+
+
+@cache
+def load(name: str) -> Arm:
+    """An arm by name.
+
+    Raises:
+        ConfigError: The name is unknown.
+        FileNotFoundError: Its description does not lie beside us.
+    """
+    if name in robots.names():
+        return Arm(name, robots.load(name))
+    if name not in BESIDE:
+        known = ", ".join((*robots.names(), *BESIDE))
+        raise pliant.ConfigError(f"no arm {name!r} in the campaign; there are {known}")
+    file, base, tip = BESIDE[name]
+    bare = pliant.Model.from_urdf(ROBOTS / file, base=base, tip=tip)
+    servos = _table(name, bare)
+    return Arm(name, pliant.Model.from_urdf(ROBOTS / file, base=base, tip=tip, servos=servos))
+
+
+def available() -> tuple[list[str], list[str]]:
+    """Names of the arms that can be loaded, and of those whose description is absent."""
+    there = [name for name, (file, _, _) in BESIDE.items() if (ROBOTS / file).exists()]
+    return [*robots.names(), *there], [name for name in BESIDE if name not in there]
+
+
+def _table(name: str, bare: pliant.Model) -> pliant.Servos:
+    """Servos of a real robot: of its like among ours, or guessed from the efforts it names."""
+    like = {"so101 (real)": "so101", "koch (real)": "koch"}.get(name)
+    if like is not None:
+        ours = load(like).servos
+        fields = ("kp", "max_torque", "friction", "damping", "armature", "encoder_step")
+        cut = {field: np.asarray(getattr(ours, field))[: bare.n] for field in fields}
+        speed = np.asarray(ours.no_load_speed)[: bare.n]
+        return pliant.Servos(**cut, limit_type="pwm", no_load_speed=speed, stiffness_known=True)
+    return tabulate(bare, None, None).replace(stiffness_known=True)

@@ -1,0 +1,223 @@
+"""Chapter 1: which joint does what, the activation matrices of the two grasp poses (Fig. 3)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import pliant
+from experiments import laws
+from experiments.result import Chapter, Figure, Numbers, Statement, at_least, at_most
+from experiments.runner import Job
+from experiments.setups import AXES, arm, tool
+from pliant._report.words import listed
+from pliant.sim.postures import HORIZONTAL, VERTICAL
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from experiments.chapters.common import Options
+
+    Array = NDArray[np.float64]
+
+NUMBER = 1
+TITLE = "Which joint does what"
+JOINTS = (
+    "shoulder pitch",
+    "shoulder roll",
+    "shoulder yaw",
+    "elbow pitch",
+    "wrist yaw",
+    "wrist pitch",
+    "wrist roll",
+)
+POSES: Mapping[str, Array] = {"vertical": VERTICAL, "horizontal": HORIZONTAL}
+COLUMNS = (*AXES, "null")
+#: The same matrices from an independent implementation (NumPy and Pinocchio), rounded to three
+#: digits.
+REFERENCE: Mapping[str, tuple[tuple[float, ...], ...]] = {
+    "vertical": (
+        (0.295, 0.103, 0.075, 0.098, 0.073, 0.000, 0.131),
+        (0.126, 0.202, 0.129, 0.093, 0.100, 0.212, 0.124),
+        (0.001, 0.181, 0.006, 0.174, 0.064, 0.000, 0.232),
+        (0.309, 0.000, 0.310, 0.000, 0.162, 0.000, 0.000),
+        (0.044, 0.191, 0.039, 0.286, 0.038, 0.161, 0.225),
+        (0.149, 0.202, 0.152, 0.169, 0.118, 0.525, 0.146),
+        (0.076, 0.120, 0.289, 0.179, 0.444, 0.101, 0.141),
+    ),
+    "horizontal": (
+        (0.317, 0.080, 0.028, 0.059, 0.016, 0.012, 0.119),
+        (0.112, 0.247, 0.079, 0.087, 0.043, 0.224, 0.174),
+        (0.002, 0.169, 0.065, 0.125, 0.031, 0.024, 0.251),
+        (0.311, 0.000, 0.341, 0.000, 0.176, 0.000, 0.000),
+        (0.080, 0.205, 0.088, 0.370, 0.237, 0.191, 0.155),
+        (0.046, 0.127, 0.318, 0.230, 0.466, 0.119, 0.097),
+        (0.131, 0.172, 0.080, 0.129, 0.032, 0.430, 0.204),
+    ),
+}
+
+
+def matrix(pose: str, *, damped: bool = False) -> Array:
+    """Activation matrix (7, 7) of a grasp pose, read off the controller.
+
+    Args:
+        pose: `vertical` or `horizontal`.
+        damped: With the damping of the other chapters instead of none. The reference was
+            made without, and the figure compares with the reference.
+
+    Returns:
+        Shares of joints (rows) in task axes and null space (columns).
+    """
+    q = POSES[pose]
+    settings = laws.paper(soft="") if damped else laws.paper(soft="", damping=0.0)
+    controller = pliant.Controller(arm(), settings)
+    controller.reset(q)
+    controller.step(q, tool(q))
+    return np.asarray(controller.diagnostics.activation)
+
+
+def jobs(options: Options) -> list[Job]:
+    """Two per pose: as drawn, and with the damping of the other chapters."""
+    return [
+        *(Job(pose, matrix, (pose,)) for pose in POSES),
+        *(Job(f"{pose} damped", matrix, (pose,), {"damped": True}) for pose in POSES),
+    ]
+
+
+def measure(outcomes: Mapping[str, Array]) -> Numbers:
+    """The matrices and how far they are from the reference."""
+    return {
+        "joints": list(JOINTS),
+        "columns": list(COLUMNS),
+        "activation": {pose: outcomes[pose].tolist() for pose in POSES},
+        "largest_difference": {
+            pose: float(np.abs(outcomes[pose] - np.array(REFERENCE[pose])).max()) for pose in POSES
+        },
+        "change_by_damping": {
+            pose: float(np.abs(outcomes[f"{pose} damped"] - outcomes[pose]).max()) for pose in POSES
+        },
+    }
+
+
+def chapter(numbers: Numbers) -> Chapter:
+    """Judge the statements about Fig. 3."""
+    share = {pose: np.array(numbers["activation"][pose]) for pose in POSES}
+    worst = max(numbers["largest_difference"].values())
+    figure = Figure(
+        file="1-activation",
+        title="Activation matrices of the two grasp poses (Fig. 3)",
+        done="The arm holds the tool at (0.38, 0, −0.28) m, once with its axes along those of the "
+        "base to grasp a vertical handle, once turned by 90° about x for a horizontal one. Each "
+        "column tells how a torque budget for one task axis is shared among the joints, equation "
+        "(10); the column of the null space stands apart. The inverse is taken without damping, as "
+        "in the reference; the damping of the other experiments changes no entry by more than "
+        f"{max(numbers['change_by_damping'].values()):.4f}.",
+        paper="Cosero's matrices are printed without numbers; the text says which joints stand "
+        "out. Link lengths here are ours, so the pattern is compared, not the shade.",
+        caption="Columns sum to one. Left: the posture, seen from the front right.",
+        statements=(*_paper(share), _study(worst)),
+    )
+    return Chapter(
+        number=NUMBER,
+        title=TITLE,
+        lead="A torque budget for a direction in space has to be shared among joints. The paper "
+        "shares it by how much each joint contributes to a motion in that direction.",
+        figures=(figure,),
+        numbers=numbers,
+        headline=(("activation, largest difference to the reference", f"{worst:.1e}"),),
+    )
+
+
+def _top(column: Array, count: int) -> str:
+    """The largest entries of a column, in words."""
+    order = np.argsort(-column)[:count]
+    return listed([f"{JOINTS[i]} {column[i]:.2f}" for i in order])
+
+
+def _lead(column: Array, wanted: tuple[int, ...], ignored: tuple[int, ...] = ()) -> float:
+    """By how much the least of the wanted joints exceeds the largest of the others."""
+    rest = [i for i in range(7) if i not in {*wanted, *ignored}]
+    return float(column[list(wanted)].min() - column[rest].max())
+
+
+def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
+    x = {pose: share[pose][:, 0] for pose in POSES}
+    y = {pose: share[pose][:, 1] for pose in POSES}
+    yaw = {pose: share[pose][:, 5] for pose in POSES}
+    more = "lead over the next joint"
+    small = max(np.delete(column, [0, 3]).max() for column in x.values())
+    return (
+        Statement(
+            claim="In both poses, motion in x is the work of elbow and shoulder pitch.",
+            outcome=f"Largest in x: {_top(x['vertical'], 2)} (vertical); "
+            f"{_top(x['horizontal'], 2)} (horizontal).",
+            tests=tuple(at_least(f"{more}, {pose}", _lead(x[pose], (0, 3)), 0.0) for pose in POSES),
+        ),
+        Statement(
+            claim="Vertical grasp: the wrist pitch takes part in x.",
+            outcome=f"It comes third: {_top(x['vertical'], 3)}.",
+            tests=(at_least(more, _lead(x["vertical"], (5,), (0, 3)), 0.0),),
+        ),
+        Statement(
+            claim="Horizontal grasp: the wrist roll takes that part.",
+            outcome=f"{_top(x['horizontal'], 3).capitalize()}; the wrist pitch has "
+            f"{x['horizontal'][5]:.2f}.",
+            tests=(at_least(more, _lead(x["horizontal"], (6,), (0, 3)), 0.0),),
+        ),
+        Statement(
+            claim="Other joints of shoulder and wrist contribute less to x.",
+            outcome=f"No other joint has more than {small:.2f}; elbow and shoulder pitch have at "
+            f"least {min(column[[0, 3]].min() for column in x.values()):.2f}.",
+            tests=(
+                at_most("largest other share", small, min(c[[0, 3]].min() for c in x.values())),
+            ),
+        ),
+        Statement(
+            claim="Vertical grasp: y is mostly shoulder roll, shoulder yaw and wrist yaw.",
+            outcome=f"Largest in y: {_top(y['vertical'], 4)}.",
+            tests=(at_least(more, _lead(y["vertical"], (1, 2, 4)), 0.0),),
+            because="the three are there, but the wrist pitch has as much "
+            f"({y['vertical'][5]:.2f}); our lengths and wrist angles are not Cosero's.",
+        ),
+        Statement(
+            claim="Horizontal grasp: all joints but the elbow contribute to y.",
+            outcome=f"The elbow has {y['horizontal'][3]:.3f}, the others "
+            f"{np.delete(y['horizontal'], 3).min():.2f} to "
+            f"{np.delete(y['horizontal'], 3).max():.2f}.",
+            tests=(
+                at_most("elbow", float(y["horizontal"][3]), 0.02),
+                at_least("least of the others", float(np.delete(y["horizontal"], 3).min()), 0.05),
+            ),
+        ),
+        Statement(
+            claim="Yaw needs shoulder roll, wrist yaw and wrist roll (read: in the horizontal "
+            "grasp).",
+            outcome=f"Largest in yaw: {_top(yaw['horizontal'], 3)}.",
+            tests=(at_least(more, _lead(yaw["horizontal"], (1, 4, 6)), 0.0),),
+        ),
+        Statement(
+            claim="Vertical grasp: yaw is mostly shoulder roll and wrist pitch.",
+            outcome=f"Largest in yaw: {_top(yaw['vertical'], 3)}.",
+            tests=(at_least(more, _lead(yaw["vertical"], (1, 5)), 0.0),),
+        ),
+    )
+
+
+def _study(worst: float) -> Statement:
+    return Statement(
+        claim="An independent implementation gives the same two matrices, to the three digits it "
+        "prints.",
+        outcome=f"The largest difference of any of the 98 entries is {worst:.1e}.",
+        tests=(at_most("largest difference", worst, 1e-3),),
+        source="study",
+    )
+
+
+def draw(outcomes: Mapping[str, Array], options: Options) -> None:
+    """Draw the matrices beside the postures."""
+    from experiments.figures import activation
+
+    activation.draw(outcomes, POSES, JOINTS, COLUMNS, options.figures)

@@ -1,0 +1,120 @@
+"""Chapter 6: caps in newtons, in random poses of our three arms; a part of the cap campaign."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from experiments import campaign_table as table
+from experiments.campaign_arms import AXES, load
+from experiments.campaign_bench import NOMINAL
+from experiments.campaign_jobs import Job as Poses
+from experiments.result import Chapter, Figure, Numbers, Statement, at_least
+from experiments.runner import Job
+from pliant._report.page import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from experiments.campaign_bench import Promise
+    from experiments.chapters.common import Options
+
+NUMBER = 6
+TITLE = "Are the caps kept?"
+#: Poses of each arm; the first draws of the campaign.
+POSES = {"arm7": 12, "so101": 6, "koch": 6}
+#: The one pose of a quick run, clear of the stops.
+QUICK = ("arm7", 2)
+FIGURES = ("poses", "cases", "refused", "kept", "kept_clear", "stopped", "median", "p95")
+
+
+def promises(arm: str, pose: int) -> list[Promise]:
+    """Try every axis, sign and cap in one pose, the other axes free and guided."""
+    return Poses(arm, NOMINAL, pose).run()
+
+
+def jobs(options: Options) -> list[Job]:
+    """One per pose."""
+    places = [(arm, i) for arm, count in POSES.items() for i in range(min(count, _drawn(arm)))]
+    if options.quick:
+        places = [QUICK]
+    return [Job(f"{arm} {pose}", promises, (arm, pose)) for arm, pose in places]
+
+
+def _drawn(arm: str) -> int:
+    return len(load(arm).poses(POSES[arm]))
+
+
+def _by_arm(outcomes: Mapping[str, Sequence[Promise]]) -> dict[str, list[Promise]]:
+    found: dict[str, list[Promise]] = {}
+    for key, some in outcomes.items():
+        found.setdefault(key.split()[0], []).extend(some)
+    return found
+
+
+def measure(outcomes: Mapping[str, Sequence[Promise]]) -> Numbers:
+    """Shares and errors per arm."""
+    rows = {a: table.summary(a, "nominal", found) for a, found in _by_arm(outcomes).items()}
+    return {arm: {name: getattr(row, name) for name in FIGURES} for arm, row in rows.items()}
+
+
+def chapter(numbers: Numbers) -> Chapter:
+    """Judge the caps of our arms."""
+    arm7 = numbers["arm7"]
+    clear = Statement(
+        claim="With no joint near its stop the push-back is the cap, within 15 % and what the "
+        "joints' friction hides, in 97 of 100 cases.",
+        outcome=f"{100.0 * arm7['kept_clear']:.1f} % of the cases on arm7; median error of all "
+        f"{100.0 * arm7['median']:.1f} % of the cap.",
+        tests=(at_least("in band, clear of stops", 100.0 * arm7["kept_clear"], 97.0, "%"),),
+        source="study",
+    )
+    limits = Statement(
+        claim="What is missed elsewhere is taken by position limits: counted with the stop's own "
+        "force and the friction of the joints that are left, it is in band.",
+        outcome=f"{100.0 * arm7['kept']:.1f} % of all cases on arm7 are in band, "
+        f"{100.0 * arm7['stopped']:.1f} % provably stopped by a position limit.",
+        tests=(
+            at_least("in band or stopped", 100.0 * (arm7["kept"] + arm7["stopped"]), 95.0, "%"),
+        ),
+        source="study",
+    )
+    figure = Figure(
+        file="6-caps",
+        title="Promised and felt",
+        done="In random poses, no axis near singular, a hand moves the tool along one axis, with "
+        "the other axes free and with springs that hold them. The axis yields with a cap; what "
+        "the hand feels at rest is compared with the cap, or with what the axis' own spring gives "
+        "at that distance. Caps that the servos cannot hold in a pose are refused beforehand.",
+        caption="Thick: the middle half. Left: arm7 by axis; right: by arm. The whole campaign, "
+        "with disturbances and real robots, is `python -m experiments.campaign`.",
+        statements=(clear, limits),
+    )
+    rows = tuple(
+        (
+            arm,
+            str(one["poses"]),
+            str(one["cases"]),
+            *(f"{100.0 * one[name]:.1f} %" for name in FIGURES[2:]),
+        )
+        for arm, one in numbers.items()
+    )
+    columns = ("arm", "poses", "cases", "refused", "in band", "clear of stops", "by a limit")
+    return Chapter(
+        number=NUMBER,
+        title=TITLE,
+        lead="A cap says how hard an axis may push back at most. Here it is held against what a "
+        "hand feels, pose by pose.",
+        figures=(figure,),
+        tables=(Table(caption="Per arm", columns=(*columns, "median", "95 %"), rows=rows),),
+        numbers=numbers,
+        headline=(("caps in band, arm7", f"{100.0 * arm7['kept']:.1f} %"),),
+    )
+
+
+def draw(outcomes: Mapping[str, Sequence[Promise]], options: Options) -> None:
+    """Draw the distribution by axis and by arm."""
+    from experiments.figures import caps
+
+    found = _by_arm(outcomes)
+    axes = {axis: [p for p in found["arm7"] if p.axis == axis] for axis in AXES}
+    caps.draw({"arm7, by axis": axes, "By arm": found}, options.figures, "6-caps")

@@ -1,0 +1,269 @@
+"""What the paper says about Figs 4 and 5, beside what a run says."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from experiments.chapters.common import BACK
+from experiments.result import Figure, Numbers, Statement, at_least, at_most, between, mm
+from pliant._report.page import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+#: Where compliance begins to fade and where it has gone, from the target: d⁻ and d⁺ [m], [rad].
+RANGE = {"y": (0.01, 0.10), "yaw": (0.04, 0.40)}
+#: A return that deserves to be called slow [m/s], [rad/s].
+SLOW = {"y": 0.2, "yaw": 0.8}
+#: How far the hand goes [m], [rad].
+WAY = {"y": 0.25, "yaw": 0.8}
+NUMBER_OF_FIGURE = {"y": "Fig. 4", "yaw": "Fig. 5"}
+
+
+def amount(axis: str) -> Callable[[float], str]:
+    """How a deviation of an axis is written."""
+    return (lambda value: f"{value:.2f} rad") if axis == "yaw" else mm
+
+
+def worst(runs: Numbers, name: str) -> float:
+    """Largest number of all push directions."""
+    return float(max(one[name] for one in runs.values()))
+
+
+def least(runs: Numbers, name: str) -> float:
+    """Smallest number of all push directions."""
+    return float(min(one[name] for one in runs.values()))
+
+
+def figures(axis: str, numbers: Numbers) -> tuple[Figure, ...]:
+    """The overview, and all six deviations under each law."""
+    of, push = (
+        amount(axis),
+        "at most 3 N·m at the tool" if axis == "yaw" else "at most 15 N at the wrist",
+    )
+    title = NUMBER_OF_FIGURE[axis]
+    common = (
+        f"{axis} is compliant, d⁻ = {of(RANGE[axis][0])}, d⁺ = {of(RANGE[axis][1])}. A hand of "
+        f"{push} pulls by {of(WAY[axis])} within 2 to 3.5 s, holds on until 5 s and lets go; the "
+        "grey band marks it."
+    )
+    overview = Figure(
+        file=f"2-static-{axis}",
+        title=f"Pushed in {axis}: the paper's law and the default law side by side ({title})",
+        done=f"{common} Once with the paper's law as printed, without a gravity model and with a "
+        "budget of 10 N·m on every axis, once with the default law cap, which promises forces. "
+        "Both directions, three rates η of target adaptation.",
+        caption="Solid: pushed toward +, dashed: toward −. Middle: the farthest of the other "
+        "positions. Below: what the hand feels.",
+        paper="Without adaptation the arm gives way a little and then resists, and other axes are "
+        "dragged along; with strong adaptation it follows the hand and the other axes keep to "
+        "their targets. Let go, it moves back slowly, or, at η = 0.999, to where gravity and "
+        "servos balance.",
+        statements=(*_paper(axis, numbers["paper"]), *_study(axis, numbers["cap"])),
+    )
+    details = tuple(
+        Figure(
+            file=f"2-static-{axis}-{law}",
+            title=f"All deviations and the compliance c, {name} ({title})",
+            done=f"The runs of the overview, as {title} prints them: deviation of all six axes "
+            "from the target and compliance c, for η = 0 (left), 0.9 and 0.999 (right). Two runs "
+            "in a row: pushed toward +, then toward −.",
+            caption=f"Grey: the hand, and where it pulls. c is of {axis}, from the adapted "
+            "deviation.",
+        )
+        for law, name in (("paper", "the paper's law without gravity model"), ("cap", "law cap"))
+        if law in numbers
+    )
+    return (overview, *details)
+
+
+def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
+    of = amount(axis)
+    none, some, full = (law[eta] for eta in ("0", "0.9", "0.999"))
+    fade, gone = RANGE[axis]
+    ratio = [worst(runs, "drift") / max(least(runs, "moved"), 1e-9) for runs in (none, full)]
+    return (
+        Statement(
+            claim="η = 0: the tool gives way only by a fraction of d⁺.",
+            outcome=f"It moves by {span(of, none, 'moved')}, with d⁺ = {of(gone)}.",
+            tests=(between("moved", worst(none, "moved"), fade / 2, gone),),
+        ),
+        Statement(
+            claim="η = 0: compliance falls with the deviation, the limits rise, and the arm "
+            "resists.",
+            outcome=f"c falls to {span('{:.2f}'.format, none, 'least_c')} while the hand pulls "
+            f"with up to {worst(none, 'force'):.1f} {_unit(axis)}.",
+            tests=(at_most("smallest c", worst(none, "least_c"), 0.95),),
+        ),
+        Statement(
+            claim="η = 0: other axes deviate too; with strong adaptation they stay near their "
+            "targets.",
+            outcome=f"The hand drags other positions by {mm(worst(none, 'drift'))} at η = 0 for "
+            f"{of(least(none, 'moved'))} of {axis}, and by {mm(worst(full, 'drift'))} at η = 0.999 "
+            f"for {of(least(full, 'moved'))}; the servos' own sag under gravity is not counted.",
+            tests=(
+                at_least(
+                    "deviation per motion, η 0 over η 0.999", ratio[0] / max(ratio[1], 1e-9), 1.5
+                ),
+            ),
+        ),
+        Statement(
+            claim="η = 0.999: the tool follows the hand all the way.",
+            outcome=f"It moves by {of(least(full, 'moved'))} of {of(WAY[axis])}, against at most "
+            f"{worst(full, 'force'):.1f} {_unit(axis)}; at η = 0.9 by {of(least(some, 'moved'))}.",
+            tests=(at_least("moved", least(full, "moved"), 0.9 * WAY[axis]),),
+        ),
+        Statement(
+            claim="Let go, the tool moves back to its target slowly (η = 0 and 0.9).",
+            outcome=f"Time until it is back within {of(BACK[axis == 'yaw'])}: {times(axis, none)} "
+            f"(η = 0) and {times(axis, some)} (η = 0.9), {of(worst(some, 'left'))} being left; the "
+            "fastest return goes at "
+            f"{max(worst(none, 'return_speed'), worst(some, 'return_speed')):.2f} "
+            f"{_unit(axis, 'speed')}.",
+            tests=(
+                at_most(
+                    "deviation left",
+                    max(worst(none, "left"), worst(some, "left")),
+                    BACK[axis == "yaw"],
+                ),
+                at_most(
+                    "speed",
+                    max(worst(none, "return_speed"), worst(some, "return_speed")),
+                    SLOW[axis],
+                ),
+            ),
+            because=_why_not_slowly(axis, none, some),
+        ),
+        Statement(
+            claim="η = 0.999: let go, the arm moves on to a pose where gravity is in balance.",
+            outcome=f"Within the rest of the run it moves by another {of(worst(full, 'crept'))} "
+            f"and ends {of(worst(full, 'left'))} from its target, moving at "
+            f"{1e3 * worst(full, 'still_moving'):.1f} m{_unit(axis, 'speed')}; before the push it "
+            f"had already drifted by {of(worst(full, 'before'))}.",
+            tests=(
+                at_least("motion after release", worst(full, "crept"), BACK[axis == "yaw"]),
+                at_most(
+                    "speed at the end", worst(full, "still_moving"), 0.005 if axis == "y" else 0.02
+                ),
+            ),
+            because="it creeps on: with a target that follows, nothing but friction is left to "
+            "balance what the missing gravity model leaves over.",
+        ),
+    )
+
+
+def _why_not_slowly(axis: str, none: Numbers, some: Numbers) -> str:
+    """Where gravity holds the arm off its target, and how fast the servos throw it."""
+    reasons = []
+    if worst(some, "left") > BACK[axis == "yaw"]:
+        reasons.append(
+            "gravity, of which this law knows nothing, keeps it "
+            f"{amount(axis)(worst(some, 'left'))} off at η = 0.9"
+        )
+    if max(worst(none, "return_speed"), worst(some, "return_speed")) > SLOW[axis]:
+        reasons.append(
+            "stretched servos of this stiffness throw the arm back; the servos' own speed limit, "
+            "which Cosero had, is not used here"
+        )
+    return f"{'; '.join(reasons)}." if reasons else ""
+
+
+def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
+    of = amount(axis)
+    full = law["0.999"]
+    bands = {"y": (0.23, 7.5, 0.005, 0.015), "yaw": (0.75, 1.1, 0.009, 0.04)}[axis]
+    statements = [
+        Statement(
+            claim=f"Law cap, η = 0.999: follows for at most {bands[1]:g} {_unit(axis)}, other "
+            f"positions within {mm(bands[2])}, and stays where it is left.",
+            outcome=f"{worst(full, 'force'):.2f} {_unit(axis)}, {mm(worst(full, 'position'))}; "
+            f"moves by {of(worst(full, 'crept'))} after the hand has gone.",
+            tests=(
+                at_least("moved", least(full, "moved"), bands[0]),
+                at_most("force", worst(full, "force"), bands[1]),
+                at_most("other positions", worst(full, "position"), bands[2]),
+                at_most("moves after release", worst(full, "crept"), bands[3]),
+            ),
+            source="study",
+        )
+    ]
+    if axis == "y":
+        some = law["0.9"]
+        statements.append(
+            Statement(
+                claim="Law cap, η = 0.9: follows beyond 0.2 m for less than 13 N and comes back to "
+                "15 mm.",
+                outcome=f"Moves by {of(least(some, 'moved'))} for {worst(some, 'force'):.1f} N; "
+                f"after the release back within 15 mm after {times(axis, some)}.",
+                tests=(
+                    at_least("moved", least(some, "moved"), 0.2),
+                    at_most("force", worst(some, "force"), 13.0),
+                    at_most("left", worst(some, "left"), 0.015),
+                ),
+                because="it is still on its way at the end of the run.",
+                source="study",
+            )
+        )
+    return tuple(statements)
+
+
+def comes_back(axis: str, one: Numbers) -> str:
+    """Return time of a run, or that the arm stays where it was left or comes not near enough."""
+    if one["returned"] is not None:
+        return f"{one['returned']:.1f} s"
+    return "stays" if one["crept"] <= BACK[axis == "yaw"] else "not back"
+
+
+def times(axis: str, runs: Numbers) -> str:
+    """Return times of both directions."""
+    each = dict.fromkeys(comes_back(axis, one) for one in runs.values())
+    return " and ".join(each)
+
+
+def span(of: Callable[[float], str], runs: Numbers, name: str) -> str:
+    """The range of a number over the push directions."""
+    low, high = of(least(runs, name)), of(worst(runs, name))
+    return low if low == high else f"{low} to {high}"
+
+
+def _unit(axis: str, what: str = "force") -> str:
+    return {"force": ("N", "N·m"), "speed": ("m/s", "rad/s")}[what][axis == "yaw"]
+
+
+def table(axis: str, numbers: Numbers) -> Table:
+    """Return time per η, and the price of moving the arm."""
+    of = amount(axis)
+    rows = []
+    for law, etas in numbers.items():
+        for eta, runs in etas.items():
+            for direction, one in runs.items():
+                rows.append(
+                    (
+                        law,
+                        eta,
+                        direction,
+                        of(one["moved"]),
+                        f"{one['force']:.2f} {_unit(axis)}",
+                        mm(one["position"]),
+                        f"{1e3 * one['rotation']:.0f} mrad",
+                        comes_back(axis, one),
+                        of(one["left"]),
+                    )
+                )
+    limit = "0.06 rad" if axis == "yaw" else "15 mm"
+    return Table(
+        caption=f"Compliant in {axis}: return time per η. Returned: time from the release until "
+        f"the deviation stays below {limit}; left: deviation at the end of the run.",
+        columns=(
+            "law",
+            "η",
+            "pushed",
+            "moved",
+            "force",
+            "other positions",
+            "other rotations",
+            "returned",
+            "left",
+        ),
+        rows=tuple(rows),
+    )

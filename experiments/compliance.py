@@ -1,0 +1,169 @@
+"""How an axis answers by its deviation: profiles of yielding axes, limits of stiff ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments import metrics
+from experiments.conditions import NOMINAL
+from experiments.episode import Trace, run
+from experiments.setups import AXES, arm, displaced, servos, tool
+from pliant.sim import Course, Drag, Wall
+from pliant.sim.postures import VERTICAL
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    import pliant
+    from experiments.conditions import Conditions
+    from pliant.sim import Plant
+
+    Array = NDArray[np.float64]
+
+#: A strong hand that takes 6 s for 0.15 m: force against deviation, next to nothing of speed.
+STEADY = Drag(
+    axis="y",
+    distance=0.15,
+    stiffness=3000.0,
+    limit=80.0,
+    at="tool",
+    course=Course(start=1.0, rise=6.0, end=7.0),
+)
+#: Wall in front of the tool, and way of the target behind it and to the side of it [m].
+GAP, BEHIND, ASIDE = 0.03, 0.07, 0.10
+#: When the wall is taken away [s].
+GONE = 6.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """Force against deviation of one axis.
+
+    Attributes:
+        deviation: How far the axis was from its target, tick by tick (N,) [m].
+        force: What the hand met along it (N,) [N].
+        trace: The run.
+    """
+
+    deviation: Array
+    force: Array
+    trace: Trace
+
+
+def answer(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Answer:
+    """Drag the tool along y by 0.15 m at 0.025 m/s.
+
+    Args:
+        law: The settings.
+        conditions: Loop, bus and beliefs.
+    """
+    trace = run(
+        conditions.build(STEADY), conditions.controller(law), tool(VERTICAL), 7.0, q=VERTICAL
+    )
+    pulling = trace.between(STEADY.course.start, STEADY.course.end)
+    return Answer(deviation=trace.moved[pulling, 1], force=trace.force[pulling, 1], trace=trace)
+
+
+def stiffness(axis: str, q: Array = VERTICAL) -> float:
+    """What the servos hold an axis with, 1/C_jj with C = J K_p⁻¹ Jᵀ [N/m or N·m/rad]."""
+    row = arm().jacobian(q)[AXES.index(axis)]
+    return float(1.0 / (row / np.asarray(servos().kp) @ row))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blocked:
+    """A target that went behind a wall and to the side, and came free when the wall was gone.
+
+    Attributes:
+        force: Mean force on the wall in its last second [N].
+        peak: Largest force on it [N].
+        aside: How far the tool had come to the side in that second [m].
+        fastest: Largest speed of the tool after the wall was taken away [m/s].
+        left: Distance of the tool from its target at the end [m].
+        limited: Share of the ticks at the wall in which the controller reported the limit.
+        trace: The run.
+    """
+
+    force: float
+    peak: float
+    aside: float
+    fastest: float
+    left: float
+    limited: float
+    trace: Trace
+
+
+def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Blocked:
+    """Move the target along x and y at once, with a wall in the way of x until 6 s.
+
+    Args:
+        law: The settings.
+        conditions: Loop, bus and beliefs.
+    """
+    plant = conditions.build(Wall(distance=GAP, stiffness=2e4, damping=50.0))
+    controller = conditions.controller(law)
+    start = tool(VERTICAL)
+    flags: list[bool] = []
+
+    def target(t: float) -> Array:
+        share = min(max((t - 1.0) / 2.0, 0.0), 1.0)
+        return displaced(displaced(start, "x", share * (GAP + BEHIND)), "y", share * ASIDE)
+
+    def take_away(time: float, plant: Plant) -> None:
+        if abs(time - GONE) < 0.5 * plant.period:
+            plant.set_hands([])
+        if GONE - 2.0 < time < GONE:
+            flags.append(bool(np.any(getattr(controller, "deviation_limited", False))))
+
+    trace = run(plant, controller, target, 9.0, q=VERTICAL, on_tick=take_away)
+    last, free = trace.between(GONE - 1.0, GONE), trace.t > GONE
+    speed = np.linalg.norm(np.diff(trace.position[free], axis=0), axis=1) * conditions.rate
+    return Blocked(
+        force=float(-trace.force[last, 0].mean()),
+        peak=float(np.abs(trace.force[:, 0]).max()),
+        aside=float(trace.moved[last, 1].mean()),
+        fastest=float(speed.max()),
+        left=float(np.linalg.norm(trace.error[-1, :3])),
+        limited=float(np.mean(flags)),
+        trace=trace,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arrived:
+    """A target that jumped by 0.10 m in x and in y, with nothing in the way.
+
+    Attributes:
+        after: When the tool was within 3 mm of it for good, counted from the jump [s].
+        left: Distance at the end [m].
+        speed: Rms speed of the joints in the last second [rad/s].
+        trace: The run.
+    """
+
+    after: float
+    left: float
+    speed: float
+    trace: Trace
+
+
+def jump(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Arrived:
+    """Let the target jump aside at 1 s and wait until 5 s.
+
+    Args:
+        law: The settings.
+        conditions: Loop, bus and beliefs.
+    """
+    start = tool(VERTICAL)
+    there = displaced(displaced(start, "x", 0.10), "y", 0.10)
+    plant, controller = conditions.build(), conditions.controller(law)
+    trace = run(plant, controller, lambda t: there if t >= 1.0 else start, 5.0, q=VERTICAL)
+    off = np.linalg.norm(trace.error[:, :3], axis=1)
+    return Arrived(
+        after=float(trace.t[np.flatnonzero(off > 3e-3)[-1]]) - 1.0,
+        left=float(off[-1]),
+        speed=metrics.speed(trace, 4.0, 5.0),
+        trace=trace,
+    )

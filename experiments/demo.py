@@ -1,0 +1,215 @@
+"""`make demo`: the experiments, with plots and a report."""
+
+from __future__ import annotations
+
+import math
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from experiments.runner import draw_off_screen
+from pliant import ConfigError, PliantError
+from pliant.cli import program
+from pliant.cli.flags import File, Frame
+from pliant.extras import missing
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import ModuleType
+
+    from experiments.demonstration import Demonstration, Subject
+    from experiments.result import Chapter, Check
+
+#: Beyond this many processes the longest run decides.
+MOST_JOBS = 16
+
+
+def run(
+    *,
+    out: Path = Path("pliant-demo"),
+    only: Annotated[str, tyro.conf.arg(metavar="1,3")] = "",
+    quick: bool = False,
+    robot: Literal["arm7", "so101", "koch"] = "arm7",
+    urdf: File = None,
+    base: Frame = None,
+    tip: Frame = None,
+    jobs: int = 2,
+) -> None:
+    """Run the experiments and leave a report.
+
+    Args:
+        out: Folder of the report, the pictures and the numbers.
+        only: Numbers of the experiments, separated by commas; all by default.
+        quick: Do everything once, in a few seconds, with few runs.
+        robot: Built-in arm. Arms other than arm7 get experiments that suit any arm.
+        urdf: Your own arm instead.
+        base: Where its chain begins; may be left out when there is only one choice.
+        tip: Where its chain ends; may be left out when there is only one choice.
+        jobs: Processes.
+    """
+    if not 1 <= jobs <= MOST_JOBS:
+        raise ConfigError(f"--jobs must be within 1 and {MOST_JOBS}, got {jobs}")
+    if urdf is None and (base or tip):
+        raise ConfigError("--base and --tip belong to --urdf, which was not given")
+    wanted = numbers(only)
+    draw_off_screen()
+    demonstration = _load()
+    subject = _subject(robot, urdf, base, tip)
+    demonstration.choose(subject.experiments, wanted)
+    console = Console()
+    with Bar(console) as bar:
+        done = demonstration.run(
+            out, subject=subject, only=wanted, quick=quick, jobs=jobs, watcher=bar
+        )
+    _close(console, done)
+
+
+def numbers(text: str) -> tuple[int, ...]:
+    """Parse `1,3`.
+
+    Raises:
+        ConfigError: It is no list of numbers.
+    """
+    parts = [part.strip() for part in text.split(",") if part.strip()]
+    if not all(part.isdecimal() for part in parts):
+        raise ConfigError(f"--only takes numbers of experiments such as 1,3; got {text!r}")
+    return tuple(int(part) for part in parts)
+
+
+def _load() -> ModuleType:
+    """Import what the extras bring, and say in one line how to get them."""
+    try:
+        for needed in ("mujoco", "matplotlib"):
+            import_module(needed)
+    except ImportError as error:
+        raise PliantError(missing("the demo", "experiments")) from error
+    from experiments import demonstration
+
+    return demonstration
+
+
+def _subject(robot: str, urdf: Path | None, base: str | None, tip: str | None) -> Subject:
+    from experiments import demonstration
+    from experiments.chapters import anyarm, anyarm_subject
+
+    if urdf is not None:
+        return anyarm_subject.subject(anyarm.Source(urdf=str(urdf), base=base, tip=tip))
+    return (
+        demonstration.ARM7 if robot == "arm7" else anyarm_subject.subject(anyarm.Source(name=robot))
+    )
+
+
+class Bar:
+    """A progress bar that is told how many steps there are."""
+
+    def __init__(self, console: Console) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=40),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+        )
+
+    def __enter__(self) -> Bar:
+        """Show it."""
+        self._progress.start()
+        self._task = self._progress.add_task("experiments", total=None)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Take it away."""
+        self._progress.stop()
+
+    def expect(self, steps: int) -> None:
+        """So many steps there are."""
+        self._progress.update(self._task, total=steps)
+
+    def done(self, step: str) -> None:
+        """One is done."""
+        self._progress.update(self._task, advance=1)
+
+
+def missed(chapter: Chapter) -> list[str]:
+    """Our own bands that this run did not keep, a line each, with the number and why."""
+    from experiments.result import Verdict
+
+    lines = []
+    for statement in chapter.statements("study"):
+        if statement.verdict is Verdict.AGREES:
+            continue
+        failed = [
+            f"{test.name} is {test.value:.3g}{test.unit and ' '}{test.unit}, band {_band(test)}"
+            for test in statement.tests
+            if not test.passed
+        ]
+        why = f"; {statement.because}" if statement.because else ""
+        said = "; ".join(failed) or statement.outcome
+        lines.append(f"{chapter.number} not kept: {statement.claim} {said}{why}")
+    return lines
+
+
+def _band(test: Check) -> str:
+    """The interval of a test in words."""
+    if math.isinf(test.low):
+        return f"up to {test.high:.3g}"
+    if math.isinf(test.high):
+        return f"from {test.low:.3g}"
+    return f"{test.low:.3g} to {test.high:.3g}"
+
+
+def _close(console: Console, done: Demonstration) -> None:
+    """Print what came out, the path of the report last."""
+    from experiments.result import Verdict
+
+    paper = any(chapter.statements("paper") for chapter in done.chapters)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title_justify="left")
+    if paper:
+        table.title = "The paper's statements beside this run, and our own bands"
+    table.add_column("experiment")
+    for heading in ("agrees", "differs", "does not") if paper else ():
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("bands kept", justify="right", no_wrap=True)
+    facts = Table.grid(padding=(0, 2))
+    for chapter in done.chapters:
+        counts = [str(chapter.count(v, "paper") or "–") for v in Verdict] if paper else []
+        ours = chapter.statements("study")
+        kept = sum(s.verdict is Verdict.AGREES for s in ours)
+        table.add_row(f"{chapter.number} {chapter.title}", *counts, f"{kept} of {len(ours)}")
+        for name, value in chapter.headline:
+            facts.add_row(f"[dim]{chapter.number}[/]", name, f"[bold]{value}[/]")
+    console.print(table)
+    for chapter in done.chapters:
+        for line in missed(chapter):
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
+    console.print(facts)
+    console.print(
+        f"\n{len(done.pictures)} figures, every number in {done.results.name}, {done.seconds:.0f} s"
+    )
+    # Not by rich: a path that wraps cannot be clicked.
+    print(done.report.resolve())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program.
+
+    Args:
+        arguments: Without the name of the program; default those of the process.
+
+    Returns:
+        Exit code, as `pliant.cli.main`.
+    """
+    summary = "run the paper's experiments on the simulator and leave a report"
+    return program(run, "python -m experiments.demo", summary, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

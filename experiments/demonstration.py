@@ -1,0 +1,242 @@
+"""The whole demonstration: run, measure, judge, draw, report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Protocol
+
+from experiments import report
+from experiments.chapters import activation, caps, comparison, doors, static, tracking
+from experiments.chapters.common import Options
+from experiments.files import write_results
+from experiments.result import Verdict
+from experiments.runner import Job, Workers, draw_off_screen, prefixed
+from pliant import ConfigError
+from pliant._report import provenance
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from experiments.result import Chapter, Numbers
+
+
+class Experiment(Protocol):
+    """A chapter: a module, or an object that knows its robot."""
+
+    @property
+    def NUMBER(self) -> int:
+        """As in `--only`."""
+
+    @property
+    def TITLE(self) -> str:
+        """Headline."""
+
+    def jobs(self, options: Options) -> list[Job]:
+        """Return its runs."""
+
+    def measure(self, outcomes: Mapping[str, Any]) -> Numbers:
+        """Read its numbers off the outcomes."""
+
+    def chapter(self, numbers: Numbers) -> Chapter:
+        """Judge the numbers."""
+
+    def draw(self, outcomes: Mapping[str, Any], options: Options) -> None:
+        """Draw its figures."""
+
+
+#: The chapters about the paper's arm, by number.
+EXPERIMENTS: Mapping[int, Experiment] = {
+    module.NUMBER: module for module in (activation, static, tracking, doors, comparison, caps)
+}
+
+
+class Watcher(Protocol):
+    """Whoever wants to know how far the demonstration has come."""
+
+    def expect(self, steps: int) -> None:
+        """So many steps there are."""
+
+    def done(self, step: str) -> None:
+        """One is done."""
+
+
+class Silence:
+    """A watcher that does not care."""
+
+    def expect(self, steps: int) -> None:
+        """Ignore it."""
+
+    def done(self, step: str) -> None:
+        """Ignore it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demonstration:
+    """What was left behind.
+
+    Attributes:
+        chapters: As judged.
+        report: Path of the HTML report.
+        results: Path of `results.json`.
+        pictures: Paths of the PNGs.
+        seconds: How long it took.
+    """
+
+    chapters: tuple[Chapter, ...]
+    report: Path
+    results: Path
+    pictures: tuple[Path, ...]
+    seconds: float
+
+    def verdicts(self) -> dict[Verdict, int]:
+        """How many of the paper's statements got which verdict."""
+        return {v: sum(c.count(v, "paper") for c in self.chapters) for v in Verdict}
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The robot of the demonstration, and what shall be done with it.
+
+    Attributes:
+        name: Of the robot.
+        experiments: By number.
+        about: One sentence for the head of the report.
+        notes: What a reader must know about the robot, e.g. that servos were guessed.
+    """
+
+    name: str
+    experiments: Mapping[int, Experiment]
+    about: str
+    notes: tuple[str, ...] = field(default=())
+
+
+#: The arm of the paper.
+ARM7 = Subject(
+    "arm7",
+    EXPERIMENTS,
+    "The experiments of “Compliant Task-Space Control with Back-Drivable Servo Actuators” "
+    "(Stückler and Behnke, RoboCup 2011) on a simulated arm of seven torque-limited position "
+    "servos that is built like Cosero's.",
+)
+
+
+def run(
+    out: Path,
+    *,
+    subject: Subject = ARM7,
+    only: Sequence[int] = (),
+    quick: bool = False,
+    jobs: int = 2,
+    watcher: Watcher | None = None,
+) -> Demonstration:
+    """Run experiments and leave a report.
+
+    Args:
+        out: Folder of the report; made if it does not exist.
+        subject: Robot and experiments.
+        only: Numbers of the experiments; empty for all.
+        quick: Only as many runs as it takes to exercise everything once.
+        jobs: Processes.
+        watcher: Told about the progress.
+
+    Returns:
+        Where everything is.
+
+    Raises:
+        ConfigError: There is no experiment of a number.
+    """
+    begin = perf_counter()
+    draw_off_screen()
+    watcher = watcher or Silence()
+    chosen = choose(subject.experiments, only)
+    options = Options(quick=quick, figures=out / "figures")
+    options.figures.mkdir(parents=True, exist_ok=True)
+    planned = {number: module.jobs(options) for number, module in chosen.items()}
+    watcher.expect(sum(len(runs) for runs in planned.values()) + len(chosen) + 1)
+    with Workers(jobs) as workers:
+        every = [job for number, runs in planned.items() for job in prefixed(f"{number}:", runs)]
+        outcomes = workers.run(every, watcher.done)
+        own = {
+            number: {job.key: outcomes[f"{number}:{job.key}"] for job in runs}
+            for number, runs in planned.items()
+        }
+        drawing = [
+            Job(f"figures of {number}", module.draw, (own[number], options))
+            for number, module in chosen.items()
+        ]
+        workers.run(drawing, watcher.done)
+    chapters = tuple(module.chapter(module.measure(own[n])) for n, module in chosen.items())
+    facts = provenance.collect()
+    results = _write_results(out, subject, chapters, facts, quick=quick)
+    seconds = perf_counter() - begin
+    page = report.write(
+        out / "report.html", subject, chapters, facts, options.figures, seconds=seconds, quick=quick
+    )
+    watcher.done("report")
+    return Demonstration(
+        chapters=chapters,
+        report=page,
+        results=results,
+        pictures=tuple(sorted(options.figures.glob("*.png"))),
+        seconds=perf_counter() - begin,
+    )
+
+
+def choose(experiments: Mapping[int, Experiment], only: Sequence[int]) -> dict[int, Experiment]:
+    """Pick experiments by number, in their own order.
+
+    Raises:
+        ConfigError: There is none of a number; the message lists those there are.
+    """
+    unknown = [number for number in only if number not in experiments]
+    if unknown:
+        there = ", ".join(f"{n} ({module.TITLE})" for n, module in experiments.items())
+        raise ConfigError(f"there is no experiment {unknown[0]}; choose from {there}")
+    return {n: module for n, module in experiments.items() if not only or n in only}
+
+
+def _write_results(
+    out: Path,
+    subject: Subject,
+    chapters: Sequence[Chapter],
+    facts: provenance.Facts,
+    *,
+    quick: bool,
+) -> Path:
+    """Write every number and verdict as JSON, without anything that differs between equal runs."""
+    content = {
+        "robot": subject.name,
+        "quick": quick,
+        "versions": facts.versions,
+        "commit": facts.commit,
+        "notes": list(subject.notes),
+        "experiments": {
+            str(chapter.number): {
+                "title": chapter.title,
+                "numbers": chapter.numbers,
+                "statements": [
+                    {
+                        "claim": s.claim,
+                        "source": s.source,
+                        "verdict": s.verdict.value,
+                        "outcome": s.outcome,
+                        "tests": [
+                            {
+                                "name": t.name,
+                                "value": t.value,
+                                "low": t.low,
+                                "high": t.high,
+                                "unit": t.unit,
+                            }
+                            for t in s.tests
+                        ],
+                    }
+                    for s in chapter.statements()
+                ],
+            }
+            for chapter in chapters
+        },
+    }
+    return write_results(out, content)

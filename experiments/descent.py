@@ -1,0 +1,463 @@
+"""The way down with wrong beliefs: servos, load, friction, encoder and delay are not as believed.
+
+``python -m experiments.descent [--arms arm7,so101] [--poses 50] [--jobs 2] [--bytes]``
+prints, per arm, the worst of torque on and of `lower` over poses at random, each with a mix of
+errors of its own, in free air and over a table, the poses that were worst, and the ready pose.
+With `--bytes` the servos are emulated ones on a serial port, in the emulator's own time.
+"""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from experiments.campaign_arms import BESIDE, ROBOTS, load
+from experiments.parallel import parallel
+from experiments.sheet import POSES
+from pliant import config
+from pliant.arm.arm import Arm
+from pliant.config import assemble
+from pliant.config.emulation import PATIENCE, emulated
+from pliant.emulator import StepClock, Timing
+from pliant.servo import ServoBus
+from pliant.sim import Plant, table
+from pliant.sim.drive import SimDrive
+from pliant.sim.postures import VERTICAL
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from pliant import Model
+    from pliant.config import Config
+    from pliant.emulator.servo import Servo
+
+    Array = NDArray[np.float64]
+
+#: Arms of the table.
+ARMS = ("arm7", "so101", "koch", "vx300s")
+#: True over believed stiffness of a joint, and true over believed friction.
+STIFFNESS, FRICTION = (0.5, 2.5), (0.5, 2.0)
+#: Unknown loads at the tool [kg], encoder steps [deg] and delays of a cycle [ticks].
+LOAD, STEPS, DELAYS = 0.5, (0.09, 0.3), (0, 1, 2, 3)
+#: Table below the lower of tool and wrist [m].
+TABLE = 0.10
+#: Share of the usable torque that holding the arm and its load may take.
+HOLDS = 0.85
+#: Poses to work from, for the last row (n,) [rad].
+READY = {"arm7": tuple(VERTICAL), **POSES}
+#: How long the arm holds before it is lowered, and is watched after its torque is off [s].
+BEFORE, AFTER = 0.3, 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """What an arm is really like, where its belief is the servo table and no load.
+
+    Attributes:
+        stiffness, friction: True over believed (n,).
+        load: At the tool [kg].
+        step: Of the encoders [rad].
+        delay: Ticks from sampling to read, and from write to the servo; on bytes the wire has its
+            own.
+    """
+
+    stiffness: tuple[float, ...]
+    friction: float
+    load: float
+    step: float
+    delay: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """Torque on and one descent.
+
+    Attributes:
+        apart: Largest ratio between true stiffness of a joint and the one that the arm believed.
+        strain: Largest share of its servo's true torque that a joint needed for weight and load in
+            the poses of the way down: above 1 nothing can hold the arm there.
+        moved: Farthest that the tool was from where it stood while the arm was taken over from
+            a program that had held it there; on bytes from a hand [m].
+        jerk: Highest speed of the tool meanwhile [m/s].
+        woken, stir: The same, where torque came on at the end of the descent [m], [m/s].
+        rise: How far the tool rose above its start on the way down [m].
+        speed: Highest speed of the tool on the way down [m/s].
+        after: Highest speed within the second after torque was off [m/s].
+        force: Largest mean over a tick of the force on one point of the table [N].
+        resting: Force on the table a second after torque was off [N].
+        seconds: How long the descent took.
+        height: How far the tool came down [m].
+    """
+
+    apart: float
+    strain: float
+    moved: float
+    jerk: float
+    woken: float
+    stir: float
+    rise: float
+    speed: float
+    after: float
+    force: float
+    resting: float
+    seconds: float
+    height: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One arm, one pose, one truth.
+
+    Attributes:
+        arm: Its name.
+        number: Of pose and truth; -1 and less for the ready pose.
+        over_table: Whether there is a table under it.
+        on_bytes: Whether its servos are emulated ones on a serial port.
+        q: Pose (n,) [rad].
+        truth: What the arm is really like.
+    """
+
+    arm: str
+    number: int
+    over_table: bool
+    on_bytes: bool = False
+    q: tuple[float, ...] = field(repr=False)
+    truth: Truth
+
+    def run(self) -> Outcome:
+        """Enable the arm, wait, lower it, and watch."""
+        with (_over_bytes if self.on_bytes else _simulated)(self) as (arm, watch):
+            plant, clock = watch.plant, arm.clock
+            moved, jerk = self._enable(arm, watch)
+            watch.begin()
+            begin = clock.now()
+            arm.lower()
+            seconds, down, strain = clock.now() - begin, watch.seen, watch.strain
+            height = watch.start[2] - float(plant.tool[2, 3])
+            watch.begin()
+            clock.wait_until(clock.now() + AFTER)
+            after = watch.seen.speed
+            resting = sum(float(np.linalg.norm(felt.force)) for felt in plant.hands)
+            woken, stir = self._enable(arm, watch)
+            ratio = np.log(watch.stiffness() / np.asarray(arm.servos.kp))
+        return Outcome(
+            apart=float(np.exp(np.abs(ratio).max())),
+            strain=strain,
+            moved=moved,
+            jerk=jerk,
+            woken=woken,
+            stir=stir,
+            rise=down.rise,
+            speed=down.speed,
+            after=after,
+            force=down.force,
+            resting=resting,
+            seconds=seconds,
+            height=height,
+        )
+
+    @staticmethod
+    def _enable(arm: Arm, watch: Watch) -> tuple[float, float]:
+        """Torque on; return how far [m] and how fast [m/s] the tool moved."""
+        watch.begin()
+        arm.enable()
+        arm.clock.wait_until(arm.clock.now() + BEFORE)
+        return watch.seen.moved, watch.seen.speed
+
+
+@dataclass
+class Seen:
+    """The worst since `Watch.begin`: see `Outcome`."""
+
+    moved: float = 0.0
+    rise: float = -np.inf
+    speed: float = 0.0
+    force: float = 0.0
+
+
+class Watch:
+    """Looks at the truth behind an arm whenever its physics has run.
+
+    Attributes:
+        plant: The truth.
+        seen, strain: What was worst since `begin`.
+        start: Where the tool stood then (3,) [m].
+    """
+
+    def __init__(self, job: Job, plant: Plant) -> None:
+        """Put the table under the arm, where there is one."""
+        self.plant, self._load = plant, job.truth.load
+        if job.over_table:
+            plant.set_hands(table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE))
+        self.begin()
+
+    def begin(self) -> None:
+        """Start anew."""
+        self.seen, self.strain = Seen(), 0.0
+        self.start = self.plant.tool[:3, 3].copy()
+        self._steps, self._force = 0, np.zeros((len(self.plant.hands), 3))
+
+    def look(self, steps: int) -> None:
+        """Look, so many steps of physics after the last time."""
+        plant, seen = self.plant, self.seen
+        tool = plant.tool[:3, 3]
+        seen.moved = max(seen.moved, float(np.linalg.norm(tool - self.start)))
+        seen.rise = max(seen.rise, float(tool[2] - self.start[2]))
+        twist = plant.truth.frame("tool").twist()
+        seen.speed = max(seen.speed, float(np.linalg.norm(twist[:3])))
+        self._steps += steps
+        self._force += steps * np.array([felt.force for felt in plant.hands]).reshape(-1, 3)
+        if self._steps < plant.steps:
+            return
+        mean = np.linalg.norm(self._force / self._steps, axis=1)
+        seen.force = max(seen.force, *mean) if mean.size else 0.0
+        self._steps, self._force = 0, np.zeros_like(self._force)
+        needed = np.abs(_needed(plant.model, plant.q, self._load))
+        self.strain = max(self.strain, float((needed / plant.gains.torque).max()))
+
+    def stiffness(self) -> Array:
+        """True stiffness of the joints (n,) [N·m/rad]."""
+        model = self.plant.mj_model
+        gains = [model.actuator(name).gainprm[0] for name in self.plant.model.joint_names]
+        return np.array(gains)
+
+
+@contextmanager
+def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
+    """The arm of a job on the simulator, held by a program that knew it."""
+    model, truth = robot(job.arm), job.truth
+    assert model.servos is not None
+    plant = Plant(
+        model,
+        delay=truth.delay,
+        count=truth.step,
+        kp_scale=truth.stiffness,
+        friction_scale=truth.friction,
+        payload=_payload(truth),
+    )
+    plant.reset(job.q)
+    watch = Watch(job, plant)
+    drive = SimDrive(plant, servos=model.servos.replace(stiffness_known=False))
+    arm = Arm(model, drive, grippers=assemble.grippers(configuration(job.arm)), signals=False)
+    lead = _needed(model, np.asarray(job.q), truth.load) / plant.gains.kp
+    goal = np.concatenate((job.q + lead, drive.read().position[model.n :]))
+    drive.write(goal, np.asarray(drive.servos.max_torque))
+    drive.clock.wait_until(plant.time + BEFORE)
+    drive.clock.on_tick = lambda: watch.look(plant.steps)
+    yield arm, watch
+
+
+@contextmanager
+def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
+    """The arm of a job on emulated servos, held by a hand until they have torque."""
+    own, truth = configuration(job.arm), job.truth
+    model = own.model()
+    bus = emulated(
+        own,
+        q=job.q,
+        clock="steps",
+        timing=Timing(wire=True),
+        plant={"friction_scale": truth.friction, "payload": _payload(truth)},
+    )
+    watch, step = Watch(job, bus.plant), bus.world.physics.step
+    names = [joint for joint, servo in own.servo.items() for _ in range(1 + bool(servo.secondary))]
+    scales = dict(zip(model.joint_names, truth.stiffness, strict=True))
+    for servo, joint in zip(bus.world.servos, names, strict=False):
+        _differ(servo, scales.get(joint, 1.0), truth.step)
+
+    def watched(count: int) -> None:
+        step(count)
+        watch.look(count)
+
+    bus.world.physics.step = watched  # type: ignore[method-assign]
+    with bus:
+        drive = ServoBus(assemble.specs(own, bus.ports), patience=PATIENCE, clock=StepClock(bus))
+        arm = Arm(model, drive, grippers=assemble.grippers(own), signals=False)
+        try:
+            yield arm, watch
+        finally:
+            arm.disable_torque()
+            arm.close()
+
+
+def _differ(servo: Servo, stiffness: float, step: float) -> None:
+    """Make an emulated servo so much stiffer than its registers say, with coarser counts [rad]."""
+    drive, refresh = servo.drive, servo.refresh
+    counts = max(round(step / servo.model.count), 1)
+
+    def stiffer() -> Any:
+        asked = drive()
+        return replace(asked, stiffness=stiffness * asked.stiffness)
+
+    def coarser() -> None:
+        refresh()
+        servo.put("present_position", counts * round(servo.get("present_position") / counts))
+
+    servo.drive, servo.refresh = stiffer, coarser  # type: ignore[method-assign]
+
+
+def _payload(truth: Truth) -> tuple[float, tuple[float, ...]] | None:
+    return (truth.load, (0.0, 0.0, 0.0)) if truth.load else None
+
+
+def _needed(model: Model, q: Array, mass: float) -> Array:
+    """Torques (n,) [N·m] that weight and a load [kg] at the tool need at q (n,) [rad]."""
+    needed: Array = model.gravity(q) - mass * model.gravity_vector @ model.jacobian(q)[:3]
+    return needed
+
+
+@cache
+def robot(name: str) -> Model:
+    """A built-in arm, or a real robot's description where it lies beside the project."""
+    return load(name).model
+
+
+def configuration(name: str) -> Config:
+    """The ready file of an arm, with no table of its own."""
+    urdf = ROBOTS / BESIDE[name][0] if name in BESIDE else None
+    return config.load(name, backend="emulator", urdf=urdf, table=False)
+
+
+def is_here(name: str) -> bool:
+    """Whether an arm's description can be had."""
+    return name not in BESIDE or (ROBOTS / BESIDE[name][0]).is_file()
+
+
+def truths(model: Model, count: int, *, seed: int = 0) -> list[tuple[Array, Truth]]:
+    """Poses (n,) [rad] at random that the true servos can hold, each with a truth of its own.
+
+    The first truths have all servos too stiff, too soft, and turns of both.
+    """
+    assert model.servos is not None
+    n, usable = model.n, np.asarray(model.servos.max_torque)
+    low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
+    high = np.where(np.isfinite(model.upper), model.upper, np.pi)
+    rng = np.random.default_rng(seed)
+    corners = [
+        np.full(n, STIFFNESS[1]),
+        np.full(n, STIFFNESS[0]),
+        np.where(np.arange(n) % 2, *STIFFNESS),
+        np.where(np.arange(n) % 2, *STIFFNESS[::-1]),
+        np.ones(n),
+    ]
+    found: list[tuple[Array, Truth]] = []
+    while len(found) < count:
+        k = len(found)
+        drawn = np.exp(rng.uniform(np.log(STIFFNESS[0]), np.log(STIFFNESS[1]), n))
+        stiffness = drawn if k >= len(corners) else corners[k]
+        truth = Truth(
+            stiffness=tuple(stiffness.tolist()),
+            friction=float(np.exp(rng.uniform(np.log(FRICTION[0]), np.log(FRICTION[1])))),
+            load=float(rng.uniform(0.0, LOAD)) if k % 5 else LOAD * (k % 2),
+            step=float(np.deg2rad(STEPS[k % 2])),
+            delay=((k % 4) // 2, (k % 4 + 1) // 2),
+        )
+        for _ in range(200):
+            q = rng.uniform(low, high)
+            if np.all(np.abs(_needed(model, q, truth.load)) < HOLDS * usable):
+                found.append((q, truth))
+                break
+    return found
+
+
+def jobs(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[Job]:
+    """The runs of one arm: every pose in free air, then over a table; then the ready pose.
+
+    The ready pose has the first truths, without a load.
+    """
+    drawn = truths(configuration(name).model() if on_bytes else robot(name), count, seed=seed)
+    runs = [
+        Job(arm=name, number=k, over_table=over, on_bytes=on_bytes, q=tuple(q), truth=truth)
+        for over in (False, True)
+        for k, (q, truth) in enumerate(drawn)
+    ]
+    ready = [
+        replace(runs[k], number=-1 - k, q=READY[name], truth=replace(drawn[k][1], load=0.0))
+        for k in range(min(count, 5))
+    ]
+    return runs + ready
+
+
+def rows(name: str, work: Sequence[Job], seen: Sequence[Outcome]) -> list[str]:
+    """Lines of the table: worst (median), and in brackets the number of the worst pose."""
+    lines = []
+    pairs = list(zip(work, seen, strict=True))
+    # Nothing can be asked of an arm that is too weak for its way down.
+    strong = [(job, one) for job, one in pairs if one.strain < 1.0]
+    cases = {
+        "free": [(job, one) for job, one in strong if job.number >= 0 and not job.over_table],
+        "table": [(job, one) for job, one in strong if job.over_table],
+        "ready pose": [(job, one) for job, one in strong if job.number < 0],
+        "too weak": [(job, one) for job, one in pairs if one.strain >= 1.0],
+    }
+    columns = [
+        ("moved", 1e3, 0),
+        ("jerk", 1.0, 2),
+        ("woken", 1e3, 0),
+        ("stir", 1.0, 2),
+        ("rise", 1e3, 0),
+        ("speed", 1.0, 2),
+        ("after", 1.0, 2),
+        ("force", 1.0, 1),
+        ("resting", 1.0, 1),
+        ("seconds", 1.0, 0),
+    ]
+    for case, runs in cases.items():
+        cells = []
+        for what, unit, digits in columns:
+            values = np.array([unit * getattr(one, what) for _, one in runs])
+            if not values.size:
+                break
+            worst = int(values.argmax())
+            cells.append(
+                f"{values[worst]:.{digits}f} ({np.median(values):.{digits}f}) "
+                f"#{runs[worst][0].number}"
+            )
+        if cells:
+            lines.append(f"| {name}, {case} | {len(runs)} | {' | '.join(cells)} |")
+    return lines
+
+
+HEAD = (
+    "| arm | runs | taken over: moved [mm] | speed [m/s] | from rest: moved [mm] | speed [m/s] | "
+    "lowered: rises [mm] | speed [m/s] | after torque off [m/s] | force on the table [N] | of "
+    "which rests [N] | takes [s] |\n" + "|---" * 12 + "|"
+)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--arms", default=",".join(ARMS))
+    parser.add_argument("--poses", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--each", action="store_true", help="also print every run")
+    parser.add_argument("--bytes", action="store_true", help="emulated servos on a serial port")
+    options = parser.parse_args()
+    print(HEAD, flush=True)
+    for name in options.arms.split(","):
+        if not is_here(name):
+            print(f"{name}: no description beside the project, skipped")
+            continue
+        work = jobs(name, options.poses, seed=options.seed, on_bytes=options.bytes)
+        seen: list[Outcome] = []
+        for job, one in zip(work, parallel(work, options.jobs, f"descent of {name}"), strict=True):
+            seen.append(one)
+            if options.each:
+                print(f"    {job.number}{'t' if job.over_table else ' '} {one}", flush=True)
+        print("\n".join(rows(name, work, seen)), flush=True)
+
+
+if __name__ == "__main__":
+    # Other processes find this module's jobs by its name, not as `__main__`.
+    from experiments import descent  # noqa: PLW0406 -- by name
+
+    descent.main()

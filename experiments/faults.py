@@ -1,0 +1,338 @@
+"""What an arm does when things go wrong on a real bus: the table of docs/faults.md.
+
+``python -m experiments.faults [part of a title]`` prints it. Everything goes over real bytes
+to emulated servos with the simulated arm behind them, in the emulator's time.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import pliant
+from experiments.bus_arm import PATIENCE, stepped
+from experiments.bus_mishaps import MISHAPS, HostDiedError, Mishap, Scene
+from pliant.loop import Loop
+from pliant.sim.hand import Course, Drag
+from pliant.sim.truth import TOOL
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from pliant.arm import Arm
+    from pliant.emulator import ArmEmulator
+    from pliant.sim import Plant
+    from pliant.sim.truth import Truth
+
+    Array = NDArray[np.float64]
+
+#: When things go wrong after torque came on, how long the program would go on, and how long an arm
+#: without a host is watched [s].
+WHEN, END, WATCHED = 1.2, 3.0, 4.0
+#: The hand that comes so long after [s]: along y, the soft axis, [m], in [s].
+TAKING, WAY, RISE = 0.2, 0.10, 2.0
+#: How long a fall takes [s].
+FALL = 1.5
+#: What a moving arm may add to the force of one whose host is dead [N].
+MOVING = 3.0
+#: Over how long forces are averaged, as in docs/lifecycle.md [s].
+TICK = 0.01
+#: Share of the cap by which it may be missed, as everywhere where caps are judged.
+BAND = 0.15
+#: Loops of the arm's own, enabling and lowering [Hz].
+RATE = 50.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What came of a mishap.
+
+    Attributes:
+        ending: `goes on`, `is lowered`, `keeps its last order` or `falls`.
+        reason: The error that ended the loop, if any.
+        speed: Highest speed of the tool from the mishap until control ends, while an arm without
+            a host is watched, and for 1.5 s at least where torque is lost [m/s].
+        joint: Highest speed of a joint meanwhile [rad/s].
+        drop: How far the tool sank meanwhile [m].
+        lowered: Highest speed of the tool afterwards, while it is lowered [m/s].
+        force: Mean over a tick, 10 ms, of the force on the hand where it is farthest above what it
+            may be, or least below it [N]; 0 without a hand.
+        allowed: What it may be then: while the host runs the axis' cap and 15 % of it, and what
+            its joints resist with at the speed they turn with, by dry friction, damping, and goals
+            half a period old; where it does not, `host_loss_force` at its end + 3 N [N].
+        torque: Whether all torque was off in the end.
+    """
+
+    ending: str
+    reason: str
+    speed: float
+    joint: float
+    drop: float
+    lowered: float
+    force: float
+    allowed: float
+    torque: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Allowed:
+    """What a hand along y may meet.
+
+    Attributes:
+        still: From joints that stand still [N].
+        drag: In addition per speed of each joint (n,) [N·s/rad].
+    """
+
+    still: float = 0.0
+    drag: Array | float = 0.0
+
+    def at(self, dq: Array) -> float:
+        """From joints that turn with dq (n,) [rad/s]."""
+        return self.still + float(np.sum(self.drag * np.abs(dq)))
+
+
+class Watcher:
+    """Looks at the truth at every physics step of an emulator, from the mishap on."""
+
+    def __init__(self, bus: ArmEmulator, least: float = 0.0) -> None:
+        """Put itself between the world and its physics; watch for `least` seconds."""
+        self.bus, self.begun, self.ended = bus, np.inf, np.inf
+        self._least = least
+        self.speeds: dict[bool, float] = {False: 0.0, True: 0.0}
+        self.joint = self.force = 0.0
+        self.allowed = Allowed()
+        self._tick: deque[tuple[int, Array, float]] = deque()
+        self.worst = (0.0, np.inf)
+        self.start = self.lowest = 0.0
+        self._step: Callable[[int], None] = bus.world.physics.step
+        bus.world.physics.step = self.step  # type: ignore[method-assign]
+
+    def begin(self) -> None:
+        """The mishap happens now."""
+        self.begun = self.bus.plant.time
+        self.start = self.lowest = float(self.bus.plant.tool[2, 3])
+
+    def end(self) -> None:
+        """Control has ended."""
+        self.ended = max(self.bus.plant.time, self.begun + self._least)
+
+    def _felt(self, count: int) -> tuple[float, float]:
+        """Largest force of a hand, and what it may be, both means over the last tick [N]."""
+        plant = self.bus.plant
+        forces = np.array([felt.force for felt in plant.hands]).reshape(-1, 3)
+        if self._tick and self._tick[0][1].shape != forces.shape:
+            self._tick.clear()
+        self._tick.append((count, forces, self.allowed.at(plant.dq)))
+        while sum(c for c, _, _ in self._tick) - self._tick[0][0] >= TICK / plant.dt - 1e-6:
+            self._tick.popleft()
+        counts = np.array([c for c, _, _ in self._tick])
+        if counts.sum() < TICK / plant.dt - 1e-6:
+            return 0.0, np.inf
+        share = counts / counts.sum()
+        mean = np.tensordot(share, np.array([f for _, f, _ in self._tick]), axes=1)
+        sizes = [0.0, *np.linalg.norm(mean, axis=1)]
+        return float(max(sizes)), float(share @ [a for _, _, a in self._tick])
+
+    def step(self, count: int) -> None:
+        """Run the physics, and look."""
+        self._step(count)
+        plant = self.bus.plant
+        if plant.time <= self.begun:
+            return
+        speed = float(np.linalg.norm(plant.truth.frame("tool").twist()[:3]))
+        late = plant.time > self.ended
+        self.speeds[late] = max(self.speeds[late], speed)
+        force, allowed = self._felt(count)
+        self.force = max(self.force, force)
+        if force > 0.0 and force - allowed > self.worst[0] - self.worst[1]:
+            self.worst = (force, allowed)
+        if not late:
+            self.joint = max(self.joint, float(np.abs(plant.dq).max()))
+            self.lowest = min(self.lowest, float(plant.tool[2, 3]))
+
+
+def suffer(
+    mishap: Mishap, *, held: bool = False, when: float = WHEN, patience: float = PATIENCE
+) -> Outcome:
+    """Let `arm7` hold its grasp pose, y soft, at 100 Hz over real bytes, and fail.
+
+    Args:
+        mishap: What goes wrong.
+        held: Whether a hand pulls the tool 0.10 m along y from then on; the arm is then not
+            lowered.
+        when: How long after torque came on [s].
+        patience: Least time to wait for an answer, by the clock on the wall [s]; where none is
+            lost, a long one keeps a busy computer out of the outcome.
+    """
+    options: dict[str, Any] = {"rate": RATE, "watchdog": mishap.watchdog}
+    with stepped(mishap.family, arm=options, patience=patience) as (bus, arm):
+        watcher = Watcher(bus, FALL if mishap.state == "no torque" else 0.0)
+        reason, torque = _run(mishap, bus, arm, watcher, held=held, when=when)
+    speed, lowered = watcher.speeds[False], watcher.speeds[True]
+    ending = "goes on" if not reason else "keeps its last order" if torque else "is lowered"
+    if mishap.state == "no torque" and reason:
+        ending = "falls, the rest " + ending.removeprefix("keeps its last order, ")
+    return Outcome(
+        ending=ending,
+        reason=reason,
+        speed=speed,
+        joint=watcher.joint,
+        drop=max(watcher.start - watcher.lowest, 0.0),
+        lowered=lowered,
+        force=watcher.worst[0],
+        allowed=watcher.worst[1] if watcher.worst[0] > 0.0 else watcher.allowed.still,
+        torque=torque,
+    )
+
+
+def _run(
+    mishap: Mishap, bus: ArmEmulator, arm: Arm, watcher: Watcher, *, held: bool, when: float
+) -> tuple[str, bool]:
+    """Control until it ends; return why, and whether torque is left."""
+    arm.enable()
+    settings = pliant.Settings.soft("y")
+    controller = pliant.Controller(arm.model, settings, arm.servos)
+    target = arm.model.forward_kinematics(arm.read().q)
+    reason = ""
+    try:
+        for tick in Loop(arm, controller, rate=settings.rate, duration=when + END):
+            wanted: Array | None = target
+            if bus.plant.time >= when:
+                first = watcher.begun == np.inf
+                if first or mishap.state != "host loss":
+                    watcher.allowed = _allowed(controller, mishap, bus.plant)
+                if first:
+                    watcher.begin()
+                    if held:
+                        bus.plant.set_hands([Grasp(when + TAKING)])
+                since = bus.plant.time - watcher.begun
+                wanted = mishap.act(Scene(bus, arm, tick, target, since, first))
+            if wanted is not None:
+                tick.write(controller.step(tick.q, wanted, dt=tick.dt))
+    except HostDiedError:
+        reason = "killed"
+    except (pliant.PliantError, KeyboardInterrupt) as error:
+        reason = str(error) or type(error).__name__
+    if reason == "killed" or mishap.state == "host loss":
+        bus.advance(WATCHED)
+    if mishap.after is not None:
+        mishap.after(bus)
+        arm.drive.close()
+        arm._keeper.owner, arm._opened = None, False
+        arm.enable()
+        watcher.end()
+        arm.lower()
+    elif reason != "killed" and not held:
+        watcher.end()
+        try:
+            arm.lower()
+        except pliant.PliantError as error:
+            reason = f"{reason}; {error}"
+    torque = any(servo.get("torque_enable") for servo in bus.servos)
+    # What the arm does to a hand when its torque goes off is nobody's doing but ours.
+    watcher.begun = np.inf
+    with suppress(pliant.PliantError):
+        arm.disable_torque()
+    return reason, torque
+
+
+class Grasp:
+    """A hand that takes hold of the tool where it is by then, and pulls it along y.
+
+    A hand that is put beside a tool under way pulls it back to where it was: its own doing.
+    """
+
+    at = TOOL
+
+    def __init__(self, since: float) -> None:
+        """Nothing is held before `since` [s]."""
+        self._since = since
+        self._hand: Drag | None = None
+
+    def force(self, truth: Truth, t: float) -> tuple[Array, Array, Array]:
+        """The hand's force, torque and point of attack; see `pliant.sim.hand.Hand`."""
+        if self._hand is None and t >= self._since:
+            self._hand = Drag(
+                axis="y",
+                distance=WAY,
+                stiffness=3000.0,
+                damping=30.0,
+                limit=300.0,
+                at=TOOL,
+                course=Course(start=t, rise=RISE, end=np.inf),
+                offset=float(truth.frame(TOOL).shift()[1]),
+            )
+        if self._hand is None:
+            return np.zeros(3), np.zeros(3), truth.frame(TOOL).position
+        return self._hand.force(truth, t)
+
+
+def _allowed(controller: pliant.Controller, mishap: Mishap, plant: Plant) -> Allowed:
+    """Return what a hand along y may meet from now on.
+
+    The cap is that of the present deviation. Joints that turn also rub, `Σ_i |J⁺_iy| τ_f,i`, as
+    the report has it but with the true gears: those of the emulator rub twice as much as the
+    servos' tables say. And they drag, `Σ_i |J⁺_iy| (d_i + k_p,i T/2) |dq_i|`: by their damping, and
+    because goals that stand for a period T are half a period old in the mean. Feed-forward takes
+    much of the first two away.
+    """
+    report = controller.report()
+    y = report.axes.index("y")
+    if mishap.state == "host loss":
+        return Allowed(still=float(report.host_loss_force[y].max()) + MOVING)
+    lever = np.abs(
+        np.linalg.pinv(controller.model.jacobian(controller.diagnostics.q_predicted))[:, y]
+    )
+    friction, damping = _gears(plant)
+    assert controller.servos is not None
+    old = 0.5 / controller.settings.rate * np.asarray(controller.servos.kp)
+    return Allowed(
+        still=float((1.0 + BAND) * controller.diagnostics.axis_strength[y] + lever @ friction),
+        drag=lever * (damping + old),
+    )
+
+
+def _gears(plant: Plant) -> tuple[Array, Array]:
+    """True dry friction [N·m] and damping [N·m·s/rad] of the joints (n,), with the servos' own."""
+    joints = plant.model.joint_names
+    dofs = [plant.mj_model.joint(name).dofadr[0] for name in joints]
+    servos = np.array([-plant.mj_model.actuator(name).biasprm[2] for name in joints])
+    return plant.mj_model.dof_frictionloss[dofs], plant.mj_model.dof_damping[dofs] + servos
+
+
+def table(only: str = "") -> list[str]:
+    """The table, as lines of Markdown, of mishaps whose title contains `only`."""
+    lines = [
+        "| what happens | the arm | tool [m/s] | joint [rad/s] | drop [mm] | lowered at [m/s] | "
+        "hand feels [N] | allowed [N] |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for mishap in MISHAPS:
+        if only in mishap.title:
+            lines.append(row(mishap, suffer(mishap), suffer(mishap, held=True)))
+            print(lines[-1], file=sys.stderr, flush=True)
+    return lines
+
+
+def row(mishap: Mishap, alone: Outcome, held: Outcome) -> str:
+    """One row."""
+    return (
+        f"| {mishap.title} | {alone.ending} | {alone.speed:.2f} | {alone.joint:.2f} | "
+        f"{1e3 * alone.drop:.1f} | {alone.lowered:.2f} | {held.force:.1f} | {held.allowed:.1f} |"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    print("\n".join(table(sys.argv[1] if len(sys.argv) > 1 else "")))
+
+
+if __name__ == "__main__":
+    main()

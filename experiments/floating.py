@@ -1,0 +1,159 @@
+"""Float mode measured: ``python -m experiments.floating``.
+
+Random poses of every arm, k_p of the servos half, one and two times the believed one, encoder of
+0.088° and dead band of 0.06°: how far an arm that nobody touches drifts in 10 s, which force leads
+it, and how far it moves after the hand has let go.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import tyro
+
+import pliant
+from experiments.campaign_arms import load
+from experiments.runner import Job, Workers
+from pliant.sim import Course, Drag, Plant
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+#: How far joints creep that friction holds, over MuJoCo's default. By that, 1, they slide by up to
+#: some mrad/s: what a small arm then drifts is the simulator's.
+CREEP = 0.1
+COUNT, DEADBAND = float(np.deg2rad(0.088)), float(np.deg2rad(0.06))
+#: When the hand comes, by when it has gone its way, when it lets go, and the end [s].
+COMES, THERE, GONE, END = 22.0, 24.0, 25.0, 35.0
+#: How far it leads the tool of each arm along y [m].
+WAYS = {"arm7": 0.12, "so101": 0.05, "koch": 0.05}
+
+
+@dataclass(frozen=True)
+class Floated:
+    """What one arm did; lengths in m, forces in N.
+
+    Attributes:
+        idle: Farthest the tool came in the 10 s after the first swing, untouched.
+        force: Median force of the hand while it leads the tool.
+        led: How far it got.
+        sag: Farthest the tool came in the 10 s after the hand let go.
+        later: The same without the first second.
+    """
+
+    idle: float
+    force: float
+    led: float
+    sag: float
+    later: float
+
+
+def floated(
+    name: str, pose: int, kp_scale: float, *, known: bool = False, creep: float = CREEP
+) -> Floated:
+    """Let an arm float: alone for 10 s, then led along y and left again.
+
+    Args:
+        name: Arm.
+        pose: Index among its random poses.
+        kp_scale: True over believed stiffness.
+        known: Whether the table claims that k_p is known.
+        creep: How fast joints slide that friction should hold, over MuJoCo's default.
+    """
+    arm = load(name)
+    q = arm.poses(pose + 1)[pose]
+    way = WAYS.get(name, 0.05)
+    course = Course(start=COMES, rise=THERE - COMES, end=GONE)
+    hand = Drag(axis="y", distance=way, stiffness=2000.0, limit=60.0, at="tool", course=course)
+    table = arm.servos.replace(encoder_step=COUNT, stiffness_known=known)
+    plant = Plant(
+        arm.model,
+        table,
+        kp_scale=kp_scale,
+        count=COUNT,
+        deadband=DEADBAND,
+        creep=creep,
+        scene=[hand],
+    )
+    plant.reset(q)
+    floating = pliant.HandGuiding(arm.model, table)
+    rows, ready = [], 0.0
+    while plant.time < END:
+        order = floating.step(plant.read().q)
+        plant.write(order.goal, order.torque_limit)
+        plant.advance()
+        if not floating.ready:
+            ready = plant.time
+        force = float(np.linalg.norm(plant.hands[0].force))
+        rows.append((plant.time, *plant.tool[:3, 3], force))
+    data = np.array(rows)
+    time, place, forces = data[:, 0], data[:, 1:4], data[:, 4]
+
+    def farthest(start: float, seconds: float, origin: float) -> float:
+        window = (time > start) & (time <= start + seconds)
+        return float(
+            np.linalg.norm(place[window] - place[np.searchsorted(time, origin)], axis=1).max()
+        )
+
+    leading = (time > COMES + 0.5) & (time <= THERE)
+    return Floated(
+        idle=farthest(ready, 10.0, ready),
+        force=float(np.median(forces[leading])),
+        led=farthest(COMES, GONE - COMES, COMES),
+        sag=farthest(GONE, 10.0, GONE),
+        later=farthest(GONE + 1.0, 9.0, GONE + 1.0),
+    )
+
+
+@dataclass(frozen=True)
+class Options:
+    """Measure the float mode; figures are median / 95th percentile / worst over the poses.
+
+    Attributes:
+        arm: Arms by name; by default all of ours.
+        poses: Random poses of each.
+        jobs: Processes at once.
+        creep: How fast joints slide that friction should hold, over MuJoCo's default.
+    """
+
+    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    poses: int = 20
+    jobs: int = 2
+    creep: float = CREEP
+
+
+def main() -> None:
+    """Print the table."""
+    options = tyro.cli(Options)
+    cases = [(name, kp) for name in options.arm or tuple(WAYS) for kp in (0.5, 1.0, 2.0)]
+    jobs = [
+        Job(f"{name} {kp} {pose}", floated, (name, pose, kp), {"creep": options.creep})
+        for name, kp in cases
+        for pose in range(options.poses)
+    ]
+    with Workers(options.jobs) as workers:
+        outcomes = workers.run(jobs)
+    print("| arm | k_p × | untouched 10 s [mm] | below 2 mm [%] | force to lead [N] | ", end="")
+    print("after release [mm] | from 1 s on [mm] |\n|---|---|---|---|---|---|---|")
+    for name, kp in cases:
+        runs = [outcomes[f"{name} {kp} {pose}"] for pose in range(options.poses)]
+        idle = np.array([1e3 * run.idle for run in runs])
+        columns = [
+            " / ".join(f"{x:.1f}" for x in np.percentile(values, (50, 95, 100)))
+            for values in (
+                idle,
+                [run.force for run in runs],
+                [1e3 * run.sag for run in runs],
+                [1e3 * run.later for run in runs],
+            )
+        ]
+        share = 100.0 * float(np.mean(idle < 2.0))
+        print(f"| {name} | {kp:g} | {columns[0]} | {share:.0f} | " + " | ".join(columns[1:]) + " |")
+
+
+if __name__ == "__main__":
+    main()

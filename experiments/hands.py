@@ -1,0 +1,231 @@
+"""A hand drags, pushes, taps, or leaves the arm alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments import metrics
+from experiments.conditions import NOMINAL
+from experiments.episode import Trace, run
+from experiments.setups import AXES, tool
+from pliant.sim.hand import STRONG, Course, Drag, Push, Twist, tap
+from pliant.sim.postures import VERTICAL
+from pliant.sim.truth import WRIST
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    import pliant
+    from experiments.conditions import Conditions, FromModel
+    from pliant.sim import Plant
+
+    Array = NDArray[np.float64]
+    Law = pliant.Settings | FromModel
+
+#: A 15 N hand that takes 4 s for 0.08 m: what dry friction costs.
+SLOW = Drag(distance=0.08, course=Course(start=2.0, rise=4.0, end=6.5))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dragged:
+    """What a hand met that dragged one axis from 2 to 5 s and then let go.
+
+    Attributes:
+        moved: Largest change of the dragged axis since the hand came, while it pulls [m or rad].
+        before: Largest change of that axis in the 2 s before.
+        force: Largest mean over a tick of the hand's force or torque [N or N·m].
+        peak: The same of any physics step.
+        held: Mean force while the hand holds still, along the axis; positive: toward + [N or N·m].
+        position: Largest deviation of the other positions while the hand pulls [m].
+        drift: The same, from where they were when the hand came [m].
+        rotation: Largest deviation of the other rotations [rad].
+        back: Where the axis is 1 s after the release, from its start, without sign.
+        end: Where it is at the end.
+        stays: How far it moves from its farthest place until the end.
+        fastest: Largest speed of a joint after the release [rad/s].
+        trace: The run.
+    """
+
+    moved: float
+    before: float
+    force: float
+    peak: float
+    held: float
+    position: float
+    drift: float
+    rotation: float
+    back: float
+    end: float
+    stays: float
+    fastest: float
+    trace: Trace
+
+
+def drag(
+    law: Law,
+    hand: Drag | Twist = STRONG,
+    *,
+    q: Array = VERTICAL,
+    duration: float = 9.0,
+    conditions: Conditions = NOMINAL,
+) -> Dragged:
+    """Let a hand drag the arm away from a constant target and let go.
+
+    Args:
+        law: Settings of our controller, or one that is not ours.
+        hand: The hand; its axis is a name.
+        q: Start (7,) [rad]; the target is the tool's pose there.
+        duration: Length of the run [s].
+        conditions: Loop, bus and beliefs.
+
+    Returns:
+        The figures and the run.
+    """
+    plant = conditions.build(hand)
+    controller = conditions.controller(law)
+    trace = run(plant, controller, tool(q), duration, q=q, on_tick=_grip)
+    axis = AXES.index(str(hand.axis))
+    translation = axis < 3
+    felt = trace.force[:, axis] if translation else trace.moment[:, axis - 3]
+    first = plant.hands[0]
+    along = trace.moved[:, axis]
+    farthest = metrics.moved(trace, axis)
+    positions = metrics.others(axis, "xyz")
+    return Dragged(
+        moved=farthest,
+        before=metrics.largest(along[trace.between(0.0, metrics.PULLING[0])]),
+        force=metrics.largest(felt),
+        peak=first.peak_force if translation else first.peak_torque,
+        held=float(felt[trace.between(*metrics.HELD)].mean()),
+        position=metrics.deviation(trace, positions),
+        drift=metrics.drift(trace, positions),
+        rotation=metrics.deviation(trace, metrics.others(axis, "rpy")),
+        back=abs(float(along[trace.at(metrics.PULLING[1] + 1.0)])),
+        end=abs(float(along[-1])),
+        stays=abs(abs(float(along[-1])) - farthest),
+        fastest=metrics.largest(trace.dq[trace.t > metrics.PULLING[1]]),
+        trace=trace,
+    )
+
+
+def opposite(hand: Drag) -> Drag:
+    """The same hand, pulling the other way."""
+    return replace(hand, distance=-hand.distance)
+
+
+def _grip(time: float, plant: Plant) -> None:
+    """Let the hand count its way from where the arm is when it comes."""
+    if abs(time - metrics.PULLING[0]) < 0.5 * plant.period:
+        plant.truth.remember()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pushed:
+    """What a constant push did.
+
+    Attributes:
+        moved: Largest change along the push [m].
+        position: Largest deviation of the other positions [m].
+        rotation: Largest deviation of the rotations [rad].
+        back: Distance along the push 1 s after it ended [m].
+        trace: The run.
+    """
+
+    moved: float
+    position: float
+    rotation: float
+    back: float
+    trace: Trace
+
+
+def push(
+    law: Law, force: float, *, axis: str = "y", at: str = WRIST, conditions: Conditions = NOMINAL
+) -> Pushed:
+    """Push with a constant force [N] along a base axis: up in 2 to 3 s, gone at 5 s.
+
+    Args:
+        law: Settings of our controller, or one that is not ours.
+        force: The force, with its sign [N].
+        axis: Base axis.
+        at: Frame that is pushed, `wrist` or `tool`.
+        conditions: Loop, bus and beliefs.
+
+    Returns:
+        The figures and the run.
+    """
+    index = AXES.index(axis)
+    hand = Push(force_vector=tuple(force * np.eye(3)[index]), at=at)
+    trace = run(conditions.build(hand), conditions.controller(law), tool(VERTICAL), 7.0, q=VERTICAL)
+    return Pushed(
+        moved=metrics.moved(trace, index),
+        position=metrics.deviation(trace, metrics.others(index, "xyz")),
+        rotation=metrics.deviation(trace, [3, 4, 5]),
+        back=abs(float(trace.moved[trace.at(6.0), index])),
+        trace=trace,
+    )
+
+
+def push_stiff(law: Law, axis: str, size: float, *, conditions: Conditions = NOMINAL) -> float:
+    """Push the tool along or about an axis with a constant `size` [N or N·m].
+
+    Returns:
+        How far that axis gives [m or rad]: mean of 3 to 3.9 s, in the direction of the push.
+    """
+    index = AXES.index(axis)
+    vector = tuple(size * np.eye(3)[index % 3])
+    course = Course(start=1.5, rise=0.5, end=4.0)
+    if index < 3:
+        hand = Push(force_vector=vector, course=course)
+    else:
+        hand = Push(torque_vector=vector, course=course)
+    trace = run(conditions.build(hand), conditions.controller(law), tool(VERTICAL), 4.0, q=VERTICAL)
+    mean = float(trace.moved[trace.between(3.0, 3.9), index].mean())
+    return mean * float(np.sign(size))
+
+
+def tapped(law: Law, axis: str, *, force: float = 6.0, conditions: Conditions = NOMINAL) -> float:
+    """Tap the tool along a base axis at 1 s.
+
+    Returns:
+        Rms speed of the joints from 4 to 6 s [rad/s]: what a loop that rings keeps up.
+    """
+    hand = tap(tuple(force * np.eye(3)[AXES.index(axis)]))
+    trace = run(conditions.build(hand), conditions.controller(law), tool(VERTICAL), 6.0, q=VERTICAL)
+    return metrics.speed(trace, 4.0, 6.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Idle:
+    """What the arm does when nobody touches it.
+
+    Attributes:
+        error: Distance of the tool from its target at the end [m].
+        angle: Angle of the tool from its target at the end [rad].
+        speed: Rms speed of the joints in the last 2 s [rad/s].
+        walk: Change of the position in the last 2 s [m].
+        trace: The run.
+    """
+
+    error: float
+    angle: float
+    speed: float
+    walk: float
+    trace: Trace
+
+
+def idle(
+    law: Law, duration: float = 4.0, *, q: Array = VERTICAL, conditions: Conditions = NOMINAL
+) -> Idle:
+    """Hold still for `duration` seconds, at least 3."""
+    trace = run(conditions.build(), conditions.controller(law), tool(q), duration, q=q)
+    late = trace.between(duration - 2.0, duration)
+    return Idle(
+        error=float(np.linalg.norm(trace.error[-1, :3])),
+        angle=float(np.linalg.norm(trace.error[-1, 3:])),
+        speed=metrics.speed(trace, duration - 2.0, duration),
+        walk=float(np.linalg.norm(trace.position[-1] - trace.position[late][0])),
+        trace=trace,
+    )

@@ -1,0 +1,252 @@
+"""The host dies in the middle of its work, and a hand comes: what it meets, against the report.
+
+``python -m experiments.host_loss`` lets every arm follow a moving target in random poses,
+half of them while a hand leans on the yielding axis, freezes goals and limits, and then drags the
+tool along every axis of the task, both ways, by 0.15 m or 0.4 rad. What the hand meets at most is
+compared with ``report().host_loss_force``, taken from the last step before the death.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import tyro
+
+import pliant
+from experiments.campaign_arms import AXES, Arm, load
+from experiments.campaign_grip import OF_CAPACITY, Grip
+from experiments.parallel import parallel
+from pliant import robots
+from pliant.sim import Plant
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+#: How far the hand goes, as far as the report looks, and how long it takes [m, rad; s].
+TRAVEL, TAKES = (0.15, 0.4), 6.0
+#: The work: speed of the target [m/s], how long it goes on before the death [s].
+SPEED, WORK = 0.1, (0.6, 1.2)
+#: How far a hand leans on the yielding axis meanwhile [m], and the time the arm is left alone [s].
+LEAN, ALONE = 0.04, 0.5
+#: The most that the hand gives on `arm7` [N, N·m]; others are stronger by their capacity.
+HAND = (80.0, 6.0)
+#: Poses of `arm7` and of the others.
+POSES, OTHERS = 24, 8
+#: What issue and faults page allow beyond the report [N, N·m].
+BEYOND = (3.0, 0.3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Met:
+    """One push on a dead arm.
+
+    Attributes:
+        arm: By name.
+        pose: Index among the arm's poses.
+        axis: Name.
+        sign: Direction of the push.
+        leaned: Whether a hand leaned on the arm when it died.
+        said: `report().host_loss_force` of the last step [N or N·m].
+        felt: The most that the hand met [N or N·m].
+        at: How far it had gone then [m or rad].
+        hand: The most that it has [N or N·m].
+    """
+
+    arm: str
+    pose: int
+    axis: str
+    sign: float
+    leaned: bool
+    said: float
+    felt: float
+    at: float
+    hand: float
+
+    @property
+    def walled(self) -> bool:
+        """Whether the hand could not move the arm on, and the report did not expect it to."""
+        return self.felt >= self.hand and self.said >= self.hand
+
+    @property
+    def ratio(self) -> float:
+        """Felt over said."""
+        return self.felt / self.said
+
+    @property
+    def above(self) -> float:
+        """Felt less said [N or N·m]."""
+        return self.felt - self.said
+
+    @property
+    def allowed(self) -> bool:
+        """Whether it is within what may come on top."""
+        return self.above <= BEYOND[AXES.index(self.axis) // 3]
+
+
+class Bench:
+    """An arm that works and dies; made once for all its poses."""
+
+    def __init__(self, arm: Arm, settings: pliant.Settings | None = None) -> None:
+        """Build plant, hand and controller; by default y yields (x on an arm without y)."""
+        self.arm = arm
+        scale = arm.median_capacity[0] / OF_CAPACITY
+        self.grip = Grip(scale)
+        self.hand = (scale * HAND[0], scale * HAND[1])
+        self.plant = Plant(arm.model, arm.servos, scene=[self.grip])
+        self.soft = "y" if "y" in arm.axes else "x"
+        task = " ".join(arm.axes)
+        cap = arm.caps(AXES.index(self.soft))
+        axis = pliant.Axis(soft=cap[0], firm=cap[1])
+        self.settings = settings or pliant.Settings(task=task, axes={self.soft: axis})
+        self.controller = pliant.Controller(arm.model, self.settings, arm.servos)
+
+    def pushes(self, pose: int) -> list[Met]:
+        """Push along every axis of the task, both ways."""
+        return [self.push(pose, axis, sign) for axis in self.arm.axes for sign in (1.0, -1.0)]
+
+    def push(self, pose: int, axis: str, sign: float) -> Met:
+        """Work, die, and be pushed."""
+        leans = bool(pose % 2)
+        report = self._work(pose, leans=leans)
+        row, kind = AXES.index(axis), AXES.index(axis) // 3
+        side = (self.arm.rows.index(row), int(sign > 0.0))
+        felt, at = self.drag(row, sign * TRAVEL[kind])
+        return Met(
+            arm=self.arm.name,
+            pose=pose,
+            axis=axis,
+            sign=sign,
+            leaned=leans,
+            said=float(report.host_loss_force[side]),
+            felt=felt,
+            at=at,
+            hand=self.hand[kind],
+        )
+
+    def _work(self, pose: int, *, leans: bool) -> pliant.feasibility.PoseReport:
+        """Follow a moving target until the host dies; the report of the last step."""
+        rng = np.random.default_rng((pose, 7))
+        way, death, lean = rng.standard_normal(3), rng.uniform(*WORK), rng.choice((-LEAN, LEAN))
+        q = self.arm.poses(pose + 1)[pose]
+        plant, controller, grip = self.plant, self.controller, self.grip
+        plant.reset(q)
+        controller.reset(q)
+        soft = AXES.index(self.soft)
+        grip.hold([soft] if leans else [])
+        target = plant.tool
+        for _ in range(round(death * plant.rate)):
+            target[:3, 3] += SPEED * plant.period * way / np.linalg.norm(way)
+            grip.move(soft, lean / death if leans else 0.0)
+            flat = not any(row > 2 for row in self.arm.rows)
+            command = controller.step(plant.read().q, target[:3, 3] if flat else target)
+            plant.write(command.goal, command.torque_limit)
+            plant.advance()
+        return controller.report()
+
+    def drag(self, row: int, way: float) -> tuple[float, float]:
+        """Drag the dead arm along one axis; the most that it took, and where."""
+        plant, grip = self.plant, self.grip
+        grip.hold([])
+        plant.advance(round(ALONE / plant.dt))
+        grip.place(plant)
+        grip.hold([row])
+        most, at, gone, start = -np.inf, 0.0, 0.0, plant.tool
+        while abs(gone) < abs(way) and most < self.hand[row // 3]:
+            # The hand's spring takes part of its way: it goes on until the tool has gone it.
+            grip.move(row, way / TAKES)
+            plant.advance()
+            gone = float(pliant.functional.pose_error(start, plant.tool)[row])
+            force = float(np.sign(way)) * grip.force(row)
+            if force > most:
+                most, at = force, abs(gone)
+            if plant.time > 4.0 * TAKES:
+                break
+        return most, at
+
+
+@lru_cache(maxsize=2)
+def _bench(arm: str) -> Bench:
+    return Bench(load(arm))
+
+
+@dataclass(frozen=True)
+class Job:
+    """One pose of one arm."""
+
+    arm: str
+    pose: int
+
+    def run(self) -> list[Met]:
+        """All pushes."""
+        return _bench(self.arm).pushes(self.pose)
+
+
+def text(found: Sequence[Met]) -> str:
+    """Figures per arm, translations and rotations apart, as Markdown."""
+    lines = [
+        "| arm | pushes | walled | felt/said: 5th % | median | 95th % | most "
+        "| felt − said: 95th % | most | within the allowance % |",
+        "|---" * 10 + "|",
+    ]
+    for arm in dict.fromkeys(one.arm for one in found):
+        for kind, unit in enumerate(("N", "N·m")):
+            every = [m for m in found if m.arm == arm and AXES.index(m.axis) // 3 == kind]
+            if not every:
+                continue
+            seen = [m for m in every if not m.walled]
+            low, middle, high = np.quantile([m.ratio for m in seen], (0.05, 0.5, 0.95))
+            above, walled = [m.above for m in seen], len(every) - len(seen)
+            lines.append(
+                f"| {arm}, {unit} | {len(every)} | {walled} | {low:.2f} | {middle:.2f} "
+                f"| {high:.2f} | {max(m.ratio for m in seen):.2f} "
+                f"| {np.quantile(above, 0.95):+.2f} | {max(above):+.2f} "
+                f"| {100 * np.mean([m.allowed for m in seen]):.1f} |"
+            )
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Drag arms whose host has died.
+
+    Attributes:
+        poses: Poses of arm7; other arms have a third.
+        arm: Arms by name; by default those that ship with the package.
+        jobs: Processes at once.
+        out: File for every push, as JSON; none by default.
+    """
+
+    poses: int = POSES
+    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    jobs: int = 2
+    out: Path | None = None
+
+
+def main(options: Options) -> None:
+    """Run what these options ask for, print the table."""
+    names = options.arm or robots.names()
+    work = [
+        Job(name, pose)
+        for name in names
+        for pose in range(options.poses if name == "arm7" else -(-options.poses * OTHERS // POSES))
+    ]
+    found = [met for one in parallel(work, options.jobs, "dead") for met in one]
+    print(text(found))
+    if options.out is not None:
+        options.out.write_text(json.dumps([asdict(met) for met in found], indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    # Other processes find this module's jobs by its name, not as `__main__`.
+    from experiments import host_loss  # noqa: PLW0406 -- by name
+
+    host_loss.main(tyro.cli(host_loss.Options))

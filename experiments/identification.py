@@ -1,0 +1,289 @@
+"""Identification against the truth: ``python -m experiments.identification``.
+
+Every arm of ours identifies itself under one disturbance at a time and under several at once; then
+drag and door of `arm7` with a wrong servo table, with the identified one, and with the true one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+
+import pliant
+from experiments import laws, merits
+from experiments.conditions import Conditions
+from experiments.runner import Job, Workers
+from pliant import identify, robots
+from pliant.sim import MX64, MX106, STS3215, Friction, Plant
+from pliant.sim.postures import VERTICAL
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+#: Where each arm starts (n,) [rad], and what it can lift with ease [kg].
+STARTS = {
+    "arm7": np.asarray(VERTICAL),
+    "so101": np.array([0.2, -0.3, 0.3, 0.9, 0.0]),
+    "koch": np.array([0.2, -0.3, 0.3, 0.9, 0.0]),
+}
+LIFTS = {"arm7": 0.3, "so101": 0.3, "koch": 0.05}
+CENTRE = (0.02, 0.01, 0.05)  # [m]
+COUNT, DEADBAND = np.deg2rad(0.088), np.deg2rad(0.06)
+GEARS = {
+    "arm7": Friction.of([MX106] * 4 + [MX64] * 3),
+    "so101": STS3215,
+    "koch": STS3215,
+}
+#: Options of the plant under each name; `lift` is the share of what the arm can lift.
+CASES: dict[str, dict[str, Any]] = {
+    "as the table": {},
+    "k_p × 0.8": {"kp_scale": 0.8},
+    "k_p × 1.25": {"kp_scale": 1.25},
+    "friction × 0.7": {"friction_scale": 0.7},
+    "friction × 1.3": {"friction_scale": 1.3},
+    "friction × 3": {"friction_scale": 3.0},
+    "damping × 0.7": {"damping_scale": 0.7},
+    "1 tick of delay": {"delay": (1, 0)},
+    "2 ticks of delay": {"delay": (1, 1)},
+    "payload, a third": {"lift": 1 / 3},
+    "payload": {"lift": 1.0},
+    "dead band 0.06°": {"deadband": DEADBAND},
+    "gears as they are": {"gears": True},
+    "several at once": {
+        "kp_scale": 0.8,
+        "friction_scale": 1.3,
+        "delay": (1, 1),
+        "lift": 2 / 3,
+        "deadband": DEADBAND,
+    },
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What one identification found, beside the truth; (n,) per joint.
+
+    Attributes:
+        arm, case: Names.
+        kp, friction, damping: Found over true. Damping is everything that grows with speed.
+        kp_bars: Errors of k_p in their own standard deviations.
+        loaded: Joints whose gravity exceeds three times their friction at the start.
+        delay: Found less true [s].
+        mass, mass_bars: Found less true [kg], and in its own standard deviations.
+        centre: Distance of the centre from the true one [m]; NaN without a payload.
+        spread: Residuals over what friction and encoder explain.
+        seconds: Duration on the arm [s].
+        found: All of it.
+    """
+
+    arm: str
+    case: str
+    kp: Array
+    friction: Array
+    damping: Array
+    kp_bars: Array
+    loaded: NDArray[np.bool_]
+    delay: float
+    mass: float
+    mass_bars: float
+    centre: float
+    spread: float
+    seconds: float
+    found: identify.Identification
+
+
+def plant(arm: str, case: str, rate: float = 100.0) -> Plant:
+    """An arm that differs from its table as the case says, with coarse encoders."""
+    options = dict(CASES[case])
+    lift, gears = options.pop("lift", 0.0), options.pop("gears", False)
+    if lift:
+        options["payload"] = (lift * LIFTS[arm], CENTRE)
+    if gears:
+        options["friction"] = GEARS[arm]
+    out = Plant(robots.load(arm), count=COUNT, rate=rate, **options)
+    out.reset(STARTS[arm])
+    return out
+
+
+def identified(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> Outcome:
+    """Let an arm identify itself and compare with the truth.
+
+    Args:
+        arm: Name in `STARTS`.
+        case: Name in `CASES`.
+        span: How far poses may be from the start [rad].
+        rate: Control rate [Hz].
+    """
+    body = plant(arm, case, rate)
+    model = robots.load(arm)
+    table = believed(model)
+    found = identify.identify_servos(body, model, table, span=span)
+    gains, servos = body.gains, found.servos
+    gravity = np.asarray(model.gravity(STARTS[arm]))
+    lift = CASES[case].get("lift", 0.0) * LIFTS[arm]
+    friction = gains.friction
+    if CASES[case].get("gears"):
+        friction = np.asarray(GEARS[arm].at_rest(gravity))
+    emf = gains.torque / np.asarray(servos.no_load_speed) if table.limit_type == "pwm" else 0.0
+    damping = (servos.damping + servos.kv + emf) / (gains.damping + gains.kv)
+    load = found.payload
+    centre = np.linalg.norm(load.com - CENTRE) if lift and load.found else np.nan
+    return Outcome(
+        arm=arm,
+        case=case,
+        kp=servos.kp / gains.kp,
+        friction=found.friction / friction,
+        damping=damping,
+        kp_bars=(servos.kp - gains.kp) / found.errors["kp"],
+        loaded=np.abs(gravity) > 3.0 * gains.friction,
+        delay=found.delay - sum(CASES[case].get("delay", (0, 0))) / rate,
+        mass=load.mass - lift,
+        mass_bars=(load.moments[0] - lift) / load.mass_sigma,
+        centre=float(centre),
+        spread=found.spread,
+        seconds=body.time,
+        found=found,
+    )
+
+
+def believed(model: pliant.Model) -> pliant.Servos:
+    """The table an identification starts from: that of the arm, its k_p not to be trusted."""
+    if model.servos is None:
+        raise pliant.ConfigError(f"{model.name} has no servos")
+    return model.servos.replace(encoder_step=COUNT, stiffness_known=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Believing(Conditions):
+    """Conditions under which the controller believes a table that was found, or a wrong one.
+
+    Attributes:
+        table: What it believes of the servos.
+        known_delay: What it believes of the delay [s].
+    """
+
+    table: pliant.Servos
+    known_delay: float = 0.0
+
+    def servos(self) -> pliant.Servos:
+        """The table."""
+        return self.table
+
+    def controller(self, law: Any) -> Any:
+        """A controller with these beliefs."""
+        settings = law.replace(rate=self.rate, delay=self.known_delay, accept=("eta",))
+        return pliant.Controller(robots.arm7(), settings, self.table)
+
+
+#: How wrong the table of `arm7` is in the rows before and after.
+WRONG: dict[str, Any] = {"kp_scale": 1.25, "friction_scale": 1.4, "damping_scale": 1.3}
+
+
+def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
+    """Drag and door, η 0.999, a tick each way: by a wrong table, identified, and known exactly."""
+    delay, options = (1, 1), {**WRONG, "count": COUNT}
+    body = Plant(robots.arm7(), delay=delay, **options)
+    body.reset(STARTS["arm7"])
+    table = believed(robots.arm7())
+    found = identify.identify_servos(body, robots.arm7(), table, span=span)
+    gains = body.gains
+    true = table.replace(
+        kp=gains.kp,
+        friction=gains.friction,
+        damping=gains.damping,
+        kv=gains.kv,
+        stiffness_known=True,
+    )
+    beliefs = {
+        "the table, wrong": (table, 0.0),
+        "identified": (found.servos, found.delay),
+        "known exactly": (true, sum(delay) / 100.0),
+    }
+    measures = {
+        "15 N hand": merits.light(laws.cap()),
+        "strong hand": merits.strong(laws.cap()),
+        "door": merits.door("door"),
+    }
+    out = []
+    for name, (servos, known) in beliefs.items():
+        conditions = Believing(table=servos, known_delay=known, delay=delay, plant=options)
+        figures = {
+            f"{scene}: {figure}": value
+            for scene, measure in measures.items()
+            for figure, value in measure(conditions).items()
+        }
+        out.append((name, figures))
+    return out
+
+
+def line(one: Outcome) -> str:
+    """One line of the table."""
+
+    def percent(values: Array) -> str:
+        off = 100.0 * np.abs(values - 1.0)
+        return f"{np.median(off):.1f} / {off.max():.1f}"
+
+    kp = percent(one.kp[one.loaded]) if one.loaded.any() else "–"
+    light = percent(one.kp[~one.loaded]) if (~one.loaded).any() else "–"
+    centre = "–" if np.isnan(one.centre) else f"{1e3 * one.centre:.0f}"
+    inside = 100.0 * np.mean(np.abs(one.kp_bars) < 2.0)
+    return (
+        f"| {one.arm} | {one.case} | {kp} | {light} | {percent(one.friction)} | "
+        f"{percent(one.damping)} | {1e3 * one.delay:+.1f} | {1e3 * one.mass:+.0f} | {centre} | "
+        f"{inside:.0f} | {one.spread:.1f} | {one.seconds:.0f} |"
+    )
+
+
+HEAD = (
+    "| arm | the arm is | k_p loaded [%] | k_p not loaded [%] | friction [%] | damping [%] | "
+    "delay [ms] | mass [g] | centre [mm] | k_p within 2 σ [%] | spread | time [s] |\n"
+    "|---|---|---|---|---|---|---|---|---|---|---|---|"
+)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Identify simulated arms and compare with the truth; errors are median / worst over joints.
+
+    Attributes:
+        arm: Arms by name; by default all of ours.
+        span: How far poses may be from the start [rad].
+        jobs: Processes at once.
+        rows: Whether drag and door before and after join in.
+    """
+
+    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    span: float = 0.4
+    jobs: int = 2
+    rows: bool = True
+
+
+def main() -> None:
+    """Print the tables."""
+    options = tyro.cli(Options)
+    jobs = [
+        Job(f"{arm} {case}", identified, (arm, case, options.span))
+        for arm in options.arm or tuple(STARTS)
+        for case in CASES
+    ]
+    print(HEAD)
+    with Workers(options.jobs) as workers:
+        outcomes = workers.run(jobs)
+    for job in jobs:
+        print(line(outcomes[job.key]))
+    if options.rows:
+        table = rows(options.span)
+        print("\n| figure | " + " | ".join(name for name, _ in table) + " |")
+        print("|---|" + "---|" * len(table))
+        for figure in table[0][1]:
+            values = " | ".join(f"{figures[figure]:.2f}" for _, figures in table)
+            print(f"| {figure} | {values} |")
+
+
+if __name__ == "__main__":
+    main()

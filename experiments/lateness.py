@@ -1,0 +1,171 @@
+"""What a page and a log cost the loop: lateness with each off and on, in one run.
+
+``python -m experiments.lateness [--seconds 10] [--rounds 3]`` controls an SO-101 over
+emulated bytes at 100 Hz, in turns: bare, with the page (its process, thirty snapshots a second, and
+a client that takes all that the page sends), with the log, with both. It prints the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+from urllib.parse import urlsplit
+
+from pliant import config
+from pliant.arm.lateness import Lateness
+from pliant.view.link import Link
+from pliant.view.orders import Stop
+from pliant.view.session import Session
+from pliant.view.source import Configured
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from pliant.view.orders import Order
+
+#: Control rate [Hz].
+RATE = 100.0
+#: A busy machine shall not end a run [s].
+PATIENCE = 30.0
+
+
+@dataclass
+class Way:
+    """One way to run.
+
+    Attributes:
+        page, log: Whether they are on.
+        late: Lateness of all its ticks.
+        missed: Ticks skipped.
+        sent: Snapshots that the page took.
+        seconds: How long it ran [s].
+    """
+
+    page: bool
+    log: bool
+    late: Lateness = field(default_factory=Lateness)
+    missed: int = 0
+    sent: int = 0
+    seconds: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        return {
+            (False, False): "bare",
+            (True, False): "page",
+            (False, True): "log",
+            (True, True): "page and log",
+        }[self.page, self.log]
+
+
+class Timed:
+    """A link that asks for the end after some time, counts, and can be nobody's."""
+
+    def __init__(self, link: Link | None, ticks: int) -> None:
+        """Count from now on."""
+        self._link, self._left, self.sent = link, ticks, 0
+
+    def orders(self) -> list[Order]:
+        """Of the page, and the stop."""
+        self._left -= 1
+        heard = [] if self._link is None else self._link.orders()
+        return [*heard, Stop()] if self._left == 0 else heard
+
+    def due(self) -> bool:
+        """As the page has it; never without one."""
+        return self._link is not None and self._link.due()
+
+    def send(self, word: Any) -> None:
+        """To the page."""
+        if self._link is not None:
+            self.sent += 1
+            self._link.send(word)
+
+
+def run(way: Way, link: Link | None, seconds: float, folder: Path) -> None:
+    """Control the arm one way, and count."""
+    source = Configured(
+        config.load("so101", backend="emulator"),
+        on_exit="leave_enabled",
+        signals=False,
+        comm_timeout=PATIENCE,
+    )
+    timed = Timed(link if way.page else None, round(seconds * RATE))
+    session = Session(source, cast("Link", timed), folder / "run.mcap" if way.log else None)
+    session.run(1)
+    assert session.loop is not None
+    way.late.counts += session.loop.lateness.counts
+    way.late.largest = max(way.late.largest, session.loop.lateness.largest)
+    way.missed += session.loop.missed
+    way.sent += timed.sent
+    way.seconds += (len(session.loop.lateness) + session.loop.missed) / RATE
+
+
+@contextlib.contextmanager
+def client(link: Link) -> Iterator[None]:
+    """A process that takes everything the page sends, as a browser does, and draws nothing."""
+    command = [sys.executable, "-m", "experiments.lateness", "--client", link.address]
+    with subprocess.Popen(command) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
+
+
+def take_all(address: str) -> None:
+    """The client."""
+    import viser
+    from websockets.sync.client import connect
+
+    # It is elsewhere in life, and shall not take the loop's processor here.
+    os.nice(19)
+    parts = urlsplit(address)
+    with connect(
+        f"ws://{parts.netloc}/?{parts.fragment}",
+        origin=cast("Any", f"http://{parts.netloc}"),
+        subprotocols=[cast("Any", f"viser-v{viser.__version__}")],
+        max_size=None,
+    ) as socket:
+        for _ in socket:
+            pass
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--client", default="")
+    given = parser.parse_args(arguments)
+    if given.client:
+        take_all(given.client)
+        return
+    ways = [Way(page=page, log=log) for page, log in product((False, True), repeat=2)]
+    with tempfile.TemporaryDirectory() as name:
+        for _ in range(given.rounds):
+            for way in ways:
+                if not way.page:
+                    run(way, None, given.seconds, Path(name))
+                    continue
+                with Link() as link, client(link):
+                    run(way, link, given.seconds, Path(name))
+    print("| SO-101, 100 Hz | ticks | late 50 % [ms] | 99 % | 99.9 % | missed | snapshots/s |")
+    print("|---|---|---|---|---|---|---|")
+    for way in ways:
+        late = [f"{1e3 * way.late.percentile(share):.2f}" for share in (50.0, 99.0, 99.9)]
+        rate = way.sent / way.seconds
+        print(f"| {way.name} | {len(way.late)} | {' | '.join(late)} | {way.missed} | {rate:.0f} |")
+    print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
+
+
+if __name__ == "__main__":
+    main()

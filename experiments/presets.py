@@ -1,0 +1,155 @@
+"""What each preset reaches in its scene, beside the same task with all axes stiff.
+
+``python -m experiments.presets`` prints the table of docs/presets.md in a minute; with a
+path it draws force against deviation of the three profiles there as well.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments import compliance, hands, skills
+from experiments.conditions import NOMINAL, TICK_EACH_WAY, Conditions
+from pliant import Axis, Settings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import Literal
+
+    from numpy.typing import NDArray
+
+    from experiments.hands import Law
+
+    Array = NDArray[np.float64]
+    Profile = Literal["hardening", "constant", "softening"]
+
+#: Soft and firm of the profiles that are drawn [N].
+SOFT, FIRM = 4.0, 15.0
+#: Nothing delayed and everything known; a tick each way; the same, friction believed 30 % wrong.
+UNDER: dict[str, Conditions] = {
+    "nominal": NOMINAL,
+    "tick each way": TICK_EACH_WAY,
+    "believed 0.7": Conditions(delay=(1, 1), believed=0.7),
+    "believed 1.3": Conditions(delay=(1, 1), believed=1.3),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """One preset in one scene.
+
+    Attributes:
+        name: Of the preset, or "all axes stiff".
+        figures: What was measured, in words with units.
+    """
+
+    name: str
+    figures: str
+
+
+def _drawer(law: Law, conditions: Conditions) -> str:
+    seen = skills.pull_drawer(law, conditions=conditions)
+    return (
+        f"{1e3 * seen.way:.0f} mm open, peak {seen.force:.1f} N, across {seen.across:.1f} N, "
+        f"{seen.torque:.1f} N·m"
+    )
+
+
+def _wipe(law: Law, conditions: Conditions) -> str:
+    seen = skills.wipe(law, conditions=conditions)
+    return (
+        f"{seen.mean:.1f} N ({seen.least:.1f} to {seen.most:.1f}), "
+        f"{1e3 * seen.off:.0f} mm off its path"
+    )
+
+
+def _hand_over(law: Law, conditions: Conditions) -> str:
+    seen = skills.hand_over(law, conditions=conditions)
+    return (
+        f"person {seen.effort:.0f} N, sag {1e3 * seen.sag:.0f} mm, "
+        f"tool afterwards {seen.fastest:.2f} m/s"
+    )
+
+
+def _plug(law: Law, conditions: Conditions) -> str:
+    seen = [
+        skills.plug_in(law, offset=offset, tilt=tilt, conditions=conditions)
+        for offset, tilt in skills.MISPLACED
+    ]
+    along, across = max(each.along for each in seen), max(each.across for each in seen)
+    return (
+        f"{sum(each.inside for each in seen)} of {len(seen)} in, along at most {along:.1f} N, "
+        f"across {across:.1f} N"
+    )
+
+
+def _guide(law: Law, conditions: Conditions) -> str:
+    seen = hands.drag(law, conditions=conditions)
+    return (
+        f"{seen.force:.1f} N for {1e3 * seen.moved:.0f} mm, then at most {seen.fastest:.1f} rad/s"
+    )
+
+
+#: Preset and what is asked of it.
+SCENES: dict[str, tuple[Settings, Callable[[Law, Conditions], str]]] = {
+    "drawer()": (Settings.drawer(), _drawer),
+    "wipe(press=5.0)": (Settings.wipe(press=5.0), _wipe),
+    "hand_over()": (Settings.hand_over(), _hand_over),
+    "plug(push=10.0)": (Settings.plug(push=10.0), _plug),
+    "hand_guiding()": (Settings.hand_guiding(), _guide),
+}
+
+
+def table(conditions: Conditions = NOMINAL) -> list[Line]:
+    """Run every scene with its preset and with all axes stiff."""
+    lines = []
+    for name, (settings, scene) in SCENES.items():
+        lines.append(Line(name=name, figures=scene(settings, conditions)))
+        lines.append(Line(name="all axes stiff", figures=scene(Settings.firm(), conditions)))
+    return lines
+
+
+def draw(path: Path) -> None:
+    """Save force against deviation of the profiles, as felt and as promised (needs matplotlib)."""
+    from pliant._report import style
+
+    places = np.linspace(0.0, 0.15, 301)
+    held = compliance.stiffness("y") * places
+    c = np.clip(1.0 - (places - 0.01) / 0.09, 0.0, 1.0)
+    profiles: dict[Profile, tuple[str, Array]] = {
+        "hardening": (style.BLUE, c * SOFT + (1.0 - c) * FIRM),
+        "constant": (style.GREEN, np.full_like(places, SOFT)),
+        "softening": (style.RED, c * FIRM + (1.0 - c) * SOFT),
+    }
+    with style.canvas(size=(6.4, 3.2)) as (figure, grid):
+        ax, ends = grid[0, 0], []
+        for profile, (colour, strength) in profiles.items():
+            settings = Settings(axes={"y": Axis(soft=SOFT, firm=FIRM, profile=profile)})
+            seen = compliance.answer(settings)
+            ax.plot(1e3 * seen.deviation, seen.force, color=colour)
+            ax.plot(1e3 * places, np.minimum(strength, held), color=colour, ls=":", lw=1.0)
+            ends.append((float(seen.force[-1]), profile, colour))
+        ax.set(xlim=(0.0, 150.0), ylim=(0.0, 18.0))
+        ax.set(xlabel="deviation in y [mm]", ylabel="force of the hand [N]")
+        ax.set_title("Profiles: felt (solid) and promised (dotted)")
+        style.label_end(ax, 150.0, ends)
+        figure.savefig(path, dpi=style.PIXELS_PER_INCH, metadata={"Software": None})
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the tables; draw the profiles where a path is given."""
+    for name, conditions in UNDER.items():
+        print(f"\n{name}")
+        for line in table(conditions):
+            print(f"  {line.name:<18} {line.figures}")
+    for path in sys.argv[1:] if arguments is None else arguments:
+        draw(Path(path))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,167 @@
+"""The promised cap, measured: what an axis pushes back with in poses at random."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments.conditions import NOMINAL
+from experiments.episode import run
+from experiments.laws import UNBLURRED
+from experiments.setups import AXES, arm, servos
+from pliant import Axis, Settings
+from pliant.sim import Guide
+from pliant.sim.hand import Course, Drag, Twist
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from experiments.conditions import Conditions
+    from pliant.sim import Hand
+
+    Array = NDArray[np.float64]
+
+#: Caps that are tried: 15, 30, 60 % of the arm's median capacity [N], 7, 14 % for rotations [N·m].
+FORCES, TORQUES = (5.0, 10.0, 20.0), (0.5, 1.0)
+#: How far the hand goes: as far as the cap alone lets the axis, times this, and a little [m, rad].
+WAY, MORE = 1.25, (0.005, 0.03)
+#: When the hand holds still and its force is taken [s].
+SETTLED, END = 2.5, 3.0
+#: Poses whose smallest singular value lies below this share of the median are left out.
+LEAST_SIGMA = 0.65
+#: Distance of every joint from its stops from which on a pose is called clear [rad]: nearer, it may
+#: be the stop that pushes back, not the law.
+CLEAR = 0.15
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One promise: a pose, an axis, a side, a cap."""
+
+    q: Array
+    axis: str
+    sign: float
+    cap: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether every joint is clear of its stops."""
+        room = np.minimum(self.q - arm().lower, np.asarray(arm().upper) - self.q)
+        return bool(room.min() >= CLEAR)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """One promise and what came of it.
+
+    Attributes:
+        case: Pose, axis, side and cap.
+        promise: min(F, K_x h (1 - η)|e| / C_jj) at the measured deviation [N or N·m].
+        measured: What the hand felt [N or N·m].
+        friction: Σ_i |J⁺_ij| τ_f,i, what the joints' friction may hide of it [N or N·m].
+    """
+
+    case: Case
+    promise: float
+    measured: float
+    friction: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the force is within 15 % of the cap and the friction of its promise."""
+        return abs(self.measured - self.promise) <= 0.15 * self.case.cap + self.friction
+
+
+def _sigma(q: Array) -> float:
+    return float(np.linalg.svd(arm().jacobian(q), compute_uv=False)[-1])
+
+
+def _compliance(q: Array, axis: int) -> float:
+    """C_jj: how far the servos let an axis go per unit of force at q (7,) [m/N or rad/(N·m)]."""
+    row = arm().jacobian(q)[axis]
+    return float(row**2 @ (1.0 / np.asarray(servos().kp)))
+
+
+@cache
+def poses(count: int, margin: float = 0.0, seed: int = 0) -> tuple[Array, ...]:
+    """Random poses (7,) [rad], away from singular ones, and from the joints' stops by a margin."""
+    model, rng = arm(), np.random.default_rng(seed)
+    low, high = np.asarray(model.lower) + margin, np.asarray(model.upper) - margin
+    sample = rng.uniform(low, high, (512, model.n))
+    sigmas = np.array([_sigma(q) for q in sample])
+    good = sample[sigmas > LEAST_SIGMA * np.median(sigmas)]
+    return tuple(good[:count])
+
+
+def capacity(q: Array, axis: int, sign: float) -> float:
+    """Largest push [N or N·m] toward `sign` of an axis that the servos can hold at q (7,)."""
+    model = arm()
+    lever = sign * model.jacobian(q)[axis]
+    felt = np.abs(lever) > 1e-6
+    room = np.asarray(servos().max_torque) + np.sign(lever) * model.gravity(q)
+    return float((room[felt] / np.abs(lever[felt])).min())
+
+
+def cases(count: int, margin: float = 0.0, seed: int = 0) -> Iterator[Case]:
+    """Promises for `count` poses: every axis and sign, a cap at random that the servos can hold.
+
+    Args:
+        count: How many poses.
+        margin: Distance of every joint from its stops [rad].
+        seed: Of all chance.
+
+    Yields:
+        One case for each axis and sign.
+    """
+    rng = np.random.default_rng(seed + 1)
+    for q in poses(count, margin, seed):
+        for index, axis in enumerate(AXES):
+            for sign in (1.0, -1.0):
+                cap = float(rng.choice(FORCES if index < 3 else TORQUES))
+                if capacity(q, index, sign) >= cap:
+                    yield Case(q=q, axis=axis, sign=sign, cap=cap)
+
+
+def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) -> Kept:
+    """Drag one axis away from its target, hold it still, and compare the force with the promise.
+
+    Args:
+        case: Pose, axis, side and cap.
+        guided: Whether springs hold the other axes.
+        conditions: Loop, bus and beliefs.
+
+    Returns:
+        The promise and the force.
+    """
+    index = AXES.index(case.axis)
+    course = Course(start=0.5, rise=1.0, end=np.inf)
+    way = case.sign * (WAY * case.cap * _compliance(case.q, index) + MORE[index // 3])
+    hand: Hand
+    if index < 3:
+        hand = Drag(
+            axis=case.axis, distance=way, stiffness=3000.0, limit=80.0, at="tool", course=course
+        )
+    else:
+        hand = Twist(axis=case.axis, angle=way, stiffness=60.0, limit=8.0, course=course)
+    scene: list[Hand] = [hand]
+    if guided:
+        scene.append(Guide(axes=" ".join(name for name in AXES if name != case.axis)))
+    soft = Axis(soft=case.cap, firm=case.cap)
+    settings = Settings(axes={case.axis: soft}, **UNBLURRED)
+    target = arm().forward_kinematics(case.q)
+    trace = run(conditions.build(*scene), conditions.controller(settings), target, END, q=case.q)
+    still = trace.between(SETTLED, END)
+    felt = (trace.force if index < 3 else trace.moment)[still, index % 3]
+    lead = abs(float(trace.error[-1, index]))
+    inverse = np.linalg.pinv(arm().jacobian(trace.q[-1]))
+    return Kept(
+        case=case,
+        promise=min(case.cap, lead / _compliance(trace.q[-1], index)),
+        measured=case.sign * float(felt.mean()),
+        friction=float(np.abs(inverse[:, index]) @ np.asarray(servos().friction)),
+    )

@@ -1,0 +1,204 @@
+"""Arms beside their stops after a push: do they come to rest, or ring, or walk away?
+
+``python -m experiments.quiet`` puts one joint of random poses within 0.06 rad of its
+position limit, leads a soft axis 5 cm away, holds it there, lets go, and looks at the joints for
+one second from 2.5 s and from 8 s after that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import tyro
+
+import pliant
+from experiments.campaign_arms import AXES, LEAST_SIGMA, load
+from experiments.campaign_grip import OF_CAPACITY, Grip
+from experiments.laws import UNBLURRED
+from experiments.parallel import parallel
+from pliant import robots
+from pliant.sim import Plant
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from experiments.campaign_arms import Arm
+
+    Array = NDArray[np.float64]
+
+#: Room of the joint that is put beside its limit, at most [rad].
+ROOM = 0.06
+#: The hand: from when on, for how long and how fast it goes, and when it lets go [s; m/s].
+COMES, GOES, SPEED, LEAVES = 0.1, 0.5, 0.1, 3.0
+#: From when on after that, and for how long, joints are looked at [s].
+LOOKS, FOR = (2.5, 8.0), 1.0
+#: Poses of each arm.
+POSES = 20
+#: Ticks of delay each way, and η.
+CASES = ((0, 0.0), (1, 0.0), (0, 0.9))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rest:
+    """What one push left behind.
+
+    Attributes:
+        arm: By name.
+        ticks: Of delay, each way.
+        eta: Target adaptation of the soft axis.
+        pose: Index.
+        room: Of the joint nearest to its limit when the hand let go [rad].
+        moves: How far the joint that moves most goes in a second, from 2.5 s and from 8 s on [rad].
+        turns: How often a joint that goes 5 mrad in these seconds turns round.
+    """
+
+    arm: str
+    ticks: int
+    eta: float
+    pose: int
+    room: float
+    moves: tuple[float, float]
+    turns: tuple[int, int]
+
+
+def beside(arm: Arm, pose: int) -> Array:
+    """A random pose (n,) [rad], clear of singular ones, that can be held, a joint at its stop."""
+    rng = np.random.default_rng((pose, 11))
+    lower, upper = np.asarray(arm.model.lower), np.asarray(arm.model.upper)
+    good = arm.poses(len(arm.drawn))
+    while True:
+        q: Array = good[rng.integers(len(good))].copy()
+        joint, room = rng.integers(arm.model.n), rng.uniform(0.0, ROOM)
+        q[joint] = lower[joint] + room if rng.random() < 0.5 else upper[joint] - room
+        weakest = min(arm.capacity(q, row, sign) for row in arm.rows for sign in (1.0, -1.0))
+        scaled = arm.model.jacobian(q)[arm.rows]
+        if weakest > 0.0 and np.linalg.svd(scaled, compute_uv=False)[-1] > LEAST_SIGMA * 0.1:
+            return q
+
+
+@lru_cache(maxsize=2)
+def _plant(name: str, ticks: int) -> tuple[Plant, Grip]:
+    arm = load(name)
+    grip = Grip(arm.median_capacity[0] / OF_CAPACITY)
+    return Plant(arm.model, scene=[grip], delay=(ticks, ticks)), grip
+
+
+@dataclass(frozen=True)
+class Job:
+    """One push of one arm."""
+
+    arm: str
+    pose: int
+    ticks: int = 0
+    eta: float = 0.0
+
+    def run(self) -> Rest:
+        """Push, let go, and look."""
+        arm, (plant, grip) = load(self.arm), _plant(self.arm, self.ticks)
+        rng = np.random.default_rng((self.pose, 12))
+        row = int(rng.choice([row for row in arm.rows if row < 3]))
+        sign, cap = float(rng.choice((-1.0, 1.0))), arm.caps(row)[1]
+        settings = pliant.Settings(
+            task=" ".join(arm.axes),
+            axes={AXES[row]: pliant.Axis(soft=cap, firm=cap, adaptation=self.eta)},
+            delay=2 * self.ticks / plant.rate,
+            **UNBLURRED,
+        )
+        controller = pliant.Controller(arm.model, settings, arm.servos)
+        q = beside(arm, self.pose)
+        plant.reset(q)
+        controller.reset(q)
+        grip.place(plant)
+        grip.hold([row])
+        target = plant.tool if any(row > 2 for row in arm.rows) else plant.tool[:3, 3]
+        seen = []
+        for tick in range(round((LEAVES + LOOKS[-1] + FOR) * plant.rate)):
+            now = tick / plant.rate
+            grip.move(row, sign * SPEED if COMES <= now < COMES + GOES else 0.0)
+            if now >= LEAVES:
+                grip.hold([])
+            command = controller.step(plant.read().q, target)
+            plant.write(command.goal, command.torque_limit)
+            plant.advance()
+            seen.append(plant.q)
+        angles = np.array(seen)
+        held = angles[round(LEAVES * plant.rate) - 1]
+        room = np.minimum(held - arm.model.lower, np.asarray(arm.model.upper) - held).min()
+        windows = [
+            angles[round((LEAVES + look) * plant.rate) :][: round(FOR * plant.rate)]
+            for look in LOOKS
+        ]
+        first, last = (float(np.ptp(window, axis=0).max()) for window in windows)
+        return Rest(
+            arm=self.arm,
+            ticks=self.ticks,
+            eta=self.eta,
+            pose=self.pose,
+            room=float(room),
+            moves=(first, last),
+            turns=(_turns(windows[0]), _turns(windows[1])),
+        )
+
+
+def _turns(angles: Array) -> int:
+    """How often joints that go at least 5 mrad in a window (N, n) [rad] turn round."""
+    going = np.diff(angles[:, np.ptp(angles, axis=0) > 5e-3], axis=0)
+    return int((np.diff(np.sign(going), axis=0) != 0).sum(axis=0).max(initial=0))
+
+
+def text(found: Sequence[Rest]) -> str:
+    """Figures per arm and case, as Markdown."""
+    lines = [
+        "| arm | ticks each way | η | pushes | at a stop meanwhile | 2.5 s after, in 1 s: median "
+        "| most [mrad] | turns | 8 s after: median | most [mrad] | turns |",
+        "|---" * 11 + "|",
+    ]
+    for key in dict.fromkeys((one.arm, one.ticks, one.eta) for one in found):
+        mine = [one for one in found if (one.arm, one.ticks, one.eta) == key]
+        cells = [key[0], str(key[1]), f"{key[2]:g}", str(len(mine))]
+        cells += [str(sum(one.room < ROOM for one in mine))]
+        for i in range(len(LOOKS)):
+            moves = [1e3 * one.moves[i] for one in mine]
+            cells += [f"{np.median(moves):.1f}", f"{max(moves):.1f}"]
+            cells += [str(max(one.turns[i] for one in mine))]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Push arms beside their stops, let go, and see whether they come to rest.
+
+    Attributes:
+        poses: Of each arm.
+        arm: Arms by name; by default those that ship with the package.
+        jobs: Processes at once.
+    """
+
+    poses: int = POSES
+    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    jobs: int = 2
+
+
+def main(options: Options) -> None:
+    """Run what these options ask for, print the table."""
+    names = options.arm or robots.names()
+    work = [
+        Job(name, pose, ticks, eta)
+        for name in names
+        for ticks, eta in CASES
+        for pose in range(options.poses)
+    ]
+    print(text(list(parallel(work, options.jobs, "quiet"))))
+
+
+if __name__ == "__main__":
+    # Other processes find this module's jobs by its name, not as `__main__`.
+    from experiments import quiet  # noqa: PLW0406 -- by name
+
+    quiet.main(tyro.cli(quiet.Options))

@@ -1,0 +1,266 @@
+"""Steps of 10 cm: how fast the tool goes, and how far it runs past its target.
+
+``python -m experiments.steps --robot so101`` moves the target of an arm with stiff axes by
+10 cm, from seeded poses in several directions, under every law and at two speeds, and prints the
+fastest tool speed (mean over 50 ms), the farthest overshoot along the step and what is left after
+4 s. The controller believes the servos of the table; the plant has those, or others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import tyro
+
+import pliant
+from experiments.campaign_arms import BESIDE, REACH_OF_ONE, ROBOTS, Arm
+from experiments.parallel import parallel
+from pliant import robots
+from pliant.config import names
+from pliant.sim import Plant
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+Law = Literal["cap", "impedance", "paper"]
+LAWS: tuple[Law, ...] = ("cap", "impedance", "paper")
+SPEEDS = (0.1, 0.25)  # [m/s]
+WAY = 0.1  # [m]
+RATE = 100.0  # [Hz]
+#: Rest before the step, time after it, and the window of the mean speed [s].
+BEFORE, AFTER, WINDOW = 0.5, 4.0, 0.05
+#: What a pose on the way must have: room of every joint to its limits [rad], share of the usable
+#: torque that gravity may take, share of the median smallest singular value, height [m].
+ROOM, LOAD, SIGMA, HEIGHT = 0.3, 0.6, 0.65, 0.03
+#: Allowed tool speed ``FACTOR v + MORE`` [m/s] and overshoot [m].
+FACTOR, MORE, OVERSHOOT = 1.2, 0.02, 0.005
+#: Plants that differ from what the controller believes: name, stiffness, friction, ticks of delay.
+DISTURBED = (
+    ("friction x 0.7", 1.0, 0.7, 0),
+    ("friction x 1.3", 1.0, 1.3, 0),
+    ("k_p x 0.75", 0.75, 1.0, 0),
+    ("k_p x 1.25", 1.25, 1.0, 0),
+    ("a tick each way", 1.0, 1.0, 1),
+)
+
+
+@cache
+def arm(name: str) -> Arm:
+    """A built-in arm, or that of a ready file whose URDF lies beside us, by name.
+
+    Raises:
+        ConfigError: The name is unknown.
+        FileNotFoundError: The URDF does not lie beside us.
+    """
+    if name in robots.names():
+        return Arm(name, robots.load(name))
+    if name not in BESIDE or name not in names():
+        known = ", ".join((*robots.names(), *sorted(set(BESIDE) & set(names()))))
+        raise pliant.ConfigError(f"no arm {name!r} here; there are {known}")
+    file, base, tip = BESIDE[name]
+    path = ROBOTS / file
+    if not path.exists():
+        raise FileNotFoundError(f"{file} does not lie beside this checkout")
+    servos = pliant.connect(name, urdf=path, backend="emulator").servos
+    return Arm(name, pliant.Model.from_urdf(path, base=base, tip=tip, servos=servos))
+
+
+@dataclass(frozen=True)
+class Step:
+    """A start pose and a direction.
+
+    Attributes:
+        q: Start (n,) [rad].
+        way: Of the tool (3,) [m].
+    """
+
+    q: tuple[float, ...]
+    way: tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What one step came to.
+
+    Attributes:
+        fastest: Largest mean speed of the tool over 50 ms [m/s].
+        overshoot: Largest distance beyond the target along the step [m]; negative: short of it.
+        left: Distance to the target at the end [m].
+        seconds: From the step until the tool stays within 10 mm of its target; infinite: never.
+    """
+
+    fastest: float
+    overshoot: float
+    left: float
+    seconds: float
+
+    def kept(self, speed: float) -> bool:
+        """Whether speed and overshoot are within what is promised for a set `speed` [m/s]."""
+        return self.fastest <= FACTOR * speed + MORE and self.overshoot <= OVERSHOOT
+
+
+def steps(name: str, count: int, seed: int = 1) -> list[Step]:
+    """Seeded steps whose whole way is far from joint limits and singular poses."""
+    it = arm(name)
+    model, chance = it.model, np.random.default_rng(seed)
+    found: list[Step] = []
+    low, high = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
+    least = SIGMA * float(np.median([_sigma(it, q) for q in it.drawn]))
+    while len(found) < count:
+        q = chance.uniform(low, high)
+        way = chance.normal(size=3) if len(found) % 3 == 2 else np.zeros(3)
+        if not way.any():
+            way[chance.integers(3)] = chance.choice((-1.0, 1.0))
+        way *= WAY / np.linalg.norm(way)
+        if _passable(it, q, way, least):
+            x, y, z = way
+            found.append(Step(tuple(q), (x, y, z)))
+    return found
+
+
+def _sigma(it: Arm, q: Array) -> float:
+    length = it.model.reach / REACH_OF_ONE
+    weight = np.array([1.0 / length if row < 3 else 1.0 for row in it.rows])
+    rows = weight[:, None] * it.model.jacobian(q)[it.rows]
+    return float(np.linalg.svd(rows, compute_uv=False)[-1])
+
+
+def _passable(it: Arm, q: Array, way: Array, least: float) -> bool:
+    """Whether the arm can go this way, by small steps of inverse kinematics."""
+    model, q = it.model, q.copy()
+    start = np.array(model.forward_kinematics(q))
+    usable = np.asarray(it.servos.max_torque)
+    for share in np.linspace(0.0, 1.0, 21):
+        for _ in range(20):
+            pose, jacobian = model.kinematics(q)
+            target = start.copy()
+            target[:3, 3] += share * way
+            error = np.asarray(pliant.functional.pose_error(pose, target))[it.rows]
+            rows = jacobian[it.rows]
+            pull = np.linalg.solve(rows @ rows.T + 1e-6 * np.eye(len(rows)), error)
+            q += np.clip(rows.T @ pull, -0.1, 0.1)
+            if np.abs(error).max() < 1e-4:
+                break
+        reached = np.abs(error).max() < 1e-3
+        inside = np.all((q > np.asarray(model.lower) + ROOM) & (q < np.asarray(model.upper) - ROOM))
+        held = np.all(np.abs(model.gravity(q)) < LOAD * usable)
+        if not (reached and inside and held and _sigma(it, q) > least and pose[2, 3] > HEIGHT):
+            return False
+    return True
+
+
+def settings(name: str, law: Law, speed: float) -> pliant.Settings:
+    """All axes of an arm stiff, the tool no faster than `speed` [m/s]."""
+    return pliant.Settings.firm(task=" ".join(arm(name).axes), law=law, max_tool_speed=speed)
+
+
+def run(
+    name: str, step: Step, settings: pliant.Settings, plant: Mapping[str, Any] | None = None
+) -> Outcome:
+    """One step on a plant with these options of `pliant.sim.Plant`."""
+    model = arm(name).model
+    options = {"count": np.asarray(arm(name).servos.encoder_step), **(plant or {})}
+    controller = pliant.Controller(model, settings)
+    simulated = Plant(model, rate=RATE, **options)
+    if "delay" in options:
+        controller.set_delay(sum(options["delay"]) / RATE)
+    simulated.reset(step.q)
+    start, target = simulated.tool, simulated.tool
+    rest, places = round(BEFORE * RATE), []
+    for tick in range(rest + round(AFTER * RATE)):
+        if tick == rest:
+            target[:3, 3] += step.way
+        command = controller.step(simulated.read().q, target)
+        simulated.write(command.goal, command.torque_limit)
+        simulated.advance()
+        places.append(simulated.tool[:3, 3])
+    path = np.array(places)[rest - 1 :]
+    window = round(WINDOW * RATE)
+    speeds = np.linalg.norm(path[window:] - path[:-window], axis=1) / WINDOW
+    way = target[:3, 3] - start[:3, 3]
+    away = path - target[:3, 3]
+    far = np.flatnonzero(np.linalg.norm(away, axis=1) > 0.01)
+    still = far[-1] + 1 if far.size else 0
+    return Outcome(
+        fastest=float(speeds.max()),
+        overshoot=float((away @ way).max() / np.linalg.norm(way)),
+        left=float(np.linalg.norm(away[-1])),
+        seconds=float(still / RATE) if still < len(path) else np.inf,
+    )
+
+
+@dataclass(frozen=True)
+class Job:
+    """All steps of one row of the table."""
+
+    robot: str
+    law: Law
+    speed: float
+    count: int
+    case: tuple[str, float, float, int] = ("as believed", 1.0, 1.0, 0)
+
+    def run(self) -> list[Outcome]:
+        """Run them."""
+        _, stiffness, friction, ticks = self.case
+        plant = {"kp_scale": stiffness, "friction_scale": friction, "delay": (ticks, ticks)}
+        of = settings(self.robot, self.law, self.speed)
+        return [run(self.robot, step, of, plant) for step in steps(self.robot, self.count)]
+
+
+def rows(robot: str, count: int, *, disturbed: bool = False) -> list[Job]:
+    """The rows of the table of a robot."""
+    cases = DISTURBED if disturbed else (("as believed", 1.0, 1.0, 0),)
+    return [Job(robot, law, v, count, case) for case in cases for law in LAWS for v in SPEEDS]
+
+
+def table(jobs: Sequence[Job], outcomes: Sequence[Sequence[Outcome]]) -> str:
+    """Markdown: worst and, in brackets, median of each row."""
+    lines = [
+        "| arm | plant | law | set [m/s] | fastest [m/s] | allowed | overshoot [mm] | left [mm] | "
+        "within 10 mm after [s] | kept |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for job, found in zip(jobs, outcomes, strict=True):
+        cells = []
+        for field, unit, digits in (
+            ("fastest", 1.0, 2),
+            ("overshoot", 1e3, 1),
+            ("left", 1e3, 1),
+            ("seconds", 1.0, 1),
+        ):
+            values = unit * np.array([getattr(one, field) for one in found])
+            cells.append(f"{values.max():.{digits}f} ({np.median(values):.{digits}f})")
+        kept = sum(one.kept(job.speed) for one in found)
+        most = FACTOR * job.speed + MORE
+        lines.append(
+            f"| {job.robot} | {job.case[0]} | `{job.law}` | {job.speed:g} | {cells[0]} | "
+            f"{most:.2f} | {cells[1]} | {cells[2]} | {cells[3]} | {kept} of {len(found)} |"
+        )
+    return "\n".join(lines)
+
+
+def main(robot: str = "so101", poses: int = 12, disturbed: bool = False, jobs: int = 1) -> None:
+    """Print the table.
+
+    Args:
+        robot: A built-in arm, or vx300s where its URDF lies beside this checkout.
+        poses: Steps of each row.
+        disturbed: Plants that differ from what the controller believes, in place of equal ones.
+        jobs: Processes.
+    """
+    todo = rows(robot, poses, disturbed=disturbed)
+    print(table(todo, list(parallel(todo, jobs, "steps"))))
+
+
+if __name__ == "__main__":
+    # Other processes find this module's jobs by its name, not as `__main__`.
+    from experiments import steps as module  # noqa: PLW0406 -- by name
+
+    tyro.cli(module.main)

@@ -1,0 +1,191 @@
+"""Teach and replay measured: ``python -m experiments.teaching``.
+
+A hand leads the tool in float mode, sideways and up; the motion is replayed on the same arm; then a
+hand holds the tool for 3 s on its way and lets go, with the motion waiting and with it running on.
+Encoder of 0.088°, k_p as the table says or 20 % below.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import tyro
+
+import pliant
+from experiments.campaign_arms import load
+from experiments.runner import Job, Workers
+from pliant.sim import Course, Drag, Plant
+from pliant.sim.drive import SimDrive
+from pliant.teach import Motion, Replay, teach
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+COUNT = float(np.deg2rad(0.088))
+#: Where each arm starts [rad], how far it is led in y and z [m], and the cap of a soft axis [N].
+ARMS = {
+    "arm7": ([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657], 0.15, 0.06, 5.0),
+    "so101": ([0.0, -0.3, 0.3, 0.9, 0.0], 0.08, 0.03, 2.0),
+}
+#: When the teaching hand comes [s] and how long it leads [s].
+COMES, LEADS = 9.0, 3.0
+#: Grip of every hand [N/m], [N].
+STIFFNESS, LIMIT = 2000.0, 60.0
+#: The blocking hand: from when to when after the beginning of the replay [s].
+BLOCKS = (2.2, 5.2)
+#: Deviations that never make a clock wait [m], [rad].
+NEVER = (10.0, 10.0)
+
+
+def teaching(name: str, kp_scale: float) -> Motion:
+    """What a scripted hand teaches."""
+    q, sideways, up, _ = ARMS[name]
+    course = Course(start=COMES, rise=LEADS, end=COMES + LEADS + 0.5)
+    hands = [
+        Drag(axis=axis, distance=way, stiffness=STIFFNESS, limit=LIMIT, at="tool", course=course)
+        for axis, way in (("y", sideways), ("z", up))
+    ]
+    with _connect(name, q, kp_scale, hands) as arm:
+        return teach(arm, rest=1.0)
+
+
+def _connect(name: str, q: Iterable[float], kp_scale: float, scene: list[Drag]) -> pliant.arm.Arm:
+    model: pliant.Model = pliant.robots.load(name)
+    plant = Plant(model, scene=scene, kp_scale=kp_scale, count=COUNT)
+    plant.reset(np.array(list(q)))
+    return pliant.Arm(model, SimDrive(plant), on_exit="leave_enabled")
+
+
+@dataclass(frozen=True)
+class Played:
+    """One replay.
+
+    Attributes:
+        worst, median, end: Distance of the tool from where the motion's clock is [m].
+        path: Largest distance from the taught path, whenever [m].
+        force: Median force of the blocking hand in its last second [N].
+        peak: Its largest force [N].
+        after: Largest speed of the tool after it has let go [m/s].
+        took: [s].
+    """
+
+    worst: float
+    median: float
+    end: float
+    path: float
+    force: float
+    peak: float
+    after: float
+    took: float
+
+
+def played(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) -> Played:
+    """Teach, replay, measure; `held`: whether the motion waits for a hand that holds the tool."""
+    block, wait = bool(held), all(held)
+    motion, cap = teaching(name, kp_scale), ARMS[name][3]
+    model = load(name).model
+    task = "xyz rpy" if model.n > 5 else "xyz"
+    axes = {"y": pliant.Axis(soft=cap, profile="constant")} if soft else {}
+    course = Course(start=BLOCKS[0], rise=0.0, end=BLOCKS[1])
+    hand = Drag(axis="y", distance=0.0, stiffness=STIFFNESS, limit=LIMIT, at="tool", course=course)
+    scene = [hand] if block else []
+    rows = []
+    with _connect(name, motion.q[0], kp_scale, scene) as arm:
+        assert isinstance(arm.drive, SimDrive)
+        plant = arm.drive.plant
+        controller = pliant.Controller(arm.model, pliant.Settings(task=task, axes=axes), arm.servos)
+        options = {"speed": speed} if wait else {"speed": speed, "wait": NEVER}
+        replay = Replay(controller, motion, **options)
+        remembered = False
+        for tick in pliant.Loop(arm, controller, duration=40.0):
+            tick.write(replay.step(tick.q, dt=tick.dt), replay.extra(arm))
+            now = tick.began  # the scene's hand goes by the plant's clock
+            if block and not remembered and now >= BLOCKS[0] - 0.02:
+                plant.truth.remember()  # the hand holds the tool where it is now
+                remembered = True
+            force = float(np.linalg.norm(plant.hands[0].force)) if block else 0.0
+            want = model.forward_kinematics(motion.at(replay.time))[:3, 3]
+            rows.append((now, replay.time, force, *plant.tool[:3, 3], *want))
+            if replay.done and now > BLOCKS[1] + 4.0 * block:
+                break
+    data = np.array(rows)
+    time, clock, forces, tool, want = np.split(data, [1, 2, 3, 6], axis=1)
+    time, clock, forces = time[:, 0], clock[:, 0], forces[:, 0]
+    playing = clock > 0.0
+    error = np.linalg.norm(tool - want, axis=1)
+    taught = np.array([model.forward_kinematics(q)[:3, 3] for q in motion.q])
+    path = np.linalg.norm(tool[playing, None] - taught[None], axis=2).min(axis=1)
+    speeds = np.linalg.norm(np.diff(tool, axis=0), axis=1) / np.diff(time)
+    late = (time > BLOCKS[1] - 1.0) & (time < BLOCKS[1])
+    released = time[1:] > BLOCKS[1]
+    return Played(
+        worst=float(error[playing].max()),
+        median=float(np.median(error[playing])),
+        end=float(error[-1]),
+        path=float(path.max()),
+        force=float(np.median(forces[late])) if block else 0.0,
+        peak=float(forces.max()),
+        after=float(speeds[released].max()) if block else 0.0,
+        took=float(time[-1] - time[0]),
+    )
+
+
+@dataclass(frozen=True)
+class Options:
+    """Measure teaching and replaying.
+
+    Attributes:
+        jobs: Processes at once.
+    """
+
+    jobs: int = 2
+
+
+def main() -> None:
+    """Print both tables."""
+    options = tyro.cli(Options)
+    free = [
+        (name, kp, soft, speed)
+        for name in ARMS
+        for kp in (1.0, 0.8)
+        for soft, speed in ((False, 1.0), (True, 1.0), (True, 0.5), (True, 2.0))
+    ]
+    blocked = [
+        (name, 1.0, soft, 1.0, wait)
+        for name in ARMS
+        for soft in (False, True)
+        for wait in (True, False)
+    ]
+    jobs = [Job(str(case), played, case) for case in (*free, *blocked)]
+    with Workers(options.jobs) as workers:
+        found = workers.run(jobs)
+    print("| arm | k_p × | y | speed | off the clock, worst (median) [mm] | off the path [mm] |")
+    print("|---|---|---|---|---|---|")
+    for case in free:
+        name, kp, soft, speed = case
+        run = found[str(case)]
+        kind = f"{ARMS[name][3]:g} N" if soft else "stiff"
+        print(
+            f"| {name} | {kp:g} | {kind} | {speed:g} | {1e3 * run.worst:.1f} "
+            f"({1e3 * run.median:.1f}) | {1e3 * run.path:.1f} |"
+        )
+    print("\n| arm | y | the motion | force held [N] | peak [N] | tool after [m/s] | end [mm] |")
+    print("|---|---|---|---|---|---|---|")
+    for held in blocked:
+        name, _, soft, _, wait = held
+        run = found[str(held)]
+        kind = f"{ARMS[name][3]:g} N" if soft else "stiff"
+        print(
+            f"| {name} | {kind} | {'waits' if wait else 'runs on'} | {run.force:.1f} | "
+            f"{run.peak:.1f} | {run.after:.2f} | {1e3 * run.end:.1f} |"
+        )
+
+
+if __name__ == "__main__":
+    main()

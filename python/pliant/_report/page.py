@@ -1,0 +1,131 @@
+"""A page of text, pictures and tables: one HTML file that loads nothing from anywhere.
+
+The demo's report and the report of a log are such pages.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from string import Template
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+#: Colours of the figures that follow the page's theme, by the names of its variables.
+THEMED = {
+    "#1b1f24": "var(--ink)",
+    "#67707b": "var(--muted)",
+    "#e3e6ea": "var(--grid)",
+    "#ffffff": "var(--card)",
+    "#0072b2": "var(--blue)",
+    "#009e73": "var(--green)",
+    "#d55e00": "var(--red)",
+    "#e69f00": "var(--orange)",
+    "#cc79a7": "var(--purple)",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Rows of text and numbers; numbers are set in columns of their own."""
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def write(
+    path: Path,
+    *,
+    title: str,
+    about: str,
+    notes: Sequence[str],
+    contents: Sequence[tuple[str, str]],
+    body: str,
+    footer: str,
+) -> Path:
+    """Write a page.
+
+    Args:
+        path: Of the HTML file.
+        title: Headline.
+        about: What it is about, in two sentences.
+        notes: What a reader has to know first.
+        contents: Identifier and title of each section.
+        body: HTML of the sections.
+        footer: Where the numbers come from.
+
+    Returns:
+        The path.
+    """
+    template = files(__name__.rpartition(".")[0]).joinpath("page.html").read_text(encoding="utf-8")
+    page = Template(template).substitute(
+        title=escape(title),
+        about=text(about),
+        notes="".join(f'<p class="note">{text(note)}</p>' for note in notes),
+        contents="".join(f'<li><a href="#{key}">{escape(name)}</a></li>' for key, name in contents),
+        body=body,
+        footer=escape(footer),
+    )
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def text(plain: str) -> str:
+    """Escaped, with a proper minus before numbers."""
+    return re.sub(r"(?<![\w−])-(?=\d)", "−", escape(plain))
+
+
+def table(content: Table) -> str:
+    """Rows under a caption, numbers to the right."""
+    numeric = [
+        all(
+            re.match(r"^[−\-–±]?\d|^stays$|^not back$|^missed$|^–$", row[k]) for row in content.rows
+        )
+        for k in range(len(content.columns))
+    ]
+
+    def cells(tag: str, row: Sequence[str]) -> str:
+        return "".join(
+            f"<{tag}{' class=n' if numeric[k] else ''}>{text(cell)}</{tag}>"
+            for k, cell in enumerate(row)
+        )
+
+    body = "".join(f"<tr>{cells('td', row)}</tr>" for row in content.rows)
+    return (
+        f'<div class="wide"><table class="numbers"><caption>{text(content.caption)}</caption>'
+        f"<thead><tr>{cells('th', content.columns)}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
+
+
+def picture(folder: Path, name: str, title: str) -> str:
+    """The figure itself: a themed SVG where there is one, a PNG otherwise."""
+    vector = folder / f"{name}.svg"
+    if vector.exists():
+        return _themed(vector.read_text(encoding="utf-8"), name, title)
+    data = base64.b64encode((folder / f"{name}.png").read_bytes()).decode("ascii")
+    return f'<img alt="{escape(title)}" src="data:image/png;base64,{data}">'
+
+
+def _themed(svg: str, name: str, title: str) -> str:
+    """Make an SVG file part of the page: identifiers of its own, colours of the theme."""
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    body = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", body)
+    # As wide as the page lets it be, yet never larger than drawn: text keeps one size.
+    body = re.sub(r'(<svg[^>]*?)\swidth="([^"]*)"', r'\1 style="max-width: \2"', body, count=1)
+    body = re.sub(r'(<svg[^>]*?)\sheight="[^"]*"', r"\1", body, count=1)
+    body = body.replace("<svg", f'<svg role="img" aria-label="{escape(title)}"', 1)
+    body = re.sub(r'\bid="', f'id="{name}-', body)
+    body = re.sub(r'xlink:href="#', f'href="#{name}-', body)
+    body = re.sub(r"url\(#", f"url(#{name}-", body)
+    body = body.replace("xlink:href=", "href=")
+    for colour, variable in THEMED.items():
+        body = body.replace(colour, variable)
+    return re.sub(r"\n\s*", "\n", body)

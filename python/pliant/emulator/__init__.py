@@ -1,0 +1,47 @@
+"""Emulated servos behind pseudo-terminals: three protocols over real bytes, for tests and trials.
+
+>>> from pliant.emulator import Device, Emulator
+>>> with Emulator([Device("STS3215", id=1), Device("STS3215", id=2)]) as bus:
+...     print(bus.port)
+
+Register tables, checksums and conversions are this package's own, shared with no driver: it judges
+them.
+"""
+
+from pliant.emulator.arm import ArmEmulator, ArmPhysics, Mount, emulate
+from pliant.emulator.device import Device
+from pliant.emulator.emulator import Emulator
+from pliant.emulator.faults import Faults
+from pliant.emulator.line import Delivery, Line
+from pliant.emulator.log import Log, Transaction, Write
+from pliant.emulator.models import MODELS
+from pliant.emulator.motion import Joints, Physics
+from pliant.emulator.process import Remote
+from pliant.emulator.servo import Drive, Load, Servo, Shaft
+from pliant.emulator.steps import StepClock
+from pliant.emulator.timing import Timing
+
+__all__ = [
+    "MODELS",
+    "ArmEmulator",
+    "ArmPhysics",
+    "Delivery",
+    "Device",
+    "Drive",
+    "Emulator",
+    "Faults",
+    "Joints",
+    "Line",
+    "Load",
+    "Log",
+    "Mount",
+    "Physics",
+    "Remote",
+    "Servo",
+    "Shaft",
+    "StepClock",
+    "Timing",
+    "Transaction",
+    "Write",
+    "emulate",
+]

@@ -1,0 +1,194 @@
+"""Dynamixel Protocol 1.0 servos: EX-106+, RX-64, MX-28, MX-64, MX-106."""
+
+from __future__ import annotations
+
+import math
+
+from pliant import ConfigError
+from pliant.emulator import tables
+from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
+
+BIT_ANGLE, BIT_RANGE, BIT_INSTRUCTION = 0x02, 0x08, 0x40
+#: Duty per radian of error per count of P gain of an MX, measured by others on the oscilloscope.
+DUTY_PER_P = 0.158
+FAST_BAUDS = {250: 2_250_000, 251: 2_500_000, 252: 3_000_000}
+
+
+class Dxl1Servo(Servo):
+    """Limits its duty by Torque Limit, which an alarm shutdown sets to 0.
+
+    Guesses: a goal switches torque on; EEPROM is closed while torque is on; overload is three
+    seconds at the torque limit without moving.
+    """
+
+    protocol = 1
+
+    def on_power(self) -> None:
+        """Torque Limit starts at Max Torque, the goal at the present position."""
+        self._latched = 0
+        self._mx = "p_gain" in self.table
+        self._rpm = (0.114 if self._mx else 0.111) * 2.0 * math.pi / 60.0
+        self.put("torque_limit", self.get("max_torque"))
+        self.put("goal_position", self.position)
+
+    @property
+    def position(self) -> int:
+        """Present position [counts]: an MX wraps at a turn, a potentiometer ends."""
+        top = self.model.top
+        raw = round(self.shaft.angle / self.model.count)
+        if self._multi_turn:
+            return raw
+        raw = raw % 4096 if self._mx else max(0, min(raw, top))
+        return top - raw if self._reverse else raw
+
+    @property
+    def direction(self) -> int:
+        """-1 in reverse mode."""
+        return -1 if self._reverse else 1
+
+    def raw_of(self, count: float) -> float:
+        """Reverse mode counts from the other end."""
+        return self.model.top - count if self._reverse else count
+
+    @property
+    def _reverse(self) -> bool:
+        return "drive_mode" in self.table and bool(self.get("drive_mode") & 1)
+
+    @property
+    def _multi_turn(self) -> bool:
+        return self._mx and self.get("cw_angle_limit") == 4095 == self.get("ccw_angle_limit")
+
+    @property
+    def _wheel(self) -> bool:
+        return self.get("cw_angle_limit") == 0 == self.get("ccw_angle_limit")
+
+    @property
+    def baud(self) -> int:
+        """2 Mbit/s over the register plus one, and three fast ones on an MX."""
+        value = self.get("baud_rate")
+        return FAST_BAUDS.get(value, round(2_000_000 / (value + 1)))
+
+    def set_baud(self, baud: int) -> None:
+        """Store the nearest divider, if it is within 3 %."""
+        fast = {rate: value for value, rate in FAST_BAUDS.items() if self._mx}
+        value = fast.get(baud, round(2_000_000 / baud) - 1)
+        self.put("baud_rate", value)
+        if not 0 <= value <= 254 or abs(self.baud / baud - 1.0) > 0.03:
+            raise ConfigError(f"{self.model.name} cannot do {baud} bit/s")
+        self.keep(self.table["baud_rate"].address, 1)
+
+    @property
+    def enabled(self) -> bool:
+        """Torque Enable."""
+        return self.get("torque_enable") == 1
+
+    @property
+    def level(self) -> int:
+        """Status Return Level."""
+        return self.get("status_return_level")
+
+    def status(self) -> int:
+        """Conditions: voltage, heat, overload."""
+        return self.faults() | self._latched
+
+    def check_read(self, address: int, length: int) -> int:
+        """Only what is inside the table can be read."""
+        return 0 if length and address + length <= self.table.size else BIT_RANGE
+
+    def check_write(self, address: int, data: bytes) -> int:
+        """Range, read-only, locked EEPROM, and goals outside the angle limits."""
+        end = address + len(data)
+        if not data or end > self.table.size:
+            return BIT_RANGE
+        for register in self.table.span(address, len(data)):
+            locked = self.get("lock") == 1 or self.enabled
+            if not register.writable or (register.area == "eeprom" and locked):
+                return BIT_RANGE
+            if register.address < address or register.address + register.size > end:
+                return BIT_RANGE
+            start = register.address - address
+            value = register.decode(data[start : start + register.size])
+            if not register.low <= value <= register.high:
+                return BIT_RANGE
+            if register.name == "lock" and value == 0 and self.get("lock") == 1:
+                return BIT_RANGE
+            if register.name == "goal_position" and not (self._multi_turn or self._wheel):
+                low, high = self.get("cw_angle_limit"), self.get("ccw_angle_limit")
+                if not low <= value <= high:
+                    return BIT_ANGLE
+        return 0
+
+    def on_write(self, address: int, data: bytes) -> None:
+        """EEPROM is kept at once; a limit revives; a goal switches torque on."""
+        for register in self.table.span(address, len(data)):
+            if register.area == "eeprom":
+                self.keep(register.address, register.size)
+            elif register.name == "torque_limit" and self.get("torque_limit") > 0:
+                self._latched, self._strain = 0, 0.0
+            elif register.name == "goal_position":
+                self.put("torque_enable", 1)
+
+    def drive(self) -> Drive:
+        """Duty in proportion to the error, up to Torque Limit; wheel mode does not drive."""
+        limit = self.get("torque_limit")
+        slave = "drive_mode" in self.table and self.get("drive_mode") & 2
+        if not self.enabled or not limit or self._wheel or slave or not self.plugged:
+            return OFF
+        count, stall, speed = self.model.count, self.stall, self.get("moving_speed") & 0x3FF
+        if self._mx:
+            stiffness, dead = DUTY_PER_P * self.get("p_gain") * stall, 0.0
+        else:
+            stiffness = stall / (max(self.get("cw_compliance_slope"), 1) * count)
+            dead = self.get("cw_compliance_margin") * count
+        return Drive(
+            goal=self._goal_angle(),
+            stiffness=stiffness,
+            ceiling=stall * limit / 1023.0,
+            speed=speed * self._rpm if speed else math.inf,
+            dead=dead,
+            slope=self.model.motor.slope,
+        )
+
+    def _goal_angle(self) -> float:
+        goal: float = self.get("goal_position")
+        if self._multi_turn:
+            return goal * self.model.count
+        goal = self.raw_of(goal)
+        if self._mx:
+            goal += 4096 * (round(self.shaft.angle / self.model.count) // 4096)
+        return goal * self.model.count
+
+    def protect(self, seconds: float) -> None:
+        """Overload latches; every condition in Shutdown sets Torque Limit to 0."""
+        ceiling = self.stall * self.get("torque_limit") / 1023.0
+        if self.strained(seconds, 0.98 * ceiling):
+            self._latched |= BIT_OVERLOAD
+        if self.status() & self.get("shutdown"):
+            self.put("torque_limit", 0)
+        self.put("led", 1 if self.status() & self.get("alarm_led") else self.get("led"))
+
+    def trip(self, bit: int) -> None:
+        """Latch a condition until Torque Limit is written."""
+        self._latched |= bit
+        self.protect(0.0)
+
+    def refresh(self) -> None:
+        """Position, speed, load, voltage, temperature, current."""
+        self.put("present_position", self.position)
+        sign = self.direction
+        self.put("present_speed", sign * self.shaft.speed / self._rpm)
+        # Bit 10 of the load means clockwise, as that of the speed: falling counts.
+        self.put("present_load", sign * 1023.0 * self.duty)
+        self.put("present_voltage", self.supply * 10.0)
+        self.put("present_temperature", self.temperature)
+        self.put("registered", self.registered is not None)
+        self.put("moving", abs(self.shaft.speed) > STILL)
+        amps = sign * self.current
+        if self.table is tables.EX106:
+            self.put("sensed_current", 512 + amps / self.model.unit)
+        elif "present_current" in self.table:
+            self.put("present_current", 2048 + amps / self.model.unit)
+
+
+#: Below this a servo says that it does not move [rad/s].
+STILL = 0.05

@@ -1,0 +1,165 @@
+"""Instructions of Dynamixel Protocol 2.0."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pliant.emulator.engine1 import Slot, act
+from pliant.emulator.wire import BROADCAST, HEADER_2, LONGEST, STATUS, crc16, status_2
+from pliant.emulator.x import CRC, INSTRUCTION, LENGTH, XServo
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pliant.emulator.wire import Frame
+
+PING, READ, WRITE, REG_WRITE, ACTION, RESET, REBOOT, CLEAR = 1, 2, 3, 4, 5, 6, 8, 0x10
+SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
+BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x92, 0x93, 0x9A
+NAMES = {
+    PING: "ping", READ: "read", WRITE: "write", REG_WRITE: "reg_write", ACTION: "action",
+    RESET: "factory_reset", REBOOT: "reboot", CLEAR: "clear", SYNC_READ: "sync_read",
+    SYNC_WRITE: "sync_write", FAST_SYNC_READ: "fast_sync_read", BULK_READ: "bulk_read",
+    BULK_WRITE: "bulk_write", FAST_BULK_READ: "fast_bulk_read",
+}  # fmt: skip
+
+
+def handle(servos: Sequence[XServo], frame: Frame) -> list[Slot]:
+    """Let the servos act on a frame and return their answers in order."""
+    if not frame.ok:
+        slot: Slot = [
+            (s, status_2(s.id, s.status() | CRC)) for s in servos if s.id == frame.id and s.level
+        ]
+        return [slot] if slot else []
+    for servo in servos:
+        servo.heard()
+    if frame.id == BROADCAST:
+        return _broadcast(servos, frame)
+    slot = []
+    for servo in servos:
+        if servo.id == frame.id:
+            packet = _single(servo, frame.instruction, frame.params)
+            if packet:
+                slot.append((servo, packet))
+    return [slot] if slot else []
+
+
+def _identity(servo: XServo) -> bytes:
+    number, firmware = servo.get("model_number"), servo.get("firmware_version")
+    return status_2(servo.id, servo.status(), number.to_bytes(2, "little") + bytes((firmware,)))
+
+
+def _single(servo: XServo, instruction: int, params: bytes) -> bytes:
+    """Act on an instruction to one servo and return its answer, empty for none."""
+    id, data, error, level = servo.id, b"", 0, 2
+    alert = servo.status()
+    if instruction == PING:
+        return _identity(servo)
+    if instruction == READ:
+        error, level = LENGTH, 1
+        if len(params) == 4:
+            error, data = servo.read(_word(params, 0), _word(params, 2))
+    elif instruction == WRITE:
+        error = servo.write(_word(params, 0), params[2:]) if len(params) > 2 else LENGTH
+    elif instruction == REG_WRITE:
+        error = servo.check_write(_word(params, 0), params[2:]) if len(params) > 2 else LENGTH
+        if not error:
+            servo.registered = (_word(params, 0), params[2:])
+    elif instruction == ACTION:
+        error = INSTRUCTION if servo.registered is None else act(servo)
+    elif instruction == REBOOT:
+        servo.power_up()
+    else:
+        # A factory reset is refused: it would lose the id, and no driver needs it.
+        error = INSTRUCTION
+    if servo.level < level:
+        return b""
+    return status_2(id, alert | servo.status() | error, data)
+
+
+def _word(params: bytes, at: int) -> int:
+    return int.from_bytes(params[at : at + 2], "little")
+
+
+def _broadcast(servos: Sequence[XServo], frame: Frame) -> list[Slot]:
+    params, instruction = frame.params, frame.instruction
+    if instruction == PING:
+        by_id: dict[int, Slot] = {}
+        for servo in sorted(servos, key=lambda servo: servo.id):
+            by_id.setdefault(servo.id, []).append((servo, _identity(servo)))
+        return list(by_id.values())
+    if instruction in {SYNC_READ, FAST_SYNC_READ} and len(params) >= 4:
+        address, length = _word(params, 0), _word(params, 2)
+        wanted = [(id, address, length) for id in params[4:]]
+        fast = instruction == FAST_SYNC_READ
+        return _fast_reads(servos, wanted) if fast else _reads(servos, wanted)
+    if instruction in {BULK_READ, FAST_BULK_READ} and len(params) % 5 == 0:
+        wanted = [
+            (params[k], _word(params, k + 1), _word(params, k + 3))
+            for k in range(0, len(params), 5)
+        ]
+        fast = instruction == FAST_BULK_READ
+        return _fast_reads(servos, wanted) if fast else _reads(servos, wanted)
+    if instruction == SYNC_WRITE and len(params) >= 4:
+        address, length = _word(params, 0), _word(params, 2)
+        for start in range(4, len(params) - length, length + 1):
+            data = params[start + 1 : start + 1 + length]
+            _write(servos, params[start], address, data, "sync_write")
+    elif instruction == BULK_WRITE:
+        at = 0
+        while at + 5 <= len(params):
+            length = _word(params, at + 3)
+            data = params[at + 5 : at + 5 + length]
+            if len(data) == length:
+                _write(servos, params[at], _word(params, at + 1), data, "bulk_write")
+            at += 5 + length
+    elif instruction in {WRITE, REG_WRITE, ACTION, REBOOT}:
+        for servo in servos:
+            _single(servo, instruction, params)
+    return []
+
+
+def _write(servos: Sequence[XServo], id: int, address: int, data: bytes, how: str) -> None:
+    for servo in servos:
+        if servo.id == id:
+            servo.write(address, data, how)
+
+
+def _reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list[Slot]:
+    """Let servos answer in order; each waits for the one before, so a silent one ends the chain."""
+    slots: list[Slot] = []
+    for id, address, length in wanted:
+        slot: Slot = []
+        for servo in servos:
+            if servo.id == id and servo.level:
+                error, data = servo.read(address, length)
+                packet = status_2(id, servo.status() | error, data)
+                slot.append((servo, packet))
+        if not slot:
+            break
+        slots.append(slot)
+    return slots
+
+
+def _fast_reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list[Slot]:
+    """One status packet that the servos write in turn, each closing with the CRC so far.
+
+    It is not stuffed. MX(2.0) servos do not know the instruction.
+    """
+    length = 1 + sum(4 + size for _, _, size in wanted)
+    if length > LONGEST:
+        return []
+    sent = HEADER_2 + bytes((BROADCAST,)) + length.to_bytes(2, "little") + bytes((STATUS,))
+    slots: list[Slot] = []
+    for id, address, size in wanted:
+        able = [s for s in servos if s.id == id and not s.model.name.startswith("MX")]
+        if not able:
+            break
+        error, data = able[0].read(address, size)
+        body = bytes((able[0].status() | error, id)) + data.ljust(size, b"\0")
+        start = b"" if slots else sent
+        sent = sent + body
+        closing = crc16(sent).to_bytes(2, "little")
+        sent += closing
+        slots.append([(able[0], start + body + closing)])
+    return slots

@@ -1,0 +1,178 @@
+"""One wire with its servos: bytes of the host in, bytes for the host out. No clock, no thread."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pliant.emulator import engine1, engine2
+from pliant.emulator.faults import Blow, Faults, collide
+from pliant.emulator.log import Log, Transaction
+from pliant.emulator.timing import Timing
+from pliant.emulator.wire import BROADCAST, Framer
+from pliant.emulator.x import XServo
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pliant.emulator.servo import Servo
+    from pliant.emulator.wire import Frame
+
+#: A servo listens if its speed is within this share of the host's.
+BAUD_TOLERANCE = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """Bytes on their way to the host.
+
+    Attributes:
+        after: Time after the request's first byte [s]; None is just before the next answer.
+        data: The bytes.
+        late: Whether a fault delays them beyond what the wire takes.
+    """
+
+    after: float | None
+    data: bytes
+    late: bool = False
+
+
+class Line:
+    """A half-duplex bus.
+
+    Attributes:
+        name: Of the port.
+        servos: All that are wired to it.
+        dead: Nothing gets through: a shorted or stuck line.
+        echo: The adapter hears itself: every request comes back before its answer.
+        noisy: Bytes that nobody sent reach the host all the time.
+        occupied: How long the last `feed` keeps the wire busy [s].
+        answered: When the host has the last prompt answer to it [s].
+        faults, timing, log: As given.
+    """
+
+    def __init__(
+        self,
+        servos: Sequence[Servo],
+        *,
+        name: str = "main",
+        timing: Timing | None = None,
+        faults: Faults | None = None,
+        log: Log | None = None,
+    ) -> None:
+        """Wire the servos up."""
+        self.servos, self.name = list(servos), name
+        self.dead = self.echo = self.noisy = False
+        self.occupied = self.answered = self._took = 0.0
+        self.timing, self.faults = timing or Timing(), faults or Faults()
+        self.log = Log() if log is None else log
+        self._framer = Framer()
+
+    def reset(self) -> None:
+        """Forget an unfinished request, as servos do after a pause."""
+        self._framer.reset()
+
+    def feed(self, data: bytes, baud: int | None = None, now: float = 0.0) -> list[Delivery]:
+        """Take bytes of the host and return those for it, in the order they leave the servos.
+
+        Args:
+            data: What the host wrote, cut anywhere.
+            baud: The speed it wrote at [bit/s]; None is right for every servo.
+            now: Time [s], for the log.
+        """
+        deliveries: list[Delivery] = []
+        self.occupied = self.answered = 0.0
+        for frame in self._framer.feed(data):
+            # A request that comes while the wire is busy goes out behind the one before.
+            start, made = self.occupied, self._transact(frame, baud, now)
+            for one in made:
+                after = None if one.after is None else start + one.after
+                deliveries.append(Delivery(after, one.data, one.late))
+                if after is not None and not one.late:
+                    self.answered = max(self.answered, after)
+            self.occupied = start + self._took
+        return deliveries
+
+    def _transact(self, frame: Frame, baud: int | None, now: float) -> list[Delivery]:
+        faults, struck = self.faults, list[str]()
+        listening = [] if self.dead else self._listening(frame, baud)
+        chance = faults.chance()
+        if chance == "deaf":
+            struck.append("deaf")
+            listening = []
+        for servo in list(listening):
+            if frame.id in {BROADCAST, servo.id} and faults.deaf(servo.id):
+                struck.append(f"deaf {servo.id}")
+                listening.remove(servo)
+        slots = self._handle(listening, frame)
+        unlucky = faults.pick(len(slots)) if chance and chance != "deaf" and slots else -1
+        packets: list[tuple[float, float, bytes]] = []
+        held: list[Delivery] = []
+        rate = baud or 1_000_000
+        time = self.timing.span(len(frame.raw), rate)
+        for index, slot in enumerate(slots):
+            servo, packet = slot[0]
+            for _, other in slot[1:]:
+                packet = collide(packet, other)
+            blow = faults.strike(servo.id)
+            if blow is None and index == unlucky and chance is not None:
+                blow = Blow(chance)
+            if self.timing.wire:
+                time += self.timing.turnaround + self._pause(frame, index, servo)
+            begin, time = time, time + self.timing.span(len(packet), rate)
+            if blow is not None:
+                struck.append(f"{blow.kind} {servo.id}")
+                if blow.kind == "late":
+                    after = None if blow.seconds is None else time + blow.seconds
+                    held.append(Delivery(after, packet, late=True))
+                packet = faults.spoil(blow.kind, packet)
+            if packet:
+                packets.append((begin, time, packet))
+        self._took = time
+        writes = [write for servo in listening for write in servo.journal]
+        for servo in listening:
+            servo.journal.clear()
+        names = engine1.NAMES if frame.protocol == 1 else engine2.NAMES
+        name = names.get(frame.instruction, f"0x{frame.instruction:02x}")
+        sent = tuple(data for _, _, data in packets)
+        self.log.add(
+            Transaction(
+                now,
+                self.name,
+                frame.raw,
+                name if frame.ok else f"broken {name}",
+                frame.id,
+                sent,
+                tuple(struck),
+                tuple(writes),
+                time,
+            )
+        )
+        if self.timing.off:
+            prompt = [Delivery(0.0, b"".join(sent))] if sent else []
+        else:
+            prompt = [Delivery(when, part) for when, part in self.timing.deliveries(packets)]
+        heard = [Delivery(0.0, frame.raw)] if self.echo else []
+        return heard + prompt + held
+
+    def _listening(self, frame: Frame, baud: int | None) -> list[Servo]:
+        return [
+            servo
+            for servo in self.servos
+            if servo.hears
+            and servo.protocol == frame.protocol
+            and (baud is None or abs(servo.baud - baud) <= BAUD_TOLERANCE * baud)
+        ]
+
+    @staticmethod
+    def _handle(listening: list[Servo], frame: Frame) -> list[engine1.Slot]:
+        if frame.protocol == 1:
+            return engine1.handle(listening, frame)
+        return engine2.handle([s for s in listening if isinstance(s, XServo)], frame)
+
+    @staticmethod
+    def _pause(frame: Frame, index: int, servo: Servo) -> float:
+        """Return delay; in a fast read only the first servo waits."""
+        fast = {engine2.FAST_SYNC_READ, engine2.FAST_BULK_READ}
+        chained = frame.protocol == 2 and frame.instruction in fast and index > 0
+        return 0.0 if chained else servo.return_delay

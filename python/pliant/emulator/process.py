@@ -1,0 +1,163 @@
+"""An emulator in a process of its own, so that it shares no interpreter with the host."""
+
+from __future__ import annotations
+
+import multiprocessing
+import shutil
+import signal
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from pliant import PliantError, ServoError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from multiprocessing.connection import Connection
+
+    from pliant.emulator.emulator import Emulator
+
+#: How long the child may take to import and open its ports [s].
+START_TIME = 60.0
+#: How long it may take to end [s].
+STOP_TIME = 5.0
+
+
+class Remote:
+    """An emulator that runs elsewhere.
+
+    It ends with this object, and by itself when the process that made it is gone.
+
+    Args:
+        factory: Makes the emulator; a function or class that can be imported by name.
+        *args: For the factory.
+        **kwargs: For the factory.
+
+    Raises:
+        PliantError, ImportError: What the factory raised.
+        ServoError: The process did not come up.
+
+    Example:
+        >>> with Remote(Emulator, [Device("STS3215", id=1)]) as bus:
+        ...     bus.call("faults.inject", "lose", id=1)
+        ...     host = rustypot.Sts3215PyController(bus.port, 1_000_000, 0.1)
+    """
+
+    def __init__(self, factory: Callable[..., Emulator], *args: Any, **kwargs: Any) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, child = context.Pipe()
+        self._process = context.Process(
+            target=_serve, args=(child, factory, args, kwargs), daemon=True, name="pliant-emulator"
+        )
+        with _without_main(factory):
+            self._process.start()
+        child.close()
+        self.ports: dict[str, str] = {}
+        if not self._pipe.poll(START_TIME):
+            self.stop()
+            raise ServoError(f"the emulator did not start within {START_TIME:g} s")
+        self.ports = self._answer()
+
+    @property
+    def port(self) -> str:
+        """Path of the first port."""
+        return next(iter(self.ports.values()))
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> Any:
+        """Call a method of the emulator, or return an attribute.
+
+        Args:
+            name: Dotted, from the emulator on: `advance`, `faults.inject`, `log.writes`, `time`.
+            *args: For a method.
+            **kwargs: For a method.
+
+        Raises:
+            PliantError: What the method raised.
+            ServoError: The process is gone.
+        """
+        try:
+            self._pipe.send((name, args, kwargs))
+        except OSError as error:
+            raise ServoError(f"the emulator's process is gone: {error}") from error
+        return self._answer()
+
+    def kill(self) -> None:
+        """End it without a word, as a crash would: the ports hang up."""
+        self._process.kill()
+        self._process.join()
+        for path in self.ports.values():
+            shutil.rmtree(Path(path).parent, ignore_errors=True)
+
+    def stop(self) -> None:
+        """Close its ports and end it."""
+        self._pipe.close()
+        self._process.join(STOP_TIME)
+        if self._process.is_alive():
+            self.kill()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _answer(self) -> Any:
+        try:
+            ok, value = self._pipe.recv()
+        except (EOFError, OSError) as error:
+            raise ServoError(f"the emulator's process is gone: {error!r}") from error
+        if not ok:
+            raise value
+        return value
+
+
+@contextmanager
+def _without_main(factory: Callable[..., Emulator]) -> Iterator[None]:
+    """Let the child not run the host's script again, which it needs for nothing of its own."""
+    main = sys.modules["__main__"]
+    hidden = {} if factory.__module__ == "__main__" else {"__spec__": None, "__file__": None}
+    kept = {name: getattr(main, name) for name in hidden if hasattr(main, name)}
+    for name in kept:
+        setattr(main, name, None)
+    try:
+        yield
+    finally:
+        for name, value in kept.items():
+            setattr(main, name, value)
+
+
+def _serve(
+    pipe: Connection, factory: Callable[..., Emulator], args: Any, kwargs: dict[str, Any]
+) -> None:
+    """What the child does: run the emulator and do what comes down the pipe."""
+    # A terminal sends these to all its processes; servos outlive them, for the arm to come down.
+    for name in ("SIGINT", "SIGHUP", "SIGQUIT"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    try:
+        emulator = factory(*args, **kwargs).start()
+    except Exception as error:
+        pipe.send((False, _portable(error)))
+        return
+    try:
+        pipe.send((True, emulator.ports))
+        while True:
+            name, args, kwargs = pipe.recv()
+            try:
+                target: Any = emulator
+                for part in name.split("."):
+                    target = getattr(target, part)
+                pipe.send((True, target(*args, **kwargs) if callable(target) else target))
+            except Exception as error:
+                pipe.send((False, _portable(error)))
+    except (EOFError, OSError):
+        pass  # the other side is gone
+    finally:
+        emulator.stop()
+
+
+def _portable(error: Exception) -> Exception:
+    """An error that the other process can raise; a missing extra says by itself what to do."""
+    explained = isinstance(error, PliantError | ImportError)
+    return error if explained else ServoError(f"{error!r}")

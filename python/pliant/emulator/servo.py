@@ -1,0 +1,360 @@
+"""What servos of every family have: memory, shaft, supply, heat, and the request to the motor."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from pliant import ConfigError
+from pliant.emulator.log import Write
+
+if TYPE_CHECKING:
+    from pliant.emulator.models import Model
+    from pliant.emulator.registers import Register
+    from pliant.emulator.wire import Protocol
+
+#: Rise of the winding over the ambient at lasting stall [K], and its time constant [s]: a guess
+#: that overheats a stalled servo in half a minute and lets 30 % of stall torque last.
+HEAT_AT_STALL, HEAT_TIME = 400.0, 200.0
+#: Saturated and not moving for so long is an overload [s]; the makers print no number.
+OVERLOAD_TIME = 3.0
+#: Slower than this counts as not moving [rad/s].
+STANDSTILL = 0.1
+#: How long a servo is deaf after power-up or reboot [s].
+BOOT_TIME = 0.3
+BIT_VOLTAGE, BIT_HEAT, BIT_OVERLOAD = 0x01, 0x04, 0x20
+
+
+@dataclass(slots=True)
+class Shaft:
+    """The output shaft, as physics leaves it; angle 0 is raw count 0.
+
+    Attributes:
+        angle: [rad], unwrapped.
+        speed: [rad/s].
+        torque: What the motor gives at the output, before gear friction [N·m].
+    """
+
+    angle: float = 0.0
+    speed: float = 0.0
+    torque: float = 0.0
+
+
+@dataclass(slots=True)
+class Load:
+    """What hangs on the shaft where no plant is behind the emulator.
+
+    Attributes:
+        inertia: Beyond the rotor's own [kg·m²].
+        torque: Constant outer torque [N·m].
+        pendulum: Weight times arm of a mass that hangs down at `down` [N·m].
+        down: Angle at which it hangs straight down [rad].
+        stops: Hard stops [rad].
+    """
+
+    inertia: float = 0.0
+    torque: float = 0.0
+    pendulum: float = 0.0
+    down: float = 0.0
+    stops: tuple[float, float] = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What a servo's firmware asks of its motor.
+
+    Attributes:
+        goal: Angle to hold [rad], None for a motor without power.
+        stiffness: [N·m/rad].
+        ceiling: Largest torque at standstill [N·m].
+        speed: Speed at which the goal is walked to [rad/s].
+        dead: Error below which it gives nothing [rad].
+        slope: Torque lost per speed, outside the ceiling (back-EMF of a duty limit) [N·m·s/rad].
+        kv: Damping inside the ceiling, of a current loop [N·m·s/rad].
+    """
+
+    goal: float | None = None
+    stiffness: float = 0.0
+    ceiling: float = 0.0
+    speed: float = math.inf
+    dead: float = 0.0
+    slope: float = 0.0
+    kv: float = 0.0
+
+
+OFF = Drive()
+
+
+class Servo(ABC):
+    """A live servo: registers, rules and protections of its family.
+
+    Attributes:
+        model: What it is.
+        memory: Its control table as it stands.
+        shaft, load: Its output shaft and what hangs on it.
+        supply: Voltage at its plug [V].
+        temperature: [°C].
+        plugged: Whether bus and power reach it.
+        now: Time of the emulator [s].
+        registered: Write that waits for an action.
+        stuck: Registers that read a fixed value whatever happens.
+        journal: Writes since it was last emptied.
+    """
+
+    protocol: ClassVar[Protocol]
+
+    def __init__(self, model: Model, id: int, *, angle: float | None, **registers: int) -> None:
+        """Make a servo as it comes out of the box but for these EEPROM values.
+
+        Raises:
+            ConfigError: A register is unknown, in RAM, or the value does not fit.
+        """
+        self.model, self.table = model, model.table
+        self._fields = {r.name: (r.address, r.address + r.size, r.sign) for r in self.table}
+        self.memory = bytearray(self.table.size)
+        self.stored = bytearray(self.table.size)
+        middle = (model.top + 1) / 2 * model.count
+        self.shaft = Shaft(middle if angle is None else float(angle))
+        self.load = Load()
+        self.supply = 14.8 if model.motor.volts > 16.0 else model.motor.volts
+        self.ambient = self.temperature = 25.0
+        self.plugged = True
+        self.now = 0.0
+        self.registered: tuple[int, bytes] | None = None
+        self.stuck: dict[str, int] = {}
+        self.journal: list[Write] = []
+        self._deaf_until = -math.inf
+        self._strain = 0.0
+        for register in self.table:
+            self._store(register, register.initial)
+        for name, value in {"model_number": model.number, "id": id, **registers}.items():
+            register = self.table[name]
+            if register.area != "eeprom" or not register.low <= value <= register.high:
+                raise ConfigError(
+                    f"{model.name}: {name} is {register.area}, {register.low} to {register.high}; "
+                    f"a new servo cannot have {value}"
+                )
+            self._store(register, value)
+        self.power_up()
+        self.wake()
+
+    def __repr__(self) -> str:
+        return f"<{self.model.name} id {self.id}>"
+
+    # Memory.
+
+    def get(self, name: str) -> int:
+        """Return a register's value, as it stands in memory."""
+        # Asked for thousands of times a second: no object on the way.
+        start, stop, sign = self._fields[name]
+        raw = int.from_bytes(self.memory[start:stop], "little")
+        return raw if sign is None else self.table[name].decode(self.memory[start:stop])
+
+    def put(self, name: str, value: float) -> None:
+        """Set a register past all rules, rounded and cut at what its coding can hold."""
+        register = self.table[name]
+        self.memory[register.address : register.address + register.size] = register.encode(
+            round(value)
+        )
+
+    def _store(self, register: Register, value: int) -> None:
+        data = register.encode(value)
+        self.stored[register.address : register.address + register.size] = data
+
+    def keep(self, address: int, length: int) -> None:
+        """Make EEPROM bytes survive the loss of power."""
+        self.stored[address : address + length] = self.memory[address : address + length]
+
+    @property
+    def id(self) -> int:
+        """Its id on the bus."""
+        return self.get("id")
+
+    @property
+    def hears(self) -> bool:
+        """Whether it is plugged in and has booted."""
+        return self.plugged and self.now >= self._deaf_until
+
+    # Power.
+
+    def power_up(self) -> None:
+        """Start anew: EEPROM as stored, RAM at its first values, torque off, deaf for a moment."""
+        self._deaf_until = self.now + BOOT_TIME
+        self.memory[:] = self.stored
+        self.registered, self._strain = None, 0.0
+        self.on_power()
+        self.refresh()
+
+    def wake(self) -> None:
+        """End the deafness after power-up at once."""
+        self._deaf_until = -math.inf
+
+    def angle_of(self, count: float) -> float:
+        """Return the shaft angle at which this count is reported, whole turns aside [rad]."""
+        return self.raw_of(count) * self.model.count
+
+    # Bus.
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Return error and bytes of a block, no bytes with an error."""
+        self.refresh()
+        for name, value in self.stuck.items():
+            self.put(name, value)
+        error = self.check_read(address, length)
+        places = () if error else self.resolve(address, length)
+        return error, bytes(self.memory[byte] for byte in places)
+
+    def write(self, address: int, data: bytes, instruction: str = "write") -> int:
+        """Write a block if the rules allow it, note it, and return the error.
+
+        A block with one refused register is refused whole.
+        """
+        enabled = self.enabled
+        places = self.resolve(address, len(data))
+        runs = _runs(places, data)
+        error = 0
+        for start, part in runs:
+            error = error or self.check_write(start, part)
+        for start, part in runs:
+            self.journal.append(
+                Write(self.now, self.id, instruction, start, part, enabled, error, self.table)
+            )
+            if not error:
+                self.memory[start : start + len(part)] = part
+                self.on_write(start, part)
+        return error
+
+    def resolve(self, address: int, length: int) -> list[int]:
+        """Return where these bytes really are (indirect addressing)."""
+        return list(range(address, address + length))
+
+    # Physics.
+
+    @property
+    def stall(self) -> float:
+        """Stall torque at the present voltage [N·m]."""
+        return self.model.motor.stall * self.supply / self.model.motor.volts
+
+    @property
+    def duty(self) -> float:
+        """Share of the supply that the motor gets, signed."""
+        motor, speed = self.model.motor, self.shaft.speed
+        share = (self.shaft.torque + motor.slope * speed) / max(self.stall, 1e-9)
+        return max(-1.0, min(share, 1.0)) if self.enabled else 0.0
+
+    @property
+    def current(self) -> float:
+        """Motor current, signed [A]."""
+        return self.shaft.torque / self.model.motor.torque_per_amp if self.enabled else 0.0
+
+    def update(self, seconds: float) -> None:
+        """Let time pass after physics: heat, strain, and what the family makes of them."""
+        share = self.shaft.torque / self.model.motor.stall
+        target = self.ambient + HEAT_AT_STALL * share * share
+        self.temperature += (target - self.temperature) * min(seconds / HEAT_TIME, 1.0)
+        self.protect(seconds)
+
+    def faults(self) -> int:
+        """Return the bits of voltage and heat that hold now, from the limits in EEPROM."""
+        low, high = self.get("min_voltage_limit"), self.get("max_voltage_limit")
+        bits = (
+            0
+            if low <= self.supply * 10.0 + 1e-6 and self.supply * 10.0 <= high + 1e-6
+            else (BIT_VOLTAGE)
+        )
+        return bits | (BIT_HEAT if self.temperature > self.get("temperature_limit") else 0)
+
+    def strained(self, seconds: float, threshold: float) -> bool:
+        """Count the time at or above a torque without moving; say whether it is an overload."""
+        at_limit = self.enabled and abs(self.shaft.torque) >= threshold > 0.0
+        still = abs(self.shaft.speed) < STANDSTILL
+        self._strain = self._strain + seconds if at_limit and still else 0.0
+        return self._strain > OVERLOAD_TIME
+
+    # Family.
+
+    @property
+    @abstractmethod
+    def baud(self) -> int:
+        """Speed it listens at [bit/s]."""
+
+    @property
+    @abstractmethod
+    def enabled(self) -> bool:
+        """Whether torque is on."""
+
+    @property
+    @abstractmethod
+    def level(self) -> int:
+        """What it answers: 0 pings, 1 reads too, 2 everything."""
+
+    @property
+    @abstractmethod
+    def direction(self) -> int:
+        """1, or -1 where reported counts fall as the shaft turns forward."""
+
+    @abstractmethod
+    def raw_of(self, count: float) -> float:
+        """Return the raw count behind a reported one, whole turns aside."""
+
+    @property
+    def return_delay(self) -> float:
+        """Pause before an answer [s]."""
+        return self.get("return_delay_time") * 2e-6
+
+    @abstractmethod
+    def set_baud(self, baud: int) -> None:
+        """Store a speed in EEPROM.
+
+        Raises:
+            ConfigError: The family has no such speed.
+        """
+
+    @abstractmethod
+    def status(self) -> int:
+        """Return the condition bits of every answer."""
+
+    @abstractmethod
+    def check_read(self, address: int, length: int) -> int:
+        """Return the error of reading this block."""
+
+    @abstractmethod
+    def check_write(self, address: int, data: bytes) -> int:
+        """Return the error of writing this block."""
+
+    @abstractmethod
+    def on_write(self, address: int, data: bytes) -> None:
+        """Do what follows from a write that was accepted."""
+
+    @abstractmethod
+    def on_power(self) -> None:
+        """Set the RAM registers that start at something else than a constant."""
+
+    @abstractmethod
+    def refresh(self) -> None:
+        """Bring the present-value registers up to date."""
+
+    @abstractmethod
+    def drive(self) -> Drive:
+        """Return what the motor shall do."""
+
+    @abstractmethod
+    def protect(self, seconds: float) -> None:
+        """Trip, latch, time out."""
+
+    @abstractmethod
+    def trip(self, bit: int) -> None:
+        """Act as if this condition had been found (overload, heat, voltage), for tests."""
+
+
+def _runs(places: list[int], data: bytes) -> list[tuple[int, bytes]]:
+    """Group bytes by contiguous addresses."""
+    runs: list[tuple[int, bytearray]] = []
+    for place, byte in zip(places, data, strict=True):
+        if runs and place == runs[-1][0] + len(runs[-1][1]):
+            runs[-1][1].append(byte)
+        else:
+            runs.append((place, bytearray((byte,))))
+    return [(start, bytes(part)) for start, part in runs]

@@ -1,0 +1,33 @@
+"""The clock of an emulator whose time passes only when somebody waits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pliant.emulator.emulator import Emulator
+
+
+class StepClock:
+    """Time of an emulator with the clock `steps`, for `ServoBus(..., clock=...)`.
+
+    Waiting advances the emulator's world, so that a program over real bytes runs as fast as the
+    computer goes. How busy that is matters only where an answer takes longer than the host waits.
+
+    Args:
+        bus: The emulator, in this process.
+    """
+
+    def __init__(self, bus: Emulator) -> None:
+        self._bus = bus
+
+    def now(self) -> float:
+        """Time of the emulated world [s], after what the host has written so far."""
+        self._bus.sync()
+        return self._bus.time
+
+    def wait_until(self, deadline: float) -> None:
+        """Let time pass until `deadline` [s]."""
+        left = deadline - self.now()
+        if left > 0.0:
+            self._bus.advance(left)

@@ -1,0 +1,235 @@
+"""Dynamixel X series and MX(2.0), Protocol 2.0."""
+
+from __future__ import annotations
+
+import math
+
+from pliant import ConfigError
+from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
+
+FAIL, INSTRUCTION, CRC, RANGE, LENGTH, LIMIT, ACCESS = range(1, 8)
+ALERT = 0x80
+BAUDS = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
+#: Position counts per radian, over the 128 that the P gain is divided by.
+PER_P = 4096 / (2.0 * math.pi) / 128.0
+#: Full scale of PWM registers.
+FULL_PWM = 885
+_RPM = 0.229 * 2.0 * math.pi / 60.0
+_GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
+_GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "velocity_p_gain",
+          "velocity_i_gain", "feedforward_1st_gain", "feedforward_2nd_gain")  # fmt: skip
+
+
+class XServo(Servo):
+    """Limits current (mode 5) or duty; a shutdown lasts until reboot.
+
+    Velocity, current and PWM modes take their registers but do not drive. Guesses: a goal written
+    while torque is off stays and is jumped to at torque-on; overload is three seconds at the limit
+    without moving.
+    """
+
+    protocol = 2
+
+    def on_power(self) -> None:
+        """Goals start at their limits and at the present position."""
+        self._shut = False
+        self._heard = self.now
+        self._within_a_turn()
+        self._reset_mode()
+        if self.get("startup_configuration") & 1:
+            self.put("torque_enable", 1)
+
+    def _within_a_turn(self) -> None:
+        """Count from within one turn again: at power-up, and in position mode at torque-on."""
+        self._turns = -math.floor(self.shaft.angle / self.model.count / 4096 + 1e-9)
+
+    def _reset_mode(self) -> None:
+        for name in (*_GAINS, "profile_acceleration", "profile_velocity"):
+            self.put(name, self.table[name].initial)
+        self.put("goal_pwm", self.get("pwm_limit"))
+        if self._senses:
+            self.put("goal_current", self.get("current_limit"))
+        self.put("goal_position", self.position)
+
+    @property
+    def _senses(self) -> bool:
+        return "goal_current" in self.table
+
+    @property
+    def direction(self) -> int:
+        """-1 in reverse mode."""
+        return -1 if self.get("drive_mode") & 1 else 1
+
+    def raw_of(self, count: float) -> float:
+        """Homing Offset is added after the reversal."""
+        raw = count - self.get("homing_offset")
+        return raw if self.direction > 0 else 4096 - raw
+
+    @property
+    def position(self) -> int:
+        """Present position [counts], unwrapped since power-up, with homing offset."""
+        raw = round(self.shaft.angle / self.model.count) + 4096 * self._turns
+        return (raw if self.direction > 0 else 4096 - raw) + self.get("homing_offset")
+
+    @property
+    def baud(self) -> int:
+        """By the maker's list."""
+        return BAUDS[self.get("baud_rate")]
+
+    def set_baud(self, baud: int) -> None:
+        """Store a speed of the list."""
+        highest = self.table["baud_rate"].high
+        if baud not in BAUDS[: highest + 1]:
+            rates = ", ".join(str(rate) for rate in BAUDS[: highest + 1])
+            raise ConfigError(f"{self.model.name} cannot do {baud} bit/s; it has {rates}")
+        self.put("baud_rate", BAUDS.index(baud))
+        self.keep(self.table["baud_rate"].address, 1)
+
+    @property
+    def enabled(self) -> bool:
+        """Torque Enable."""
+        return self.get("torque_enable") == 1
+
+    @property
+    def level(self) -> int:
+        """Status Return Level."""
+        return self.get("status_return_level")
+
+    def heard(self) -> None:
+        """An instruction packet was on the bus."""
+        self._heard = self.now
+
+    def status(self) -> int:
+        """The alert bit."""
+        return ALERT if self.get("hardware_error_status") else 0
+
+    def resolve(self, address: int, length: int) -> list[int]:
+        """Follow indirect addresses of block 1."""
+        places: list[int] = []
+        for byte in range(address, address + length):
+            register = self.table.at(byte)
+            if register is not None and register.name.startswith("indirect_data_"):
+                target = self.get(f"indirect_address_{register.name[14:]}")
+                places.append(target if self.table.at(target) else byte)
+            else:
+                places.append(byte)
+        return [min(place, self.table.size - 1) for place in places]
+
+    def check_read(self, address: int, length: int) -> int:
+        """Gaps read as 0; beyond the table there is nothing."""
+        return 0 if length and address + length <= self.table.size else ACCESS
+
+    def check_write(self, address: int, data: bytes) -> int:
+        """Access, length, range and limit errors, in this order."""
+        end = address + len(data)
+        if any(self.table.at(byte) is None for byte in range(address, end)):
+            return ACCESS
+        for register in self.table.span(address, len(data)):
+            if not register.writable or (register.area == "eeprom" and self.enabled):
+                return ACCESS
+            if register.address < address or register.address + register.size > end:
+                return LENGTH
+            start = register.address - address
+            value = register.decode(data[start : start + register.size])
+            if not register.low <= value <= register.high or not self._allowed(
+                register.name, value
+            ):
+                return RANGE
+            if not self._within(register.name, value):
+                return LIMIT
+        return 0
+
+    def _allowed(self, name: str, value: int) -> bool:
+        if name == "operating_mode":
+            modes = {VELOCITY, POSITION, EXTENDED, PWM}
+            return value in (modes | {CURRENT, CURRENT_POSITION} if self._senses else modes)
+        if name == "bus_watchdog":
+            return value >= 0
+        return not (name in _GOALS and self.get("bus_watchdog") == -1)
+
+    def _within(self, name: str, value: int) -> bool:
+        if name == "goal_pwm":
+            return abs(value) <= self.get("pwm_limit")
+        if name == "goal_current":
+            return abs(value) <= self.get("current_limit")
+        if name == "goal_velocity":
+            return abs(value) <= self.get("velocity_limit")
+        if name == "goal_position" and self.get("operating_mode") == POSITION:
+            return self.get("min_position_limit") <= value <= self.get("max_position_limit")
+        return True
+
+    def on_write(self, address: int, data: bytes) -> None:
+        """EEPROM is kept at once; a mode resets goals and gains; a shutdown stays off."""
+        for register in self.table.span(address, len(data)):
+            if register.area == "eeprom":
+                self.keep(register.address, register.size)
+            switched = register.name in {"operating_mode", "torque_enable"}
+            if switched and self.get("operating_mode") == POSITION:
+                self._within_a_turn()
+            if register.name == "operating_mode":
+                self._reset_mode()
+            elif register.name == "torque_enable" and self._shut:
+                self.put("torque_enable", 0)
+            elif register.name == "goal_position" and self.get("drive_mode") & 8 and not self._shut:
+                self.put("torque_enable", 1)
+
+    def drive(self) -> Drive:
+        """Current (mode 5) or duty in proportion to the error, up to the goals' limits."""
+        mode = self.get("operating_mode")
+        if not self.enabled or not self.plugged or mode not in {POSITION, EXTENDED,
+                                                                CURRENT_POSITION}:  # fmt: skip
+            return OFF
+        motor, gain = self.model.motor, PER_P * self.get("position_p_gain")
+        ceiling = self.stall * abs(self.get("goal_pwm")) / FULL_PWM
+        profile = self.get("profile_velocity")
+        speed = profile * _RPM if profile and not self.get("drive_mode") & 4 else math.inf
+        goal = self.raw_of(self.get("goal_position")) - 4096 * self._turns
+        angle = goal * self.model.count
+        if mode != CURRENT_POSITION:
+            stiffness = gain * self.stall / FULL_PWM
+            return Drive(angle, stiffness, ceiling, speed, slope=motor.slope)
+        per_count = self.model.unit * motor.torque_per_amp
+        stiffness = gain * per_count
+        limit = abs(self.get("goal_current")) * per_count
+        inertia = motor.inertia + self.load.inertia
+        # What the firmware's own damping is, is not published: enough for a settled step.
+        kv = 1.4 * math.sqrt(stiffness * inertia)
+        return Drive(angle, stiffness, min(limit, ceiling), speed, kv=kv)
+
+    def protect(self, seconds: float) -> None:
+        """Watchdog; hardware errors, and the shutdown of those in the mask."""
+        watchdog = self.get("bus_watchdog")
+        if watchdog > 0 and self.enabled and self.now - self._heard > watchdog * 0.020:
+            self.put("bus_watchdog", -1)
+            self.put("goal_position", self.position)
+        bits = self.faults()
+        if self.strained(seconds, 0.98 * self.drive().ceiling):
+            bits |= BIT_OVERLOAD
+        if bits:
+            self.trip(bits)
+
+    def trip(self, bit: int) -> None:
+        """Set bits of Hardware Error Status; those in Shutdown cut torque until reboot."""
+        self.put("hardware_error_status", self.get("hardware_error_status") | bit)
+        if self.get("hardware_error_status") & self.get("shutdown"):
+            self._shut = True
+            self.put("torque_enable", 0)
+            self.put("led", 1)
+
+    def refresh(self) -> None:
+        """Position, velocity, PWM, current or load, voltage, temperature."""
+        sign = self.direction
+        self.put("present_position", self.position)
+        self.put("position_trajectory", self.position)
+        self.put("present_velocity", sign * self.shaft.speed / _RPM)
+        self.put("present_pwm", sign * self.duty * FULL_PWM)
+        if self._senses:
+            self.put("present_current", sign * self.current / self.model.unit)
+        else:
+            self.put("present_load", sign * self.duty * 1000.0)
+        self.put("present_input_voltage", self.supply * 10.0)
+        self.put("present_temperature", self.temperature)
+        self.put("registered", self.registered is not None)
+        self.put("moving", abs(self.shaft.speed) > self.get("moving_threshold") * _RPM)
+        self.put("realtime_tick", self.now * 1000.0 % 32768)
