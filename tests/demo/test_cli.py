@@ -39,7 +39,7 @@ def test_help_of_the_demo_explains_its_flags(pliant_command):
 
 
 ONE_LINE = [
-    (["demmo"], "did you mean 'demo'"),
+    (["demmo"], "did you mean `pliant demo`"),
     (["--verson"], "no flag '--verson'"),
     (["demo", "--only", "x"], "such as 1,3; got 'x'"),
     (["demo", "--only", "1,9"], "no experiment 9; choose from 1"),

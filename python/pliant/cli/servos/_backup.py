@@ -1,4 +1,4 @@
-"""The old values that `pliant setup` keeps: whose they are, and whether they may be put back."""
+"""Old values that `pliant servos setup` keeps: whose they are, whether they may be restored."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def load(path: Path, arm: str) -> list[Change]:
         raise  # the command line says which files there are
     except (OSError, LookupError, RecursionError, TypeError, ValueError) as error:
         why = f"it has no {error}" if isinstance(error, KeyError) else error
-        raise ServoError(f"{path} is no backup of pliant setup: {why}") from error
+        raise ServoError(f"{path} is no backup of pliant servos setup: {why}") from error
 
 
 def check(path: Path, former: Sequence[Change], specs: Sequence[ServoSpec]) -> None:
