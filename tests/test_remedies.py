@@ -168,7 +168,7 @@ def test_texts_are_found():
 
 
 def commands(text: str, _file: str) -> list[str]:
-    return re.findall(r"\bpliant ((?:[a-z]+)(?: (?:--[a-z-]+|[a-z]+|[A-Z:]+)(?=[ `]))*)", text)
+    return re.findall(r"\bpliant ((?:[a-z]+)(?: (?:--[a-z-]+|[a-z]+|[A-Z:]+)(?=[ `:]|$))*)", text)
 
 
 def is_command(words: str) -> bool:

@@ -46,6 +46,6 @@ def _table() -> Table:
         read = config.load(name)
         servos = dict.fromkeys(servo.model for servo in read.servo.values())
         gripper = "" if read.gripper is None else " + gripper"
-        urdf = "built in" if read.robot.builtin else "yours: --urdf FILE"
+        urdf = "included" if read.robot.builtin else "to be given"
         table.add_row(name, f"{len(read.servo)}{gripper}", ", ".join(servos), urdf)
     return table

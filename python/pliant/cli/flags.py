@@ -73,7 +73,7 @@ class Wired(Files):
     """What a command that talks to servos takes in place of what a configuration says.
 
     Attributes:
-        port: Serial port, by default that of the file.
+        port: Serial port. In place of the file's.
     """
 
     port: Device = None

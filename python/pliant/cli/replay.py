@@ -42,7 +42,7 @@ def run(
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        motion: File of `pliant teach`, or a log (.mcap).
+        motion: Motion file. One of `pliant teach` (.json), or a log (.mcap).
         soft: Axes that yield: "y yaw" with the arm's own caps, "y=2 z=5" capped at 2 and 5 N (N·m
             for roll, pitch, yaw). The other axes hold. Default: the file's settings.
         speed: Factor on the motion's speed.

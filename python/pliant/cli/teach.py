@@ -41,7 +41,7 @@ def run(
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        motion: File to write (.json).
+        motion: Motion file. It is written, and ends with .json.
         by: What starts and ends the recording: rest records at once and ends with a rest of 3 s;
             Enter; or the gripper pressed shut.
         duration: Ends by itself after this time [s]. It counts from the start of the recording.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import tyro
 from rich.console import Console
 
 import pliant.robots
@@ -15,6 +16,8 @@ from pliant.extras import missing
 if TYPE_CHECKING:
     from pliant.view.source import Source
 
+#: Name of a scene that need not be given.
+Scene = Annotated[str | None, tyro.conf.arg(metavar="SCENE")]
 #: Highest port that there is.
 HIGHEST = 65535
 
@@ -22,7 +25,7 @@ HIGHEST = 65535
 def run(
     arm: ArmName = "",
     *,
-    scene: str | None = None,
+    scene: Scene = None,
     rate: float = 100.0,
     host: str = "127.0.0.1",
     http_port: HttpPort = 8080,

@@ -23,7 +23,7 @@ def check_output(output: Path | None, command: str, suffixes: tuple[str, ...], h
         return
     if output.suffix not in suffixes:
         raise ConfigError(
-            f"--output {output}: pliant log {command} writes {', '.join(suffixes)}{hint}, "
+            f"--output {output}: {command} writes {', '.join(suffixes)}{hint}, "
             f"got {output.suffix or 'no suffix'}"
         )
     if not output.absolute().parent.is_dir():

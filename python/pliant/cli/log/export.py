@@ -29,7 +29,8 @@ def run(log: LogFile, *, output: Output = None, parquet: bool = False) -> None:
     from pliant.log import read
 
     suffix = ".parquet" if parquet else ".npz"
-    check_output(output, "export", (suffix,), "" if parquet else " (--parquet writes .parquet)")
+    hint = "" if parquet else " (--parquet writes .parquet)"
+    check_output(output, "pliant log export", (suffix,), hint)
     data = read(log)
     file = output or log.with_suffix(suffix)
     check_data(log, data, file, "table")

@@ -42,7 +42,7 @@ def run(log: LogFile, *, output: Output = None) -> None:
     """
     from pliant.log import read
 
-    check_output(output, "plot", PICTURES, "")
+    check_output(output, "pliant log plot", PICTURES, "")
     data = read(log)
     file = output or log.with_suffix(".png")
     check_data(log, data, file, "picture")

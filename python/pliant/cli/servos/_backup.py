@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pliant.servo import ServoSpec
 
 #: What a file says it is; before, it was the bare list of changes without models.
-FORMAT = "pliant setup 2"
+FORMAT = "pliant servos setup 2"
 _KINDS = {"joint": str, "id": int, "register": str, "old": int, "new": int, "why": str}
 
 

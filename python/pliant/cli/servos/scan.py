@@ -16,7 +16,7 @@ def run(*, port: Device = None, baud: int | None = None, deep: bool = False) -> 
     """Ask every id at every usual speed, in both protocols; nothing is written.
 
     Args:
-        port: Serial port, by default all of this machine.
+        port: Serial port. Default: all of this machine.
         baud: Only this speed [bit/s].
         deep: All 253 ids instead of 0 to 40.
     """
