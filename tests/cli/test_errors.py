@@ -155,7 +155,7 @@ def test_an_emulator_without_a_duration_that_can_be_is_refused(duration, capsys)
 
 
 def test_an_emulator_that_is_ended_leaves_nothing(tmp_path):
-    words = [sys.executable, "-m", "pliant.cli", "emulate", "so101"]
+    words = [sys.executable, "-m", "pliant.cli", "servos", "emulate", "so101"]
     place = {**os.environ, "TMPDIR": str(tmp_path)}
     with subprocess.Popen(words, env=place, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout is not None

@@ -113,7 +113,18 @@ def test_ctrl_c_is_how_it_ends():
         "signal.signal(signal.SIGINT, signal.default_int_handler); "
         "sys.exit(cli.main(sys.argv[1:]))"
     )
-    words = [sys.executable, "-u", "-c", program, "servos", "doctor", "so101", "--backend", "sim", "--watch"]
+    words = [
+        sys.executable,
+        "-u",
+        "-c",
+        program,
+        "servos",
+        "doctor",
+        "so101",
+        "--backend",
+        "sim",
+        "--watch",
+    ]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as running:
         try:
             assert running.stdout is not None

@@ -272,8 +272,8 @@ def _check_mode(device: Device, image: Image) -> list[str]:
         shadow = image["shadow_id"]
         if shadow <= 252:
             wrong.append(
-                f"it obeys id {shadow} as well (Secondary ID): clear that with `pliant servos setup` "
-                "and name it as the joint's secondary"
+                f"it obeys id {shadow} as well (Secondary ID): clear that with `pliant servos "
+                "setup` and name it as the joint's secondary"
             )
     elif family.status == "feetech":
         if image["mode"] != 0:
