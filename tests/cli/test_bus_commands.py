@@ -67,7 +67,7 @@ def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
     backup = tmp_path / "old.json"
     flags = ["servos", "setup", str(file), "--backup", str(backup)]
     monkeypatch.setattr("builtins.input", lambda *_: "n")
-    assert main(flags) == 2
+    assert main(flags) == 1
     assert not bus.log.eeprom_writes()
     assert not backup.exists()
 
@@ -236,7 +236,7 @@ def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
             assert main([*setup, pair, "--yes"]) == 2
             assert said in capsys.readouterr().err
         monkeypatch.setattr("builtins.input", lambda *_: "n")
-        assert main([*setup, "1:5"]) == 2
+        assert main([*setup, "1:5"]) == 1
         assert not bus.log.eeprom_writes()
         assert main([*setup, "1:5", "--yes"]) == 0
         assert "wrist_roll answers to id 5 now" in capsys.readouterr().out
