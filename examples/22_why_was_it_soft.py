@@ -1,8 +1,8 @@
 """Why was the arm soft there, and firm here? A log of a run, and the page that answers.
 
 A hand pulls the tool sideways, where it yields, then down, where it should hold. On the shell:
-`pliant run my_arm.toml --log run.mcap`, then `pliant report run.mcap`. Needs the extras "log" and
-"plot". python examples/22_why_was_it_soft.py
+`pliant run my_arm.toml --log run.mcap`, then `pliant log report run.mcap`. Needs the extras "log"
+and "plot". python examples/22_why_was_it_soft.py
 """
 
 import os

@@ -131,6 +131,14 @@ def wrong(find, judge) -> list[str]:
     ]
 
 
+def command_of(words: list[str]) -> tuple[str, list[str]]:
+    """The command that words begin with, empty if there is none, and the words after it."""
+    for size in (2, 1):
+        if " ".join(words[:size]) in COMMANDS:
+            return " ".join(words[:size]), words[size:]
+    return "", words
+
+
 @cache
 def parser(command: str):
     """The parser of a command."""
@@ -151,7 +159,7 @@ def test_texts_are_found():
     """The tests below look at these."""
     assert len(texts()) > 1000
     for sure in (
-        "`pliant setup ARM --set-id OLD:NEW`",
+        "`pliant servos setup ARM --set-id OLD:NEW`",
         "connect(..., rest_q=[...])",
         "[robot] urdf",
     ):
@@ -159,15 +167,15 @@ def test_texts_are_found():
 
 
 def commands(text: str, _file: str) -> list[str]:
-    return re.findall(r"\bpliant ((?:[a-z]+)(?: (?:--[a-z-]+|[a-z]+|[A-Z:]+)(?=[ `]))*)", text)
+    return re.findall(r"\bpliant ((?:[a-z]+)(?: (?:--[a-z-]+|[a-z]+|[A-Z:]+)(?=[ `:]|$))*)", text)
 
 
 def is_command(words: str) -> bool:
     """Whether a command has these flags and, first, this choice."""
-    command, *rest = words.split()
-    if command in WORDS:
+    command, rest = command_of(words.split())
+    if words.split(maxsplit=1)[0] in WORDS:
         return True
-    if command not in COMMANDS:
+    if not command:
         return False
     named = [word for word in rest if word.startswith("--")]
     if not set(named) <= flags(command):
@@ -178,7 +186,7 @@ def is_command(words: str) -> bool:
 
 def test_commands_exist_with_their_flags():
     found = [words for text, file in texts().items() for words in commands(text, file)]
-    assert len([words for words in found if words.split()[0] in COMMANDS]) > 20
+    assert len([words for words in found if command_of(words.split())[0]]) > 20
     assert wrong(commands, is_command) == []
 
 
@@ -188,8 +196,8 @@ def quoted_commands(text: str, _file: str) -> list[str]:
 
 def is_accepted(words: str) -> bool:
     """Whether the shell takes a command as it is written, up to what it would then do."""
-    command, *rest = (STAND_INS.get(word, word) for word in words.split())
-    if command not in COMMANDS:
+    command, rest = command_of([STAND_INS.get(word, word) for word in words.split()])
+    if not command:
         return False
     with pytest.MonkeyPatch.context() as patch:
         module, taken = import_module(COMMANDS[command][0]), []
@@ -204,7 +212,7 @@ def is_accepted(words: str) -> bool:
         patch.setattr(module, "run", pretend)
         needed = [a for a in parser(command)._actions if not a.option_strings and a.required]
         given = [word for word in rest if not word.startswith("--") and not re.match(r"\d+:", word)]
-        cli_main([command, *rest, *("so101" for _ in needed[len(given) :])])
+        cli_main([*command.split(), *rest, *("so101" for _ in needed[len(given) :])])
         return bool(taken)
 
 
@@ -214,7 +222,8 @@ def test_quoted_commands_are_taken_by_the_shell(capsys):
 
 def flags_of(text: str, file: str) -> list[tuple[str, str]]:
     """Flags with the command whose text it is, empty where it may be any."""
-    own = Path(file).stem if file.startswith("python/pliant/cli/") else ""
+    path = file.removeprefix("python/pliant/cli/").removesuffix(".py")
+    own = path.replace("/", " ") if path != file.removesuffix(".py") else ""
     bare = re.sub(r"`[^`]*`|pliant [a-z]+ [^;,:.]*", "", text)
     return [
         (flag, own if own in COMMANDS else "")
@@ -510,10 +519,10 @@ def test_extras_exist():
 @pytest.mark.parametrize(
     ("text", "find", "judge"),
     [
-        ("`pliant identify` measures k_p", commands, is_command),
-        ("see pliant setup --set-ids for that", commands, is_command),
+        ("`pliant measure` measures k_p", commands, is_command),
+        ("see pliant servos setup --set-ids for that", commands, is_command),
         ("draw it: pliant log draw of this", commands, is_command),
-        ("`pliant setup ARM --deep`", quoted_commands, is_accepted),
+        ("`pliant servos setup ARM --deep`", quoted_commands, is_accepted),
         ("give --sped a number", flags_of, is_flag),
         ("arm.relax() first", calls, is_callable_so),
         ("give connect(..., rests=[...])", calls, is_callable_so),

@@ -31,7 +31,8 @@ for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
 
 def connect(**options):
     global arm, start
-    arm = bare_arm("koch", q=np.array([0.0, 1.2, 0.0, 0.0, 0.0]), **options)
+    options |= {"table": False, "rest_q": None, "q": [0.0, 1.2, 0.0, 0.0, 0.0]}
+    arm = pliant.connect("koch", backend="sim", **options)
     start = arm.drive.plant.tool[2, 3]
     return arm
 

@@ -123,7 +123,9 @@ def test_a_run_that_a_signal_ends_has_its_summary_and_code(command, name, code):
 @pytest.mark.parametrize("name", ["SIGHUP", pytest.param("SIGTERM", marks=pytest.mark.full)])
 def test_an_emulator_takes_its_folder_with_it(name):
     with subprocess.Popen(
-        [sys.executable, "-m", "pliant.cli", "emulate", "so101"], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "pliant.cli", "servos", "emulate", "so101"],
+        stdout=subprocess.PIPE,
+        text=True,
     ) as process:
         path = process.stdout.readline().partition(": ")[2].strip()
         assert os.path.exists(path)

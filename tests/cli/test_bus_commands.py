@@ -33,7 +33,7 @@ def arm(tmp_path):
 
 def test_scan_names_every_servo(arm, capsys):
     bus, _ = arm
-    assert main(["scan", "--port", bus.port, "--baud", "1000000"]) == 0
+    assert main(["servos", "scan", "--port", bus.port, "--baud", "1000000"]) == 0
     out = capsys.readouterr().out
     assert out.count("XM430-W350") == 3
     assert out.count("XL430-W250") == 3
@@ -42,7 +42,7 @@ def test_scan_names_every_servo(arm, capsys):
 
 def test_scan_without_servos_says_what_to_look_at(arm, capsys):
     bus, _ = arm
-    assert main(["scan", "--port", bus.port, "--baud", "57600"]) == 2
+    assert main(["servos", "scan", "--port", bus.port, "--baud", "57600"]) == 2
     assert "power" in capsys.readouterr().err
 
 
@@ -53,21 +53,21 @@ def test_setup_asks_again_where_a_packet_is_lost(arm, tmp_path, kind, capsys):
         for skip in (0, 5, 9):
             bus.faults.inject(kind, number, skip=skip)
     backup = tmp_path / "old.json"
-    assert main(["setup", str(file), "--backup", str(backup), "--yes"]) == 0
+    assert main(["servos", "setup", str(file), "--backup", str(backup), "--yes"]) == 0
     asked = [fault for packet in bus.log for fault in packet.faults]
     assert len(asked) >= 12, "packets were lost"
     count = len(json.loads(backup.read_text())["changes"])
     assert f"{count} registers written and read back" in capsys.readouterr().out
-    assert main(["setup", str(file)]) == 0
+    assert main(["servos", "setup", str(file)]) == 0
     assert "nothing to change" in capsys.readouterr().out
 
 
 def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
     bus, file = arm
     backup = tmp_path / "old.json"
-    flags = ["setup", str(file), "--backup", str(backup)]
+    flags = ["servos", "setup", str(file), "--backup", str(backup)]
     monkeypatch.setattr("builtins.input", lambda *_: "n")
-    assert main(flags) == 2
+    assert main(flags) == 1
     assert not bus.log.eeprom_writes()
     assert not backup.exists()
 
@@ -82,19 +82,21 @@ def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
     shutdown = next(c for c in old if c["register"] == "shutdown")
     assert shutdown["old"] & 32
     assert not shutdown["new"] & 32
-    assert main(["setup", str(file)]) == 0
+    assert main(["servos", "setup", str(file)]) == 0
     assert "nothing to change" in capsys.readouterr().out
 
-    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 0
+    assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 0
     assert main([*flags, "--yes"]) == 2, "the first backup is not overwritten"
 
 
 def test_setup_says_when_it_writes_no_backup(arm, tmp_path, capsys):
     _, file = arm
-    assert main(["setup", str(file), "--yes", "--backup", str(tmp_path / "old.json")]) == 0
+    assert (
+        main(["servos", "setup", str(file), "--yes", "--backup", str(tmp_path / "old.json")]) == 0
+    )
     capsys.readouterr()
     backup = tmp_path / "new.json"
-    assert main(["setup", str(file), "--yes", "--backup", str(backup)]) == 0
+    assert main(["servos", "setup", str(file), "--yes", "--backup", str(backup)]) == 0
     assert "nothing to change; no backup is written" in capsys.readouterr().out
     assert not backup.exists()
 
@@ -102,7 +104,7 @@ def test_setup_says_when_it_writes_no_backup(arm, tmp_path, capsys):
 @pytest.mark.parametrize(
     "words",
     [
-        ["setup", "so101", "--undo", "nope.json"],
+        ["servos", "setup", "so101", "--undo", "nope.json"],
         ["run", "so101", "--backend", "sim", "--targets", "nope.json"],
     ],
 )
@@ -121,24 +123,30 @@ def test_setup_leaves_servos_with_torque_alone(arm, capsys):
     host.write_raw_data_with_error(2, 64, [1])
     host.close()
     before = len(bus.log.eeprom_writes())
-    assert main(["setup", str(file), "--yes", "--backup", str(file.with_suffix(".json"))]) == 2
+    assert (
+        main(["servos", "setup", str(file), "--yes", "--backup", str(file.with_suffix(".json"))])
+        == 2
+    )
     assert "torque of shoulder_lift" in capsys.readouterr().err
     assert all(w.id != 2 for w in bus.log.eeprom_writes()[before:])
 
 
 def test_doctor_finds_what_setup_mends(arm, capsys):
     bus, file = arm
-    assert main(["doctor", str(file)]) == 2
+    assert main(["servos", "doctor", str(file)]) == 2
     out = " ".join(capsys.readouterr().out.split())
     assert "operating mode 3, needed is 5" in out
-    assert main(["setup", str(file), "--yes", "--backup", str(file.with_suffix(".json"))]) == 0
+    assert (
+        main(["servos", "setup", str(file), "--yes", "--backup", str(file.with_suffix(".json"))])
+        == 0
+    )
     capsys.readouterr()
-    main(["doctor", str(file)])
+    main(["servos", "doctor", str(file)])
     out = capsys.readouterr().out
     assert "operating mode" not in out
     assert "6 answer" in out
     bus.supply(24.0)
-    assert main(["doctor", str(file)]) == 2
+    assert main(["servos", "doctor", str(file)]) == 2
     assert "24.0 V" in capsys.readouterr().out
 
 
@@ -160,7 +168,7 @@ def test_run_follows_a_file(tmp_path, capsys):
     assert "250 ticks" in capsys.readouterr().out
 
 
-#: What opening refuses and names `pliant setup` for: model, EEPROM values.
+#: What opening refuses and names `pliant servos setup` for: model, EEPROM values.
 MENDABLE = [
     ("XM430-W350", {"operating_mode": 3}),
     ("XM430-W350", {"operating_mode": 5, "drive_mode": 0b10}),
@@ -196,12 +204,12 @@ def test_what_opening_names_setup_for_setup_mends_and_undoes(model, registers, t
         chain = ServoBus(
             [ServoSpec(name=n, model=table, id=i, port=bus.port) for i, n in enumerate(joints, 1)]
         )
-        with pytest.raises(ServoError, match="`pliant setup`"):
+        with pytest.raises(ServoError, match="`pliant servos setup`"):
             chain.open()
-        assert main(["setup", str(file), "--yes", "--backup", str(backup)]) == 0
+        assert main(["servos", "setup", str(file), "--yes", "--backup", str(backup)]) == 0
         chain.open()
         chain.close()
-        assert main(["setup", str(file), "--yes", "--undo", str(backup)]) == 0
+        assert main(["servos", "setup", str(file), "--yes", "--undo", str(backup)]) == 0
         assert [bytes(servo.stored) for servo in bus.servos] == before
 
 
@@ -217,7 +225,7 @@ def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
         file.write_text(
             f'robot.builtin = "so101"\n[[port]]\npath = "{bus.port}"\n[servo]\n{servos}'
         )
-        setup = ["setup", str(file), "--set-id"]
+        setup = ["servos", "setup", str(file), "--set-id"]
         for pair, said in [
             ("1", "OLD:NEW"),
             ("1:1", "the same"),
@@ -228,7 +236,7 @@ def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
             assert main([*setup, pair, "--yes"]) == 2
             assert said in capsys.readouterr().err
         monkeypatch.setattr("builtins.input", lambda *_: "n")
-        assert main([*setup, "1:5"]) == 2
+        assert main([*setup, "1:5"]) == 1
         assert not bus.log.eeprom_writes()
         assert main([*setup, "1:5", "--yes"]) == 0
         assert "wrist_roll answers to id 5 now" in capsys.readouterr().out

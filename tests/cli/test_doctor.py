@@ -1,4 +1,4 @@
-"""`pliant doctor` on files that are wrong in ways that only the arm would have shown."""
+"""`pliant servos doctor` on files that are wrong in ways that only the arm would have shown."""
 
 import os
 import re
@@ -8,7 +8,8 @@ import pytest
 import pliant
 from pliant import config
 from pliant.arm.checks import posture
-from pliant.cli import doctor, main
+from pliant.cli import main
+from pliant.cli.servos import doctor
 from pliant.config import assemble
 from pliant.config.doctor import Diagnosis, examine
 from pliant.config.emulation import emulated
@@ -72,7 +73,10 @@ def test_a_gain_that_the_servo_has_not_is_said():
 
 def test_the_watch_ends_with_a_rest_pose_to_paste(capsys):
     with emulated(config.load("so101", backend="emulator")) as bus:
-        assert main(["doctor", "so101", "--port", bus.port, "--watch", "--seconds", "0.3"]) == 0
+        assert (
+            main(["servos", "doctor", "so101", "--port", bus.port, "--watch", "--duration", "0.3"])
+            == 0
+        )
     line = capsys.readouterr().out.splitlines()[-1]
     pasted = config.parse(config.ready.text("so101").partition("[life]")[0] + f"[life]\n{line}\n")
     model = pasted.model()
@@ -98,7 +102,7 @@ def test_mistakes_stand_one_to_a_line(tmp_path, capsys):
     file.write_text(
         'bakend = 1\n[robot]\nbuiltin = "so101"\n[loop]\nrate = -1\ncomm_timeout = 99\n'
     )
-    assert main(["doctor", str(file)]) == 2
+    assert main(["servos", "doctor", str(file)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].endswith("arm.toml has 3 mistakes:")
     assert len(lines) == 4
@@ -109,5 +113,5 @@ def test_mistakes_stand_one_to_a_line(tmp_path, capsys):
 def test_it_ends_with_the_number_of_problems(count, said, monkeypatch, capsys):
     found = [Diagnosis("bad", "servo", "it is not there")] * count
     monkeypatch.setattr(doctor, "examine", lambda _: [Diagnosis("good", "file", "read"), *found])
-    assert main(["doctor", "so101", "--backend", "sim"]) == 2
+    assert main(["servos", "doctor", "so101", "--backend", "sim"]) == 2
     assert capsys.readouterr().err == f"error: not ready: {said}\n"

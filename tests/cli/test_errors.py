@@ -26,7 +26,7 @@ def toml(port, *, joints=JOINTS, model="STS3215-7.4V", more=""):
 
 @pytest.fixture
 def said(tmp_path, capsys):
-    """What `pliant run`, `pliant doctor` and `connect` say of a file, all in one."""
+    """What `pliant run`, `pliant servos doctor` and `connect` say of a file, all in one."""
 
     def ask(text):
         file = tmp_path / "arm.toml"
@@ -35,7 +35,7 @@ def said(tmp_path, capsys):
         assert main(["run", str(file), "--quiet", "--duration", "1"]) == 2
         error = capsys.readouterr().err
         assert "Traceback" not in error
-        assert main(["doctor", str(file)]) == 2
+        assert main(["servos", "doctor", str(file)]) == 2
         both = capsys.readouterr()
         with pytest.raises(pliant.PliantError) as caught, pliant.connect(file, signals=False):
             pass
@@ -75,7 +75,13 @@ def test_port_in_use(said):
 
 def test_wrong_baud(said):
     with Emulator(servos(1, 2, 3, 4, 5), baud=115_200) as bus:
-        all_say(said(toml(bus.port)), "no servo answers", "baud rate", "`pliant scan`", "power on")
+        all_say(
+            said(toml(bus.port)),
+            "no servo answers",
+            "baud rate",
+            "`pliant servos scan`",
+            "power on",
+        )
 
 
 def test_missing_id(said):
@@ -91,10 +97,10 @@ def test_two_servos_on_one_id(said):
 
 def test_new_servos_that_all_have_one_id_are_seen_by_scan(capsys):
     with Emulator(servos(1, 1, 1, 2)) as bus:
-        assert main(["scan", "--port", bus.port, "--baud", "1000000"]) == 0
+        assert main(["servos", "scan", "--port", bus.port, "--baud", "1000000"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "two servos on this id?" in said
-    assert "`pliant setup ARM --set-id OLD:NEW`" in said
+    assert "`pliant servos setup ARM --set-id OLD:NEW`" in said
 
 
 def test_a_low_voltage_servo_on_12_volts(said):
@@ -112,7 +118,7 @@ def test_what_several_servos_have_in_common_is_noted_once(tmp_path, capsys):
     file = tmp_path / "arm.toml"
     with Emulator([Device(m, id=i, return_delay_time=0) for i, m in enumerate(models, 1)]) as bus:
         file.write_text(toml(bus.port, model="XL430-W250"))
-        main(["doctor", str(file)])
+        main(["servos", "doctor", str(file)])
     out = " ".join(capsys.readouterr().out.split())
     assert out.count("it shuts off on overload") == 1
     assert "note " + ", ".join(JOINTS) + ": it shuts off on overload" in out
@@ -121,7 +127,7 @@ def test_what_several_servos_have_in_common_is_noted_once(tmp_path, capsys):
 def test_a_motion_is_no_calibration(tmp_path, capsys):
     file = tmp_path / "wave.json"
     file.write_text('{"format": 1, "joints": ["a"], "samples": []}')
-    assert main(["doctor", "so101", "--backend", "sim", "--calibration", str(file)]) == 2
+    assert main(["servos", "doctor", "so101", "--backend", "sim", "--calibration", str(file)]) == 2
     out = " ".join(capsys.readouterr().out.split())
     assert "wave.json is no calibration file: LeRobot's has a table of id," in out
     assert "what is under format, joints, samples is no table" in out
@@ -138,18 +144,18 @@ def test_a_rate_that_cannot_be_is_said_before_there_is_a_link(rate, capsys):
 
 @pytest.mark.parametrize("page", ["0", "-1", "99999999"])
 def test_a_page_on_no_port_is_refused(page, capsys):
-    assert main(["view", "--page", page]) == 2
-    assert f"--page is a port from 1 to 65535, got {page}" in capsys.readouterr().err
+    assert main(["view", "--http-port", page]) == 2
+    assert f"--http-port is a port from 1 to 65535, got {page}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("duration", ["nan", "-1", "0"])
 def test_an_emulator_without_a_duration_that_can_be_is_refused(duration, capsys):
-    assert main(["emulate", "so101", "--duration", duration]) == 2
+    assert main(["servos", "emulate", "so101", "--duration", duration]) == 2
     assert f"--duration must be above 0 s, got {duration}" in capsys.readouterr().err
 
 
 def test_an_emulator_that_is_ended_leaves_nothing(tmp_path):
-    words = [sys.executable, "-m", "pliant.cli", "emulate", "so101"]
+    words = [sys.executable, "-m", "pliant.cli", "servos", "emulate", "so101"]
     place = {**os.environ, "TMPDIR": str(tmp_path)}
     with subprocess.Popen(words, env=place, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout is not None
@@ -166,7 +172,7 @@ def test_an_emulator_goes_first_and_says_when_it_answers_late(monkeypatch, capsy
     monkeypatch.setattr(os, "nice", asked.append)
     late = iter([0.001, 0.150, 0.160, *[0.350] * 1000])
     monkeypatch.setattr(Emulator, "late", property(lambda _: next(late)))
-    assert main(["emulate", "so101", "--duration", "1"]) == 0
+    assert main(["servos", "emulate", "so101", "--duration", "1"]) == 0
     assert asked == [-10]
     out = " ".join(capsys.readouterr().out.split())
     assert "an answer left 150 ms late" in out
@@ -177,7 +183,7 @@ def test_an_emulator_goes_first_and_says_when_it_answers_late(monkeypatch, capsy
 def test_another_model(said):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
         texts = said(toml(bus.port, model="MX-28"))
-    all_say(texts, "it is no MX-28", "`pliant scan`", "the configuration says MX-28")
+    all_say(texts, "it is no MX-28", "`pliant servos scan`", "the configuration says MX-28")
 
 
 def test_a_typo_in_the_file(said, tmp_path):
@@ -186,7 +192,7 @@ def test_a_typo_in_the_file(said, tmp_path):
         pliant.config.parse(typo)
     file = tmp_path / "typo.toml"
     file.write_text(typo)
-    for words in (["run", str(file)], ["doctor", str(file)]):
+    for words in (["run", str(file)], ["servos", "doctor", str(file)]):
         assert main(words) == 2
 
 
@@ -214,10 +220,12 @@ def test_torque_that_is_on_already_is_said_and_kept(tmp_path, capsys):
         host = rustypot.MxPyController(bus.port, 1_000_000, 0.2)
         host.write_raw_data_with_error(2, 40, [1])
         host.close()
-        main(["doctor", str(file)])
+        main(["servos", "doctor", str(file)])
         out = " ".join(capsys.readouterr().out.split())
         assert "shoulder_lift: its torque is on already" in out
-        assert main(["setup", str(file), "--yes", "--backup", str(tmp_path / "b.json")]) in {0, 2}
+        assert main(
+            ["servos", "setup", str(file), "--yes", "--backup", str(tmp_path / "b.json")]
+        ) in {0, 2}
         with pliant.connect(file, signals=False, comm_timeout=5.0) as arm:
             bus.log.clear()
             arm.read()
@@ -226,7 +234,7 @@ def test_torque_that_is_on_already_is_said_and_kept(tmp_path, capsys):
         assert steps == [0], "switched off by disable_torque alone"
 
 
-@pytest.mark.parametrize("command", [["run", "--quiet"], ["view", "--page", "8943"]])
+@pytest.mark.parametrize("command", [["run", "--quiet"], ["view", "--http-port", "8943"]])
 def test_settings_that_no_controller_takes_are_said_before_torque(
     command, tmp_path, capsys, monkeypatch
 ):

@@ -88,7 +88,7 @@ def test_pictures_and_tables_keep_to_their_kind(folder, capsys):
     for words in (
         "log plot run.mcap --output letter.png",
         "log export run.mcap --output numbers.npz",
-        "report run.mcap",
+        "log report run.mcap",
     ):
         assert main(words.split()) == 2
         assert "is there and is no" in capsys.readouterr().err

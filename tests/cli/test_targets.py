@@ -13,8 +13,8 @@ import pytest
 
 import pliant
 from pliant.cli import main
-from pliant.cli.target import Target
-from pliant.cli.targets import LONGEST, Stream, open_targets
+from pliant.cli._target import Target
+from pliant.cli._targets import LONGEST, Stream, open_targets
 
 MODEL = pliant.robots.so101()
 GOOD = b'{"position": [0.2, 0.0, 0.2]}\n'

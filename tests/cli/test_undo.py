@@ -1,4 +1,4 @@
-"""`pliant setup --undo`: what does not belong to the arm is refused before anything is written."""
+"""`pliant servos setup --undo`: what is not the arm's is refused before anything is written."""
 
 import io
 import json
@@ -34,7 +34,10 @@ def arm(tmp_path):
 def done(arm, capsys):
     """The same after a set-up, with what was said."""
     bus, file, backup = arm
-    assert main(["setup", str(file), "--port", bus.port, "--yes", "--backup", str(backup)]) == 0
+    assert (
+        main(["servos", "setup", str(file), "--port", bus.port, "--yes", "--backup", str(backup)])
+        == 0
+    )
     said = capsys.readouterr().out
     bus.log.clear()
     return bus, file, backup, said
@@ -46,7 +49,8 @@ def test_the_printed_command_puts_the_values_back(done, capsys, monkeypatch):
     assert f"{len(old['changes'])} registers written" in said
     (line,) = [line for line in said.splitlines() if "puts them back" in line]
     name, *words = shlex.split(line.partition("back: ")[2])
-    assert (name, words[:2]) == ("pliant", ["setup", str(file)])
+    assert (name, words[:2]) == ("pliant", ["servos", "setup"])
+    assert words[2] == str(file)
     assert words[-2:] == ["--port", bus.port]
     assert main([*words, "--yes"]) == 0
     assert f"{len(old['changes'])} registers written" in capsys.readouterr().out
@@ -63,10 +67,10 @@ def test_the_column_is_shows_what_the_servo_has(done, capsys, monkeypatch):
     change["new"] = 77  # what the file believes
     backup.write_text(json.dumps(data))
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    assert main(["setup", str(file), "--undo", str(backup)]) == 2
+    assert main(["servos", "setup", str(file), "--undo", str(backup)]) == 1
     both = capsys.readouterr()
     assert "77" not in both.out
-    assert both.err.strip() == "error: nothing was written", "an end of input is no"
+    assert both.err.strip() == "cancelled: nothing was written", "an end of input is no"
     assert not bus.log.eeprom_writes()
 
 
@@ -76,7 +80,7 @@ def test_a_backup_from_before_is_still_read(done, capsys):
     for entry in entries:
         del entry["model"]
     backup.write_text(json.dumps(entries))
-    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 0
+    assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 0
     assert f"{len(entries)} registers written" in capsys.readouterr().out
     assert len(bus.log.eeprom_writes()) == len(entries)
 
@@ -93,7 +97,7 @@ def test_a_backup_from_before_is_still_read(done, capsys):
         ({"old": -1}, "takes 0 to 255, got -1"),
         ({"old": 256}, "takes 0 to 255, got 256"),
         ({"old": 10**30}, "takes 0 to 255"),
-        ({"old": "x"}, "is no backup of pliant setup: old is a whole number"),
+        ({"old": "x"}, "is no backup of pliant servos setup: old is a whole number"),
         ({"old": True}, "old is a whole number"),
         ({"old": None}, "old is a whole number"),
         ({"joint": [1]}, "joint is text"),
@@ -107,7 +111,7 @@ def test_what_does_not_belong_is_refused_before_the_first_write(change, said, do
     # Whatever came first was written before.
     data["changes"].append(data["changes"].pop(0))
     backup.write_text(json.dumps(data))
-    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 2
+    assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2
     assert said in capsys.readouterr().err
     assert not bus.log.eeprom_writes()
 
@@ -118,9 +122,9 @@ def test_what_does_not_belong_is_refused_before_the_first_write(change, said, do
 def test_what_is_no_backup(text, done, capsys):
     _, file, backup, _ = done
     backup.write_text(text)
-    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 2
+    assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2
     error = capsys.readouterr().err
-    assert "is no backup of pliant setup" in error or "is 3, this pliant reads" in error
+    assert "is no backup of pliant servos setup" in error or "is 3, this pliant reads" in error
 
 
 def test_a_backup_of_another_arm_or_a_register_twice(done, capsys):
@@ -128,9 +132,9 @@ def test_a_backup_of_another_arm_or_a_register_twice(done, capsys):
     data = json.loads(backup.read_text())
     data["changes"].append(data["changes"][0])
     backup.write_text(json.dumps(data))
-    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 2
+    assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2
     assert "comes twice" in capsys.readouterr().err
     backup.write_text(json.dumps({**data, "arm": "left.toml"}))
-    assert main(["setup", str(file), "--undo", str(backup), "--yes"]) == 2
+    assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2
     assert "holds the old values of left.toml, not of" in capsys.readouterr().err
     assert not bus.log.eeprom_writes()

@@ -1,4 +1,4 @@
-"""`pliant doctor --watch`: joints moved by hand with torque off, and which way the tool must go."""
+"""`pliant servos doctor --watch`: joints moved by hand, torque off, and the tool's way."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def watch_while_lifted(bus, file, capsys):
 
     hand = threading.Thread(target=lift)
     hand.start()
-    assert main(["doctor", str(file), "--watch", "--seconds", "4.5"]) == 0
+    assert main(["servos", "doctor", str(file), "--watch", "--duration", "4.5"]) == 0
     hand.join()
     return capsys.readouterr().out
 
@@ -96,7 +96,9 @@ def test_a_moved_joint_is_named_with_the_way_of_the_tool(arm, capsys):
 
 
 def test_torque_that_is_on_is_in_the_way(capsys):
-    assert main(["doctor", "so101", "--backend", "sim", "--watch", "--seconds", "0.2"]) == 0
+    assert (
+        main(["servos", "doctor", "so101", "--backend", "sim", "--watch", "--duration", "0.2"]) == 0
+    )
     out = capsys.readouterr().out
     assert "torque is on already" in out
     # Markup swallowed the name of the table.
@@ -111,7 +113,18 @@ def test_ctrl_c_is_how_it_ends():
         "signal.signal(signal.SIGINT, signal.default_int_handler); "
         "sys.exit(cli.main(sys.argv[1:]))"
     )
-    words = [sys.executable, "-u", "-c", program, "doctor", "so101", "--backend", "sim", "--watch"]
+    words = [
+        sys.executable,
+        "-u",
+        "-c",
+        program,
+        "servos",
+        "doctor",
+        "so101",
+        "--backend",
+        "sim",
+        "--watch",
+    ]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as running:
         try:
             assert running.stdout is not None
@@ -123,22 +136,22 @@ def test_ctrl_c_is_how_it_ends():
             running.kill()
 
 
-@pytest.mark.parametrize("flags", [["--seconds", "1"], ["--watch", "--seconds", "0"]])
+@pytest.mark.parametrize("flags", [["--duration", "1"], ["--watch", "--duration", "0"]])
 def test_seconds_are_refused_where_they_mean_nothing(flags, capsys):
-    assert main(["doctor", "so101", "--backend", "sim", *flags]) == 2
-    assert "--seconds" in capsys.readouterr().err
+    assert main(["servos", "doctor", "so101", "--backend", "sim", *flags]) == 2
+    assert "--duration" in capsys.readouterr().err
 
 
 def test_ready_points_to_what_no_program_sees(monkeypatch, capsys):
-    monkeypatch.setattr("pliant.cli.doctor.examine", lambda _: iter(()))
-    assert main(["doctor", "so101", "--backend", "emulator"]) == 0
+    monkeypatch.setattr("pliant.cli.servos.doctor.examine", lambda _: iter(()))
+    assert main(["servos", "doctor", "so101", "--backend", "emulator"]) == 0
     assert "the same command with --watch" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_table_names_units_and_is_not_read_as_markup():
     from rich.console import Console
 
-    from pliant.cli.watch import Watch, _table
+    from pliant.cli.servos._watch import Watch, _table
 
     read = config.load("so101")
     model = read.model()

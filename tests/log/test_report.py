@@ -1,4 +1,4 @@
-"""`pliant report`: the page says what the run was, and needs nothing from anywhere."""
+"""`pliant log report`: the page says what the run was, and needs nothing from anywhere."""
 
 import re
 from html import unescape
@@ -112,7 +112,7 @@ def test_health_counts_what_came_late(run):
 
 def test_command_leaves_a_page_that_needs_nothing(run, tmp_path, capsys):
     path, log, _ = run
-    assert main(["report", str(path), "--output", str(tmp_path / "here")]) == 0
+    assert main(["log", "report", str(path), "--output", str(tmp_path / "here")]) == 0
     page = tmp_path / "here" / "report.html"
     assert capsys.readouterr().out.strip() == str(page)
     text = unescape(check_page(page)).replace("−", "-")
@@ -126,7 +126,7 @@ def test_command_leaves_a_page_that_needs_nothing(run, tmp_path, capsys):
 def test_what_cannot_be_reported_says_why(tmp_path, capsys):
     path = tmp_path / "led.mcap"
     record(path, None, duration=0.2)
-    assert main(["report", str(path)]) == 2
+    assert main(["log", "report", str(path)]) == 2
     assert "without a controller" in capsys.readouterr().err
     assert not (tmp_path / "led_report").exists()
 

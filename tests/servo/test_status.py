@@ -19,7 +19,7 @@ def test_protocol_1_tells_refusals_from_conditions():
     assert refusal(P1, 1 << 5) is None
     overload = conditions(P1, 1 << 5 | 1 << 3)
     assert len(overload) == 1
-    assert "pliant setup" in overload[0]
+    assert "pliant servos setup" in overload[0]
 
 
 def test_protocol_2_has_a_number_and_an_alert():

@@ -286,7 +286,7 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     ]
     assert main(flags) == 0
     assert "done" in capsys.readouterr().out
-    assert main(["log", "info", str(log), "--verify"]) == 0
+    assert main(["log", "verify", str(log)]) == 0
     assert "bit for bit" in capsys.readouterr().out
     assert main(["replay", str(arm), str(file), "--backend", backend, "--soft", "y=a"]) == 2
     assert main(["replay", str(arm), str(log), "--backend", backend, "--stop", "0.01"]) == 2
@@ -317,7 +317,7 @@ def test_no_scripted_hand_leads_a_real_arm(tmp_path, capsys):
 
 def test_the_command_teaches_nothing_without_a_hand(tmp_path, capsys):
     file = tmp_path / "m.json"
-    flags = ["teach", "so101", str(file), "--backend", "sim", "--seconds", "1"]
+    flags = ["teach", "so101", str(file), "--backend", "sim", "--duration", "1"]
     assert main(flags) == 2
     told = capsys.readouterr()
     assert "do not touch" in told.out

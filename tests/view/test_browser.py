@@ -66,7 +66,7 @@ class View:
         code = (
             "import signal, sys, pliant.cli as cli; "
             "signal.signal(signal.SIGINT, signal.default_int_handler); "
-            "sys.exit(cli.main(['view', '--page', '8300', *sys.argv[1:]]))"
+            "sys.exit(cli.main(['view', '--http-port', '8300', *sys.argv[1:]]))"
         )
         self.process = subprocess.Popen(
             [sys.executable, "-c", code, *flags],

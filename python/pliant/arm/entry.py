@@ -85,8 +85,8 @@ def stand_within(cycle: Cycle, on: NDArray[np.bool_]) -> None:
     if found:
         raise ServoError(
             f"{'; '.join(found)}: torque stays as it is. Either its zero, sign, gear or "
-            "calibration is wrong: `pliant doctor ARM --watch` shows the angles while a hand moves "
-            "the joints; or it was pushed there: move it by hand into its range"
+            "calibration is wrong: `pliant servos doctor ARM --watch` shows the angles while a "
+            "hand moves the joints; or it was pushed there: move it by hand into its range"
             + (" (joints have torque: support the arm, switch its supply off)" if on.any() else "")
         )
 

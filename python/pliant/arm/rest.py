@@ -35,8 +35,8 @@ def check_rest(model: Model, points: Points, rest: Array, table: float | None) -
     if height[lowest] < table - TOLERANCE:
         raise OutOfRangeError(
             f"rest_q: {_name(model, lowest)} would be {table - height[lowest]:.3f} m inside the "
-            f"table at z = {table:g} m; `pliant doctor ARM --watch` prints the pose in which you "
-            "lay the arm down"
+            f"table at z = {table:g} m; `pliant servos doctor ARM --watch` prints the pose in "
+            "which you lay the arm down"
         )
 
 

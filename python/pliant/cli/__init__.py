@@ -18,20 +18,39 @@ if TYPE_CHECKING:
 
 #: Files that are named in place of one that is not there.
 SHOWN = 8
-#: Module and summary of each command; the module has a function `run` whose arguments are the
-#: flags.
-COMMANDS = {
-    "scan": ("pliant.cli.scan", "find servos: ports, speeds, ids, models"),
-    "doctor": ("pliant.cli.doctor", "say what stands between a configuration and a soft arm"),
-    "setup": ("pliant.cli.setup", "set up servos: the only command that writes their EEPROM"),
-    "run": ("pliant.cli.run", "hold an arm compliantly, or let it follow targets"),
-    "teach": ("pliant.cli.teach", "lead an arm by hand and keep the motion"),
-    "view": ("pliant.cli.view", "push a simulated arm in the browser, or watch a real one"),
-    "replay": ("pliant.cli.replay", "play a motion, softly: what is blocked waits"),
-    "log": ("pliant.cli.log", "look at a log: info, plot, export; run it again"),
-    "report": ("pliant.cli.report", "say why a logged arm was soft or not, as a page"),
-    "emulate": ("pliant.cli.emulate", "put an arm's servos on a serial port that is not there"),
+#: Commands in the groups that --help shows, each with its module and summary; the module has a
+#: function `run` whose arguments are the flags.
+GROUPS = {
+    "control an arm": {
+        "run": ("pliant.cli.run", "hold an arm compliantly, or let it follow targets"),
+        "view": (
+            "pliant.cli.view",
+            "control an arm, simulated or real, from a page in the browser",
+        ),
+        "teach": ("pliant.cli.teach", "record a motion by leading the arm by hand"),
+        "replay": ("pliant.cli.replay", "play a motion compliantly"),
+        "identify": ("pliant.cli.identify", "measure the servos, gravity or payload of an arm"),
+    },
+    "servos": {
+        "servos scan": ("pliant.cli.servos.scan", "find servos: ports, speeds, ids, models"),
+        "servos setup": ("pliant.cli.servos.setup", "write the EEPROM of servos, or undo that"),
+        "servos doctor": ("pliant.cli.servos.doctor", "check configuration, ports and servos"),
+        "servos emulate": ("pliant.cli.servos.emulate", "emulate an arm's servos on a serial port"),
+    },
+    "logs": {
+        "log info": ("pliant.cli.log.info", "show the contents of a log"),
+        "log plot": ("pliant.cli.log.plot", "draw joints and task of a log"),
+        "log export": ("pliant.cli.log.export", "convert a log to a table"),
+        "log report": ("pliant.cli.log.report", "write a page that says why the arm was soft"),
+        "log verify": ("pliant.cli.log.verify", "run the controller again, compare every command"),
+    },
+    "configuration": {
+        "arms": ("pliant.cli.arms", "list the ready arms, or print the file of one"),
+    },
 }
+COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
+#: First words of commands that have two.
+PREFIXES = tuple(dict.fromkeys(name.split()[0] for name in COMMANDS if " " in name))
 #: Exit code of an error that was explained, as of a flag that does not exist.
 EXPLAINED = 2
 INTERRUPTED = 130
@@ -45,8 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: Without the name of the program; default those of the process.
 
     Returns:
-        Exit code: 0, 2 for an error that was explained in one line, 130 after Ctrl-C, 143 after
-        SIGTERM, 129 after SIGHUP, 131 after SIGQUIT, 141 if nobody reads its output.
+        Exit code: 0, 1 for a prompt that the user declined, 2 for an error that was explained in
+        one line, 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP, 131 after SIGQUIT, 141 if
+        nobody reads its output.
     """
     return _guarded(lambda: _run(list(sys.argv[1:] if arguments is None else arguments)))
 
@@ -88,15 +108,18 @@ def _run(given: list[str]) -> int:
     if first in {"--help", "-h"}:
         print(usage())
         return 0
-    if first not in COMMANDS:
-        close = difflib.get_close_matches(first, COMMANDS, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
+    if first in PREFIXES and (len(given) == 1 or given[1] in {"--help", "-h"}):
+        print(usage(first))
+        return 0
+    words = 2 if first in PREFIXES else 1
+    name = " ".join(given[:words])
+    if name not in COMMANDS:
         kind = "flag" if first.startswith("-") else "command"
-        return _explain(f"there is no {kind} {first!r}{hint} (pliant --help lists the commands)")
+        return _explain(f"there is no {kind} {name!r}{_hint(name)} (pliant --help lists them)")
     # A command says how it leaves an arm in simulated time too.
     logging.getLogger("pliant.arm").setLevel(logging.DEBUG)
-    module, summary = COMMANDS[first]
-    return _call(lambda: import_module(module).run, f"pliant {first}", summary, given[1:])
+    module, summary = COMMANDS[name]
+    return _call(lambda: import_module(module).run, f"pliant {name}", summary, given[words:])
 
 
 def _call(
@@ -130,23 +153,36 @@ def _call(
     return 0
 
 
-def usage() -> str:
-    """What `pliant --help` prints."""
+def usage(prefix: str = "") -> str:
+    """Text of `pliant --help`, or of `pliant PREFIX --help` for the commands of one first word."""
     width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {summary}" for name, (_, summary) in COMMANDS.items()]
+    lines = []
+    for title, group in GROUPS.items():
+        own = {name: entry for name, entry in group.items() if name.startswith(prefix)}
+        if own:
+            lines += [f"{title}:"]
+            lines += [f"  {name:<{width}}  {summary}" for name, (_, summary) in own.items()]
+            lines += [""]
     return "\n".join(
         (
-            "usage: pliant COMMAND [FLAGS]",
+            f"usage: pliant {prefix + ' ' if prefix else ''}COMMAND [FLAGS]",
             "",
             "Compliant task-space control for arms with back-drivable position servos.",
             "",
-            "commands:",
             *lines,
-            "",
             "pliant COMMAND --help explains the flags of a command; pliant --version prints the "
             "version.",
         )
     )
+
+
+def _hint(name: str) -> str:
+    """Suggest the command whose name, or last word, is nearest to a word that is no command."""
+    names = {word: full for full in COMMANDS for word in (full, full.split()[-1])}
+    for word in (name, name.rsplit(maxsplit=1)[-1], name.split(maxsplit=1)[0]):
+        if close := difflib.get_close_matches(word, names, n=1):
+            return f"; did you mean `pliant {names[close[0]]}`?"
+    return ""
 
 
 def _not_there(error: FileNotFoundError) -> str:

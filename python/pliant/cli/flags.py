@@ -18,12 +18,18 @@ MotionFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MOTION
 LogFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 #: A file that need not be given.
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+#: What a command writes.
+Output = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+#: A port of this machine on which a page is served.
+HttpPort = Annotated[int, tyro.conf.arg(metavar="PORT")]
 #: An id and the one that is to take its place.
 Ids = Annotated[str | None, tyro.conf.arg(metavar="OLD:NEW")]
 Device = Annotated[str | None, tyro.conf.arg(metavar="DEVICE")]
 Backend = Annotated[str | None, tyro.conf.arg(metavar="bus|emulator|sim")]
 #: A time that need not be given [s].
 Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
+#: A time that has a default [s].
+Duration = Annotated[float, tyro.conf.arg(metavar="SECONDS")]
 #: Names of task axes.
 Axes = Annotated[str, tyro.conf.arg(metavar="AXES")]
 OtherAxes = Annotated[str | None, tyro.conf.arg(metavar="AXES")]
@@ -67,7 +73,7 @@ class Wired(Files):
     """What a command that talks to servos takes in place of what a configuration says.
 
     Attributes:
-        port: Device in place of the file's.
+        port: Serial port. In place of the file's.
     """
 
     port: Device = None

@@ -9,9 +9,9 @@ import tyro
 from rich.console import Console
 
 import pliant
-from pliant.cli.files import check_log, recorder_of
+from pliant.cli._files import check_log, recorder_of
+from pliant.cli._keys import Keys
 from pliant.cli.flags import ArmName, Axes, File, MotionFile, Override
-from pliant.cli.keys import Keys
 from pliant.cli.soft import softened
 
 if TYPE_CHECKING:
@@ -41,9 +41,9 @@ def run(
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        motion: File of `pliant teach`, or a log (.mcap).
-        soft: How soft each axis is: "y=2 z=5" caps these at 2 and 5 N (N·m for roll, pitch, yaw),
-            "y" takes the arm's own caps; the others hold. Nothing: the file's settings.
+        motion: Motion file. One of `pliant teach` (.json), or a log (.mcap).
+        soft: Axes that yield: "y yaw" with the arm's own caps, "y=2 z=5" capped at 2 and 5 N (N·m
+            for roll, pitch, yaw). The other axes hold. Default: the file's settings.
         speed: Factor on the motion's speed.
         wait: Deviation of the tool [m], [rad] at which the motion waits.
         stop: Force [N] that stops the arm; Enter goes on. Nothing: never.

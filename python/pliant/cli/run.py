@@ -12,10 +12,10 @@ from rich.live import Live
 from rich.table import Table
 
 import pliant
-from pliant.cli.files import check_log, recorder_of
+from pliant.cli._files import check_log, recorder_of
+from pliant.cli._targets import Targets, open_targets
 from pliant.cli.flags import ArmName, Axes, File, Override, Seconds
 from pliant.cli.soft import softened
-from pliant.cli.targets import Targets, open_targets
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,11 +49,11 @@ def run(
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         soft: Axes that yield: "y yaw" with the arm's own caps, "y=2 z=5" capped at 2 and 5 N (N·m
-            for roll, pitch, yaw); everything else stays as the file has it.
+            for roll, pitch, yaw). The other axes stay as the file has them.
         targets: Where targets come from: a file with one a line, as {"position": [0.2, 0, 0.2]}
             [m] or {"q": [0, 0.1, ...]} [rad], played at the loop's rate; - for standard input;
             udp:PORT for datagrams on this machine. Nothing: the arm holds.
-        duration: Ends by itself [s].
+        duration: Ends by itself after this time [s].
         override: What the command line says in place of the file.
         log: MCAP file to write (extra log).
         quiet: No table.

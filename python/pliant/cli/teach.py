@@ -9,9 +9,9 @@ import tyro
 from rich.console import Console
 
 import pliant
-from pliant.cli.files import check_written
-from pliant.cli.flags import ArmName, MotionFile, Override
-from pliant.cli.keys import Keys
+from pliant.cli._files import check_written
+from pliant.cli._keys import Keys
+from pliant.cli.flags import ArmName, Duration, MotionFile, Override
 from pliant.teach.bounded import ready
 from pliant.teach.lead import prepare
 from pliant.teach.teacher import RECORDING
@@ -26,7 +26,7 @@ def run(
     motion: MotionFile,
     *,
     by: Literal["rest", "enter", "gripper"] = "rest",
-    seconds: float = 60.0,
+    duration: Duration = 60.0,
     hand: bool = False,
     bounds: Annotated[
         tuple[float, float, float] | None, tyro.conf.arg(metavar="SPEED ACCELERATION JERK")
@@ -41,10 +41,10 @@ def run(
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        motion: File to write (.json).
+        motion: Motion file. It is written, and ends with .json.
         by: What starts and ends the recording: rest records at once and ends with a rest of 3 s;
             Enter; or the gripper pressed shut.
-        seconds: Longest recording [s].
+        duration: Ends by itself after this time [s]. It counts from the start of the recording.
         hand: Without an arm (sim, emulator): a scripted hand leads the tool aside and up.
         bounds: Speed [rad/s], acceleration [rad/s²] and jerk [rad/s³] that no joint of the motion
             may exceed (needs ruckig). Nothing: smoothed only.
@@ -55,8 +55,8 @@ def run(
 
     if motion.suffix != ".json":
         raise pliant.ConfigError(f"a motion file ends with .json, got {motion}")
-    if not seconds > 0.0:
-        raise pliant.ConfigError(f"--seconds must be above 0, got {seconds:g}")
+    if not duration > 0.0:
+        raise pliant.ConfigError(f"--duration must be above 0 s, got {duration:g}")
     if bounds is not None:
         ready(bounds)
     read = override.load(arm)
@@ -100,7 +100,7 @@ def run(
             made.append(
                 pliant.teach.teach(
                     live,
-                    seconds=seconds,
+                    seconds=duration,
                     said=None if by == "rest" else said,
                     tell=tell,
                     interrupted=cut.append,

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated
 
+import tyro
 from rich.console import Console
 
+import pliant.robots
 from pliant import ConfigError, PliantError
-from pliant.cli.files import check_log
-from pliant.cli.flags import ArmName, File, Override
+from pliant.cli._files import check_log
+from pliant.cli.flags import ArmName, File, HttpPort, Override
 from pliant.extras import missing
 
 if TYPE_CHECKING:
     from pliant.view.source import Source
 
+#: Name of a scene that need not be given.
+Scene = Annotated[str | None, tyro.conf.arg(metavar="SCENE")]
 #: Highest port that there is.
 HIGHEST = 65535
 
@@ -21,43 +25,48 @@ HIGHEST = 65535
 def run(
     arm: ArmName = "",
     *,
-    robot: Literal["arm7", "so101", "koch"] = "arm7",
-    scene: str = "free",
+    scene: Scene = None,
     rate: float = 100.0,
     host: str = "127.0.0.1",
-    page: int = 8080,
+    http_port: HttpPort = 8080,
     browser: bool = False,
     log: File = None,
     override: Override,
 ) -> None:
     """Show an arm on a page, control it from there until Ctrl-C, and lower it.
 
-    Without a configuration it is a simulated arm with scenes to play with. The page asks for the
-    token in its link. It can be reached from this machine alone unless --host says otherwise; then
-    everybody on that network who has the link can move the arm, and it travels unencrypted.
+    Without ARM, or with --scene, it is a simulated arm with scenes to play with. The page asks for
+    the token in its link. It can be reached from this machine alone unless --host says otherwise;
+    then everybody on that network who has the link can move the arm, and it travels unencrypted.
 
     Args:
-        arm: Configuration file, or the name of a ready one; nothing: a simulated --robot.
-        robot: Built-in arm on the simulator.
-        scene: Where it starts: free, door, drawer, wall or hand-over.
+        arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...). Default: a
+            simulated arm7.
+        scene: Simulate ARM, one of arm7, so101 and koch, in a scene: free, door, drawer, wall or
+            hand-over.
         rate: Of the simulated arm's control [Hz].
         host: Address to listen on; 0.0.0.0 opens the page to the network.
-        page: Port of the page; the next free one is taken.
+        http_port: Port of the page; the next free one is taken.
         browser: Open the page in the browser.
         log: MCAP file to write (extra log).
         override: What the command line says in place of the file.
     """
-    if not 1 <= page <= HIGHEST:
-        raise ConfigError(f"--page is a port from 1 to {HIGHEST}, got {page}")
-    check_log(log, [] if not arm else override.inputs(arm, override.load(arm)))
+    if not 1 <= http_port <= HIGHEST:
+        raise ConfigError(f"--http-port is a port from 1 to {HIGHEST}, got {http_port}")
+    is_simulated = not arm or scene is not None
+    check_log(log, [] if is_simulated else override.inputs(arm, override.load(arm)))
     _needs()
     from pliant.view.gate import is_loopback
     from pliant.view.link import Link
     from pliant.view.session import Session
 
-    source = _configured(arm, override) if arm else _simulated(robot, scene, rate, override)
+    source = (
+        _simulated(arm or "arm7", scene or "free", rate, override)
+        if is_simulated
+        else _configured(arm, override)
+    )
     console = Console()
-    with Link(host, page) as link:
+    with Link(host, http_port) as link:
         console.print(f"{link.address}", highlight=False, soft_wrap=True)
         console.print(
             "Open this link in a browser. STOP on the page lowers the arm; Ctrl-C here lowers the "
@@ -81,6 +90,9 @@ def _simulated(robot: str, scene: str, rate: float, override: Override) -> Sourc
     """A built-in arm; what belongs to a configuration is refused."""
     from pliant.view.source import Simulated
 
+    if robot not in pliant.robots.names():
+        built_in = ", ".join(pliant.robots.names())
+        raise ConfigError(f"--scene simulates one of {built_in}, got {robot}: leave --scene out")
     if given := override.words():
         flag = given[0].split()[0]
         raise ConfigError(f"{flag} belongs to a configuration: pliant view so101 {given[0]}")

@@ -101,8 +101,8 @@ def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
         yield Diagnosis(
             "note",
             "rest pose",
-            "none: the arm is lowered straight down. Lay it down by hand: `pliant doctor ARM "
-            "--watch` prints the line to paste",
+            "none: the arm is lowered straight down. Lay it down by hand: `pliant servos doctor "
+            "ARM --watch` prints the line to paste",
         )
     else:
         try:

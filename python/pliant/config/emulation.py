@@ -97,7 +97,7 @@ def mounts(config: Config) -> list[Mount]:
 
 
 def _as_set_up(servo: Servo) -> dict[str, int]:
-    """EEPROM as `pliant setup` leaves it: answers at once, current-based position mode."""
+    """EEPROM as `pliant servos setup` leaves it: answers at once, current-based position mode."""
     row = find(servo.model)
     mode = {"operating_mode": 5} if row.kind == "current" else {}
     gain = {} if servo.gain is None else {"p_coefficient": servo.gain}

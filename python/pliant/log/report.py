@@ -1,4 +1,4 @@
-"""`pliant report`: a log as one page that loads nothing from anywhere, and its pictures.
+"""`pliant log report`: a log as one page that loads nothing from anywhere, and its pictures.
 
 Why the arm was soft or not, caps against the force that was felt, joints at the end of their
 strength, loop and bus, and the configuration, for those who ask why an arm did what it did.

@@ -121,7 +121,7 @@ def notes(device: Device) -> list[str]:
         return []
     return [
         "the calibration file has drive_mode 1: LeRobot turns this joint's values round, pliant "
-        "counts as its `sign` says; compare with `pliant doctor ARM --watch`"
+        "counts as its `sign` says; compare with `pliant servos doctor ARM --watch`"
     ]
 
 

@@ -1,7 +1,7 @@
 """What is asked of every servo at open, before anything is sent that could move it.
 
-Everything here reads. What it finds wrong it says with the remedy; only `pliant setup` writes
-EEPROM.
+Everything here reads. What it finds wrong it says with the remedy; only `pliant servos setup`
+writes EEPROM.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: b
         ]
     return [
         f"{device.name}: {error}. Two servos on one id look like this: connect them one by one and "
-        f"give each its own id (`pliant setup ARM --set-id OLD:NEW`); or the cable is bad"
+        f"give each its own id (`pliant servos setup ARM --set-id OLD:NEW`); or the cable is bad"
         for device, error in broken
     ]
 
@@ -187,12 +187,12 @@ def _missing(port: Port, missing: list[Device]) -> str:
     if not answering:
         return (
             f"no servo answers on {port.path}: is the servos' power on, is it the right port, and "
-            "is the baud rate theirs? `pliant scan` tries all of them"
+            "is the baud rate theirs? `pliant servos scan` tries all of them"
         )
     return (
         f"no answer on {port.path} from {names}; ids that answer: "
         f"{', '.join(map(str, answering))}. The servos behind a loose plug are silent too; an id "
-        "that should not be there is set by `pliant setup ARM --set-id OLD:NEW`"
+        "that should not be there is set by `pliant servos setup ARM --set-id OLD:NEW`"
     )
 
 
@@ -203,11 +203,16 @@ def _check(device: Device, image: Image) -> list[str]:
     if number != row.number:
         known = by_number(number)
         said = " or ".join(r.name for r in known)
-        said = said or f"no {row.name} (it reads as model number {number}; `pliant scan` names it)"
+        said = (
+            said
+            or f"no {row.name} (it reads as model number {number}; `pliant servos scan` names it)"
+        )
         return [f"it is {said}, the configuration says {row.name} ({row.number})"]
     wrong = [*_check_mode(device, image), *calibration.differences(device, image)]
     if image["return_level"] < (1 if device.family.status == "feetech" else 2):
-        wrong.append("it does not acknowledge writes: `pliant setup` sets its Status Return Level")
+        wrong.append(
+            "it does not acknowledge writes: `pliant servos setup` sets its Status Return Level"
+        )
     volts = image["voltage"] / 10.0
     low, high = _supply(device, image)
     if not low <= volts <= high:
@@ -253,7 +258,7 @@ def _check_mode(device: Device, image: Image) -> list[str]:
         if image["mode"] not in modes:
             wrong.append(
                 f"operating mode {image['mode']}, needed is {' or '.join(map(str, modes))}: "
-                "`pliant setup` changes it"
+                "`pliant servos setup` changes it"
             )
         for bit, text in (
             (1, "follows another servo"),
@@ -261,26 +266,30 @@ def _check_mode(device: Device, image: Image) -> list[str]:
             (3, "switches its torque on by a goal"),
         ):
             if image["drive_mode"] & 1 << bit:
-                wrong.append(f"its Drive Mode {text} (bit {bit}): clear it with `pliant setup`")
+                wrong.append(
+                    f"its Drive Mode {text} (bit {bit}): clear it with `pliant servos setup`"
+                )
         shadow = image["shadow_id"]
         if shadow <= 252:
             wrong.append(
-                f"it obeys id {shadow} as well (Secondary ID): clear that with `pliant setup` and "
-                "name it as the joint's secondary"
+                f"it obeys id {shadow} as well (Secondary ID): clear that with `pliant servos "
+                "setup` and name it as the joint's secondary"
             )
     elif family.status == "feetech":
         if image["mode"] != 0:
-            wrong.append(f"operating mode {image['mode']}, needed is 0: `pliant setup` changes it")
+            wrong.append(
+                f"operating mode {image['mode']}, needed is 0: `pliant servos setup` changes it"
+            )
     else:
         if image["position_min"] == image["position_max"]:
             wrong.append(
-                "its angle limits are equal, which is wheel or multi-turn mode: `pliant setup` "
-                "sets them"
+                "its angle limits are equal, which is wheel or multi-turn mode: `pliant servos "
+                "setup` sets them"
             )
         if "drive_mode" in image and image["drive_mode"] & 2:
             wrong.append(
-                "it is the slave of a dual joint: `pliant setup` ends that; name it as the joint's "
-                "secondary"
+                "it is the slave of a dual joint: `pliant servos setup` ends that; name it as the "
+                "joint's secondary"
             )
     return wrong
 
@@ -313,18 +322,20 @@ def _take(device: Device, image: Image) -> Found:
     if device.torque_on:
         notes.append(
             "its torque is on already: another program may be using the arm, or has left it up. "
-            "Enabling takes it over without switching it off; `pliant setup` wants it off"
+            "Enabling takes it over without switching it off; `pliant servos setup` wants it off"
         )
     if family.status != "feetech" and image["shutdown"] & 1 << OVERLOAD_BIT:
         notes.append(
             "it shuts off on overload, and a compliant arm sits at its limit by design: "
-            "`pliant setup` offers to clear bit 5 of Shutdown"
+            "`pliant servos setup` offers to clear bit 5 of Shutdown"
         )
     if "phase" in image and not image["phase"] & 1 << SPEED_UNIT_BIT:
         notes.append("its speed registers count in 50 steps/s (Phase, bit 2): speed caps are void")
     delay = image["return_delay"] * 2e-6
     if delay > 20e-6 and family.status != "feetech":
-        notes.append(f"it waits {delay * 1e6:.0f} µs before each answer; `pliant setup` sets 0")
+        notes.append(
+            f"it waits {delay * 1e6:.0f} µs before each answer; `pliant servos setup` sets 0"
+        )
     if device.ceiling < device.units.full and family.status != "p2":
         share = device.ceiling / device.units.full
         notes.append(f"its Max Torque is set to {share:.0%}, which is the ceiling of its limits")

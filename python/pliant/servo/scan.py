@@ -39,7 +39,7 @@ NOBODY, LISTENS, TRIES = 252, 20, 3
 SLOWEST_TURN = 0.0006
 TWO = (
     "broken answer: two servos on this id? Connect them one by one and give each its own with "
-    "`pliant setup ARM --set-id OLD:NEW`; else a bad cable"
+    "`pliant servos setup ARM --set-id OLD:NEW`; else a bad cable"
 )
 EVERYBODY = (
     "broken answers from every id: an adapter that hears its own requests or adds bytes when it "

@@ -18,7 +18,7 @@ _P1 = {
     3: "a value out of range",
     4: "a request with a wrong checksum: noise on the line",
     5: f"{_OVERLOAD}; its torque limit is now 0. Take the load off and enable again, and clear "
-    "bit 5 of Shutdown with `pliant setup`: a compliant arm sits at its limit by design",
+    "bit 5 of Shutdown with `pliant servos setup`: a compliant arm sits at its limit by design",
     6: "an instruction it does not know",
 }
 _FEETECH = {
@@ -34,7 +34,7 @@ _HARDWARE = {
     3: "encoder fault: have it repaired",
     4: "electrical shock or a motor without enough power; check the supply, then reboot it",
     5: f"{_OVERLOAD}; its torque is off until a reboot. Clear bit 5 of Shutdown with `pliant "
-    "setup`: a compliant arm sits at its limit by design",
+    "servos setup`: a compliant arm sits at its limit by design",
 }
 _P2 = {
     1: "it could not do as told",

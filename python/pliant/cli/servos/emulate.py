@@ -1,4 +1,4 @@
-"""`pliant emulate`: the servos of a configuration on a port that is not there."""
+"""`pliant servos emulate`: the servos of a configuration on a port that is not there."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def run(
     Prints the path of each port: open it with any driver, or with `pliant view ARM --port PATH`.
 
     Args:
-        arm: Configuration file, or the name of a ready one (so101, koch, arm7, ...).
+        arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         timing: How long bytes take: not at all, as on the wire, or as through an FTDI adapter whose
             latency timer is 16 ms.
         lose: Share of the answers that get lost.
         seed: Of all chance.
-        duration: Ends by itself [s].
+        duration: Ends by itself after this time [s].
         override: What the command line says in place of the file.
     """
     from pliant.config.emulation import emulated

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
 from pliant import ConfigError
-from pliant.cli.target import Target
+from pliant.cli._target import Target
 from pliant.inputs import LARGE, read_text
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""`pliant scan`: which servos are on which port, at which speed, under which id."""
+"""`pliant servos scan`: which servos are on which port, at which speed, under which id."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ from rich.console import Console
 from rich.table import Table
 
 from pliant import ConfigError, ServoError
+from pliant.cli.flags import Device
 from pliant.servo import serial_ports
 from pliant.servo.scan import ALL, BAUDRATES, USUAL, Seen, scan
 
 
-def run(*, port: str = "auto", baud: int | None = None, deep: bool = False) -> None:
+def run(*, port: Device = None, baud: int | None = None, deep: bool = False) -> None:
     """Ask every id at every usual speed, in both protocols; nothing is written.
 
     Args:
-        port: Device, or auto for all serial ports of this machine.
+        port: Serial port. Default: all of this machine.
         baud: Only this speed [bit/s].
         deep: All 253 ids instead of 0 to 40.
     """
     if baud is not None and baud <= 0:
         raise ConfigError(f"--baud must be above 0 bit/s, got {baud}")
-    ports = serial_ports() if port == "auto" else (port,)
+    ports = serial_ports() if port is None else (port,)
     if not ports:
         raise ServoError(
             "there is no serial port on this machine: plug the adapter in; on Linux it appears as "
@@ -44,7 +45,7 @@ def run(*, port: str = "auto", baud: int | None = None, deep: bool = False) -> N
     if not found:
         raise ServoError(
             f"no servo answers on {', '.join(ports)}: is the servos' power on, is the cable in?"
-            + ("" if deep else " `pliant scan --deep` asks all ids")
+            + ("" if deep else " `pliant servos scan --deep` asks all ids")
         )
     _show(console, found)
 

@@ -1,18 +1,18 @@
-"""`pliant setup`: the only command that writes EEPROM; shows what, asks, reads back, can undo."""
+"""`pliant servos setup`: show EEPROM changes, ask, write, read back; or undo them."""
 
 from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
 from pliant import ConfigError
-from pliant.cli import backup as kept
 from pliant.cli.flags import ArmName, File, Ids, Wired
+from pliant.cli.servos import _backup as kept
 from pliant.config import assemble
 from pliant.servo import RustypotTransport
 from pliant.servo.guard import Guard
@@ -37,7 +37,7 @@ def run(
     """Set the servos' EEPROM up for compliant control; LeRobot's own values stay as they are.
 
     Args:
-        arm: Configuration file, or the name of a ready one.
+        arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         yes: Do not ask.
         keep_overload: Leave the servos' overload shutdown on: they may drop a compliant arm.
         undo: Backup of an earlier set-up whose values are to be put back.
@@ -75,7 +75,7 @@ def run(
             return
         _show(console, wanted)
         if not (yes or _agreed(console)):
-            raise ConfigError("nothing was written")
+            _cancel()
         if undo is None:
             kept.save(backup, arm, wanted)
         for spec in specs:
@@ -84,11 +84,11 @@ def run(
                 apply(ports[spec.port], spec.row.family, own)
     console.print(f"{len(wanted)} registers written and read back")
     name = shlex.quote(arm)
-    again = " ".join(["pliant doctor", name, "--watch", *override.words()])
+    again = " ".join(["pliant servos doctor", name, "--watch", *override.words()])
     _say(console, f"before torque comes on, see its directions: {again}")
     if undo is None:
         file = shlex.quote(str(backup))
-        back = " ".join(["pliant setup", name, "--undo", file, *override.words()])
+        back = " ".join(["pliant servos setup", name, "--undo", file, *override.words()])
         _say(console, f"old values in {backup}; this puts them back: {back}")
 
 
@@ -121,7 +121,7 @@ def _rename(
         check_rename(io, spec.name, spec.row, old, new)
         _show(console, [Change(spec.name, old, "id", old, new, "has an id of its own")])
         if not (yes or _agreed(console)):
-            raise ConfigError("nothing was written")
+            _cancel()
         rename(io, spec.name, spec.row, old, new)
     console.print(f"the servo of {spec.name} answers to id {new} now", highlight=False)
 
@@ -132,6 +132,12 @@ def _agreed(console: Console) -> bool:
         return console.input("write this? [y/N] ").strip().lower() in {"y", "yes"}
     except EOFError:
         return False
+
+
+def _cancel() -> NoReturn:
+    """Leave with exit code 1 after the user declined."""
+    Console(stderr=True).print("cancelled: nothing was written", highlight=False)
+    raise SystemExit(1)
 
 
 def _say(console: Console, line: str) -> None:

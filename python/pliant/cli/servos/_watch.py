@@ -1,4 +1,4 @@
-"""`pliant doctor --watch`: joints as they are moved by hand with torque off, and what they say."""
+"""`pliant servos doctor --watch`: joints moved by hand with torque off, and their readings."""
 
 from __future__ import annotations
 

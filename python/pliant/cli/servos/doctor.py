@@ -1,4 +1,4 @@
-"""`pliant doctor`: what stands between a configuration and a soft arm."""
+"""`pliant servos doctor`: what stands between a configuration and a soft arm."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from rich.markup import escape
 
 from pliant import ConfigError, PliantError
 from pliant.cli.flags import ArmName, Override, Seconds
-from pliant.cli.watch import watch as look
+from pliant.cli.servos._watch import watch as look
 from pliant.config.doctor import examine
 
 MARKS = {"good": "[green]ok  [/]", "note": "[yellow]note[/]", "bad": "[red]bad [/]"}
@@ -22,7 +22,7 @@ def run(
     *,
     override: Override,
     watch: bool = False,
-    seconds: Seconds = None,
+    duration: Seconds = None,
 ) -> None:
     """Look at files, ports, servos and this machine; nothing is written and nothing moves.
 
@@ -33,16 +33,16 @@ def run(
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         override: What the command line says in place of the file.
         watch: Show the joints, torque off, until Ctrl-C: to check their directions by eye.
-        seconds: With --watch: ends by itself [s].
+        duration: Ends by itself after this time [s]. Needs --watch.
     """
-    if seconds is not None and not watch:
-        raise ConfigError("--seconds belongs to --watch, which was not given")
-    if seconds is not None and not seconds > 0.0:
-        raise ConfigError(f"--seconds must be above 0 s, got {seconds:g}")
+    if duration is not None and not watch:
+        raise ConfigError("--duration belongs to --watch, which was not given")
+    if duration is not None and not duration > 0.0:
+        raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
     console, bad = Console(), 0
     read = override.load(arm)
     if watch:
-        look(read, console, seconds)
+        look(read, console, duration)
         return
     for finding in examine(read):
         bad += finding.level == "bad"

@@ -1,4 +1,4 @@
-"""The old values that `pliant setup` keeps: whose they are, and whether they may be put back."""
+"""Old values that `pliant servos setup` keeps: whose they are, whether they may be restored."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pliant.servo import ServoSpec
 
 #: What a file says it is; before, it was the bare list of changes without models.
-FORMAT = "pliant setup 2"
+FORMAT = "pliant servos setup 2"
 _KINDS = {"joint": str, "id": int, "register": str, "old": int, "new": int, "why": str}
 
 
@@ -67,7 +67,7 @@ def load(path: Path, arm: str) -> list[Change]:
         raise  # the command line says which files there are
     except (OSError, LookupError, RecursionError, TypeError, ValueError) as error:
         why = f"it has no {error}" if isinstance(error, KeyError) else error
-        raise ServoError(f"{path} is no backup of pliant setup: {why}") from error
+        raise ServoError(f"{path} is no backup of pliant servos setup: {why}") from error
 
 
 def check(path: Path, former: Sequence[Change], specs: Sequence[ServoSpec]) -> None:

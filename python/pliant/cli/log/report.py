@@ -1,24 +1,25 @@
-"""`pliant report`: why an arm was soft or not, as a page."""
+"""`pliant log report`: why an arm was soft or not, as a page."""
 
 from __future__ import annotations
 
 from rich.console import Console
 
-from pliant.cli.files import check_written
-from pliant.cli.flags import File, LogFile
+from pliant.cli._files import check_written
+from pliant.cli.flags import LogFile, Output
 from pliant.outputs import check_output
 
 
 def run(
     log: LogFile,
     *,
-    output: File = None,
+    output: Output = None,
 ) -> None:
-    """Make a page of a log that `pliant run --log` or `pliant.log.Recorder` made.
+    """Write a page that says why the arm was soft or not.
 
     Args:
-        log: The MCAP file.
-        output: Folder for report.html and its pictures; default: beside the log, named after it.
+        log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
+        output: File to write, by default beside the log. A folder with report.html and its
+            pictures.
     """
     from pliant.log import read
     from pliant.log.report import report

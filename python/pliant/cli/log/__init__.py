@@ -1,0 +1,1 @@
+"""The commands `pliant log ...`: read, draw, convert, explain and verify logs."""

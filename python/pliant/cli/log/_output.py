@@ -1,0 +1,41 @@
+"""The file that `pliant log plot` and `pliant log export` write."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pliant import ConfigError
+from pliant.cli._files import check_written
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pliant.log import Log
+
+
+def check_output(output: Path | None, command: str, suffixes: tuple[str, ...], hint: str) -> None:
+    """Check that `--output` has a suffix that the command writes, and a folder that exists.
+
+    Raises:
+        ConfigError: It has not.
+    """
+    if output is None:
+        return
+    if output.suffix not in suffixes:
+        raise ConfigError(
+            f"--output {output}: {command} writes {', '.join(suffixes)}{hint}, "
+            f"got {output.suffix or 'no suffix'}"
+        )
+    if not output.absolute().parent.is_dir():
+        raise ConfigError(f"--output {output}: there is no folder {output.absolute().parent}")
+
+
+def check_data(log: Path, data: Log, file: Path, kind: str) -> None:
+    """Check that a log has ticks and that the file may be written.
+
+    Raises:
+        ConfigError: It has no ticks, or see `pliant.outputs.check_output`.
+    """
+    check_written(file, kind, [log])
+    if not len(data):
+        raise ConfigError(f"{log} has no ticks")

@@ -1,0 +1,62 @@
+"""`pliant log export`: a log as a table, one row per tick."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+
+from pliant.cli.flags import LogFile, Output
+from pliant.cli.log._output import check_data, check_output
+from pliant.extras import pip
+from pliant.outputs import replacing
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pliant.log import Log
+
+
+def run(log: LogFile, *, output: Output = None, parquet: bool = False) -> None:
+    """Write a table with one row per tick.
+
+    Args:
+        log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
+        output: File to write, by default beside the log. A table: .npz, or .parquet with --parquet.
+        parquet: Write Parquet for pandas, polars, DuckDB (needs pyarrow) instead of NumPy's npz.
+    """
+    from pliant.log import read
+
+    suffix = ".parquet" if parquet else ".npz"
+    hint = "" if parquet else " (--parquet writes .parquet)"
+    check_output(output, "pliant log export", (suffix,), hint)
+    data = read(log)
+    file = output or log.with_suffix(suffix)
+    check_data(log, data, file, "table")
+    with replacing(file) as beside:
+        if parquet:
+            _parquet(beside, data)
+        else:
+            columns: dict[str, Any] = dict(data.columns)
+            np.savez_compressed(beside, **columns)
+    Console().print(str(file), highlight=False, soft_wrap=True, markup=False)
+
+
+def _parquet(file: Path, log: Log) -> None:
+    """One column per number; joints and axes by name."""
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise ImportError(f"--parquet needs pyarrow: {pip()} pyarrow") from error
+    table: dict[str, Any] = {}
+    joints, axes, ticks = log.run["joints"], log.run["axes"] or [], len(log)
+    for name, values in log.columns.items():
+        flat = values.reshape(ticks, -1)
+        size = flat.shape[1]
+        labels = {1: [""], len(joints): joints, len(axes): axes}.get(size, range(size))
+        labels = log.run["extra"] if name == "extra" else labels
+        for label, column in zip(labels, flat.T, strict=True):
+            table[f"{name}.{label}" if label != "" else name] = column
+    parquet.write_table(pa.table(table), file)

@@ -1,0 +1,68 @@
+"""`pliant log info`: the contents of a log in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+
+from pliant.cli.flags import LogFile
+from pliant.inputs import printable
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pliant.log import Log
+
+
+def run(log: LogFile) -> None:
+    """Show how long a log is, which joints and axes it has, and what stands out.
+
+    Args:
+        log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
+    """
+    from pliant.log import read
+
+    console = Console()
+    for line in _lines(log, read(log)):
+        console.print(printable(line), highlight=False, soft_wrap=True, markup=False)
+
+
+def _lines(path: Path, log: Log) -> list[str]:
+    """Return the contents of a log, a line each."""
+    run, axes = log.run, log.run["axes"]
+    span = float(log.time[-1] - log.time[0]) if len(log) else 0.0
+    lines = [
+        f"{path}: {len(log)} ticks in {span:.2f} s, {path.stat().st_size / 1e6:.2f} MB",
+        f"joints: {', '.join(run['joints'])}" + "".join(f" + {name}" for name in run["extra"]),
+        f"axes: {' '.join(axes)}" if axes else "no controller (hand guiding)",
+        f"made by pliant {run['pliant']}" + (f": {run['note']}" if run["note"] else ""),
+    ]
+    if log.damage:
+        lines.append(f"damaged: {log.damage}; what stands before that is here")
+    elif not log.whole:
+        lines.append("not completed: program and writer died; what they wrote is here")
+    if log.missing:
+        lines.append(f"{log.missing} calls of the controller were dropped")
+    if len(log):
+        late = 1e3 * np.diff(log.time)
+        middle, most = np.median(late), late.max() if late.size else 0.0
+        lines.append(f"from tick to tick {middle:.1f} ms (median), {most:.1f} ms at most")
+    if axes and len(log):
+        worst = np.abs(log.deviation).max(axis=0)
+        lines.append(
+            "largest deviation: "
+            + ", ".join(
+                f"{name} {value:.3f} {'m' if name in 'xyz' else 'rad'}"
+                for name, value in zip(axes, worst, strict=True)
+            )
+        )
+        share = log.saturated.mean(axis=0)
+        lines.append(
+            "at the torque ceiling: "
+            + ", ".join(
+                f"{name} {value:.0%}" for name, value in zip(run["joints"], share, strict=True)
+            )
+        )
+    return lines

@@ -1,0 +1,72 @@
+"""`pliant log plot`: a picture of a log's joints and task."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from pliant.cli.flags import LogFile, Output
+from pliant.cli.log._output import check_data, check_output
+from pliant.extras import missing
+from pliant.outputs import replacing
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pliant.log import Log
+
+#: Kinds of picture.
+PICTURES = (".png", ".svg", ".pdf")
+#: Figures of a log: column, and what its axis says.
+FIGURES = {
+    "joints": (
+        ("q", "position [rad]"),
+        ("goal", "goal [rad]"),
+        ("torque_limit", "torque limit [N·m]"),
+    ),
+    "task": (
+        ("deviation", "deviation [m, rad]"),
+        ("axis_strength", "cap [N, N·m]"),
+        ("softness", "softness"),
+    ),
+}
+
+
+def run(log: LogFile, *, output: Output = None) -> None:
+    """Draw joints and task over time.
+
+    Args:
+        log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
+        output: File to write, by default beside the log. A picture: .png, .svg or .pdf.
+    """
+    from pliant.log import read
+
+    check_output(output, "pliant log plot", PICTURES, "")
+    data = read(log)
+    file = output or log.with_suffix(".png")
+    check_data(log, data, file, "picture")
+    with replacing(file) as beside:
+        _plot(beside, data)
+    Console().print(str(file), highlight=False, soft_wrap=True, markup=False)
+
+
+def _plot(file: Path, log: Log) -> None:
+    """Joints on the left, the task on the right."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError(missing("pliant log plot", "plot")) from error
+    kinds = [kind for kind in FIGURES if kind == "joints" or log.run["axes"]]
+    rows = len(FIGURES["joints"])
+    figure = Figure(figsize=(6.0 * len(kinds), 2.4 * rows), layout="constrained")
+    grid = figure.subplots(rows, len(kinds), squeeze=False, sharex=True)
+    time = log.time - log.time[0]
+    for column, kind in enumerate(kinds):
+        names = log.run["joints"] if kind == "joints" else log.run["axes"]
+        for row, (name, label) in enumerate(FIGURES[kind]):
+            grid[row, column].plot(time, log.columns[name], label=names, linewidth=1.0)
+            grid[row, column].set_ylabel(label)
+        grid[0, column].legend(fontsize="small", ncols=2)
+        grid[-1, column].set_xlabel("time [s]")
+    figure.savefig(file)

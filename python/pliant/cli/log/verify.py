@@ -1,0 +1,25 @@
+"""`pliant log verify`: run the controller of a log again and compare every command."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from pliant.cli.flags import LogFile
+
+
+def run(log: LogFile) -> None:
+    """Run the controller again on the logged positions and compare every command.
+
+    Args:
+        log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
+    """
+    from pliant.log import read, verify
+
+    result = verify(read(log))
+    line = (
+        f"run again: {result.steps} commands, all the same, bit for bit"
+        if result.same
+        else f"run again: {result.differing} of {result.steps} commands differ, goals by at most "
+        f"{result.largest:.2g} rad" + (" (calls are missing)" if result.missing else "")
+    )
+    Console().print(line, highlight=False, soft_wrap=True, markup=False)

@@ -1,0 +1,1 @@
+"""The commands `pliant servos ...`: find, set up and examine servos, or emulate them."""

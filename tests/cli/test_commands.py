@@ -1,0 +1,190 @@
+"""The commands as a whole: groups, suggestions, and one meaning per flag."""
+
+import re
+import tomllib
+import warnings
+from collections import defaultdict
+from importlib import import_module
+
+import pytest
+
+pytest.importorskip("mujoco", reason="commands load the extra sim")
+pytest.importorskip("rustypot", reason="commands load the extra servo")
+
+import tyro
+
+from pliant import config
+from pliant.cli import COMMANDS, GROUPS, PREFIXES, main
+
+#: Commands that leave the package: their flags follow rules of their own.
+EXPERIMENTS = set(GROUPS.get("experiments", {}))
+
+
+def arguments(command):
+    """Arguments of a command, flags by their name and positional ones by their placeholder."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        parser = tyro.extras.get_parser(
+            import_module(COMMANDS[command][0]).run,
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+        )
+    for action in parser._actions:
+        name = next((o for o in action.option_strings if o.startswith("--")), action.metavar)
+        if name != "--help":
+            yield str(name), action
+
+
+def meaning(action):
+    """Placeholder and the first sentence of the help, without the default."""
+    text = re.sub(r"\s*\((default: .*|required)\)\s*$", "", action.help or "")
+    return str(action.metavar), re.split(r"(?<=[^.])\.(?:\s|$)", text)[0].strip()
+
+
+def test_a_flag_means_the_same_everywhere():
+    found = defaultdict(dict)
+    for command in COMMANDS.keys() - EXPERIMENTS:
+        for name, action in arguments(command):
+            found[name].setdefault(meaning(action), []).append(command)
+    shared = {"ARM", "LOG", "--backend", "--port", "--soft", "--duration", "--output", "--log"}
+    assert shared <= {name for name, known in found.items() if sum(map(len, known.values())) > 1}
+    assert {name: known for name, known in found.items() if len(known) > 1} == {}
+
+
+def test_a_port_is_a_serial_port_and_a_page_has_another_flag():
+    for command in COMMANDS.keys() - EXPERIMENTS:
+        for name, action in arguments(command):
+            if name == "--port":
+                assert action.metavar == "DEVICE", command
+            assert name not in {"--page", "--out", "--to", "--seconds", "--robot", "-o"}, command
+
+
+def test_help_shows_the_groups(capsys):
+    assert main(["--help"]) == 0
+    out = capsys.readouterr().out
+    for title, group in GROUPS.items():
+        block = out.partition(f"\n{title}:\n")[2].partition("\n\n")[0]
+        assert [re.split(r"\s{2,}", line.strip()) for line in block.splitlines()] == [
+            [name, summary] for name, (_, summary) in group.items()
+        ]
+
+
+@pytest.mark.parametrize("prefix", PREFIXES)
+@pytest.mark.parametrize("flags", [[], ["--help"]])
+def test_a_first_word_alone_lists_its_commands(prefix, flags, capsys):
+    assert main([prefix, *flags]) == 0
+    out = capsys.readouterr().out
+    for name in COMMANDS:
+        assert (f"\n  {name} " in out) == name.startswith(f"{prefix} ")
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        ("doctor so101", "servos doctor"),
+        ("scna", "servos scan"),
+        ("report run.mcap", "log report"),
+        ("servos docter so101", "servos doctor"),
+        ("log infos run.mcap", "log info"),
+        ("reply so101 wave.json", "replay"),
+    ],
+)
+def test_an_unknown_command_gets_a_suggestion(words, meant, capsys):
+    assert main(words.split()) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert f"did you mean `pliant {meant}`?" in error
+
+
+def test_arms_lists_the_ready_arms(capsys):
+    assert main(["arms"]) == 0
+    rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}
+    assert set(config.names()) <= set(rows)
+    assert "5 + gripper" in rows["so101"]
+    assert "STS3215-7.4V" in rows["so101"]
+
+
+@pytest.mark.parametrize("name", config.names())
+def test_arms_prints_a_file_that_can_be_used(name, capsys, tmp_path):
+    assert main(["arms", name]) == 0
+    file = tmp_path / "my_arm.toml"
+    file.write_text(capsys.readouterr().out, encoding="utf-8")
+    assert config.load(str(file)).model_dump() == config.load(name).model_dump()
+
+
+def test_an_arm_that_is_not_ready_gets_a_suggestion(capsys):
+    assert main(["arms", "so10"]) == 2
+    error = capsys.readouterr().err
+    assert "did you mean so10" in error
+    assert "vx300s" in error
+
+
+def pasted(lines):
+    """The lines that `pliant identify` prints for the file, as TOML."""
+    return tomllib.loads(lines.partition("\n\n")[2])
+
+
+@pytest.fixture
+def so101(tmp_path, capsys):
+    """A file of one's own."""
+    assert main(["arms", "so101"]) == 0
+    file = tmp_path / "mine.toml"
+    file.write_text(capsys.readouterr().out, encoding="utf-8")
+    return file
+
+
+def test_identify_gravity_moves_nothing_and_lowers_the_arm(so101, capsys, caplog):
+    assert main(["identify", str(so101), "gravity", "--backend", "sim"]) == 0
+    caught = capsys.readouterr()
+    assert "do not touch the arm" in caught.out
+    assert "the check passed" in caught.out
+    assert pasted(caught.out) == {}
+    assert "was lowered" in caplog.text
+
+
+def test_identify_payload_prints_what_the_tool_carries(capsys, caplog):
+    assert main(["identify", "so101", "payload", "--backend", "sim", "--span", "0.2"]) == 0
+    caught = capsys.readouterr()
+    assert "payload" in caught.out
+    assert set(pasted(caught.out)) <= {"payload"}
+    assert "was lowered" in caplog.text
+
+
+@pytest.mark.filterwarnings("ignore:.*may exert.*:RuntimeWarning")
+def test_identify_servos_prints_a_table_for_the_file(so101, capsys):
+    assert main(["identify", str(so101), "servos", "--backend", "sim"]) == 0
+    out = capsys.readouterr().out
+    servo = pasted(out)["servo"]
+    text = so101.read_text(encoding="utf-8")
+    head, _, rest = text.partition("[servo]")
+    gripper = "[gripper]" + rest.partition("[gripper]")[2]
+    lines = out.partition("[servo]\n")[2].partition("\n\n")[0]
+    so101.write_text(f"{head}[servo]\n{lines}\n\n{gripper}", encoding="utf-8")
+    model = config.load(str(so101)).model()
+    assert model.servos.stiffness_known
+    for i, joint in enumerate(model.joint_names):
+        assert servo[joint]["kp"] == model.servos.kp[i]
+        assert servo[joint]["friction"] == model.servos.friction[i]
+    before = config.load("so101").model().servos
+    assert abs(model.servos.kp / before.kp - 1.0).max() < 0.2
+    # What the file said of a servo beside these stays.
+    assert servo["shoulder_pan"] | {"id": 1, "gain": 16, "sign": -1} == servo["shoulder_pan"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["gravity", "--span", "0.1"], "--span belongs to servos and payload"),
+        (["friction"], "invalid choice"),
+        (["servos", "--span", "9"], "span"),
+    ],
+)
+def test_identify_refuses_before_torque_comes_on(flags, said, capsys):
+    assert main(["identify", "so101", *flags, "--backend", "sim"]) == 2
+    caught = capsys.readouterr()
+    assert said in caught.err
+
+
+@pytest.mark.parametrize("arm", ["vx300s", "mine.toml"])
+def test_a_scene_needs_a_built_in_arm(arm, capsys):
+    assert main(["view", arm, "--scene", "free"]) == 2
+    assert "--scene simulates one of arm7, so101, koch" in capsys.readouterr().err
