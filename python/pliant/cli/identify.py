@@ -51,7 +51,7 @@ def run(
         raise pliant.ConfigError("--span belongs to servos and payload: gravity moves nothing")
     read = override.load(arm)
     settings = read.settings()
-    connected = read.arm()
+    connected = pliant.connect(read)
     # Errors of the configuration appear before torque comes on.
     pliant.Controller(connected.model, settings, connected.servos)
     console = Console()
