@@ -113,7 +113,7 @@ def stepped(
 
     Args:
         family: `sts`, `x` or `p1`.
-        arm: Options of `pliant.arm.Arm`.
+        arm: Options of `pliant.Arm`.
         chain: What drives the servos.
         q: Where the arm stands (n,) [rad].
         patience: Least time to wait for an answer, by the clock on the wall [s].

@@ -32,7 +32,7 @@ def arm(config: Config, **options: Any) -> Arm:
 
     Args:
         config: The configuration.
-        **options: Those of `pliant.arm.Arm`, in place of the file's; on the simulator and the
+        **options: Those of `pliant.Arm`, in place of the file's; on the simulator and the
             emulator `q` (n,) [rad], where the arm stands first; `table`, the height of its table
             in place of the file's [m], or False for none; on the simulator `real_time` and
             those of `pliant.sim.Plant`.

@@ -106,7 +106,7 @@ class Configured:
 
     Args:
         config: The configuration.
-        **options: Of `pliant.arm.Arm`, in place of the file's.
+        **options: Of `pliant.Arm`, in place of the file's.
     """
 
     def __init__(self, config: Config, **options: Any) -> None:
