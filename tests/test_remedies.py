@@ -381,7 +381,7 @@ def test_examples_run():
 
 
 def accepted(text: str, _file: str) -> list[str]:
-    return re.findall(r"accept=\([\"'](\w+)[\"'],\)", text)
+    return re.findall(r"accept=\([\"'](\w+)[\"'],\)|\b(accept_\w+)=True", text)
 
 
 def is_risk(risk: str) -> bool:

@@ -2,6 +2,7 @@
 
 import pytest
 
+from pliant import NullSpace
 from pliant.experiments import laws, tracking
 from pliant.experiments.conditions import Conditions
 from pliant.experiments.setups import AXES
@@ -34,9 +35,9 @@ def test_limits_only_loses_height_when_the_arm_is_stretched():
 @pytest.mark.parametrize(
     ("law", "delay"),
     [
-        (laws.rec_at_edge(alpha=1.0), (0, 0)),
-        (laws.cap_at_edge(alpha=1.0), (0, 0)),
-        (laws.cap_at_edge(alpha=1.0), (1, 1)),
+        (laws.rec_at_edge(null_space=NullSpace(gain=1.0)), (0, 0)),
+        (laws.cap_at_edge(null_space=NullSpace(gain=1.0)), (0, 0)),
+        (laws.cap_at_edge(null_space=NullSpace(gain=1.0)), (1, 1)),
     ],
     ids=["rec_at_edge", "cap_at_edge", "cap_at_edge, tick each way"],
 )

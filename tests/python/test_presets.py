@@ -139,7 +139,7 @@ def test_a_limit_that_comes_while_the_arm_is_beyond_it_comes_within_the_slew(arm
     controller.update(Settings(axes={"y": Axis(deviation_limit=0.01)}))
     after = controller.step(q, target)
     assert controller.deviation[1] == pytest.approx(-0.01, abs=1e-9)
-    slew = controller.settings.goal_slew / controller.settings.rate
+    slew = controller.settings.tracking.goal_slew / controller.settings.rate
     assert np.abs(after.goal - goals[-1]).max() <= slew + 1e-12
 
 

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use pliant_core::settings::PaperOptions;
 use pliant_core::task::axes::{Frame, Task};
 use pliant_core::{ContactEstimator, ContactInput, ContactOptions, Controller, Model, Reference, Servos, Settings};
 
@@ -313,11 +314,7 @@ fn options_are_checked_by_name() {
     }
     let blind = Controller::new(
         Arc::new(common::arm7()),
-        Settings {
-            law: pliant_core::settings::Law::Paper,
-            gravity: pliant_core::settings::GravityUse::Off,
-            ..Settings::default()
-        },
+        Settings { law: pliant_core::settings::Law::Paper, gravity: false, ..Settings::default() },
         None,
     );
     assert!(
