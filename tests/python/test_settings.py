@@ -28,8 +28,20 @@ from pliant import (
 from pliant.functional import PaperOptions
 
 ROOM = {
-    name: getattr(pliant, name)
-    for name in ("Axis", "Payload", "Pose", "Servos", "Settings", "Task", "Tracking", "NullSpace")
+    kind.__name__: kind
+    for kind in (
+        Axis,
+        Compensation,
+        NullSpace,
+        PaperOptions,
+        Payload,
+        Pose,
+        Servos,
+        Settings,
+        Task,
+        TorqueLimits,
+        Tracking,
+    )
 }
 
 
@@ -87,36 +99,32 @@ def some_settings(draw):
         "gravity": draw(st.booleans()),
         "max_tool_speed": draw(maybe(st.one_of(number(1e-3, 1), st.just((None, 2.0))))),
         "accept_high_adaptation": draw(st.booleans()),
-        "tracking": draw(
-            some(
-                Tracking,
-                gain=st.one_of(number(0, 100), st.lists(number(0, 100), min_size=6, max_size=6)),
-                damping=maybe(st.one_of(number(0, 10), st.just((0.02, 0.15, 0.15)))),
-            )
+    }
+    groups = {
+        "tracking": some(
+            Tracking,
+            gain=st.one_of(number(0, 100), st.lists(number(0, 100), min_size=6, max_size=6)),
+            damping=maybe(st.one_of(number(0, 10), st.just((0.02, 0.15, 0.15)))),
         ),
-        "null_space": draw(
-            some(
-                NullSpace,
-                gain=maybe(number(0, 100)),
-                posture=maybe(seven),
-                max_speed=maybe(number(0, 10)),
-            )
+        "null_space": some(
+            NullSpace,
+            gain=maybe(number(0, 100)),
+            posture=maybe(seven),
+            max_speed=maybe(number(0, 10)),
         ),
-        "compensation": draw(some(Compensation, friction=number(0, 1), delay=number(0, 1))),
-        "torque_limits": draw(some(TorqueLimits, margin=number(0, 1), floor=maybe(seven))),
-        "paper_options": draw(
-            some(
-                PaperOptions,
-                follow=st.sampled_from([None, "free", "hold"]),
-                limits=st.sampled_from(["demand", "sum"]),
-                kq=st.one_of(number(0, 10), st.just(np.eye(7))),
-                gravity_use=st.sampled_from(["both", "goal", "limits"]),
-                lead_limit=maybe(st.one_of(number(1e-3, 1), st.just(float("inf")))),
-                raw_deviation=st.booleans(),
-            )
+        "compensation": some(Compensation, friction=number(0, 1), delay=number(0, 1)),
+        "torque_limits": some(TorqueLimits, margin=number(0, 1), floor=maybe(seven)),
+        "paper_options": some(
+            PaperOptions,
+            follow=st.sampled_from([None, "free", "hold"]),
+            limits=st.sampled_from(["demand", "sum"]),
+            kq=st.one_of(number(0, 10), st.just(np.eye(7))),
+            gravity_use=st.sampled_from(["both", "goal", "limits"]),
+            lead_limit=maybe(st.one_of(number(1e-3, 1), st.just(float("inf")))),
+            raw_deviation=st.booleans(),
         ),
     }
-    kept = draw(st.sets(st.sampled_from(sorted(fields))))
+    kept = draw(st.sets(st.sampled_from(sorted([*fields, *groups]))))
     if draw(st.booleans()):
         springs = Axis(stiffness=draw(sides(0, 1e3)), damping=draw(maybe(sides(0, 40))))
         return Settings(
@@ -124,6 +132,7 @@ def some_settings(draw):
             axes={"x": springs},
             null_space=NullSpace(stiffness=draw(number(0, 60))),
         )
+    fields |= {name: draw(groups[name]) for name in sorted(kept & groups.keys())}
     return Settings(**{name: fields[name] for name in kept})
 
 

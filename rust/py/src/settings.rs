@@ -100,9 +100,9 @@ fields! {
             signature = (**fields),
             text_signature = "(*, task='xyz rpy', axes={}, law='cap', rate=100.0, delay=0.0, gravity=True, \
                               max_tool_speed=(0.25, 1.0), max_tool_acceleration=(1.0, 4.0), \
-                              accept_high_adaptation=False, accept_high_stiffness=False, tracking=Tracking(), \
-                              null_space=NullSpace(), compensation=Compensation(), torque_limits=TorqueLimits(), \
-                              paper_options=PaperOptions())"
+                              accept_high_adaptation=False, accept_high_stiffness=False, tracking=..., \
+                              null_space=..., compensation=..., torque_limits=..., \
+                              paper_options=...)"
         )]
         fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
             Self::with(CoreSettings::default(), fields)

@@ -340,8 +340,8 @@ impl Want<'_> {
     fn row_scale(&self) -> Vector {
         let oracle = self.oracle;
         let axes = oracle.axes();
-        let printed =
-            matches!(oracle.settings.tracking.damping, pliant_core::settings::Damping::Fixed(_)) && self.k() <= self.n();
+        let printed = matches!(oracle.settings.tracking.damping, pliant_core::settings::Damping::Fixed(_))
+            && self.k() <= self.n();
         Vector::from_fn(self.k(), |r, _| if axes[r] < 3 && !printed { oracle.length().powi(2) } else { 1.0 })
     }
 

@@ -156,7 +156,8 @@ impl Oracle {
             let x = velocity[i].abs() / self.joint(|s| &s.stribeck_speed, 1.0)[i];
             1.0 / (1.0 + x + x * x)
         };
-        let way = |i: usize| settings.compensation.friction * (velocity[i] / settings.paper_options.friction_speed).tanh();
+        let way =
+            |i: usize| settings.compensation.friction * (velocity[i] / settings.paper_options.friction_speed).tanh();
         let (stribeck, per_load) = (self.joint(|s| &s.stribeck, 0.0), self.joint(|s| &s.load_friction, 0.0));
         let per_load_at_rest = self.joint(|s| &s.load_stribeck, 0.0);
         let on = if cap { gamma } else { 0.0 };
