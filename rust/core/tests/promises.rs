@@ -134,7 +134,7 @@ fn springs_belong_to_law_impedance() {
         paper_options: PaperOptions { follow: Some(pliant_core::settings::Follow::Hold), ..PaperOptions::default() },
         ..Settings::default()
     };
-    assert!(message(hold).starts_with("follow: law=\"impedance\" has no solve"));
+    assert!(message(hold).starts_with("paper_options.follow: law=\"impedance\" has no solve"));
     let text = Controller::new(arm(0).0, Settings { law: Law::Impedance, ..Settings::default() }, None).unwrap_err();
     assert!(text.to_string().contains("law=\"impedance\" needs the stiffness k_p"), "{text}");
 }
