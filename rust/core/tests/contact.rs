@@ -3,7 +3,6 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::PaperOptions;
 use pliant_core::task::axes::{Frame, Task};
 use pliant_core::{ContactEstimator, ContactInput, ContactOptions, Controller, Model, Reference, Servos, Settings};
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 use pliant_core::functions::{damped_pseudo_inverse, null_space_projector};
-use pliant_core::settings::{Damping, GravityUse, Law, NullSpace, PaperOptions, Projector, TorqueLimits, Tracking};
+use pliant_core::settings::{Damping, Law, NullSpace, PaperOptions, Projector, TorqueLimits, Tracking};
 use pliant_core::task::axes::{Axis, Frame, Task, Yields};
 use pliant_core::{Controller, Model, ModelOptions, Pose, Settings, StepInput};
 
