@@ -1534,8 +1534,8 @@ class Command:
         """Speed for a servo's speed register (n,) [rad/s].
 
         What keeps the tool within `max_tool_speed` by one joint alone, but no less than
-        `Tracking.goal_slew`: a profile slower than the goals falls behind them and exerts what nobody
-        asked for. inf where neither tool nor joint has a speed limit.
+        `goal_slew`: a profile slower than the goals falls behind them and exerts what nobody asked
+        for. inf where neither tool nor joint has a speed limit.
         """
 
 @final
@@ -1902,8 +1902,8 @@ class Controller:
 
         With a state each row is what `step` of a controller of its own would give, bit for bit.
         Without one nothing is remembered: each row is the first step of a controller just reset to
-        its q, with `Tracking.goal_slew` and `max_tool_speed` infinite: goals may jump, so not for a
-        real arm. Under law `paper` as printed, arms of at most 7 joints are then stepped side by side in
+        its q, with `goal_slew` and `max_tool_speed` infinite: goals may jump, so not for a real
+        arm. Under law `paper` as printed, arms of at most 7 joints are then stepped side by side in
         the processor's registers, which changes results by rounding. This controller's own memory
         and readings stay as they are. `RAYON_NUM_THREADS` says
         how many threads there are.
