@@ -34,7 +34,11 @@ def settings() -> dict[str, pliant.Settings]:
     endless = {"max_velocity": np.inf, "soft_step_limit": np.inf}
     axes = {name: pliant.Axis(**endless) for name in ("x", "z", "roll", "pitch", "yaw")}
     axes["y"] = pliant.Axis(yields="both", adaptation=0.9, **endless)
-    paper = pliant.Settings.paper(axes=axes, damping=0.02, projector="paper", limit_avoidance=0.1)
+    paper = pliant.Settings.paper(
+        axes=axes,
+        tracking=pliant.Tracking(damping=0.02),
+        null_space=pliant.NullSpace(projector="paper", limit_avoidance=0.1),
+    )
     return {"paper": paper, "cap": pliant.Settings.soft("y")}
 
 

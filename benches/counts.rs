@@ -7,7 +7,7 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
-use pliant_core::settings::Law;
+use pliant_core::settings::{Law, NullSpace, PaperOptions};
 use pliant_core::task::axes::{Axis, Frame, Task, Yields};
 use pliant_core::task::deviation::pose_error;
 use pliant_core::{
@@ -72,10 +72,25 @@ fn options(settings: &Settings, n: usize) -> Vec<(&'static str, Settings)> {
     let mut all = vec![
         ("five axes", five),
         ("axes of the tool", Settings { task: task("all", Frame::Tool), ..settings.clone() }),
-        ("posture weights", Settings { posture_weights: Some(weights.clone()), ..settings.clone() }),
+        (
+            "posture weights",
+            Settings {
+                paper_options: PaperOptions {
+                    posture_weights: Some(weights.clone()),
+                    ..settings.paper_options.clone()
+                },
+                ..settings.clone()
+            },
+        ),
     ];
     if settings.law == Law::Paper {
-        all.push(("joint weights", Settings { joint_weights: Some(weights), ..settings.clone() }));
+        all.push((
+            "joint weights",
+            Settings {
+                paper_options: PaperOptions { joint_weights: Some(weights), ..settings.paper_options.clone() },
+                ..settings.clone()
+            },
+        ));
     }
     all
 }
@@ -147,7 +162,7 @@ fn stages() -> Vec<(String, Work)> {
         }
     }
     // Without a gradient the shares of the null space are the lengths of its projector's rows.
-    let waiting = Settings { limit_avoidance: 0.0, ..paper() };
+    let waiting = Settings { null_space: NullSpace { limit_avoidance: 0.0, ..paper().null_space }, ..paper() };
     steps.push(("step paper, as it started".into(), waiting, vec![states[0].clone(); STATES]));
     for (name, settings, at) in steps {
         let mut controller =

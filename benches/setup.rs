@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use pliant_core::settings::{Damping, Projector};
+use pliant_core::settings::{Damping, NullSpace, Projector, Tracking};
 use pliant_core::task::axes::{Axis, Yields};
 use pliant_core::{Model, ModelOptions, Pose, Servos, Settings};
 
@@ -46,10 +46,9 @@ pub(crate) fn states(model: &Model) -> Vec<(Vec<f64>, Pose)> {
 pub(crate) fn paper() -> Settings {
     let endless = Axis { max_velocity: Some(f64::INFINITY), soft_step_limit: Some(f64::INFINITY), ..Axis::default() };
     let mut settings = Settings {
-        damping: Damping::Fixed(0.02),
-        projector: Projector::Paper,
-        limit_avoidance: 0.1,
         axes: [endless; 6],
+        tracking: Tracking { damping: Damping::Fixed(0.02), ..Settings::paper().tracking },
+        null_space: NullSpace { projector: Projector::Paper, limit_avoidance: 0.1, ..Settings::paper().null_space },
         ..Settings::paper()
     };
     (settings.axes[1].yields, settings.axes[1].adaptation) = (Some(Yields::Both), 0.9);

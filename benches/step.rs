@@ -8,7 +8,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use pliant_core::settings::{Damping, Follow, Law, LimitRule, Projector};
+use pliant_core::settings::{Damping, Follow, Law, LimitRule, NullSpace, PaperOptions, Projector, Tracking};
 use pliant_core::task::axes::{Axis, Task, Yields};
 use pliant_core::task::deviation::pose_error;
 use pliant_core::{Controller, Pose, Settings, StepInput};
@@ -30,15 +30,31 @@ fn step(criterion: &mut Criterion) {
         ("paper", paper()),
         (
             "paper, exact projector, adaptive damping",
-            Settings { projector: Projector::Exact, damping: Damping::Auto, ..paper() },
+            Settings {
+                tracking: Tracking { damping: Damping::Auto, ..paper().tracking },
+                null_space: NullSpace { projector: Projector::Exact, ..paper().null_space },
+                ..paper()
+            },
         ),
         ("defaults", Settings::default()),
         ("y yields", soft_y()),
-        ("y yields, follow hold", Settings { follow: Some(Follow::Hold), ..soft_y() }),
-        ("y yields, sum of limits", Settings { limits: LimitRule::Sum, ..soft_y() }),
+        (
+            "y yields, follow hold",
+            Settings {
+                paper_options: PaperOptions { follow: Some(Follow::Hold), ..soft_y().paper_options },
+                ..soft_y()
+            },
+        ),
+        (
+            "y yields, sum of limits",
+            Settings { paper_options: PaperOptions { limits: LimitRule::Sum, ..soft_y().paper_options }, ..soft_y() },
+        ),
         ("y yields, no tool speed limit", Settings { max_tool_speed: [f64::INFINITY; 2], ..soft_y() }),
-        ("y yields, manipulability", Settings { manipulability: 0.1, ..soft_y() }),
-        ("y yields, integrating", Settings { integrate: 1.0, ..soft_y() }),
+        (
+            "y yields, manipulability",
+            Settings { paper_options: PaperOptions { manipulability: 0.1, ..soft_y().paper_options }, ..soft_y() },
+        ),
+        ("y yields, integrating", Settings { tracking: Tracking { integrate: 1.0, ..soft_y().tracking }, ..soft_y() }),
         ("impedance, y yields", Settings { law: Law::Impedance, ..soft_y() }),
         ("xyz", Settings { task: Task::of("xyz").expect("three axes"), ..Settings::default() }),
     ];

@@ -14,8 +14,12 @@ SECONDS = 1.0 if os.environ.get("PLIANT_SHORT") else 4.0
 START = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657]  # [rad]
 
 model = pliant.robots.arm7()
-soft = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, adaptation=0.999)}, accept=("eta",))
-holding = pliant.Settings(integrate=4.0)  # every axis holds; the goal integrates [1/s]
+soft = pliant.Settings(
+    axes={"y": pliant.Axis(soft=4.0, adaptation=0.999)}, accept_high_adaptation=True
+)
+holding = pliant.Settings(
+    tracking=pliant.Tracking(integrate=4.0)
+)  # every axis holds; the goal integrates [1/s]
 
 
 def run(controller: pliant.Controller, arm: pliant.sim.Plant, seconds: float) -> None:

@@ -20,7 +20,9 @@ model = pliant.robots.arm7()
 stiff = {"all": pliant.Axis(hold=1000.0)}
 ways = {
     "y and yaw compliant": pliant.Settings.door(),
-    "all axes stiff": pliant.Settings.paper(axes=stiff, gravity=True, alpha=1.0),
+    "all axes stiff": pliant.Settings.paper(
+        axes=stiff, gravity=True, null_space=pliant.NullSpace(gain=1.0)
+    ),
 }
 
 for name, settings in ways.items():

@@ -43,7 +43,7 @@ better = pliant.Settings(
         "y": pliant.Axis(soft=0.05, firm=proposed["axes.y.firm"]),
         "z": pliant.Axis(hold=proposed["axes.z.hold"]),
     }
-).tracking(model, path)  # raises soft to three times the friction
+).raise_soft(model, path)  # raises soft to three times the friction
 print(f"\nproposed: y {better.axes['y']}, z {better.axes['z']}")
 print(pliant.feasibility.check_path(model, better, path))
 

@@ -309,7 +309,7 @@ class Bench:
     def _settings(self, **more: Any) -> pliant.Settings:
         delay = sum(self.disturbance.delay) / self.plant.rate
         task = " ".join(self.arm.axes)
-        return pliant.Settings(task=task, delay=delay, **{**UNBLURRED, **more})
+        return pliant.Settings(task=task, delay=delay, **UNBLURRED).replace(**more)
 
     def _controller(self, axis: str, cap: float) -> pliant.Controller:
         key = (axis, cap)
@@ -323,7 +323,10 @@ class Bench:
         """Hold q for 2 s by an integrating goal: where the arm stands, and the goals there."""
         if self._captured is None or self._captured[0] != q.tobytes():
             # Feed-forward and integration together ring: 9 of 20 poses with k_p 25 % too low.
-            holding = self._settings(integrate=4.0, friction_share=0.0, damping_share=0.0)
+            holding = self._settings(
+                tracking=pliant.Tracking(integrate=4.0),
+                compensation=pliant.Compensation(friction=0.0, damping=0.0),
+            )
             controller = pliant.Controller(self.arm.model, holding, self.servos)
             self.plant.reset(q)
             controller.reset(q)

@@ -59,7 +59,7 @@ def tried(
     plant = Plant(arm.model, table, kp_scale=kp_scale, count=COUNT, creep=creep)
     plant.reset(arm.poses(pose + 1)[pose])
     axes = {"y": pliant.Axis(yields="both", adaptation=eta)}
-    settings = pliant.Settings(task=" ".join(arm.axes), axes=axes, accept=("eta",))
+    settings = pliant.Settings(task=" ".join(arm.axes), axes=axes, accept_high_adaptation=True)
     controller = pliant.Controller(arm.model, settings, table)
     found = identify.capture_gravity(plant, controller)
     if found.remedy is not None:

@@ -10,6 +10,7 @@ import numpy as np
 from experiments.conditions import NOMINAL
 from experiments.episode import Trace, run
 from experiments.setups import pull, tool
+from pliant import NullSpace
 from pliant.sim import doors as leaves
 from pliant.sim.postures import AT_DOOR, AT_DOOR_HORIZONTAL, AT_OVEN, VERTICAL
 
@@ -82,7 +83,7 @@ def open_door(
     """Pull a door open for 9.5 s.
 
     Args:
-        law: Makes the settings from the scene's soft axes, `soft`, and a null-space gain, `alpha`.
+        law: Makes the settings from the scene's soft axes, `soft`, and a group `null_space`.
         scene: Name of one of `SCENES`.
         grip: `rigid` or `turning`.
         conditions: Loop, bus and beliefs.
@@ -95,7 +96,7 @@ def open_door(
     leaf = setup.leaf(grip=grip, drive=drive)
     start = tool(setup.start)
     target = start if setup.base else pull(start, setup.distance)
-    settings = law(soft=setup.soft, alpha=1.0)
+    settings = law(soft=setup.soft, null_space=NullSpace(gain=1.0))
     trace = run(conditions.build(leaf), conditions.controller(settings), target, 9.5, q=setup.start)
     return Opened(
         angle=float(np.rad2deg(leaf.widest)),

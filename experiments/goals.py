@@ -14,6 +14,8 @@ import tyro
 
 from experiments import doors, laws, merits, rates
 from experiments.conditions import NOMINAL, Conditions
+from pliant import Tracking
+from pliant.functional import PaperOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -140,14 +142,14 @@ _ENTRIES = (
     ),
     _Entry(
         scenario="strong hand, η 0.999",
-        preset="cap(kx=6.0)",
-        measure=merits.strong(laws.cap(kx=6.0)),
+        preset="cap(tracking.gain=6.0)",
+        measure=merits.strong(laws.cap(tracking=Tracking(gain=6.0))),
         goals={"drift [mm]": _most(2.0)},
     ),
     _Entry(
         scenario="strong hand, η 0.999",
         preset='cap(follow="hold")',
-        measure=merits.strong(laws.cap(follow="hold")),
+        measure=merits.strong(laws.cap(paper_options=PaperOptions(follow="hold"))),
         goals={"drift [mm]": _most(2.0)},
     ),
     _Entry(
@@ -161,8 +163,8 @@ _ENTRIES = (
     # where all is known, from 1.15 on 5.61 N.
     _Entry(
         scenario="15 N hand, η 0.999",
-        preset="cap(kx=4.8)",
-        measure=merits.light(laws.cap(kx=4.8)),
+        preset="cap(tracking.gain=4.8)",
+        measure=merits.light(laws.cap(tracking=Tracking(gain=4.8))),
         goals={
             "force [N]": (_FREE, Goal(high=7.5)),
             "drift [mm]": (_FREE, Goal(high=4.0)),
@@ -223,20 +225,20 @@ _ENTRIES = (
     ),
     _Entry(
         scenario="door, rigid grip",
-        preset='cap(soft="y yaw", alpha=1.0)',
+        preset='cap(soft="y yaw", null_space.gain=1.0)',
         measure=merits.door("door"),
         goals={"angle [deg]": (Goal(low=67.0), Goal(low=66.0)), "force [N]": _most(24.5, 30.0)},
     ),
     _Entry(
         scenario="door, rigid grip",
-        preset='impedance(soft="y yaw", alpha=1.0)',
+        preset='impedance(soft="y yaw", null_space.gain=1.0)',
         measure=merits.door("door", laws.impedance),
         goals={"angle [deg]": (Goal(low=65.0), None), "force [N]": (Goal(high=16.0), _FREE)},
     ),
     *(
         _Entry(
             scenario=f"{scene}, rigid grip",
-            preset=f'cap(soft="{doors.SCENES[scene].soft}", alpha=1.0)',
+            preset=f'cap(soft="{doors.SCENES[scene].soft}", null_space.gain=1.0)',
             measure=merits.door(scene),
             goals={"force [N]": (Goal(high=force), _FREE)},
         )

@@ -176,7 +176,7 @@ class Believing(Conditions):
 
     def controller(self, law: Any) -> Any:
         """A controller with these beliefs."""
-        settings = law.replace(rate=self.rate, delay=self.known_delay, accept=("eta",))
+        settings = law.replace(rate=self.rate, delay=self.known_delay, accept_high_adaptation=True)
         return pliant.Controller(robots.arm7(), settings, self.table)
 
 

@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.setups import AXES
-from pliant import Axis, Settings
+from pliant import Axis, NullSpace, Settings, TorqueLimits, Tracking
+from pliant.functional import PaperOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -31,7 +32,10 @@ if TYPE_CHECKING:
 
 NONE = float("inf")
 #: Neither a speed limit of the tool nor a stiffening rate.
-UNBLURRED: Mapping[str, Any] = {"max_tool_speed": (NONE, NONE), "stiffening_time": 0.0}
+UNBLURRED: Mapping[str, Any] = {
+    "max_tool_speed": (NONE, NONE),
+    "torque_limits": TorqueLimits(stiffening_time=0.0),
+}
 #: Damping of the J⁺ forms: λ₀, σ₀, λ_max.
 JACOBIAN_DAMPING = (0.02, 0.15, 0.2)
 #: Force of a soft rotation at small deviations that still tracks [N·m].
@@ -84,20 +88,17 @@ def paper(
             )
         else:
             axes[name] = Axis(hold=torque, max_velocity=steps[index // 3])
-    settings: dict[str, Any] = {
-        "law": "paper",
-        "axes": axes,
-        "gravity": gravity,
-        "gravity_scale": 1.0,
-        "null_torque": 2.0,
-        "damping": JACOBIAN_DAMPING,
-        "goal_slew": NONE,
-        "lead_limit": NONE,
-        "direction_band": 0.0,
-        "floor": np.zeros(7),
-        **UNBLURRED,
-    }
-    return Settings(**{**settings, **more})
+    settings = Settings(
+        law="paper",
+        axes=axes,
+        gravity=gravity,
+        max_tool_speed=(NONE, NONE),
+        tracking=Tracking(damping=JACOBIAN_DAMPING, goal_slew=NONE),
+        null_space=NullSpace(max_torque=2.0),
+        torque_limits=TorqueLimits(floor=np.zeros(7), stiffening_time=0.0),
+        paper_options=PaperOptions(gravity_scale=1.0, direction_band=0.0, lead_limit=NONE),
+    )
+    return settings.replace(**more)
 
 
 def limits_only(torque: float = 6.0, *, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
@@ -113,12 +114,14 @@ def rec(torque: float = 8.0, *, soft: str = "y", eta: float = 0.999, **more: Any
 
 def task(torque: float = 8.0, *, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
     """`rec` with A τˣ enforced axis by axis on the goal too."""
-    return rec(torque, soft=soft, eta=eta, budget_on_goal=True, **more)
+    settings = rec(torque, soft=soft, eta=eta, **more)
+    return settings.replace(paper_options=PaperOptions(budget_on_goal=True))
 
 
 def rows_free(torque: float = 8.0, *, soft: str = "y", eta: float = 0.999, **more: Any) -> Settings:
     """`rec` whose soft rows leave the inverse kinematics of the stiff ones."""
-    return rec(torque, soft=soft, eta=eta, follow="free", **more)
+    settings = rec(torque, soft=soft, eta=eta, **more)
+    return settings.replace(paper_options=PaperOptions(follow="free"))
 
 
 def all_stiff(**more: Any) -> Settings:
@@ -142,7 +145,7 @@ def cap(
     """
     yielding = Axis(**{"yields": "both", "adaptation": eta, **(axis or {})})
     axes = {soft: yielding} if soft else {}
-    return Settings(**{"axes": axes, **UNBLURRED, **more})
+    return Settings(axes=axes, **UNBLURRED).replace(**more)
 
 
 def impedance(
@@ -172,7 +175,7 @@ def impedance(
         else:
             spring = None if stiffness is None else stiffness[index // 3]
             axes[name] = Axis(stiffness=spring, damping=damping[index // 3])
-    return Settings(**{"law": "impedance", "axes": axes, **UNBLURRED, **more})
+    return Settings(law="impedance", axes=axes, **UNBLURRED).replace(**more)
 
 
 def cap_tracking(*, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:

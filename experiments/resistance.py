@@ -101,7 +101,7 @@ def open_and_close(
     """Open a door with a stop at 45 deg until it resists, rest 1 s, close it until it resists.
 
     Args:
-        law: Makes the settings from the scene's soft axes, `soft`, and a null-space gain, `alpha`.
+        law: Makes the settings from the scene's soft axes, `soft`, and a group `null_space`.
         scene: Name of one of `doors.SCENES` whose base stands still.
         grip: `rigid` or `turning`.
         conditions: Loop, bus and beliefs.
@@ -112,7 +112,7 @@ def open_and_close(
     setup = SCENES[scene]
     leaf = setup.leaf(grip=grip, stop=float(np.deg2rad(STOP)))
     period = 1.0 / conditions.rate
-    inner = conditions.controller(law(soft=setup.soft, alpha=1.0))
+    inner = conditions.controller(law(soft=setup.soft, null_space=pliant.NullSpace(gain=1.0)))
     if not isinstance(inner, pliant.Controller):
         raise pliant.ConfigError("a door is felt through a controller of pliant's own")
     controller = ByResistance(inner, period)

@@ -31,8 +31,8 @@ ROOT = Path(__file__).resolve().parents[1]
 MODULES = [pliant] + [
     import_module(f"pliant.{name}")
     for name in (
-        *("arm", "config", "identify", "log", "loop", "reactions", "robots", "servo", "sim"),
-        *("emulator", "teach", "view"),
+        *("arm", "config", "functional", "identify", "log", "loop", "reactions", "robots"),
+        *("emulator", "servo", "sim", "teach", "view"),
     )
 ]
 #: What texts call an object of a class.
@@ -43,6 +43,11 @@ OBJECTS = {
     "servos": pliant.Servos,
     "settings": pliant.Settings,
     "task": pliant.Task,
+    "tracking": pliant.Tracking,
+    "null_space": pliant.NullSpace,
+    "compensation": pliant.Compensation,
+    "torque_limits": pliant.TorqueLimits,
+    "paper_options": pliant.functional.PaperOptions,
     "payload": pliant.Payload,
     "tick": import_module("pliant.loop").Tick,
     "recorder": import_module("pliant.log").Recorder,
@@ -389,14 +394,14 @@ def test_examples_run():
 
 
 def accepted(text: str, _file: str) -> list[str]:
-    return re.findall(r"accept=\([\"'](\w+)[\"'],\)", text)
+    return [a or b for a, b in re.findall(r"accept=\([\"'](\w+)[\"'],\)|\b(accept_\w+)=True", text)]
 
 
 def is_risk(risk: str) -> bool:
     """Whether a risk can be accepted by this name."""
     controller = pliant.Controller(pliant.robots.so101(), pliant.Settings(task="xyz"))
     for take in (
-        lambda: pliant.Settings(accept=(risk,)),
+        lambda: pliant.Settings(**{risk: True}),
         lambda: pliant.ContactEstimator(controller, accept=(risk,)),
     ):
         with contextlib.suppress(pliant.ConfigError):
@@ -529,6 +534,7 @@ def test_extras_exist():
         ("pliant.identify.run(arm) measures k_p", calls, is_callable_so),
         ("say Servos.of(['sts9999'])", examples, runs),
         ('take it by name: accept=("everything",)', accepted, is_risk),
+        ("accept the risk: Settings(accept_everything=True)", accepted, is_risk),
         ("or give payloads= as well", bare_keywords, is_keyword),
         ("set Budget.hotest lower", dotted_names, is_dotted_name),
         ("the page trouble_shooting.md", dotted_names, is_dotted_name),

@@ -20,11 +20,12 @@ def controller(model: pliant.Model) -> pliant.Controller:
     soft = pliant.Axis(soft=problem.SOFT, firm=problem.FIRM, adaptation=problem.ETA, **endless)
     settings = pliant.Settings.paper(
         axes={"xz rpy": stiff, "y": soft},
-        damping=problem.DAMPING,
-        projector="paper",
-        limit_avoidance=problem.LIMIT_WEIGHT,
-        posture=problem.bench_arm().rest,
-        joint_speed=[1e3] * model.n,
+        tracking=pliant.Tracking(damping=problem.DAMPING, joint_speed=[1e3] * model.n),
+        null_space=pliant.NullSpace(
+            projector="paper",
+            limit_avoidance=problem.LIMIT_WEIGHT,
+            posture=problem.bench_arm().rest,
+        ),
     )
     servos = pliant.Servos(kp=[100.0] * model.n, max_torque=[100.0] * model.n)
     return pliant.Controller(model, settings, servos)

@@ -72,7 +72,11 @@ def matrix(pose: str, *, damped: bool = False) -> Array:
         Shares of joints (rows) in task axes and null space (columns).
     """
     q = POSES[pose]
-    settings = laws.paper(soft="") if damped else laws.paper(soft="", damping=0.0)
+    settings = (
+        laws.paper(soft="")
+        if damped
+        else laws.paper(soft="", tracking=pliant.Tracking(damping=0.0))
+    )
     controller = pliant.Controller(arm(), settings)
     controller.reset(q)
     controller.step(q, tool(q))

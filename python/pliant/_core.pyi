@@ -14,6 +14,7 @@ __all__ = [
     "Axis",
     "BatchState",
     "Command",
+    "Compensation",
     "ConfigError",
     "ContactEstimator",
     "Controller",
@@ -27,7 +28,9 @@ __all__ = [
     "Link",
     "Mimic",
     "Model",
+    "NullSpace",
     "OutOfRangeError",
+    "PaperOptions",
     "Payload",
     "PliantError",
     "Pose",
@@ -39,6 +42,8 @@ __all__ = [
     "Settings",
     "ShapeError",
     "Task",
+    "TorqueLimits",
+    "Tracking",
     "UrdfError",
     "WrenchEstimate",
     "__version__",
@@ -1001,53 +1006,349 @@ _Law: TypeAlias = Literal["cap", "impedance", "paper"]
 _Speeds: TypeAlias = float | tuple[float | None, float | None] | None
 _Damping: TypeAlias = float | tuple[float, float, float] | None
 
+class _TrackingFields(TypedDict, total=False):
+    gain: ArrayLike
+    damping: _Damping
+    velocity_filter: float
+    goal_slew: float | None
+    joint_speed: ArrayLike | None
+    integrate: float
+
+@final
+class Tracking:
+    """How the stiff axes follow the target. Frozen; `replace` makes variants.
+
+    Given to `Settings`, a preset or `replace`, it changes the fields that were given to it; the
+    others keep their values.
+
+    Args:
+        gain: Gain K_x of (5) [1/s]: a number, or one per axis of the task.
+        damping: Damping of the inverse: None: from the arm; a number: lambda; or (lambda_0,
+            sigma_0, lambda_max).
+        velocity_filter: Time constant of the velocity filter [s].
+        goal_slew: Most speed of the goals [rad/s]; None for no limit. All go the same share of
+            their ways, the weight that they carry apart and first.
+        joint_speed: Joint speed limits (n,) [rad/s]; None: the model's.
+        integrate: Rate at which the goal of stiff axes integrates [1/s]; 0 for none.
+
+    Raises:
+        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
+            ConfigError: A field or word that is not known, with a suggestion.
+    """
+
+    def __new__(
+        cls,
+        *,
+        gain: ArrayLike = 4.0,
+        damping: _Damping = None,
+        velocity_filter: float = 0.02,
+        goal_slew: float | None = 1.0,
+        joint_speed: ArrayLike | None = None,
+        integrate: float = 0.0,
+    ) -> Tracking: ...
+    @property
+    def gain(self) -> float | list[float]: ...
+    @property
+    def damping(self) -> float | tuple[float, float, float] | None: ...
+    @property
+    def velocity_filter(self) -> float: ...
+    @property
+    def goal_slew(self) -> float: ...
+    @property
+    def joint_speed(self) -> _Array | None: ...
+    @property
+    def integrate(self) -> float: ...
+    def replace(self, **changes: Unpack[_TrackingFields]) -> Tracking:
+        """The same with some fields changed."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
+
+class _NullSpaceFields(TypedDict, total=False):
+    posture: ArrayLike | None
+    gain: float | None
+    max_torque: float | None
+    stiffness: float | None
+    max_speed: float | None
+    limit_avoidance: float
+    projector: Literal["exact", "paper"]
+
+@final
+class NullSpace:
+    """Motion of the joints that the task leaves free. Frozen; `replace` makes variants.
+
+    Given to `Settings`, a preset or `replace`, it changes the fields that were given to it; the
+    others keep their values.
+
+    Args:
+        posture: Rest posture (n,) [rad]; None: q at reset.
+        gain: Step of the null-space motion [1/s]; None: as `Tracking.gain`.
+        max_torque: Most the null-space motion may ask of all joints together [N m]; None: 2 where
+            the arm is redundant.
+        stiffness: Law impedance: stiffness of the null-space motion [N m/rad], in place of `gain`;
+            None: as `gain` has it.
+        max_speed: Most speed of the null-space motion [rad/s]; None for no limit.
+        limit_avoidance: Weight of the joint-limit cost.
+        projector: `"exact"`, or `"paper"`: the printed I - J+ J with the damped J+.
+
+    Raises:
+        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
+            ConfigError: A field or word that is not known, with a suggestion.
+    """
+
+    def __new__(
+        cls,
+        *,
+        posture: ArrayLike | None = None,
+        gain: float | None = None,
+        max_torque: float | None = None,
+        stiffness: float | None = None,
+        max_speed: float | None = None,
+        limit_avoidance: float = 0.0,
+        projector: Literal["exact", "paper"] = "exact",
+    ) -> NullSpace: ...
+    @property
+    def posture(self) -> _Array | None: ...
+    @property
+    def gain(self) -> float | None: ...
+    @property
+    def max_torque(self) -> float | None: ...
+    @property
+    def stiffness(self) -> float | None: ...
+    @property
+    def max_speed(self) -> float: ...
+    @property
+    def limit_avoidance(self) -> float: ...
+    @property
+    def projector(self) -> Literal["exact", "paper"]: ...
+    def replace(self, **changes: Unpack[_NullSpaceFields]) -> NullSpace:
+        """The same with some fields changed."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
+
+class _CompensationFields(TypedDict, total=False):
+    friction: float
+    damping: float
+    delay: float
+
+@final
+class Compensation:
+    """Shares of friction, damping and delay that are compensated, 0 to 1. Frozen.
+
+    Given to `Settings`, a preset or `replace`, it changes the fields that were given to it; the
+    others keep their values.
+
+    Args:
+        friction: Share of the friction that is fed forward.
+        damping: Share of the damping that is fed forward.
+        delay: Share of the delay that is predicted over.
+
+    Raises:
+        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
+            ConfigError: A field or word that is not known, with a suggestion.
+    """
+
+    def __new__(
+        cls,
+        *,
+        friction: float = 0.9,
+        damping: float = 0.8,
+        delay: float = 0.9,
+    ) -> Compensation: ...
+    @property
+    def friction(self) -> float: ...
+    @property
+    def damping(self) -> float: ...
+    @property
+    def delay(self) -> float: ...
+    def replace(self, **changes: Unpack[_CompensationFields]) -> Compensation:
+        """The same with some fields changed."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
+
+class _TorqueLimitsFields(TypedDict, total=False):
+    margin: float
+    floor: ArrayLike | None
+    stiffening_time: float
+    max_host_loss_force: float | None
+
+@final
+class TorqueLimits:
+    """Joint torque limits that go to the servos. Frozen; `replace` makes variants.
+
+    Given to `Settings`, a preset or `replace`, it changes the fields that were given to it; the
+    others keep their values.
+
+    Args:
+        margin: Margin of the limits as a share of the usable torque.
+        floor: Floor of the torque limits (n,) [N m]; None: the servos' friction.
+        stiffening_time: Time in which a limit may rise from zero to its ceiling [s]; 0 for no
+            limit.
+        max_host_loss_force: Most that a hand shall meet along the task's translations if the host
+            dies [N]: the limits give up their margin first, then what they have beyond the arm's
+            weight; None: no such bound. Costs some 0.3 ms a step, 1 ms where it acts.
+
+    Raises:
+        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
+            ConfigError: A field or word that is not known, with a suggestion.
+    """
+
+    def __new__(
+        cls,
+        *,
+        margin: float = 0.1,
+        floor: ArrayLike | None = None,
+        stiffening_time: float = 0.2,
+        max_host_loss_force: float | None = None,
+    ) -> TorqueLimits: ...
+    @property
+    def margin(self) -> float: ...
+    @property
+    def floor(self) -> _Array | None: ...
+    @property
+    def stiffening_time(self) -> float: ...
+    @property
+    def max_host_loss_force(self) -> float | None: ...
+    def replace(self, **changes: Unpack[_TorqueLimitsFields]) -> TorqueLimits:
+        """The same with some fields changed."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
+
+class _PaperOptionsFields(TypedDict, total=False):
+    follow: Literal["free", "hold"] | None
+    limits: Literal["demand", "sum"]
+    horizon: float
+    kq: ArrayLike
+    joint_weights: ArrayLike | None
+    posture_weights: ArrayLike | None
+    manipulability: float
+    gravity_use: Literal["both", "goal", "limits"]
+    gravity_scale: float
+    friction_speed: float
+    direction_band: float | None
+    raw_deviation: bool
+    budget_on_goal: bool
+    lead_limit: float | None
+
+@final
+class PaperOptions:
+    """Options of the published law, for studies; not needed to run an arm. Frozen.
+
+    Exported as `pliant.functional.PaperOptions`; the field `paper_options` of `Settings`.
+
+    Given to `Settings`, a preset or `replace`, it changes the fields that were given to it; the
+    others keep their values.
+
+    Args:
+        follow: `"free"`: yielding axes leave the solve and exert exactly their force; `"hold"`: one
+            solve for all; None: by law, hold for paper. Law impedance has no solve.
+        limits: Rule for the joint torque limits, not law paper: what the law wants at this tick, or
+            the `"sum"` over all axes of what each may ask for.
+        horizon: Horizon h of the goal q + h dq [s].
+        kq: Gain K_q of (5), law paper: a number, one per joint, or a matrix.
+        joint_weights: Law paper: weight of each joint in J+ (n,); None: 1.
+        posture_weights: Weight of each joint in the posture cost (n,); None: 1.
+        manipulability: Weight of the manipulability cost.
+        gravity_use: Where the gravity model is used if `Settings.gravity` is True: in goals and
+            limits, or in one of them.
+        gravity_scale: Factor on gravity in the limits.
+        friction_speed: Speed at which the friction feed-forward saturates [rad/s].
+        direction_band: Half-width of the band in which an axis that yields to one side changes
+            over, as a share of `soft_until`; None: 0.1, under law paper 0.
+        raw_deviation: Compliance from the raw instead of the adapted deviation.
+        budget_on_goal: Law paper: clamp each axis' step to what its budget can do.
+        lead_limit: Law paper: how far a goal may lead [rad]; None: what the limit can use; inf for
+            no limit.
+
+    Raises:
+        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
+            ConfigError: A field or word that is not known, with a suggestion.
+    """
+
+    def __new__(
+        cls,
+        *,
+        follow: Literal["free", "hold"] | None = None,
+        limits: Literal["demand", "sum"] = "demand",
+        horizon: float = 0.25,
+        kq: ArrayLike = 1.0,
+        joint_weights: ArrayLike | None = None,
+        posture_weights: ArrayLike | None = None,
+        manipulability: float = 0.0,
+        gravity_use: Literal["both", "goal", "limits"] = "both",
+        gravity_scale: float = 1.1,
+        friction_speed: float = 0.05,
+        direction_band: float | None = None,
+        raw_deviation: bool = False,
+        budget_on_goal: bool = False,
+        lead_limit: float | None = None,
+    ) -> PaperOptions: ...
+    @property
+    def follow(self) -> Literal["free", "hold"] | None: ...
+    @property
+    def limits(self) -> Literal["demand", "sum"]: ...
+    @property
+    def horizon(self) -> float: ...
+    @property
+    def kq(self) -> float | list[float] | list[list[float]]: ...
+    @property
+    def joint_weights(self) -> _Array | None: ...
+    @property
+    def posture_weights(self) -> _Array | None: ...
+    @property
+    def manipulability(self) -> float: ...
+    @property
+    def gravity_use(self) -> Literal["both", "goal", "limits"]: ...
+    @property
+    def gravity_scale(self) -> float: ...
+    @property
+    def friction_speed(self) -> float: ...
+    @property
+    def direction_band(self) -> float | None: ...
+    @property
+    def raw_deviation(self) -> bool: ...
+    @property
+    def budget_on_goal(self) -> bool: ...
+    @property
+    def lead_limit(self) -> float | None: ...
+    def replace(self, **changes: Unpack[_PaperOptionsFields]) -> PaperOptions:
+        """The same with some fields changed."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
+
 class _SettingsFields(TypedDict, total=False):
     task: Task | str
     axes: Mapping[str, Axis]
     law: _Law
-    follow: Literal["free", "hold"] | None
-    limits: Literal["demand", "sum"]
-    projector: Literal["exact", "paper"]
-    kx: ArrayLike
-    horizon: float
-    kq: ArrayLike
-    alpha: float | None
     rate: float
-    damping: _Damping
-    posture: ArrayLike | None
-    posture_weights: ArrayLike | None
-    limit_avoidance: float
-    manipulability: float
-    null_torque: float | None
-    null_stiffness: float | None
-    null_speed: float | None
-    gravity: bool | Literal["goal", "limits"]
-    gravity_scale: float
-    friction_share: float
-    damping_share: float
-    prediction_share: float
-    friction_speed: float
-    velocity_filter: float
     delay: float
-    goal_slew: float | None
-    stiffening_time: float
+    gravity: bool
     max_tool_speed: _Speeds
     max_tool_acceleration: _Speeds
-    joint_speed: ArrayLike | None
-    floor: ArrayLike | None
-    margin: float
-    max_host_loss_force: float | None
-    direction_band: float | None
-    raw_deviation: bool
-    budget_on_goal: bool
-    joint_weights: ArrayLike | None
-    lead_limit: float | None
-    integrate: float
-    accept: Sequence[str]
+    accept_high_adaptation: bool
+    accept_high_stiffness: bool
+    tracking: Tracking
+    null_space: NullSpace
+    compensation: Compensation
+    torque_limits: TorqueLimits
+    paper_options: PaperOptions
 
 @final
 class Settings:
     """All settings of a controller. Frozen; `replace` makes variants, class methods presets.
+
+    A group such as `tracking` changes the fields that were given to it and leaves the others as
+    the default, the preset or the settings that are replaced have them:
+    ``Settings.door(null_space=NullSpace(max_torque=1.0))`` keeps the preset's `null_space.gain`.
 
     Args:
         task: Controlled axes and their frame: a `Task`, or its axis key.
@@ -1055,60 +1356,22 @@ class Settings:
             are not named are stiff.
         law: `"cap"`: force caps per axis; `"impedance"`: a spring and a damper per axis, with force
             caps; `"paper"`: equations (3)-(12), torque budgets per axis.
-        follow: `"free"`: yielding axes leave the solve and exert exactly their force; `"hold"`: one
-            solve for all; None: by law, hold for paper. Law impedance has no solve.
-        limits: Rule for the joint torque limits, not law paper: what the law wants at this tick, or
-            the `"sum"` over all axes of what each may ask for.
-        projector: `"exact"`, or `"paper"`: the printed I - J+ J with the damped J+.
-        kx: Gain K_x of (5) [1/s]: a number, one per axis, or a matrix.
-        horizon: Horizon h of the goal q + h dq [s].
-        kq: Gain K_q of (5), law paper: a number, one per joint, or a matrix.
-        alpha: Step of the null-space motion [1/s]; None: as `kx`.
         rate: Nominal control rate [Hz]: the default `dt` of a step is 1 / rate.
-        damping: Damping of the inverse: None: from the arm; a number: lambda; or (lambda_0,
-            sigma_0, lambda_max).
-        posture: Rest posture (n,) [rad]; None: q at reset.
-        posture_weights: Weight of each joint in the posture cost (n,); None: 1.
-        limit_avoidance: Weight of the joint-limit cost.
-        manipulability: Weight of the manipulability cost.
-        null_torque: Most the null-space motion may ask of all joints together [N m]; None: 2 where
-            the arm is redundant.
-        null_stiffness: Law impedance: stiffness of the null-space motion [N m/rad], in place of
-            `alpha`; None: as `alpha` has it.
-        null_speed: Most speed of the null-space motion [rad/s]; None for no limit.
-        gravity: Where the gravity model is used: True: goals and limits; `"goal"`; `"limits"`;
-            False: nowhere.
-        gravity_scale: Factor on gravity in the limits.
-        friction_share: Share of the friction that is fed forward.
-        damping_share: Share of the damping that is fed forward.
-        prediction_share: Share of the delay that is predicted over.
-        friction_speed: Speed at which the friction feed-forward saturates [rad/s].
-        velocity_filter: Time constant of the velocity filter [s].
         delay: From reading to arrival of the goal [s].
-        goal_slew: Most speed of the goals [rad/s]; None for no limit. All go the same share of
-            their ways, the weight that they carry apart and first.
-        stiffening_time: Time in which a limit may rise from zero to its ceiling [s]; 0 for no
-            limit.
+        gravity: The gravity model is used, in goals and limits.
         max_tool_speed: Most speed of the target that the law sees, `reference` [m/s], or a pair
             [m/s, rad/s]; a single number takes 4 rad/s for each m/s; None for no limit. The tool
             is faster while it catches up, by up to 0.1 m/s where friction let it go late.
         max_tool_acceleration: The same for its acceleration [m/s^2, rad/s^2].
-        joint_speed: Joint speed limits (n,) [rad/s]; None: the model's.
-        floor: Floor of the torque limits (n,) [N m]; None: the servos' friction.
-        margin: Margin of the limits as a share of the usable torque.
-        max_host_loss_force: Most that a hand shall meet along the task's translations if the host
-            dies [N]: the limits give up their margin first, then what they have beyond the arm's
-            weight;
-            None: no such bound. Costs some 0.3 ms a step, 1 ms where it acts.
-        direction_band: Half-width of the band in which an axis that yields to one side changes
-            over, as a share of `soft_until`; None: 0.1, under law paper 0.
-        raw_deviation: Compliance from the raw instead of the adapted deviation.
-        budget_on_goal: Law paper: clamp each axis' step to what its budget can do.
-        joint_weights: Law paper: weight of each joint in J+ (n,); None: 1.
-        lead_limit: Law paper: how far a goal may lead [rad]; None: what the limit can use; inf for
-            no limit.
-        integrate: Rate at which the goal of stiff axes integrates [1/s]; 0 for none.
-        accept: Risks taken by name: `"eta"`, `"stiffness"`.
+        accept_high_adaptation: Accept an `Axis.adaptation` above 0.95 though the servos' stiffness
+            is not known within 10 %: a gravity error may walk the arm away.
+        accept_high_stiffness: Law impedance: accept springs and dampers above what rate and delay
+            allow: the arm may oscillate.
+        tracking: How the stiff axes follow the target.
+        null_space: Motion of the joints that the task leaves free.
+        compensation: Shares of friction, damping and delay that are compensated.
+        torque_limits: Joint torque limits that go to the servos.
+        paper_options: Options for studies of the published law; not needed to run an arm.
 
     Raises:
         OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
@@ -1123,52 +1386,26 @@ class Settings:
         task: Task | str = "xyz rpy",
         axes: Mapping[str, Axis] = ...,
         law: _Law = "cap",
-        follow: Literal["free", "hold"] | None = None,
-        limits: Literal["demand", "sum"] = "demand",
-        projector: Literal["exact", "paper"] = "exact",
-        kx: ArrayLike = 4.0,
-        horizon: float = 0.25,
-        kq: ArrayLike = 1.0,
-        alpha: float | None = None,
         rate: float = 100.0,
-        damping: _Damping = None,
-        posture: ArrayLike | None = None,
-        posture_weights: ArrayLike | None = None,
-        limit_avoidance: float = 0.0,
-        manipulability: float = 0.0,
-        null_torque: float | None = None,
-        null_stiffness: float | None = None,
-        null_speed: float | None = None,
-        gravity: bool | Literal["goal", "limits"] = True,
-        gravity_scale: float = 1.1,
-        friction_share: float = 0.9,
-        damping_share: float = 0.8,
-        prediction_share: float = 0.9,
-        friction_speed: float = 0.05,
-        velocity_filter: float = 0.02,
         delay: float = 0.0,
-        goal_slew: float | None = 1.0,
-        stiffening_time: float = 0.2,
+        gravity: bool = True,
         max_tool_speed: _Speeds = (0.25, 1.0),
         max_tool_acceleration: _Speeds = (1.0, 4.0),
-        joint_speed: ArrayLike | None = None,
-        floor: ArrayLike | None = None,
-        margin: float = 0.1,
-        max_host_loss_force: float | None = None,
-        direction_band: float | None = None,
-        raw_deviation: bool = False,
-        budget_on_goal: bool = False,
-        joint_weights: ArrayLike | None = None,
-        lead_limit: float | None = None,
-        integrate: float = 0.0,
-        accept: Sequence[str] = (),
+        accept_high_adaptation: bool = False,
+        accept_high_stiffness: bool = False,
+        tracking: Tracking = ...,
+        null_space: NullSpace = ...,
+        compensation: Compensation = ...,
+        torque_limits: TorqueLimits = ...,
+        paper_options: PaperOptions = ...,
     ) -> Settings: ...
     @classmethod
     def paper(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
         """Law paper as printed: no gravity model, no limits beyond the paper's, nothing yields.
 
         Budgets [N m]: soft 0.5, firm = hold = 10, null space 2. In this and the other presets
-        `axes` changes the axes it names and leaves the others as the preset has them.
+        `axes` changes the axes it names, a group such as `tracking` the fields it was given; the
+        others stay as the preset has them.
         """
 
     @classmethod
@@ -1181,7 +1418,7 @@ class Settings:
 
     @classmethod
     def door(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Opens and closes doors: y and yaw follow the handle, eta 0.999 (accepted), alpha 1."""
+        """Opens and closes doors: y and yaw follow the handle, eta 0.999; null-space gain 1."""
 
     @classmethod
     def drawer(
@@ -1226,12 +1463,12 @@ class Settings:
 
     @classmethod
     def hand_guiding(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """A hand leads the tool: all axes of the task yield with eta 0.95; alpha 1."""
+        """A hand leads the tool: all axes of the task yield with eta 0.95; null-space gain 1."""
 
-    def tracking(
+    def raise_soft(
         self, model: Model, path: ArrayLike | None = None, *, servos: Servos | None = None
     ) -> Settings:
-        """These settings with `soft` raised, where it is below, to three times the friction.
+        """Settings whose `soft` is raised, where it is below, to three times the friction.
 
         With that, sinusoids are followed within a tenth of their amplitude where friction is known
         to 30 % and a tick late each way; softer, the joints' friction seen along the axis holds it
@@ -1254,85 +1491,29 @@ class Settings:
     @property
     def law(self) -> _Law: ...
     @property
-    def follow(self) -> Literal["free", "hold"] | None: ...
-    @property
-    def limits(self) -> Literal["demand", "sum"]: ...
-    @property
-    def projector(self) -> Literal["exact", "paper"]: ...
-    @property
-    def kx(self) -> float | list[float] | list[list[float]]: ...
-    @property
-    def horizon(self) -> float: ...
-    @property
-    def kq(self) -> float | list[float] | list[list[float]]: ...
-    @property
-    def alpha(self) -> float | None: ...
-    @property
     def rate(self) -> float: ...
-    @property
-    def damping(self) -> float | tuple[float, float, float] | None: ...
-    @property
-    def posture(self) -> _Array | None: ...
-    @property
-    def posture_weights(self) -> _Array | None: ...
-    @property
-    def limit_avoidance(self) -> float: ...
-    @property
-    def manipulability(self) -> float: ...
-    @property
-    def null_torque(self) -> float | None: ...
-    @property
-    def null_stiffness(self) -> float | None:
-        """Stiffness of the null-space motion under law impedance [N m/rad]."""
-
-    @property
-    def null_speed(self) -> float: ...
-    @property
-    def gravity(self) -> bool | Literal["goal", "limits"]: ...
-    @property
-    def gravity_scale(self) -> float: ...
-    @property
-    def friction_share(self) -> float: ...
-    @property
-    def damping_share(self) -> float: ...
-    @property
-    def prediction_share(self) -> float: ...
-    @property
-    def friction_speed(self) -> float: ...
-    @property
-    def velocity_filter(self) -> float: ...
     @property
     def delay(self) -> float: ...
     @property
-    def goal_slew(self) -> float: ...
-    @property
-    def stiffening_time(self) -> float: ...
+    def gravity(self) -> bool: ...
     @property
     def max_tool_speed(self) -> tuple[float, float]: ...
     @property
     def max_tool_acceleration(self) -> tuple[float, float]: ...
     @property
-    def joint_speed(self) -> _Array | None: ...
+    def accept_high_adaptation(self) -> bool: ...
     @property
-    def floor(self) -> _Array | None: ...
+    def accept_high_stiffness(self) -> bool: ...
     @property
-    def margin(self) -> float: ...
+    def tracking(self) -> Tracking: ...
     @property
-    def max_host_loss_force(self) -> float | None: ...
+    def null_space(self) -> NullSpace: ...
     @property
-    def direction_band(self) -> float | None: ...
+    def compensation(self) -> Compensation: ...
     @property
-    def raw_deviation(self) -> bool: ...
+    def torque_limits(self) -> TorqueLimits: ...
     @property
-    def budget_on_goal(self) -> bool: ...
-    @property
-    def joint_weights(self) -> _Array | None: ...
-    @property
-    def lead_limit(self) -> float | None: ...
-    @property
-    def integrate(self) -> float: ...
-    @property
-    def accept(self) -> tuple[str, ...]: ...
+    def paper_options(self) -> PaperOptions: ...
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
     def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...

@@ -6,6 +6,7 @@
 """
 
 from pliant._core import (
+    PaperOptions,
     activation,
     adapt_target,
     as_pose,
@@ -19,6 +20,7 @@ from pliant._core import (
 )
 
 __all__ = [
+    "PaperOptions",
     "activation",
     "adapt_target",
     "as_pose",

@@ -22,14 +22,14 @@ CAP = {
 RESISTING = ("door", "fridge", "horizontal", "oven")
 
 
-def all_stiff(*, soft, alpha):
+def all_stiff(*, soft, null_space):
     """`laws.all_stiff`, which has no soft axis to be told of."""
-    return laws.all_stiff(alpha=alpha)
+    return laws.all_stiff(null_space=null_space)
 
 
-def cap_stiff(*, soft, alpha):
+def cap_stiff(*, soft, null_space):
     """`laws.cap` without a soft axis."""
-    return laws.cap(soft="", alpha=alpha)
+    return laws.cap(soft="", null_space=null_space)
 
 
 @pytest.mark.parametrize(("scene", "grip"), CAP, ids=" ".join)

@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 from mismatch import under
 
+import pliant
 from experiments import goals, laws, merits, rates
 
 #: The preset under test.
-KX = {"kx": 4.8}
+GAIN = {"tracking": pliant.Tracking(gain=4.8)}
 
 
 def test_table_measures_and_judges():
@@ -23,13 +24,15 @@ def test_table_measures_and_judges():
 
 
 def test_a_stiffer_hold_keeps_the_drift_where_friction_is_believed_too_high():
-    rows = [row for row in goals.table("15 N hand, η 0.999") if row.preset == "cap(kx=4.8)"]
+    rows = [
+        row for row in goals.table("15 N hand, η 0.999") if row.preset == "cap(tracking.gain=4.8)"
+    ]
     assert [row.figure for row in rows] == ["force [N]", "drift [mm]"]
     assert all(row.met for row in rows)  # (7.36 N of 7.5, 3.33 mm of 4.0)
     (too_high,) = (one for one in goals.UNCERTAIN if one.believed > 1.0)
     with under(too_high):
         stiffer, default = (
-            merits.light(laws.cap(**options))(too_high)["drift [mm]"] for options in (KX, {})
+            merits.light(laws.cap(**options))(too_high)["drift [mm]"] for options in (GAIN, {})
         )
     assert stiffer == rows[1].reached_uncertain
     assert default > 4.0

@@ -31,7 +31,9 @@ def test_dead_host_max_is_kept_where_the_report_says_so(pose):
     bench = Bench(load("arm7"), settings)
     free = bench.push(pose, "y", 1.0)
     most = free.said - 2.0  # [N]
-    spared = Bench(load("arm7"), settings.replace(max_host_loss_force=most)).push(pose, "y", 1.0)
+    spared = Bench(
+        load("arm7"), settings.replace(torque_limits=pliant.TorqueLimits(max_host_loss_force=most))
+    ).push(pose, "y", 1.0)
     assert spared.said <= most
     assert spared.felt < free.felt - 1.0
     assert spared.allowed

@@ -5,6 +5,7 @@ import pytest
 from experiments import laws, tracking
 from experiments.conditions import Conditions
 from experiments.setups import AXES
+from pliant import NullSpace
 
 #: Rms error over amplitude (.013 .021 .041 .013 .034 .016), other positions [m] (.0044, .0061).
 CAP_SHARE = {"x": 0.025, "y": 0.035, "z": 0.06, "roll": 0.025, "pitch": 0.05, "yaw": 0.03}
@@ -34,9 +35,9 @@ def test_limits_only_loses_height_when_the_arm_is_stretched():
 @pytest.mark.parametrize(
     ("law", "delay"),
     [
-        (laws.rec_at_edge(alpha=1.0), (0, 0)),
-        (laws.cap_at_edge(alpha=1.0), (0, 0)),
-        (laws.cap_at_edge(alpha=1.0), (1, 1)),
+        (laws.rec_at_edge(null_space=NullSpace(gain=1.0)), (0, 0)),
+        (laws.cap_at_edge(null_space=NullSpace(gain=1.0)), (0, 0)),
+        (laws.cap_at_edge(null_space=NullSpace(gain=1.0)), (1, 1)),
     ],
     ids=["rec_at_edge", "cap_at_edge", "cap_at_edge, tick each way"],
 )

@@ -140,9 +140,9 @@ def test_mistakes_of_settings_and_servos_are_said_with_the_rest():
 @pytest.mark.parametrize("first", ['task = "xyzq"', 'law = "capp"'])
 def test_what_depends_on_a_wrong_field_is_not_judged(first):
     with pytest.raises(pliant.ConfigError) as caught:
-        config.parse(SIM + f"[settings]\n{first}\nkx = [1.0, 1.0, 1.0]\n")
+        config.parse(SIM + f"[settings]\n{first}\ntracking.gain = [1.0, 1.0, 1.0]\n")
     assert str(caught.value).count("settings: ") == 1
-    assert "kx" not in str(caught.value).splitlines()[0]
+    assert "gain" not in str(caught.value).splitlines()[0]
 
 
 @pytest.mark.parametrize(
@@ -279,7 +279,7 @@ def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
     work = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
     text = 'backend = "sim"\nrobot.builtin = "arm7"\n[settings]\naxes.y = { soft = 4.0 }\n'
     left, sent = [], []
-    for bound in ("", "max_host_loss_force = 44.0\n"):
+    for bound in ("", "torque_limits.max_host_loss_force = 44.0\n"):
         read = config.parse(text + bound)
         still = pliant.connect(read)
         still.drive.plant.reset(work)
@@ -295,7 +295,7 @@ def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
     assert left[1] <= 44.0
     assert np.all(sent[1] <= sent[0] + 1e-9)
     with pytest.raises(pliant.ConfigError, match="did you mean 'max_host_loss_force'"):
-        config.parse(text + "max_host_loss_forc = 44.0\n").settings()
+        config.parse(text + "torque_limits.max_host_loss_forc = 44.0\n").settings()
 
 
 def test_a_wrong_task_is_said_once_and_as_the_task():

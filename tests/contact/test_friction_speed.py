@@ -13,7 +13,9 @@ FRICTION, SPEED = 0.3, 0.05  # [N·m], [rad/s]
 def test_residual_and_feed_forward_have_one_friction(friction_speed):
     model = pliant.robots.arm7()
     servos = pliant.Servos(kp=150.0, max_torque=10.7, friction=FRICTION, damping=0.0)
-    settings = pliant.Settings.firm().replace(friction_speed=friction_speed)
+    settings = pliant.Settings.firm().replace(
+        paper_options=pliant.functional.PaperOptions(friction_speed=friction_speed)
+    )
     controller = pliant.Controller(model, settings, servos)
     contact = pliant.ContactEstimator(controller)
     speed = np.full(7, SPEED)

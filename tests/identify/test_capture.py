@@ -12,7 +12,9 @@ from pliant import identify
 from pliant.sim import Plant
 
 COUNT = np.deg2rad(0.088)
-FOLLOWING = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, adaptation=0.999)}, accept=("eta",))
+FOLLOWING = pliant.Settings(
+    axes={"y": pliant.Axis(soft=4.0, adaptation=0.999)}, accept_high_adaptation=True
+)
 
 
 def standing(arm, q, settings=FOLLOWING, **differs):
@@ -55,7 +57,7 @@ def test_an_arm_that_walks_is_stopped_and_told_what_helps():
     assert np.linalg.norm(plant.tool[:3, 3] - start) < 0.02
     assert controller.settings == settings
     assert found.remedy is not None
-    assert found.remedy.friction_share < settings.friction_share
+    assert found.remedy.compensation.friction < settings.compensation.friction
     assert "controller.update(found.remedy)" in str(found)
 
 
@@ -73,8 +75,8 @@ def test_settings_come_back_after_an_exception(arm, grasp):
     for _ in range(5):
         plant.write(procedure.step(plant.read().q).goal)
         plant.advance()
-    assert controller.settings.integrate == 4.0
-    assert controller.settings.friction_share == controller.settings.damping_share == 0.0
+    assert controller.settings.tracking.integrate == 4.0
+    assert controller.settings.compensation == pliant.Compensation(friction=0.0, damping=0.0)
     with pytest.raises(pliant.ShapeError):
         procedure.step(np.full(7, np.nan))
     with pytest.raises(pliant.PliantError):

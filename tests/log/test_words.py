@@ -44,7 +44,7 @@ def test_settings_keep_every_bit():
         "settings": pliant.Settings(
             task=pliant.Task(axes="xyz", frame=np.eye(3)),
             axes={"y": pliant.Axis(soft=0.1 / 3.0, firm=(15.0, 0.1 + 0.2), adaptation=0.9)},
-            posture=[0.1] * 5,
+            null_space=pliant.NullSpace(posture=[0.1] * 5),
             law="impedance",
         ),
         "servos": pliant.robots.koch().servos,

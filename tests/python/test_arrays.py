@@ -66,7 +66,7 @@ def _calls():
     q = np.array([0.3, -0.4, 0.2, -1.2, 0.5, 0.6, -0.3])
     target = model.forward_kinematics(q)
     target[:3, 3] += [0.02, -0.03, 0.01]
-    soft = pliant.Settings.soft("y", kx=1.0)
+    soft = pliant.Settings.soft("y", tracking=pliant.Tracking(gain=1.0))
 
     def fresh():
         controller = pliant.Controller(model, soft)

@@ -59,7 +59,9 @@ def test_rows_have_the_bits_of_single_steps(model, law, count):
 @pytest.mark.parametrize("law", LAWS)
 def test_without_a_state_rows_are_first_steps_without_slew(model, law):
     controller = pliant.Controller(model, LAWS[law])
-    free = LAWS[law].replace(goal_slew=np.inf, max_tool_speed=(np.inf, np.inf))
+    free = LAWS[law].replace(
+        tracking=pliant.Tracking(goal_slew=np.inf), max_tool_speed=(np.inf, np.inf)
+    )
     q, targets = arms(model, 100)
     controller.step(q[3], targets[3])
     command = controller.step_batch(q, targets)

@@ -164,7 +164,7 @@ def test_masked_arrays_are_no_numbers():
         lambda: controller.step_batch(np.array([Q]), np.ma.array(target[None])),
         lambda: contact.update(masked),
         lambda: MODEL.forward_kinematics(masked),
-        lambda: pliant.Settings(posture=masked),
+        lambda: pliant.Settings(null_space=pliant.NullSpace(posture=masked)),
     ):
         with pytest.raises(TypeError, match=r"masked array"):
             call()
@@ -177,7 +177,9 @@ def test_numpy_truth_values_are_no_numbers():
             lambda value=value: controller.step(Q, target, dt=value),
             lambda value=value: controller.set_delay(value),
             lambda value=value: contact.update(Q, dt=value),
-            lambda value=value: pliant.Settings(horizon=value),
+            lambda value=value: pliant.Settings(
+                paper_options=pliant.functional.PaperOptions(horizon=value)
+            ),
             lambda value=value: pliant.Axis(soft=value),
         ):
             with pytest.raises((TypeError, pliant.ConfigError)):

@@ -31,7 +31,9 @@ INTERMEDIATES = {
 
 @pytest.mark.parametrize("task", ["xyz rpy", "xyz", "y", "x z pitch"])
 def test_intermediates_have_the_size_of_the_task(model, q, target, task):
-    controller = pliant.Controller(model, pliant.Settings(task=task, delay=0.01, kx=2.0))
+    controller = pliant.Controller(
+        model, pliant.Settings(task=task, delay=0.01, tracking=pliant.Tracking(gain=2.0))
+    )
     controller.step(q, target)
     k = len(pliant.Task(task))
     sizes = {"k": k, "n": 7, "m": k + 1}
@@ -162,7 +164,7 @@ BAD_STEPS = {
 @pytest.mark.parametrize("started", [False, True], ids=["fresh", "running"])
 @pytest.mark.parametrize("bad", BAD_STEPS)
 def test_after_an_error_the_next_step_is_as_if_nothing_had_been(model, q, target, bad, started):
-    settings = pliant.Settings.soft("y", integrate=0.5)
+    settings = pliant.Settings.soft("y", tracking=pliant.Tracking(integrate=0.5))
     calm, shaken = pliant.Controller(model, settings), pliant.Controller(model, settings)
     if started:
         for controller in (calm, shaken):
@@ -184,10 +186,10 @@ def test_a_failed_update_changes_nothing(model, q, target):
         calm.step(q + 0.001 * i, target)
         shaken.step(q + 0.001 * i, target)
     kept = shaken.settings
-    with pytest.raises(pliant.OutOfRangeError, match="kx"):
-        shaken.update(pliant.Settings(kx=50.0))
-    with pytest.raises(pliant.ShapeError, match="posture"):
-        shaken.update(pliant.Settings(posture=[0.0] * 6))
+    with pytest.raises(pliant.OutOfRangeError, match=r"tracking\.gain"):
+        shaken.update(pliant.Settings(tracking=pliant.Tracking(gain=50.0)))
+    with pytest.raises(pliant.ShapeError, match=r"null_space\.posture"):
+        shaken.update(pliant.Settings(null_space=pliant.NullSpace(posture=[0.0] * 6)))
     with pytest.raises(TypeError):
         shaken.update("softer")
     for call in (
@@ -210,7 +212,8 @@ def test_same_inputs_same_bits(model, target):
 
     def run():
         controller = pliant.Controller(
-            model, pliant.Settings.soft("y yaw", integrate=0.2, delay=0.01)
+            model,
+            pliant.Settings.soft("y yaw", tracking=pliant.Tracking(integrate=0.2), delay=0.01),
         )
         return b"".join(
             command.goal.tobytes() + command.torque_limit.tobytes()
@@ -232,7 +235,7 @@ def test_reset_forgets_everything(model, q, target):
 def test_step_joints_is_a_step_to_their_pose_with_them_as_posture(model, q):
     wanted = q + 0.02
     a = pliant.Controller(model).step_joints(q, wanted)
-    settings = pliant.Settings(posture=wanted)
+    settings = pliant.Settings(null_space=pliant.NullSpace(posture=wanted))
     b = pliant.Controller(model, settings).step(q, model.forward_kinematics(wanted))
     np.testing.assert_allclose(a.goal, b.goal, atol=1e-14)
     np.testing.assert_allclose(a.torque_limit, b.torque_limit, atol=1e-12)
@@ -256,7 +259,7 @@ def test_payload_gravity_and_delay_while_running(model, controller, q, target):
     assert not controller.diagnostics.gravity.any()
     controller.set_delay(0.3)
     assert controller.diagnostics.gain_factor == 1.0
-    stiff = pliant.Controller(model, pliant.Settings(kx=6.0))
+    stiff = pliant.Controller(model, pliant.Settings(tracking=pliant.Tracking(gain=6.0)))
     stiff.set_delay(0.02)
     assert stiff.diagnostics.gain_factor < 1.0
     stiffness = controller.capture_gravity(q, q)
@@ -341,7 +344,7 @@ def test_too_stiff_springs_are_refused_with_the_nearest_that_work():
     settings = pliant.Settings(law="impedance", axes=stiff, delay=0.02)
     with pytest.raises(pliant.ConfigError, match=r"use x=\d+ N/m, y=\d+ N/m, z=\d+ N/m"):
         pliant.Controller(model, settings)
-    pliant.Controller(model, settings.replace(accept="stiffness"))
+    pliant.Controller(model, settings.replace(accept_high_stiffness=True))
 
 
 @pytest.mark.parametrize("law", ["cap", "paper", "impedance"])

@@ -102,14 +102,13 @@ def _settings(case):
         )
     return pliant.Settings.paper(
         axes=axes,
-        projector="paper",
-        damping=case["lam"],
-        kx=case["Kx"],
-        kq=case["Kq"],
-        alpha=case["alpha"],
-        posture_weights=[0.0] * 7,
-        null_torque=case["tau_null"],
-        joint_speed=[float("inf")] * 7,
+        null_space=pliant.NullSpace(
+            projector="paper", gain=case["alpha"], max_torque=case["tau_null"]
+        ),
+        tracking=pliant.Tracking(
+            damping=case["lam"], gain=case["Kx"], joint_speed=[float("inf")] * 7
+        ),
+        paper_options=pliant.functional.PaperOptions(kq=case["Kq"], posture_weights=[0.0] * 7),
     )
 
 

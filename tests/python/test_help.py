@@ -93,7 +93,7 @@ def test_an_object_of_another_kind_is_answered_with_how_to_get_one(model):
             lambda: pliant.feasibility.check_path("arm7", pliant.Settings(), np.eye(4)),
             "model must be a Model",
         ),
-        (lambda: pliant.Settings.firm().tracking("arm7"), "model must be a Model"),
+        (lambda: pliant.Settings.firm().raise_soft("arm7"), "model must be a Model"),
         (lambda: pliant.Controller(model, "y"), r"settings must be Settings, e\.g\. .*got 'y'"),
         (lambda: made.update("y"), "settings must be Settings"),
         (lambda: pliant.Controller(model, None, "sts3215"), r"servos must be Servos, e\.g\."),

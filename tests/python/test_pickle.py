@@ -17,10 +17,15 @@ COPIES = {
     **{f"pickle {n}": lambda x, n=n: pickle.loads(pickle.dumps(x, n)) for n in range(2, 6)},
 }
 LAWS = {
-    "cap": pliant.Settings.soft("y", integrate=0.3, delay=0.02),
-    "impedance": pliant.Settings.soft("y yaw", law="impedance", goal_slew=0.3),
+    "cap": pliant.Settings.soft("y", tracking=pliant.Tracking(integrate=0.3), delay=0.02),
+    "impedance": pliant.Settings.soft(
+        "y yaw", law="impedance", tracking=pliant.Tracking(goal_slew=0.3)
+    ),
     "paper": pliant.Settings.paper(),
-    "fewer axes": pliant.Settings(task="xyz", posture_weights=np.arange(1.0, 8.0)),
+    "fewer axes": pliant.Settings(
+        task="xyz",
+        paper_options=pliant.functional.PaperOptions(posture_weights=np.arange(1.0, 8.0)),
+    ),
 }
 
 
@@ -57,7 +62,7 @@ def test_a_copy_goes_on_to_the_bit(model, q, target, way, law):
     assert steps(running, q, target) == here
     assert running.diagnostics.gain_factor == controller.diagnostics.gain_factor
     assert (before != running.diagnostics.deviation).any()
-    changed = LAWS[law].replace(kx=2.0)
+    changed = LAWS[law].replace(tracking=pliant.Tracking(gain=2.0))
     for one in (controller, running):
         one.update(changed)
         one.reset(q)
@@ -110,7 +115,12 @@ def test_what_another_arm_carried_is_refused(model, q, target):
         (lambda c: c.step(q, target), "memory"),
         (lambda c: told(c, q), "captured"),
     ):
-        controller = pliant.Controller(model, LAWS["fewer axes"].replace(posture_weights=None))
+        controller = pliant.Controller(
+            model,
+            LAWS["fewer axes"].replace(
+                paper_options=pliant.functional.PaperOptions(posture_weights=None)
+            ),
+        )
         spoil(controller)
         make, (_, settings, _, numbers) = controller.__reduce__()
         with pytest.raises(pliant.ShapeError, match=f"{match} has shape"):

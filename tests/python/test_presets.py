@@ -7,6 +7,19 @@ import pliant
 import pliant.robots
 from pliant import Axis, Controller, Settings
 
+#: Names that the text of a preset uses.
+ROOM = {
+    kind.__name__: kind
+    for kind in (
+        Settings,
+        Axis,
+        pliant.Task,
+        pliant.Tracking,
+        pliant.NullSpace,
+        pliant.TorqueLimits,
+        pliant.functional.PaperOptions,
+    )
+}
 Q = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
 PRESETS = {
     "paper": Settings.paper,
@@ -35,9 +48,7 @@ def test_every_preset_fits_every_arm(name, robot):
         np.zeros(model.n), model.forward_kinematics(np.zeros(model.n))
     )
     assert np.isfinite(command.goal).all()
-    assert (
-        eval(repr(settings), {"Settings": Settings, "Axis": Axis, "Task": pliant.Task}) == settings
-    )
+    assert eval(repr(settings), ROOM) == settings
 
 
 def test_forces_are_the_arm_s_own_or_those_given(arm):
@@ -153,7 +164,7 @@ def test_a_limit_that_comes_while_the_arm_is_beyond_it_comes_within_the_slew(arm
     controller.update(Settings(axes={"y": Axis(deviation_limit=0.01)}))
     after = controller.step(q, target)
     assert controller.diagnostics.deviation[1] == pytest.approx(-0.01, abs=1e-9)
-    slew = controller.settings.goal_slew / controller.settings.rate
+    slew = controller.settings.tracking.goal_slew / controller.settings.rate
     assert np.abs(after.goal - goals[-1]).max() <= slew + 1e-12
 
 

@@ -56,7 +56,10 @@ def test_dead_host_max_bounds_what_is_left_of_a_dead_host(model, q, displaced):
     plain.step(q, target)
     free = plain.report()
     most = float(free.host_loss_force[:3].max()) - 4.0  # [N]
-    controller = pliant.Controller(model, pliant.Settings.soft("y", max_host_loss_force=most))
+    controller = pliant.Controller(
+        model,
+        pliant.Settings.soft("y", torque_limits=pliant.TorqueLimits(max_host_loss_force=most)),
+    )
     command = controller.step(q, target)
     report = controller.report()
     assert most - 0.5 < report.host_loss_force[:3].max() <= most
@@ -67,22 +70,26 @@ def test_dead_host_max_bounds_what_is_left_of_a_dead_host(model, q, displaced):
 
 
 def test_more_than_the_weight_leaves_cannot_be_kept(model, q):
-    settings = pliant.Settings.soft("y", max_host_loss_force=10.0)
+    settings = pliant.Settings.soft(
+        "y", torque_limits=pliant.TorqueLimits(max_host_loss_force=10.0)
+    )
     report = pliant.Controller(model, settings).report(q)
     assert report.host_loss_force[2, 0] > 10.0
     (said,) = [said for said in report.summary() if "max_host_loss_force" in said]
     assert "−z" in said
     check = pliant.feasibility.check_path(model, settings, q)
     assert not check
-    (found,) = [one for one in check.findings if one.setting == "max_host_loss_force"]
+    (found,) = [one for one in check.findings if one.setting == "torque_limits.max_host_loss_force"]
     assert (found.about, found.required) == ("−z", True)
     assert found.value >= report.host_loss_force[2, 0]
     assert pliant.feasibility.check_path(
-        model, settings.replace(max_host_loss_force=found.value), q
+        model,
+        settings.replace(torque_limits=pliant.TorqueLimits(max_host_loss_force=found.value)),
+        q,
     )
     for wrong in (0.0, -1.0, np.nan):
         with pytest.raises(pliant.OutOfRangeError, match="max_host_loss_force"):
-            pliant.Settings(max_host_loss_force=wrong)
+            pliant.Settings(torque_limits=pliant.TorqueLimits(max_host_loss_force=wrong))
 
 
 def test_what_delay_takes_off_springs_and_dampers_can_be_read(model, q):
@@ -239,13 +246,13 @@ def test_check_names_the_setting_and_a_value_that_works(model, q):
 
 def test_tracking_raises_soft_to_three_times_the_friction(model, q):
     asked = pliant.Settings(axes={"y": pliant.Axis(soft=0.01, firm=15.0)})
-    raised = asked.tracking(model, q)
+    raised = asked.raise_soft(model, q)
     rubs = pliant.Controller(model, asked).report(q).friction[1]
     soft = np.max(raised.axes["y"].soft)
     assert 3.0 * rubs <= soft <= 3.3 * rubs
     np.testing.assert_array_equal(raised.axes["y"].firm, 15.0)
-    assert raised.tracking(model, q) == raised
-    assert np.min(asked.tracking(model).axes["y"].soft) > 0.1
+    assert raised.raise_soft(model, q) == raised
+    assert np.min(asked.raise_soft(model).axes["y"].soft) > 0.1
 
 
 def test_a_singular_pose_that_a_push_leads_to_is_said(model):

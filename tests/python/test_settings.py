@@ -13,11 +13,35 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pliant
-from pliant import Axis, Payload, Pose, Servos, Settings, Task
+from pliant import (
+    Axis,
+    Compensation,
+    NullSpace,
+    Payload,
+    Pose,
+    Servos,
+    Settings,
+    Task,
+    TorqueLimits,
+    Tracking,
+)
+from pliant.functional import PaperOptions
 
 ROOM = {
-    name: getattr(pliant, name)
-    for name in ("Axis", "Payload", "Pose", "Servos", "Settings", "Task")
+    kind.__name__: kind
+    for kind in (
+        Axis,
+        Compensation,
+        NullSpace,
+        PaperOptions,
+        Payload,
+        Pose,
+        Servos,
+        Settings,
+        Task,
+        TorqueLimits,
+        Tracking,
+    )
 }
 
 
@@ -59,30 +83,56 @@ seven = st.lists(number(0.1, 3.0), min_size=7, max_size=7)
 
 
 @st.composite
+def some(draw, group, **fields):
+    """A group of settings of which some fields are given."""
+    kept = draw(st.sets(st.sampled_from(sorted(fields))))
+    return group(**{name: draw(fields[name]) for name in sorted(kept)})
+
+
+@st.composite
 def some_settings(draw):
     fields = {
         "task": draw(st.sampled_from(["xyz rpy", Task("xyz rpy", frame="tool")])),
         "axes": draw(st.dictionaries(st.sampled_from(Task().names), axes())),
         "law": draw(st.sampled_from(["cap", "paper"])),
-        "follow": draw(st.sampled_from([None, "free", "hold"])),
-        "limits": draw(st.sampled_from(["demand", "sum"])),
-        "kx": draw(st.one_of(number(0, 100), st.lists(number(0, 100), min_size=6, max_size=6))),
-        "kq": draw(st.one_of(number(0, 10), st.just(np.eye(7)))),
-        "alpha": draw(maybe(number(0, 100))),
         "rate": draw(number(1, 1000)),
-        "damping": draw(maybe(st.one_of(number(0, 10), st.just((0.02, 0.15, 0.15))))),
-        "posture": draw(maybe(seven)),
-        "null_speed": draw(maybe(number(0, 10))),
-        "gravity": draw(st.sampled_from([True, False, "goal", "limits"])),
+        "gravity": draw(st.booleans()),
         "max_tool_speed": draw(maybe(st.one_of(number(1e-3, 1), st.just((None, 2.0))))),
-        "lead_limit": draw(maybe(st.one_of(number(1e-3, 1), st.just(float("inf"))))),
-        "raw_deviation": draw(st.booleans()),
-        "accept": draw(st.sampled_from([(), ("eta",)])),
+        "accept_high_adaptation": draw(st.booleans()),
     }
-    kept = draw(st.sets(st.sampled_from(sorted(fields))))
+    groups = {
+        "tracking": some(
+            Tracking,
+            gain=st.one_of(number(0, 100), st.lists(number(0, 100), min_size=6, max_size=6)),
+            damping=maybe(st.one_of(number(0, 10), st.just((0.02, 0.15, 0.15)))),
+        ),
+        "null_space": some(
+            NullSpace,
+            gain=maybe(number(0, 100)),
+            posture=maybe(seven),
+            max_speed=maybe(number(0, 10)),
+        ),
+        "compensation": some(Compensation, friction=number(0, 1), delay=number(0, 1)),
+        "torque_limits": some(TorqueLimits, margin=number(0, 1), floor=maybe(seven)),
+        "paper_options": some(
+            PaperOptions,
+            follow=st.sampled_from([None, "free", "hold"]),
+            limits=st.sampled_from(["demand", "sum"]),
+            kq=st.one_of(number(0, 10), st.just(np.eye(7))),
+            gravity_use=st.sampled_from(["both", "goal", "limits"]),
+            lead_limit=maybe(st.one_of(number(1e-3, 1), st.just(float("inf")))),
+            raw_deviation=st.booleans(),
+        ),
+    }
+    kept = draw(st.sets(st.sampled_from(sorted([*fields, *groups]))))
     if draw(st.booleans()):
         springs = Axis(stiffness=draw(sides(0, 1e3)), damping=draw(maybe(sides(0, 40))))
-        return Settings(law="impedance", axes={"x": springs}, null_stiffness=draw(number(0, 60)))
+        return Settings(
+            law="impedance",
+            axes={"x": springs},
+            null_space=NullSpace(stiffness=draw(number(0, 60))),
+        )
+    fields |= {name: draw(groups[name]) for name in sorted(kept & groups.keys())}
     return Settings(**{name: fields[name] for name in kept})
 
 
@@ -118,7 +168,11 @@ def test_other_values_round_trip(value):
 
 def test_repr_shows_what_is_not_the_default():
     assert repr(Settings()) == "Settings()"
-    shown = repr(Settings(rate=200, axes={"y": Axis(soft=2)}, null_speed=None, task="xyz"))
+    shown = repr(
+        Settings(
+            rate=200, axes={"y": Axis(soft=2)}, null_space=NullSpace(max_speed=None), task="xyz"
+        )
+    )
     assert shown == "Settings(task=Task(axes='xyz'), axes={'y': Axis(soft=2.0)}, rate=200.0)"
     assert repr(Task("all")) == "Task()"
 
@@ -139,27 +193,28 @@ def test_they_are_frozen():
 def test_fields_read_as_given():
     settings = Settings(
         axes={"y yaw": Axis(soft=2.0, firm=(3.0, 4.0))},
-        kx=[1, 2, 3, 4, 5, 6],
-        damping=(0.02, 0.15, 0.2),
+        tracking=Tracking(gain=[1, 2, 3, 4, 5, 6], damping=(0.02, 0.15, 0.2), goal_slew=None),
         max_tool_speed=0.1,
         max_tool_acceleration=None,
-        goal_slew=None,
-        posture=np.zeros(7, dtype=np.float32),
-        gravity="limits",
+        null_space=NullSpace(posture=np.zeros(7, dtype=np.float32)),
+        paper_options=PaperOptions(gravity_use="limits"),
     )
     assert settings.axes["yaw"] == settings.axes["y"]
     assert settings.axes["y"].soft == (2.0, 2.0)
     assert settings.axes["y"].firm == (3.0, 4.0)
     assert settings.axes["x"] == Axis()
     assert isinstance(settings.axes, MappingProxyType)
-    assert settings.kx == [1, 2, 3, 4, 5, 6]
-    assert settings.damping == (0.02, 0.15, 0.2)
+    assert settings.tracking.gain == [1, 2, 3, 4, 5, 6]
+    assert settings.tracking.damping == (0.02, 0.15, 0.2)
     assert settings.max_tool_speed == (0.1, 0.4)
     assert settings.max_tool_acceleration == (float("inf"),) * 2
-    assert settings.goal_slew == float("inf")
-    assert settings.posture.dtype == np.float64
-    assert settings.gravity == "limits"
-    assert Settings(kx=np.eye(6)).kx == np.eye(6).tolist()
+    assert settings.tracking.goal_slew == float("inf")
+    assert settings.null_space.posture.dtype == np.float64
+    assert settings.gravity is True
+    assert settings.paper_options.gravity_use == "limits"
+    assert PaperOptions(kq=np.eye(6)).kq == np.eye(6).tolist()
+    with pytest.raises(pliant.ShapeError, match=r"tracking\.gain has shape \(6, 6\)"):
+        Tracking(gain=np.eye(6))
     assert Task("yaw x").names == ("x", "yaw")
     assert len(Task("x z pitch")) == 3
     servos = Servos(kp=[100, 50], max_torque=5)
@@ -178,6 +233,27 @@ def test_replace_changes_only_what_it_names():
     assert settings.replace(axes={}) == Settings(rate=200.0)
 
 
+def test_a_group_changes_only_the_fields_that_it_was_given():
+    door = Settings.door(null_space=NullSpace(max_torque=1.0), tracking=Tracking(gain=3.0))
+    assert door.null_space == NullSpace(gain=1.0, max_torque=1.0)
+    assert door.tracking == Tracking(gain=3.0)
+    paper = Settings.paper(tracking=Tracking(gain=3.0).replace(damping=0.1))
+    assert paper.tracking == Tracking(gain=3.0, damping=0.1, goal_slew=None)
+    assert Settings.paper(tracking=Tracking(goal_slew=1.0)).tracking.goal_slew == 1.0
+    slower = door.replace(tracking=Tracking(goal_slew=0.5))
+    assert slower.tracking == Tracking(gain=3.0, goal_slew=0.5)
+    # A group that settings show has all its fields.
+    assert Settings.door(null_space=Settings().null_space).null_space == NullSpace()
+    # Copies and pickles keep which fields were given.
+    for given_one in (
+        copy.copy(Tracking(gain=3.0)),
+        pickle.loads(pickle.dumps(Tracking(gain=3.0))),
+    ):
+        assert Settings.paper(tracking=given_one).tracking.goal_slew == float("inf")
+    assert repr(Tracking(gain=4.0)) == "Tracking(gain=4.0)"
+    assert repr(Settings(tracking=Tracking(gain=3.0))) == "Settings(tracking=Tracking(gain=3.0))"
+
+
 def test_presets():
     assert Settings.firm() == Settings()
     paper = Settings.paper()
@@ -187,11 +263,11 @@ def test_presets():
     door = Settings.door()
     assert [name for name, axis in door.axes.items() if axis.yields] == ["y", "yaw"]
     assert door.axes["y"].adaptation == 0.999
-    assert door.accept == ("eta",)
+    assert door.accept_high_adaptation
     guided = Settings.hand_guiding(task="xyz", axes={"z": Axis(hold=20.0)})
     assert [name for name, axis in guided.axes.items() if axis.yields] == ["x", "y"]
     assert guided.axes["z"] == Axis(hold=20.0)
-    assert guided.alpha == 1.0
+    assert guided.null_space.gain == 1.0
     soft = Settings.soft("y", axes={"x": Axis(hold=30.0)}, rate=200.0)
     assert soft.axes["y"] == Axis(yields="both", adaptation=0.9)
     assert soft.axes["x"].hold == 30.0
@@ -237,9 +313,25 @@ WRONG = {
         r"adaptation: must be a number, got "
         "True",
     ),
-    "a number for a flag": (lambda: Settings(raw_deviation=1), r"must be True or False, got 1"),
+    "a number for a flag": (
+        lambda: Settings(paper_options=PaperOptions(raw_deviation=1)),
+        r"must be True or False, got 1",
+    ),
     "a triple for a pair": (lambda: Axis(soft=(1, 2, 3)), r"soft: must be a number, or a pair"),
-    "a gravity": (lambda: Settings(gravity="off"), r"True, False, 'goal' or 'limits', got 'off'"),
+    "a gravity": (lambda: Settings(gravity="off"), r"gravity: must be True or False, got 'off'"),
+    "an unknown field of a group": (
+        lambda: Tracking(gian=1.0),
+        r"gian: Tracking has no such field; did you mean 'gain'\?",
+    ),
+    "an unknown group": (lambda: Settings(trackin=Tracking()), r"did you mean 'tracking'\?"),
+    "a field outside its group": (
+        lambda: Settings(goal_slew=1.0),
+        r"goal_slew: .*; use tracking=Tracking\(goal_slew=...\)",
+    ),
+    "another group": (
+        lambda: Settings(tracking=NullSpace()),
+        r"tracking: must be a Tracking such as Tracking\(gain=...\), got NullSpace\(\)",
+    ),
     "a key twice": (
         lambda: Settings(axes={"y": Axis(), "xyz": Axis()}),
         r"axes: 'y' is named by both 'y' and 'xyz'",
@@ -254,7 +346,10 @@ WRONG = {
     "a frame": (lambda: Task(frame="world"), r"frame: must be 'base', 'tool' or a 3x3"),
     "no rotation": (lambda: Task(frame=np.ones((3, 3))), r"task.frame: .*not a rotation"),
     "an axis without effect": (lambda: Axis(adaptation=0.5), r"Axis.adaptation: 0.5 has no effect"),
-    "a risk": (lambda: Settings(accept="heat"), r"'heat' is not a risk"),
+    "a risk": (
+        lambda: Settings(accept_high_stifness=True),
+        r"did you mean 'accept_high_stiffness'\?",
+    ),
     "servos without torque": (lambda: Servos(kp=1.0), r"servos.max_torque: is required"),
     "duty without speed": (
         lambda: Servos(kp=1.0, max_torque=1.0, limit_type="pwm"),
@@ -280,6 +375,8 @@ def test_numbers_outside_their_bounds():
         (lambda: Axis(adaptation=1.0, soft=1.0), "Axis.adaptation"),
         (lambda: Settings(rate=0.0), "rate [Hz]"),
         (lambda: Settings(rate=None), "rate [Hz]"),
+        (lambda: Tracking(gain=-1.0), "tracking.gain [1/s]"),
+        (lambda: NullSpace(gain=-1.0), "null_space.gain [1/s]"),
         (lambda: Settings(rate=float("nan")), "rate [Hz]"),
         (lambda: Servos(kp=[1.0, -1.0], max_torque=1.0), "servos.kp[1]"),
         (lambda: Payload(-1.0), "payload.mass [kg]"),
@@ -304,14 +401,14 @@ def test_no_axis_key_gets_past_the_reader(key):
 
 def test_springs_belong_to_law_impedance():
     springs = {"y": Axis(stiffness=(100.0, 50.0), damping=5.0)}
-    settings = Settings(law="impedance", axes=springs, null_stiffness=2.0)
+    settings = Settings(law="impedance", axes=springs, null_space=NullSpace(stiffness=2.0))
     assert settings.axes["y"].stiffness == (100.0, 50.0)
     assert settings.axes["y"].damping == (5.0, 5.0)
     with pytest.raises(pliant.ConfigError, match=r'axes\.y\.stiffness: belongs to law="impedance"'):
         Settings(axes=springs)
-    with pytest.raises(pliant.ConfigError, match=r'null_stiffness: belongs to law="impedance"'):
-        Settings(law="paper", null_stiffness=2.0)
+    with pytest.raises(pliant.ConfigError, match=r"null_space\.stiffness: belongs to law"):
+        Settings(law="paper", null_space=NullSpace(stiffness=2.0))
     with pytest.raises(pliant.ConfigError, match=r"has no solve"):
-        Settings(law="impedance", follow="hold")
+        Settings(law="impedance", paper_options=PaperOptions(follow="hold"))
     with pytest.raises(pliant.OutOfRangeError, match=r"stiffness = -1 is outside"):
         Axis(stiffness=-1.0)

@@ -73,12 +73,18 @@ def test_own_settings_take_every_law_and_every_edit(robot, task, kind):
 
 
 def test_file_that_names_no_soft_axis_begins_like_the_simulated_arm():
-    own = pliant.Settings(task="xyz", max_tool_speed=0.1, posture_weights=[1.0, 2.0, 1.0, 1.0, 1.0])
+    own = pliant.Settings(
+        task="xyz",
+        max_tool_speed=0.1,
+        paper_options=pliant.functional.PaperOptions(posture_weights=[1.0, 2.0, 1.0, 1.0, 1.0]),
+    )
     ready, _ = begin("so101", "xyz", own)
     bare, _ = begin("so101", "xyz")
     assert (ready.preset, ready.settings.axes) == (bare.preset, bare.settings.axes)
     assert ready.settings.max_tool_speed[0] == 0.1
-    assert list(ready.settings.posture_weights) == list(own.posture_weights)
+    assert list(ready.settings.paper_options.posture_weights) == list(
+        own.paper_options.posture_weights
+    )
 
 
 def test_no_preset_goes_faster_than_the_file():

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pliant
 from pliant import ConfigError, PliantError
 from pliant.config.messages import suggest
+from pliant.functional import PaperOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,6 +17,14 @@ if TYPE_CHECKING:
 
 #: Presets that need nothing but their name, and the one that needs axes.
 PRESETS = ("paper", "firm", "door", "drawer", "hand_guiding", "hand_over", "plug", "soft", "wipe")
+#: Groups of settings, each a table of its own.
+GROUPS = {
+    "tracking": pliant.Tracking,
+    "null_space": pliant.NullSpace,
+    "compensation": pliant.Compensation,
+    "torque_limits": pliant.TorqueLimits,
+    "paper_options": PaperOptions,
+}
 #: Fields on which the meaning of others depends: once one is wrong, the others cannot be judged.
 FIRST = ("task", "law")
 
@@ -56,6 +65,10 @@ def resolve(
         except (PliantError, TypeError) as error:
             wrong.append(f"task.{str(error).removeprefix('task.')}")
             del left["task"]
+    for name in GROUPS.keys() & left.keys():
+        group = _group(name, left.pop(name), wrong)
+        if group is not None:
+            left[name] = group
     while True:
         try:
             made = _make(left, preset, rate)
@@ -116,6 +129,25 @@ def _axis(key: str, value: Any, wrong: list[str]) -> pliant.Axis | None:
                 return None
         else:
             return axis if good else None
+
+
+def _group(name: str, table: Any, wrong: list[str]) -> Any:
+    """A group of settings, or None and what is wrong with it."""
+    if not isinstance(table, dict):
+        wrong.append(f"{name} is a table such as [settings.{name}], got {table!r}")
+        return None
+    left, good = dict(table), True
+    while True:
+        try:
+            group = GROUPS[name](**left)
+        except (PliantError, TypeError) as error:
+            said = str(error).removeprefix(f"{name}.")
+            wrong.append(f"{name}.{said}")
+            good = False
+            if not _leave_out(left, said):
+                return None
+        else:
+            return group if good else None
 
 
 def _leave_out(left: dict[str, Any], said: str) -> bool:

@@ -107,9 +107,9 @@ class Captured:
             return (
                 "weigh the payload or identify the servos, or lower eta, before you let it yield."
             )
-        friction, damping = self.remedy.friction_share, self.remedy.damping_share
+        friction, damping = self.remedy.compensation.friction, self.remedy.compensation.damping
         return (
-            f"with friction_share={friction:g}, damping_share={damping:g} it stays (a servo "
+            f"with Compensation(friction={friction:g}, damping={damping:g}) it stays (a servo "
             "that is stiffer than its table has its friction compensated too much): "
             "controller.update(found.remedy) until the servos are identified."
         )
@@ -178,9 +178,8 @@ def _capture(
         task=before.task,
         rate=before.rate,
         delay=before.delay,
-        integrate=INTEGRATE,
-        friction_share=0.0,
-        damping_share=0.0,
+        tracking=pliant.Tracking(integrate=INTEGRATE),
+        compensation=pliant.Compensation(friction=0.0, damping=0.0),
     )
     controller.reset(q)
     target = model.forward_kinematics(q)
@@ -244,8 +243,10 @@ def _remedy(
             controller.update(stiff)
             _, q = yield from _watch(controller, q, rest)
             less = before.replace(
-                friction_share=share * before.friction_share,
-                damping_share=share * before.damping_share,
+                compensation=pliant.Compensation(
+                    friction=share * before.compensation.friction,
+                    damping=share * before.compensation.damping,
+                ),
             )
             controller.update(less)
             drift, q = yield from _watch(controller, q, ticks, bound)

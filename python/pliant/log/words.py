@@ -9,10 +9,22 @@ import numpy as np
 
 import pliant
 from pliant import ConfigError
+from pliant.functional import PaperOptions
 
 _TYPES = {
     kind.__name__: kind
-    for kind in (pliant.Settings, pliant.Axis, pliant.Task, pliant.Servos, pliant.Payload)
+    for kind in (
+        pliant.Settings,
+        pliant.Tracking,
+        pliant.NullSpace,
+        pliant.Compensation,
+        pliant.TorqueLimits,
+        PaperOptions,
+        pliant.Axis,
+        pliant.Task,
+        pliant.Servos,
+        pliant.Payload,
+    )
 }
 
 

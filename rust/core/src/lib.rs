@@ -82,7 +82,10 @@ pub use number::Instructions;
 pub use pose::Pose;
 pub use report::{FeasibilityReport, Issue, PoseReport};
 pub use servos::{LimitType, Servos};
-pub use settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
+pub use settings::{
+    Compensation, Damping, Follow, Gain, GravityUse, Law, LimitRule, NullSpace, PaperOptions, Projector, Settings,
+    TorqueLimits, Tracking,
+};
 pub use task::axes::{Axis, Frame, OnDeviationLimit, Profile, Task, Yields};
 
 /// Most independent joints of a chain, and most joints between base and tip, mimic followers included.

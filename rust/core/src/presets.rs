@@ -1,7 +1,7 @@
 //! Settings for common jobs, to start from.
 
 use crate::error::{Error, Result};
-use crate::settings::{GravityUse, Law, Settings};
+use crate::settings::{Law, NullSpace, PaperOptions, Settings, TorqueLimits, Tracking};
 use crate::task::axes::{AXIS_NAMES, Axis, Profile, Yields};
 
 /// η of axes that a person or a mechanism is to move.
@@ -33,11 +33,11 @@ impl Settings {
     pub fn paper() -> Self {
         Self {
             law: Law::Paper,
-            gravity: GravityUse::Off,
-            goal_slew: f64::INFINITY,
-            stiffening_time: 0.0,
+            gravity: false,
             max_tool_speed: [f64::INFINITY; 2],
-            lead_limit: Some(f64::INFINITY),
+            tracking: Tracking { goal_slew: f64::INFINITY, ..Tracking::default() },
+            torque_limits: TorqueLimits { stiffening_time: 0.0, ..TorqueLimits::default() },
+            paper_options: PaperOptions { lead_limit: Some(f64::INFINITY), ..PaperOptions::default() },
             ..Self::default()
         }
     }
@@ -57,11 +57,11 @@ impl Settings {
         Self::default()
     }
 
-    /// Opens and closes doors: lateral and yaw follow the handle (η = 0.999, accepted by name), the others hold.
+    /// Opens and closes doors: lateral and yaw follow the handle (η = 0.999, accepted), the others hold.
     ///
     /// The posture pulls a quarter as much as usual: a handle on its arc takes the arm far from where it started.
     pub fn door() -> Self {
-        let mut settings = Self { alpha: Some(ALPHA_LOOSE), accept: vec!["eta".into()], ..Self::default() };
+        let mut settings = Self { null_space: loose(), accept_high_adaptation: true, ..Self::default() };
         (settings.axes[1], settings.axes[5]) = (yielding(ETA_DOOR), yielding(ETA_DOOR));
         settings
     }
@@ -76,7 +76,7 @@ impl Settings {
     /// [`Error::Config`] for an axis other than x, y, z, [`Error::OutOfRange`] for the force.
     pub fn drawer(axis: &str, pull: Option<f64>) -> Result<Self> {
         let along = translation("axis", axis)?;
-        let mut settings = Self { alpha: Some(ALPHA_LOOSE), ..Self::default() };
+        let mut settings = Self { null_space: loose(), ..Self::default() };
         settings.axes[..3].fill(yielding(ETA_GUIDED));
         settings.axes[along] = capped("pull [N]", pull, Yields::Both)?;
         Ok(settings)
@@ -136,8 +136,12 @@ impl Settings {
 
     /// A hand leads the tool: all axes yield with η = 0.95, and the posture pulls a quarter as much as usual.
     pub fn hand_guiding() -> Self {
-        Self { axes: [yielding(ETA_GUIDED); 6], alpha: Some(ALPHA_LOOSE), ..Self::default() }
+        Self { axes: [yielding(ETA_GUIDED); 6], null_space: loose(), ..Self::default() }
     }
+}
+
+fn loose() -> NullSpace {
+    NullSpace { gain: Some(ALPHA_LOOSE), ..NullSpace::default() }
 }
 
 fn yielding(adaptation: f64) -> Axis {

@@ -40,9 +40,9 @@ macro_rules! words {
 
 words! {
     Law of "law": "cap" is Cap, "impedance" is Impedance, "paper" is Paper;
-    Follow of "follow": "free" is Free, "hold" is Hold;
-    LimitRule of "limits": "demand" is Demand, "sum" is Sum;
-    Projector of "projector": "exact" is Exact, "paper" is Paper;
+    Follow of "paper_options.follow": "free" is Free, "hold" is Hold;
+    LimitRule of "paper_options.limits": "demand" is Demand, "sum" is Sum;
+    Projector of "null_space.projector": "exact" is Exact, "paper" is Paper;
     Profile of "profile": "hardening" is Hardening, "constant" is Constant, "softening" is Softening;
     OnDeviationLimit of "on_deviation_limit": "yield" is Yield, "wait" is Wait;
     Yields of "yields": "both" is Both, "+" is Plus, "-" is Minus, "none" is None;

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Damping, Follow, Law, Projector};
+use pliant_core::settings::{Damping, Follow, Law, NullSpace, PaperOptions, Projector, Tracking};
 use pliant_core::{BatchInput, Controller, Instructions, Invalid, Model, ModelOptions, Settings, StepInput};
 
 #[path = "oracle/cases.rs"]
@@ -20,14 +20,19 @@ use seeded::Random;
 fn printed(random: &mut Random, model: &Arc<Model>) -> Settings {
     let settings = cases::settings(random, model, Law::Paper);
     Settings {
-        follow: Some(Follow::Hold),
-        projector: Projector::Paper,
-        damping: Damping::Fixed(random.pick(&[0.02, 0.05, 0.3])),
-        budget_on_goal: false,
-        // A direction that switches at zero deviation switches by rounding.
-        direction_band: random.pick(&[None, Some(0.5)]),
-        goal_slew: f64::INFINITY,
         max_tool_speed: [f64::INFINITY; 2],
+        tracking: Tracking {
+            damping: Damping::Fixed(random.pick(&[0.02, 0.05, 0.3])),
+            goal_slew: f64::INFINITY,
+            ..settings.tracking
+        },
+        null_space: NullSpace { projector: Projector::Paper, ..settings.null_space },
+        paper_options: PaperOptions {
+            follow: Some(Follow::Hold),
+            budget_on_goal: false, // A direction that switches at zero deviation switches by rounding.
+            direction_band: random.pick(&[None, Some(0.5)]),
+            ..settings.paper_options
+        },
         ..settings
     }
 }

@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::Law;
+use pliant_core::settings::{Law, Tracking};
 use pliant_core::{
     BatchInput, BatchState, Controller, Error, Invalid, ModelOptions, Pose, Settings, StepInput, Targets,
 };
@@ -80,8 +80,11 @@ fn without_a_state_every_row_is_a_first_step_without_slew() {
     for controller in controllers(&mut random, 3) {
         let (model, n) = (Arc::clone(controller.model()), controller.model().n());
         let arms = Arms::new(&mut random, &model, ARMS);
-        let free =
-            Settings { goal_slew: f64::INFINITY, max_tool_speed: [f64::INFINITY; 2], ..controller.settings().clone() };
+        let free = Settings {
+            max_tool_speed: [f64::INFINITY; 2],
+            tracking: Tracking { goal_slew: f64::INFINITY, ..controller.settings().tracking.clone() },
+            ..controller.settings().clone()
+        };
         let fresh = Controller::new(model, free, controller.servos().cloned()).unwrap();
         let mut out = Out::new(ARMS, n);
         for with_dq in [false, true] {
@@ -116,7 +119,8 @@ fn other_settings_take_over_as_with_a_single_step() {
     let mut out = Out::new(ARMS, 7);
     for axes in ["all", "xyz", "y rpy"] {
         let task = pliant_core::task::axes::Task::of(axes).unwrap();
-        let settings = Settings { task, integrate: 0.5, ..Settings::default() };
+        let settings =
+            Settings { task, tracking: Tracking { integrate: 0.5, ..Tracking::default() }, ..Settings::default() };
         controller.update(settings.clone()).unwrap();
         for own in &mut alone {
             own.update(settings.clone()).unwrap();

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Follow, Law, LimitRule};
+use pliant_core::settings::{Follow, Law, LimitRule, PaperOptions, TorqueLimits, Tracking};
 use pliant_core::task::axes::{Axis, Task, Yields};
 use pliant_core::{Controller, Model, ModelOptions, Pose, Servos, Settings, StepInput};
 
@@ -21,8 +21,8 @@ fn arm(index: usize) -> Arc<Model> {
 fn open() -> Settings {
     Settings {
         max_tool_speed: [f64::INFINITY; 2],
-        goal_slew: f64::INFINITY,
-        stiffening_time: 0.0,
+        tracking: Tracking { goal_slew: f64::INFINITY, ..Tracking::default() },
+        torque_limits: TorqueLimits { stiffening_time: 0.0, ..TorqueLimits::default() },
         ..Settings::default()
     }
 }
@@ -49,7 +49,7 @@ fn caps_ceilings_and_floors_hold() {
             }
             let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
             for i in 0..n {
-                let floor = settings.floor.as_ref().map_or(servos.friction[i], |f| f[i]);
+                let floor = settings.torque_limits.floor.as_ref().map_or(servos.friction[i], |f| f[i]);
                 let limit = command.torque_limit()[i];
                 assert!(limit <= servos.max_torque[i] && limit >= floor.min(servos.max_torque[i]) - 1e-12, "{limit}");
                 let (goal, out) = (command.goal()[i], servos.max_torque[i] / servos.kp[i] + 1e-12);
@@ -81,7 +81,7 @@ fn the_target_moves_within_its_bounds() {
     let settings = Settings {
         max_tool_speed: [0.2, 0.8],
         max_tool_acceleration: [1.5, 5.0],
-        goal_slew: f64::INFINITY,
+        tracking: Tracking { goal_slew: f64::INFINITY, ..Tracking::default() },
         ..Settings::default()
     };
     let mut servos = seeded::servos(0);
@@ -178,7 +178,8 @@ fn jumps(probe: &Probe, a: &[f64], b: &[f64], most: f64) -> Vec<(f64, bool, bool
 }
 
 fn one_sided(yields: Yields, axis: &str) -> Settings {
-    let mut settings = Settings { limits: LimitRule::Demand, ..open() };
+    let mut settings =
+        Settings { paper_options: PaperOptions { limits: LimitRule::Demand, ..open().paper_options }, ..open() };
     let adaptation = if yields == Yields::None { 0.0 } else { 0.9 };
     let given =
         Axis { soft: Some([0.5, 1.0]), firm: Some([2.0, 1.5]), yields: Some(yields), adaptation, ..Axis::default() };
@@ -195,7 +196,13 @@ fn commands_are_continuous() {
         let model = arm(index);
         let yields = [Yields::Plus, Yields::Minus, Yields::Both, Yields::None][round % 4];
         let follow = [None, Some(Follow::Hold)][usize::from(round % 5 == 0)];
-        let settings = Settings { follow, ..one_sided(yields, ["y", "z", "yaw", "xyz"][(round / 4) % 4]) };
+        let settings = Settings {
+            paper_options: PaperOptions {
+                follow,
+                ..one_sided(yields, ["y", "z", "yaw", "xyz"][(round / 4) % 4]).paper_options
+            },
+            ..one_sided(yields, ["y", "z", "yaw", "xyz"][(round / 4) % 4])
+        };
         let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(index))).unwrap();
         let middle = random.joints(&model, 0.5);
         // Through the target: every deviation changes its sign.
@@ -215,9 +222,13 @@ fn joints_leave_the_inverse_without_a_jump() {
         let (mut found, mut onsets) = (Vec::new(), 0);
         for _ in 0..30 {
             let model = arm(0);
-            let mut settings = Settings { follow: Some(follow), ..open() };
+            let mut settings =
+                Settings { paper_options: PaperOptions { follow: Some(follow), ..open().paper_options }, ..open() };
             if soft {
-                settings = Settings { follow: Some(follow), ..one_sided(Yields::Both, "y") };
+                settings = Settings {
+                    paper_options: PaperOptions { follow: Some(follow), ..one_sided(Yields::Both, "y").paper_options },
+                    ..one_sided(Yields::Both, "y")
+                };
             }
             // Ceilings out of the way: they have a test of their own.
             let strong = Servos { max_torque: vec![1e3], ..seeded::servos(0) };

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::Law;
+use pliant_core::settings::{Law, NullSpace, PaperOptions};
 use pliant_core::task::axes::{Axis, Yields};
 use pliant_core::{Controller, Model, ModelOptions, Settings, StepInput};
 
@@ -23,7 +23,7 @@ fn arm() -> Arc<Model> {
 
 /// `settings` with a yielding y axis, and targets and goals that are there at once.
 fn made(mut settings: Settings) -> Controller {
-    settings.goal_slew = f64::INFINITY;
+    settings.tracking.goal_slew = f64::INFINITY;
     (settings.max_tool_speed, settings.max_tool_acceleration) = ([f64::INFINITY; 2], [f64::INFINITY; 2]);
     settings.set_axes("y", Axis { yields: Some(Yields::Both), ..Axis::default() }).unwrap();
     Controller::new(arm(), settings, Some(seeded::servos(0))).unwrap()
@@ -31,7 +31,11 @@ fn made(mut settings: Settings) -> Controller {
 
 /// A controller that wants a posture, or the one it is reset to.
 fn wants(law: Law, posture: Option<&[f64]>) -> Controller {
-    made(Settings { law, posture: posture.map(<[f64]>::to_vec), ..Settings::default() })
+    made(Settings {
+        law,
+        null_space: NullSpace { posture: posture.map(<[f64]>::to_vec), ..NullSpace::default() },
+        ..Settings::default()
+    })
 }
 
 /// Goals [rad] of the first step at `q`, the tool pushed away from its target along y by `push` [m].
@@ -85,7 +89,11 @@ fn it_lets_go_evenly_from_a_twentieth_of_a_radian_on() {
     // What joint 0 would rather do is left out: it is the one that comes nearer.
     let of = |posture: Option<Vec<f64>>| {
         let posture_weights = Some(vec![0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
-        let settings = Settings { posture, posture_weights, null_torque: Some(50.0), ..Settings::default() };
+        let settings = Settings {
+            null_space: NullSpace { posture, max_torque: Some(50.0), ..NullSpace::default() },
+            paper_options: PaperOptions { posture_weights, ..PaperOptions::default() },
+            ..Settings::default()
+        };
         made(settings)
     };
     let (mut held, mut free) = (of(Some(posture.to_vec())), of(None));

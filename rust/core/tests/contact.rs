@@ -313,11 +313,7 @@ fn options_are_checked_by_name() {
     }
     let blind = Controller::new(
         Arc::new(common::arm7()),
-        Settings {
-            law: pliant_core::settings::Law::Paper,
-            gravity: pliant_core::settings::GravityUse::Off,
-            ..Settings::default()
-        },
+        Settings { law: pliant_core::settings::Law::Paper, gravity: false, ..Settings::default() },
         None,
     );
     assert!(

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Damping, Gain, GravityUse, Law, Projector};
+use pliant_core::settings::{Damping, Gain, Law, NullSpace, PaperOptions, Projector, TorqueLimits, Tracking};
 use pliant_core::task::axes::{Axis, Yields};
 use pliant_core::{Controller, Model, ModelOptions, Pose, Settings, StepInput};
 use serde_json::Value;
@@ -48,19 +48,28 @@ fn close(what: &str, case: usize, got: f64, expected: f64, scale: f64) {
 fn settings(case: &Value) -> Settings {
     let mut settings = Settings {
         law: Law::Paper,
-        projector: Projector::Paper,
-        damping: Damping::Fixed(number(&case["lam"])),
-        kx: Gain::Scalar(number(&case["Kx"])),
-        kq: Gain::Scalar(number(&case["Kq"])),
-        alpha: Some(number(&case["alpha"])),
-        posture_weights: Some(vec![0.0; 7]),
-        null_torque: Some(number(&case["tau_null"])),
-        gravity: GravityUse::Off,
-        goal_slew: f64::INFINITY,
+        gravity: false,
         max_tool_speed: [f64::INFINITY; 2],
-        lead_limit: Some(f64::INFINITY),
-        stiffening_time: 0.0,
-        joint_speed: Some(vec![f64::INFINITY; 7]),
+        tracking: Tracking {
+            damping: Damping::Fixed(number(&case["lam"])),
+            gain: Gain::Scalar(number(&case["Kx"])),
+            goal_slew: f64::INFINITY,
+            joint_speed: Some(vec![f64::INFINITY; 7]),
+            ..Tracking::default()
+        },
+        null_space: NullSpace {
+            projector: Projector::Paper,
+            gain: Some(number(&case["alpha"])),
+            max_torque: Some(number(&case["tau_null"])),
+            ..NullSpace::default()
+        },
+        torque_limits: TorqueLimits { stiffening_time: 0.0, ..TorqueLimits::default() },
+        paper_options: PaperOptions {
+            kq: Gain::Scalar(number(&case["Kq"])),
+            posture_weights: Some(vec![0.0; 7]),
+            lead_limit: Some(f64::INFINITY),
+            ..PaperOptions::default()
+        },
         ..Settings::default()
     };
     let (toward_minus, toward_plus) = (flags(&case["compliant_pos"]), flags(&case["compliant_neg"]));

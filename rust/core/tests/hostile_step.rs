@@ -5,7 +5,10 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector};
+use pliant_core::settings::{
+    Compensation, Damping, Follow, Gain, GravityUse, Law, LimitRule, NullSpace, PaperOptions, Projector, TorqueLimits,
+    Tracking,
+};
 use pliant_core::task::axes::{Axis, Frame, OnDeviationLimit, Profile, Task, Yields};
 use pliant_core::{Controller, Error, LimitType, Model, ModelOptions, Payload, Pose, Servos, Settings, StepInput};
 
@@ -126,8 +129,22 @@ fn make(random: &mut Random, index: usize) -> Controller {
     loop {
         let settings = Settings {
             max_tool_speed: random.pick(&[[0.25, 1.0], [f64::INFINITY; 2], [0.25, f64::INFINITY]]),
-            manipulability: random.pick(&[0.0, 0.1]),
-            integrate: random.pick(&[0.0, 2.0]),
+            tracking: Tracking {
+                integrate: random.pick(&[0.0, 2.0]),
+                ..{
+                    let law = random.pick(&[Law::Cap, Law::Impedance, Law::Paper]);
+                    cases::settings(random, &model, law)
+                }
+                .tracking
+            },
+            paper_options: PaperOptions {
+                manipulability: random.pick(&[0.0, 0.1]),
+                ..{
+                    let law = random.pick(&[Law::Cap, Law::Impedance, Law::Paper]);
+                    cases::settings(random, &model, law)
+                }
+                .paper_options
+            },
             ..{
                 let law = random.pick(&[Law::Cap, Law::Impedance, Law::Paper]);
                 cases::settings(random, &model, law)
@@ -182,7 +199,12 @@ fn hostile_inputs_leave_no_trace() {
 fn a_vanishing_period_is_survived() {
     for law in [Law::Cap, Law::Impedance, Law::Paper] {
         let model = seeded::arm(0, &ModelOptions::default());
-        let settings = Settings { law, delay: 0.02, integrate: 1.0, ..Settings::default() };
+        let settings = Settings {
+            law,
+            delay: 0.02,
+            tracking: Tracking { integrate: 1.0, ..Tracking::default() },
+            ..Settings::default()
+        };
         let mut controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(0))).unwrap();
         let q = [-0.1, -0.6, 0.7, -1.7, 0.9, 0.6, -0.1];
         let target = model.forward_kinematics(&q).unwrap();
@@ -249,6 +271,7 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         rotation[1][2] = strange(random);
     }
     Settings {
+        gravity: random.chance(0.75),
         task: Task {
             axes: on,
             frame: random.pick(&[Frame::Base, Frame::Tool, Frame::Rotation(rotation)]),
@@ -256,50 +279,58 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         },
         axes: std::array::from_fn(|a| if on[a] && random.chance(0.4) { axis(random) } else { Axis::default() }),
         law,
-        follow: maybe(random, |r| r.pick(&[Follow::Free, Follow::Hold])),
-        limits: random.pick(&[LimitRule::Demand, LimitRule::Sum]),
-        projector: random.pick(&[Projector::Exact, Projector::Paper]),
-        kx: gain(random, on.iter().filter(|&&x| x).count()),
-        horizon: or(random, usual.horizon),
-        kq: gain(random, n),
-        alpha: maybe(random, number),
         rate: or(random, usual.rate),
-        damping: match random.below(4) {
-            0 => Damping::Fixed(number(random)),
-            1 => Damping::Adaptive { lambda_0: number(random), sigma_0: number(random), lambda_max: number(random) },
-            _ => Damping::Auto,
-        },
-        posture: maybe(random, list),
-        posture_weights: maybe(random, list),
-        limit_avoidance: or(random, 0.0),
-        manipulability: or(random, 0.0),
-        null_torque: maybe(random, number),
-        null_stiffness: if springs { maybe(random, number) } else { None },
-        null_speed: or(random, f64::INFINITY),
-        gravity: random.pick(&[GravityUse::Both, GravityUse::Goal, GravityUse::Limits, GravityUse::Off]),
-        gravity_scale: or(random, 1.1),
-        friction_share: or(random, 0.9),
-        damping_share: or(random, 0.8),
-        prediction_share: or(random, 0.9),
-        friction_speed: or(random, 0.05),
-        velocity_filter: or(random, 0.02),
         delay: or(random, 0.0),
-        goal_slew: or(random, 1.0),
-        stiffening_time: or(random, 0.2),
         max_tool_speed: [or(random, 0.25), or(random, 1.0)],
         max_tool_acceleration: [or(random, 1.0), or(random, 4.0)],
-        joint_speed: maybe(random, list),
-        floor: maybe(random, list),
-        margin: or(random, 0.1),
-        // Follows a hand six ways at every step: rarely.
-        max_host_loss_force: if random.chance(0.02) { Some(number(random).abs()) } else { None },
-        direction_band: maybe(random, number),
-        raw_deviation: random.chance(0.2),
-        budget_on_goal: random.chance(0.2),
-        joint_weights: maybe(random, list),
-        lead_limit: maybe(random, number),
-        integrate: or(random, 0.0),
-        accept: random.pick(&[vec![], vec![], vec!["eta".into()], vec!["eta".into()], vec!["gravity".into()]]),
+        accept_high_adaptation: random.chance(0.5),
+        accept_high_stiffness: random.chance(0.2),
+        tracking: Tracking {
+            gain: gain(random, on.iter().filter(|&&x| x).count()),
+            damping: match random.below(4) {
+                0 => Damping::Fixed(number(random)),
+                1 => {
+                    Damping::Adaptive { lambda_0: number(random), sigma_0: number(random), lambda_max: number(random) }
+                }
+                _ => Damping::Auto,
+            },
+            velocity_filter: or(random, 0.02),
+            goal_slew: or(random, 1.0),
+            joint_speed: maybe(random, list),
+            integrate: or(random, 0.0),
+        },
+        null_space: NullSpace {
+            projector: random.pick(&[Projector::Exact, Projector::Paper]),
+            gain: maybe(random, number),
+            posture: maybe(random, list),
+            limit_avoidance: or(random, 0.0),
+            max_torque: maybe(random, number),
+            stiffness: if springs { maybe(random, number) } else { None },
+            max_speed: or(random, f64::INFINITY),
+        },
+        compensation: Compensation { friction: or(random, 0.9), damping: or(random, 0.8), delay: or(random, 0.9) },
+        torque_limits: TorqueLimits {
+            stiffening_time: or(random, 0.2),
+            floor: maybe(random, list),
+            margin: or(random, 0.1), // Follows a hand six ways at every step: rarely.
+            max_host_loss_force: if random.chance(0.02) { Some(number(random).abs()) } else { None },
+        },
+        paper_options: PaperOptions {
+            follow: maybe(random, |r| r.pick(&[Follow::Free, Follow::Hold])),
+            limits: random.pick(&[LimitRule::Demand, LimitRule::Sum]),
+            horizon: or(random, usual.paper_options.horizon),
+            kq: gain(random, n),
+            posture_weights: maybe(random, list),
+            manipulability: or(random, 0.0),
+            gravity_use: random.pick(&[GravityUse::Both, GravityUse::Goal, GravityUse::Limits, GravityUse::Off]),
+            gravity_scale: or(random, 1.1),
+            friction_speed: or(random, 0.05),
+            direction_band: maybe(random, number),
+            raw_deviation: random.chance(0.2),
+            budget_on_goal: random.chance(0.2),
+            joint_weights: maybe(random, list),
+            lead_limit: maybe(random, number),
+        },
     }
 }
 

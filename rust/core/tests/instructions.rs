@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Law, Settings};
+use pliant_core::settings::{Law, PaperOptions, Settings, Tracking};
 use pliant_core::task::axes::{Axis, Yields};
 use pliant_core::{Controller, Instructions, Model, ModelOptions, Pose, Servos, StepInput};
 
@@ -104,8 +104,13 @@ fn run(controller: &mut Controller, ticks: std::ops::Range<u64>) -> Vec<[u64; 14
 #[test]
 fn same_inputs_same_bits() {
     for law in [Law::Cap, Law::Impedance, Law::Paper] {
-        let settings =
-            Settings { law, integrate: 1.0, delay: 0.01, manipulability: 0.1, ..Settings::soft("y yaw").unwrap() };
+        let settings = Settings {
+            law,
+            delay: 0.01,
+            tracking: Tracking { integrate: 1.0, ..Settings::soft("y yaw").unwrap().tracking },
+            paper_options: PaperOptions { manipulability: 0.1, ..Settings::soft("y yaw").unwrap().paper_options },
+            ..Settings::soft("y yaw").unwrap()
+        };
         let make = || {
             let arm = seeded::arm(0, &ModelOptions::default());
             Controller::new(arm, settings.clone(), Some(seeded::servos(0))).unwrap()

@@ -5,7 +5,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use pliant_core::settings::{Follow, GravityUse, Law, LimitRule, Projector};
+use pliant_core::settings::{Follow, Law, LimitRule, NullSpace, PaperOptions, Projector, Tracking};
 use pliant_core::task::axes::{Axis, Frame, OnDeviationLimit, Task, Yields};
 use pliant_core::{Controller, ModelOptions, Settings, StepInput};
 
@@ -82,15 +82,24 @@ fn variants() -> Vec<(usize, Settings)> {
                 for (round, limits) in [LimitRule::Demand, LimitRule::Sum].into_iter().enumerate() {
                     let mut settings = Settings {
                         law,
-                        follow: (law != Law::Impedance).then_some(follow),
-                        projector,
-                        limits,
-                        manipulability: 0.2 * round as f64,
-                        limit_avoidance: 0.1,
-                        integrate: f64::from(u8::from(projector == Projector::Exact)),
-                        budget_on_goal: law == Law::Paper && round == 1,
                         delay: 0.01,
-                        null_stiffness: (law == Law::Impedance && round == 1).then_some(2.0),
+                        tracking: Tracking {
+                            integrate: f64::from(u8::from(projector == Projector::Exact)),
+                            ..Tracking::default()
+                        },
+                        null_space: NullSpace {
+                            projector,
+                            limit_avoidance: 0.1,
+                            stiffness: (law == Law::Impedance && round == 1).then_some(2.0),
+                            ..NullSpace::default()
+                        },
+                        paper_options: PaperOptions {
+                            follow: (law != Law::Impedance).then_some(follow),
+                            limits,
+                            manipulability: 0.2 * round as f64,
+                            budget_on_goal: law == Law::Paper && round == 1,
+                            ..PaperOptions::default()
+                        },
                         ..Settings::default()
                     };
                     settings.axes[1] = axis([Yields::Both, Yields::Plus][round]);
@@ -105,7 +114,7 @@ fn variants() -> Vec<(usize, Settings)> {
     }
     // More axes than joints, and no gravity.
     let task = Task { length: Some(0.3), ..Task::default() };
-    all.push((2, Settings { task, gravity: GravityUse::Off, ..Settings::default() }));
+    all.push((2, Settings { task, gravity: false, ..Settings::default() }));
     all
 }
 

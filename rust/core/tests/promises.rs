@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use nalgebra::DMatrix;
-use pliant_core::settings::{Damping, Gain, Law};
+use pliant_core::settings::{Damping, Gain, Law, NullSpace, PaperOptions, Tracking};
 use pliant_core::task::axes::{Axis, Task, Yields};
 use pliant_core::{Controller, Error, Model, ModelOptions, Reference, Servos, Settings, StepInput};
 
@@ -77,14 +77,14 @@ fn stiffness_is_refused_where_half_the_poses_would_ring() {
         message.starts_with("axes.stiffness: x=2000 N/m, z=2000 N/m is ")
             && message.contains(" times what the median pose can have")
             && message.contains(": use x=")
-            && message.contains("accept=(\"stiffness\",)"),
+            && message.contains("accept_high_stiffness=True"),
         "{message}"
     );
     // What it names works, and twice that does not.
     let nearest: f64 = message.split("use x=").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
     controller(delayed(nearest)).unwrap();
     assert!(controller(delayed(1.1 * nearest)).is_err());
-    controller(Settings { accept: vec!["stiffness".into()], ..delayed(2000.0) }).unwrap();
+    controller(Settings { accept_high_stiffness: true, ..delayed(2000.0) }).unwrap();
     // Defaults are taken back tick by tick instead.
     let defaults = Settings { law: Law::Impedance, delay: 0.02, rate: 50.0, ..Settings::default() };
     let mut made = controller(defaults.clone()).unwrap();
@@ -94,8 +94,11 @@ fn stiffness_is_refused_where_half_the_poses_would_ring() {
     let tool = arm(0).0.forward_kinematics(&q).unwrap();
     made.step(&q, &tool, &StepInput::default()).unwrap();
     assert!((made.gain_factor() - 1.0 / 2.7).abs() < 0.02, "{}", made.gain_factor());
-    let message = refusal(Settings { null_stiffness: Some(100.0), ..defaults }, servos.clone());
-    assert!(message.starts_with("null_stiffness [N·m/rad] = 100 is outside [0, 60.000]"), "{message}");
+    let message = refusal(
+        Settings { null_space: NullSpace { stiffness: Some(100.0), ..defaults.null_space }, ..defaults },
+        servos.clone(),
+    );
+    assert!(message.starts_with("null_space.stiffness [N·m/rad] = 100 is outside [0, 60.000]"), "{message}");
     let mut damped = Settings { law: Law::Impedance, delay: 0.02, ..Settings::default() };
     for (stiffness, taken) in [(40.0, true), (60.0, false)] {
         damped.set_axes("xyz", Axis { damping: Some([stiffness; 2]), ..Axis::default() }).unwrap();
@@ -120,11 +123,18 @@ fn springs_belong_to_law_impedance() {
     let text = message(yielding("yaw", Axis { damping: Some([1.0; 2]), ..Axis::default() }));
     assert!(text.starts_with("axes.yaw.damping: belongs to law=\"impedance\""), "{text}");
     assert!(
-        message(Settings { null_stiffness: Some(1.0), ..Settings::default() }).starts_with("null_stiffness: belongs")
+        message(Settings {
+            null_space: NullSpace { stiffness: Some(1.0), ..NullSpace::default() },
+            ..Settings::default()
+        })
+        .starts_with("null_space.stiffness: belongs")
     );
-    let hold =
-        Settings { law: Law::Impedance, follow: Some(pliant_core::settings::Follow::Hold), ..Settings::default() };
-    assert!(message(hold).starts_with("follow: law=\"impedance\" has no solve"));
+    let hold = Settings {
+        law: Law::Impedance,
+        paper_options: PaperOptions { follow: Some(pliant_core::settings::Follow::Hold), ..PaperOptions::default() },
+        ..Settings::default()
+    };
+    assert!(message(hold).starts_with("paper_options.follow: law=\"impedance\" has no solve"));
     let text = Controller::new(arm(0).0, Settings { law: Law::Impedance, ..Settings::default() }, None).unwrap_err();
     assert!(text.to_string().contains("law=\"impedance\" needs the stiffness k_p"), "{text}");
 }
@@ -179,10 +189,13 @@ fn eta_beyond_095_needs_k_p_known_a_captured_gravity_or_a_name() {
     let bold = || yielding("y", Axis { soft: Some([2.0; 2]), adaptation: 0.96, ..Axis::default() });
     let unsure = Servos { stiffness_known: false, ..seeded::servos(0) };
     let message = refusal(bold(), unsure.clone());
-    assert!(message.starts_with("axes.y.adaptation = 0.96 is outside") && message.contains("accept"), "{message}");
+    assert!(
+        message.starts_with("axes.y.adaptation = 0.96 is outside") && message.contains("accept_high_adaptation"),
+        "{message}"
+    );
     controller(bold()).unwrap();
     let make = |settings: Settings| Controller::new(arm(0).0, settings, Some(unsure.clone()));
-    make(Settings { accept: vec!["eta".into()], ..bold() }).unwrap();
+    make(Settings { accept_high_adaptation: true, ..bold() }).unwrap();
     make(yielding("y", Axis { soft: Some([2.0; 2]), adaptation: 0.95, ..Axis::default() })).unwrap();
     let paper = |settings: Settings| Settings { law: Law::Paper, ..settings };
     make(paper(bold())).unwrap();
@@ -196,7 +209,14 @@ fn eta_beyond_095_needs_k_p_known_a_captured_gravity_or_a_name() {
 
 #[test]
 fn the_gain_is_bounded_by_the_delay() {
-    let with = |kx: Gain, delay: f64, rate: f64| controller(Settings { kx, delay, rate, ..Settings::default() });
+    let with = |kx: Gain, delay: f64, rate: f64| {
+        controller(Settings {
+            delay,
+            rate,
+            tracking: Tracking { gain: kx, ..Tracking::default() },
+            ..Settings::default()
+        })
+    };
     // K_x h ≤ max(1, min(3, 0.03 s / (T_d + half a period))).
     with(Gain::Scalar(12.0), 0.0, 100.0).unwrap();
     assert!(with(Gain::Scalar(12.1), 0.0, 100.0).is_err());
@@ -215,13 +235,23 @@ fn the_gain_is_bounded_by_the_delay() {
     assert!(with(pair(4.1), 0.01, 100.0).is_err());
     // Servos with much damping.
     let (model, servos) = arm(2);
-    let stiff = Settings { task: Task::of("xyz").unwrap(), kx: Gain::Scalar(12.0), delay: 0.02, ..Settings::default() };
+    let stiff = Settings {
+        task: Task::of("xyz").unwrap(),
+        delay: 0.02,
+        tracking: Tracking { gain: Gain::Scalar(12.0), ..Tracking::default() },
+        ..Settings::default()
+    };
     Controller::new(model, stiff, Some(servos)).unwrap();
     // A delay measured later derates instead.
     let mut running = with(Gain::Scalar(8.0), 0.0, 100.0).unwrap();
     running.set_delay(0.025).unwrap();
     assert!((running.gain_factor() - 0.5).abs() < 1e-12);
-    running.update(Settings { kx: Gain::Scalar(6.0), ..Settings::default() }).unwrap();
+    running
+        .update(Settings {
+            tracking: Tracking { gain: Gain::Scalar(6.0), ..Tracking::default() },
+            ..Settings::default()
+        })
+        .unwrap();
     assert!((running.gain_factor() - 4.0 / 6.0).abs() < 1e-12, "an update keeps the measured delay");
     running.set_delay(0.0).unwrap();
     assert!((running.gain_factor() - 1.0).abs() < 1e-12);
@@ -234,9 +264,8 @@ fn more_axes_than_joints_need_a_length_and_it_weighs() {
         let task = Task { length, ..Task::default() };
         let settings = Settings {
             task,
-            damping,
             max_tool_speed: [f64::INFINITY; 2],
-            goal_slew: f64::INFINITY,
+            tracking: Tracking { damping, goal_slew: f64::INFINITY, ..Tracking::default() },
             ..Settings::default()
         };
         Controller::new(Arc::clone(&model), settings, Some(servos.clone()))
@@ -280,8 +309,7 @@ fn a_law_of_forces_needs_k_p() {
     let (model, _) = arm(0);
     let message = Controller::new(Arc::clone(&model), Settings::default(), None).unwrap_err().to_string();
     assert!(message.contains("shoulder_pitch") && message.contains("Servos("), "{message}");
-    let mut paper =
-        Settings { law: Law::Paper, gravity: pliant_core::settings::GravityUse::Off, ..Settings::default() };
+    let mut paper = Settings { law: Law::Paper, gravity: false, ..Settings::default() };
     paper.set_axes("y", Axis { yields: Some(Yields::Both), ..Axis::default() }).unwrap();
     Controller::new(model, paper, None).unwrap();
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 use pliant_core::functions::{damped_pseudo_inverse, null_space_projector};
-use pliant_core::settings::{Damping, GravityUse, Law, Projector};
+use pliant_core::settings::{Damping, Law, NullSpace, PaperOptions, Projector, TorqueLimits, Tracking};
 use pliant_core::task::axes::{Axis, Frame, Task, Yields};
 use pliant_core::{Controller, Model, ModelOptions, Pose, Settings, StepInput};
 
@@ -25,14 +25,19 @@ fn arm(index: usize) -> Arc<Model> {
 fn open() -> Settings {
     Settings {
         max_tool_speed: [f64::INFINITY; 2],
-        goal_slew: f64::INFINITY,
-        stiffening_time: 0.0,
+        tracking: Tracking { goal_slew: f64::INFINITY, ..Tracking::default() },
+        torque_limits: TorqueLimits { stiffening_time: 0.0, ..TorqueLimits::default() },
         ..Settings::default()
     }
 }
 
 fn paper() -> Settings {
-    Settings { law: Law::Paper, gravity: GravityUse::Off, floor: Some(vec![0.0; 7]), ..open() }
+    Settings {
+        law: Law::Paper,
+        gravity: false,
+        torque_limits: TorqueLimits { floor: Some(vec![0.0; 7]), ..open().torque_limits },
+        ..open()
+    }
 }
 
 fn make(index: usize, settings: Settings) -> Controller {
@@ -55,8 +60,14 @@ fn poses(model: &Model, count: usize, seed: u64) -> Vec<Vec<f64>> {
 #[test]
 fn activation_is_a_distribution() {
     for axes in ["all", "xyz", "y yaw"] {
-        let mut controller =
-            make(0, Settings { task: Task::of(axes).unwrap(), posture: Some(vec![0.1; 7]), ..paper() });
+        let mut controller = make(
+            0,
+            Settings {
+                task: Task::of(axes).unwrap(),
+                null_space: NullSpace { posture: Some(vec![0.1; 7]), ..paper().null_space },
+                ..paper()
+            },
+        );
         let model = arm(0);
         for q in poses(&model, 200, 1) {
             let target = Random::new(9).target(&model, &q, 0.1, 0.5);
@@ -90,12 +101,16 @@ fn activation_is_a_distribution() {
 
 #[test]
 fn without_redundancy_the_null_column_is_zero() {
-    let settings = Settings { task: Task::of("xyz pitch roll").unwrap(), floor: None, ..paper() };
+    let settings = Settings {
+        task: Task::of("xyz pitch roll").unwrap(),
+        torque_limits: TorqueLimits { floor: None, ..paper().torque_limits },
+        ..paper()
+    };
     let mut controller = make(2, settings.clone());
     let q = [0.2, -0.3, 0.3, 0.9, 0.1];
     controller.step(&q, &arm(2).forward_kinematics(&q).unwrap(), &StepInput::default()).unwrap();
     assert!(controller.activation().column(5).iter().all(|&share| share.abs() < f64::MIN_POSITIVE));
-    let asked = Settings { null_torque: Some(1.0), ..settings };
+    let asked = Settings { null_space: NullSpace { max_torque: Some(1.0), ..settings.null_space }, ..settings };
     assert!(Controller::new(arm(2), asked, Some(seeded::servos(2))).is_err());
 }
 
@@ -121,7 +136,7 @@ fn the_exact_projector_moves_no_task_axis() {
     let model = arm(0);
     for frame in [Frame::Base, Frame::Tool] {
         let task = Task { frame, ..Task::of("xyz rpy").unwrap() };
-        let mut controller = make(0, Settings { task, gravity: GravityUse::Off, ..open() });
+        let mut controller = make(0, Settings { task, gravity: false, ..open() });
         for _ in 0..100 {
             let q = random.joints(&model, 0.8);
             let gradient = random.vector(7, 1.0);
@@ -174,7 +189,7 @@ fn sides_are_named_by_the_push() {
                     settings.set_axes(name, given).unwrap();
                     if law == Law::Impedance {
                         settings.axes[axis].stiffness = Some([50.0, 100.0]);
-                        settings.accept.push("stiffness".into());
+                        settings.accept_high_stiffness = true;
                     }
                     let mut controller = make(0, settings);
                     for (push, give) in [(pushed, true), (-pushed, false)] {
@@ -217,7 +232,7 @@ fn springs_pull_home_and_dampers_take_energy() {
     let (mut derated, mut capped) = (0, 0);
     for round in 0..600 {
         let (stiffness, damping) = [(300.0, 0.0), (0.0, 40.0), (300.0, 40.0)][round % 3];
-        let mut settings = Settings { law: Law::Impedance, gravity: GravityUse::Off, rate: 50.0, ..open() };
+        let mut settings = Settings { law: Law::Impedance, gravity: false, rate: 50.0, ..open() };
         let spring = |scale: f64| Axis {
             stiffness: Some([scale * stiffness; 2]),
             damping: Some([scale * damping; 2]),
@@ -319,11 +334,13 @@ fn cost_gradients_are_derivatives() {
         let (weights, avoidance) = (random.vector(model.n(), 1.0).iter().map(|w| w.abs()).collect::<Vec<_>>(), 0.4);
         let settings = Settings {
             task: Task { frame, ..Task::of(axes).unwrap() },
-            posture: Some(rest.clone()),
-            posture_weights: Some(weights.clone()),
-            limit_avoidance: avoidance,
-            manipulability: 0.7,
-            damping: Damping::Fixed(0.1),
+            tracking: Tracking { damping: Damping::Fixed(0.1), ..open().tracking },
+            null_space: NullSpace { posture: Some(rest.clone()), limit_avoidance: avoidance, ..open().null_space },
+            paper_options: PaperOptions {
+                posture_weights: Some(weights.clone()),
+                manipulability: 0.7,
+                ..open().paper_options
+            },
             ..open()
         };
         let cost = |q: &[f64]| {

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{GravityUse, Law};
+use pliant_core::settings::{GravityUse, Law, NullSpace, PaperOptions, TorqueLimits, Tracking};
 use pliant_core::task::axes::{Axis, Task};
 use pliant_core::{
     BatchCommand, BatchInput, ContactEstimator, ContactInput, ContactOptions, Controller, Error, Invalid, Model,
@@ -43,12 +43,24 @@ fn what_has_no_bound_still_steps_toward_a_target_that_jumps() {
         Settings { max_tool_speed: [endless; 2], ..Settings::default() },
         Settings { max_tool_acceleration: [endless; 2], ..Settings::default() },
         Settings { max_tool_speed: [0.1, endless], max_tool_acceleration: [endless, 1.0], ..Settings::default() },
-        Settings { goal_slew: endless, ..Settings::default() },
-        Settings { null_speed: endless, ..Settings::default() },
-        Settings { max_host_loss_force: Some(endless), ..Settings::default() },
-        Settings { joint_speed: Some(vec![endless; 7]), ..Settings::default() },
-        Settings { floor: Some(vec![endless; 7]), ..Settings::default() },
-        Settings { lead_limit: Some(endless), ..Settings::paper() },
+        Settings { tracking: Tracking { goal_slew: endless, ..Tracking::default() }, ..Settings::default() },
+        Settings { null_space: NullSpace { max_speed: endless, ..NullSpace::default() }, ..Settings::default() },
+        Settings {
+            torque_limits: TorqueLimits { max_host_loss_force: Some(endless), ..TorqueLimits::default() },
+            ..Settings::default()
+        },
+        Settings {
+            tracking: Tracking { joint_speed: Some(vec![endless; 7]), ..Tracking::default() },
+            ..Settings::default()
+        },
+        Settings {
+            torque_limits: TorqueLimits { floor: Some(vec![endless; 7]), ..TorqueLimits::default() },
+            ..Settings::default()
+        },
+        Settings {
+            paper_options: PaperOptions { lead_limit: Some(endless), ..Settings::paper().paper_options },
+            ..Settings::paper()
+        },
     ];
     for settings in all {
         let mut controller = made(settings.clone(), servos()).unwrap();
@@ -82,8 +94,23 @@ fn an_axis_along_which_no_joint_moves_the_tool_takes_no_torque() {
 #[test]
 fn numbers_that_no_step_could_use_are_refused_by_name() {
     let cases = [
-        ("posture_weights", Settings { posture_weights: Some(vec![f64::INFINITY; 7]), ..Settings::default() }),
-        ("joint_weights", Settings { joint_weights: Some(vec![1e300; 7]), ..Settings::paper() }),
+        (
+            "paper_options.posture_weights",
+            Settings {
+                paper_options: PaperOptions {
+                    posture_weights: Some(vec![f64::INFINITY; 7]),
+                    ..PaperOptions::default()
+                },
+                ..Settings::default()
+            },
+        ),
+        (
+            "paper_options.joint_weights",
+            Settings {
+                paper_options: PaperOptions { joint_weights: Some(vec![1e300; 7]), ..Settings::paper().paper_options },
+                ..Settings::paper()
+            },
+        ),
     ];
     for (name, settings) in cases {
         assert!(message(made(settings, servos())).starts_with(name));
@@ -103,14 +130,14 @@ fn servos_that_cannot_hold_the_arm_are_refused_wherever_its_weight_comes_into_us
     let weak = Servos::new(vec![150.0], vec![0.5]);
     let strength = Axis { soft: Some([0.1; 2]), firm: Some([0.1; 2]), hold: Some(0.2), ..Axis::default() };
     let on = Settings { axes: std::array::from_fn(|_| strength), ..Settings::default() };
-    let off = Settings { gravity: GravityUse::Off, ..on.clone() };
+    let off = Settings { gravity: false, ..on.clone() };
     let refusal = message(made(on.clone(), weak.clone()));
     assert!(refusal.contains("torque that holds the arm"), "{refusal}");
     let mut controller = made(off, weak).unwrap();
     controller.set_payload(Some(&Payload { mass: 0.1, com: [0.0; 3] })).unwrap();
     controller.set_payload(None).unwrap();
     assert!(message(controller.update(on)).contains("torque that holds the arm"));
-    assert_eq!(controller.settings().gravity, GravityUse::Off);
+    assert_eq!(controller.settings().gravity_use(), GravityUse::Off);
 }
 
 #[test]

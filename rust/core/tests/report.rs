@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{GravityUse, LimitRule};
+use pliant_core::settings::{LimitRule, PaperOptions};
 use pliant_core::task::axes::{Axis, Task};
 use pliant_core::{Controller, Model, ModelOptions, Payload, Reference, Servos, Settings, StepInput};
 
@@ -53,7 +53,13 @@ fn searched(model: &Model, q: &[f64], limit: &[f64], axis: usize, sign: f64) -> 
 
 #[test]
 fn static_force_and_capacity_are_what_a_search_finds() {
-    for settings in [soft("y yaw", 4.0, 15.0), Settings { limits: LimitRule::Sum, ..soft("y", 4.0, 15.0) }] {
+    for settings in [
+        soft("y yaw", 4.0, 15.0),
+        Settings {
+            paper_options: PaperOptions { limits: LimitRule::Sum, ..soft("y", 4.0, 15.0).paper_options },
+            ..soft("y", 4.0, 15.0)
+        },
+    ] {
         let controller = controller(settings);
         let torque = servos().max_torque;
         for seed in 0..60 {
@@ -198,14 +204,14 @@ fn the_paper_without_gravity_in_its_limits_is_told_to_put_it_there() {
     settings.set_axes("all", Axis { hold: Some(1.0), ..Axis::default() }).unwrap();
     let check = controller(settings.clone()).check(&[GRASP.to_vec()]).unwrap();
     assert!(!check.achievable && check.findings.iter().any(|found| found.setting.as_deref() == Some("gravity")));
-    settings.gravity = GravityUse::Both;
+    settings.gravity = true;
     assert!(controller(settings).check(&[GRASP.to_vec()]).unwrap().achievable);
 }
 
 #[test]
 fn coupling_names_the_axis_that_shares_the_joints() {
     let mut settings = Settings::paper();
-    settings.gravity = GravityUse::Both;
+    settings.gravity = true;
     settings.set_axes("y", Axis { soft: Some([0.5; 2]), ..Axis::default() }).unwrap();
     let report = controller(settings).report_at(&GRASP).unwrap();
     for side in 0..2 {
@@ -256,16 +262,16 @@ fn a_target_that_cannot_be_reached_is_not_achievable() {
 fn tracking_raises_soft_to_three_times_the_friction_and_no_more() {
     let (model, servos, path) = (arm(), servos(), [GRASP.to_vec()]);
     let settings = soft("y", 0.01, 0.02);
-    let raised = settings.tracking(&model, Some(&servos), &path).unwrap();
+    let raised = settings.raise_soft(&model, Some(&servos), &path).unwrap();
     let rubs = controller(settings.clone()).report_at(&GRASP).unwrap().friction[1];
     let [soft, _] = raised.axes[1].soft.unwrap();
     assert!(soft >= 3.0 * rubs && soft < 3.3 * rubs && raised.axes[1].firm.unwrap()[0] >= soft);
     let check = Controller::new(arm(), raised.clone(), Some(servos.clone())).unwrap().check(&path).unwrap();
     assert!(check.achievable, "{check}");
     // Firm enough already: nothing changes, with a path or over the whole joint space.
-    assert_eq!(raised.tracking(&model, Some(&servos), &path).unwrap(), raised);
+    assert_eq!(raised.raise_soft(&model, Some(&servos), &path).unwrap(), raised);
     let firm = self::soft("y", 9.0, 15.0);
-    assert_eq!(firm.tracking(&model, Some(&servos), &[]).unwrap(), firm);
+    assert_eq!(firm.raise_soft(&model, Some(&servos), &[]).unwrap(), firm);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{GravityUse, Law};
+use pliant_core::settings::{Compensation, Law, NullSpace, Tracking};
 use pliant_core::task::axes::{Axis, Frame, Task, Yields};
 use pliant_core::{Controller, Model, ModelOptions, Payload, Pose, Servos, Settings, StepInput};
 
@@ -101,10 +101,10 @@ fn new_settings_move_no_goal_beyond_the_slew() {
             };
             let mut settings = Settings {
                 law: random.pick(&[Law::Cap, Law::Impedance, Law::Paper]),
-                gravity: random.pick(&[GravityUse::Both, GravityUse::Off]),
-                integrate: random.pick(&[0.0, 2.0]),
                 max_tool_speed: random.pick(&[[0.25, 1.0], [f64::INFINITY; 2], [0.01, 0.05]]),
                 task,
+                tracking: Tracking { integrate: random.pick(&[0.0, 2.0]), ..Tracking::default() },
+                gravity: random.pick(&[true, false]),
                 ..Settings::default()
             };
             settings.axes[1] = Axis { yields: Some(random.pick(&[Yields::Both, Yields::None])), ..Axis::default() };
@@ -218,10 +218,9 @@ fn a_payload_comes_into_force_in_half_a_second() {
 /// For servos without inertia, friction and damping: nothing is fed forward from speeds, and nothing damped by them.
 fn frictionless() -> Settings {
     Settings {
-        friction_share: 0.0,
-        damping_share: 0.0,
         max_tool_speed: [f64::INFINITY; 2],
-        posture: Some(Q.to_vec()),
+        null_space: NullSpace { posture: Some(Q.to_vec()), ..NullSpace::default() },
+        compensation: Compensation { friction: 0.0, damping: 0.0, ..Compensation::default() },
         ..Settings::default()
     }
 }
@@ -267,7 +266,8 @@ fn the_integrating_goal_removes_the_steady_error() {
     let kp = BELIEVED.map(|k| 0.75 * k);
     let mut left = [0.0; 2];
     for (slot, integrate) in [0.0, 2.0].into_iter().enumerate() {
-        let (_, mut controller, target) = make(Settings { integrate, ..frictionless() });
+        let (_, mut controller, target) =
+            make(Settings { tracking: Tracking { integrate, ..frictionless().tracking }, ..frictionless() });
         let mut q = Q.to_vec();
         controller.reset(&q).unwrap();
         hold(&model, &mut controller, &kp, &target, &mut q, 1500);
@@ -278,8 +278,11 @@ fn the_integrating_goal_removes_the_steady_error() {
 
 #[test]
 fn nothing_is_stored_on_soft_axes() {
-    let (_, mut controller, mut target) =
-        make(Settings { integrate: 2.0, max_tool_speed: [f64::INFINITY; 2], ..soft_y(0.0) });
+    let (_, mut controller, mut target) = make(Settings {
+        max_tool_speed: [f64::INFINITY; 2],
+        tracking: Tracking { integrate: 2.0, ..soft_y(0.0).tracking },
+        ..soft_y(0.0)
+    });
     target.position[1] += 0.05;
     target.position[2] += 0.003;
     let mut goal = Vec::new();
@@ -298,7 +301,8 @@ fn nothing_is_stored_on_soft_axes() {
 
 #[test]
 fn the_integrating_goal_is_leashed_to_what_the_limit_can_use() {
-    let (_, mut controller, mut target) = make(Settings { integrate: 5.0, ..Settings::default() });
+    let (_, mut controller, mut target) =
+        make(Settings { tracking: Tracking { integrate: 5.0, ..Tracking::default() }, ..Settings::default() });
     target.position[2] += 0.05;
     let mut goal = Vec::new();
     for _ in 0..3000 {
@@ -316,7 +320,7 @@ fn gravity_is_captured_once() {
     let model = arm();
     for share in [0.5, 0.75, 1.5, 2.0] {
         let kp = BELIEVED.map(|k| share * k);
-        let settings = Settings { integrate: 2.0, ..frictionless() };
+        let settings = Settings { tracking: Tracking { integrate: 2.0, ..frictionless().tracking }, ..frictionless() };
         let (_, mut controller, target) = make(settings.clone());
         let mut q = Q.to_vec();
         controller.reset(&q).unwrap();
@@ -332,7 +336,7 @@ fn gravity_is_captured_once() {
         let next = controller.step(&q, &target, &StepInput::default()).unwrap().goal().to_vec();
         assert!(largest_difference(&next, &goal) < 1e-4, "{share}: {next:?} {goal:?}");
         // Without the integrating goal nothing of it is left over; it holds elsewhere too, and after a reset.
-        controller.update(Settings { integrate: 0.0, ..settings }).unwrap();
+        controller.update(Settings { tracking: Tracking { integrate: 0.0, ..settings.tracking }, ..settings }).unwrap();
         hold(&model, &mut controller, &kp, &target, &mut q, 300);
         assert!(miss(&model, &q, &target) < 1e-3, "{share}: {}", miss(&model, &q, &target));
         controller.reset(&q).unwrap();
@@ -354,7 +358,7 @@ fn a_captured_stiffness_is_bounded() {
         assert!((kg[0] - factor * 150.0).abs() < 1e-9 && (kg[5] - 60.0).abs() < 1e-12, "{kg:?}");
     }
     assert!(controller.capture_gravity(&Q[..6], &Q).is_err());
-    let paper = Settings { law: Law::Paper, gravity: GravityUse::Off, ..Settings::default() };
+    let paper = Settings { law: Law::Paper, gravity: false, ..Settings::default() };
     assert!(Controller::new(arm(), paper, None).unwrap().capture_gravity(&Q, &Q).is_err());
 }
 

@@ -5,8 +5,21 @@ use pyo3::types::{PyDict, PyFloat, PyList, PyTuple};
 
 use crate::error::{config, suggestion};
 
+/// What a value class adds to the behaviour that [`fields!`](crate::fields::fields) gives it.
+pub(crate) trait Special: Sized {
+    /// The class after a constructor or `replace` with `changes`; a group of settings records which fields were given.
+    fn after(self, _before: Option<&Self>, _changes: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        Ok(self)
+    }
+
+    /// Where the field `name` is, if this class has none of that name.
+    fn elsewhere(_name: &str) -> Option<String> {
+        None
+    }
+}
+
 /// A value class over a struct of the core, made by [`fields!`](crate::fields::fields).
-pub(crate) trait Fields: Sized {
+pub(crate) trait Fields: Special {
     /// The core's struct.
     type Core: Clone;
 
@@ -25,6 +38,12 @@ pub(crate) trait Fields: Sized {
     /// The fields in which `core` differs from `base`, as plain Python values.
     fn changed<'py>(core: &Self::Core, base: &Self::Core, py: Python<'py>) -> PyResult<Bound<'py, PyDict>>;
 
+    /// The fields for which `given` is true, as plain Python values.
+    fn chosen<'py>(core: &Self::Core, given: impl Fn(&str) -> bool, py: Python<'py>) -> PyResult<Bound<'py, PyDict>>;
+
+    /// Copies the fields for which `given` is true.
+    fn copy(to: &mut Self::Core, from: &Self::Core, given: impl Fn(&str) -> bool);
+
     /// Wraps a core struct after validating it.
     fn validated(core: Self::Core) -> PyResult<Self>;
 
@@ -33,7 +52,7 @@ pub(crate) trait Fields: Sized {
         for (key, value) in changes.into_iter().flatten() {
             let name: String = key.extract()?;
             if !Self::set(&mut base, &name, &value)? {
-                let hint = suggestion(key.py(), &name, Self::NAMES, ".");
+                let hint = Self::elsewhere(&name).unwrap_or_else(|| suggestion(key.py(), &name, Self::NAMES, "."));
                 let known = Self::NAMES.join(", ");
                 return Err(config(&name, format!("{} has no such field{hint} Fields: {known}", Self::CLASS)));
             }
@@ -94,7 +113,7 @@ macro_rules! fields {
             fn set(core: &mut $core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<bool> {
                 match name {
                     $(stringify!($field) => {
-                        core.$field = $crate::kinds::read::<$kind>(&format!("{}{name}", Self::OWNER), value)?;
+                        $crate::kinds::update::<$kind>(&mut core.$field, &format!("{}{name}", Self::OWNER), value)?;
                     })*
                     _ => return Ok(false),
                 }
@@ -107,6 +126,24 @@ macro_rules! fields {
                     out.set_item(stringify!($field), $crate::kinds::plain::<$kind>(&core.$field, py)?)?;
                 })*
                 Ok(out)
+            }
+
+            fn chosen<'py>(
+                core: &$core,
+                given: impl Fn(&str) -> bool,
+                py: Python<'py>,
+            ) -> PyResult<Bound<'py, PyDict>> {
+                let out = PyDict::new(py);
+                $(if given(stringify!($field)) {
+                    out.set_item(stringify!($field), $crate::kinds::plain::<$kind>(&core.$field, py)?)?;
+                })*
+                Ok(out)
+            }
+
+            fn copy(to: &mut $core, from: &$core, given: impl Fn(&str) -> bool) {
+                $(if given(stringify!($field)) {
+                    to.$field.clone_from(&from.$field);
+                })*
             }
 
             fn validated(core: $core) -> PyResult<Self> {
@@ -123,7 +160,8 @@ macro_rules! fields {
 
             #[pyo3(signature = (**changes))]
             fn replace(&self, changes: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-                <Self as $crate::fields::Fields>::with(self.0.clone(), changes)
+                let made = <Self as $crate::fields::Fields>::with(self.0.clone(), changes)?;
+                $crate::fields::Special::after(made, Some(self), changes)
             }
 
             fn __repr__(&self, py: Python<'_>) -> PyResult<String> {

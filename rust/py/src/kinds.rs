@@ -19,6 +19,12 @@ pub(crate) trait Kind {
     /// Reads what the user gave for the field `name`.
     fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Self::Core>;
 
+    /// Changes `core` to what the user gave; a group of settings changes only the fields that were given to it.
+    fn update(core: &mut Self::Core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
+        *core = Self::read(name, value)?;
+        Ok(())
+    }
+
     /// As numbers, strings, tuples and lists: what repr prints, and what pickle keeps.
     fn plain<'py>(core: &Self::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>>;
 
@@ -28,10 +34,10 @@ pub(crate) trait Kind {
     }
 }
 
-/// [`Kind::read`], one function for all fields of a kind.
+/// [`Kind::update`], one function for all fields of a kind.
 #[inline(never)]
-pub(crate) fn read<K: Kind>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<K::Core> {
-    K::read(name, value)
+pub(crate) fn update<K: Kind>(core: &mut K::Core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
+    K::update(core, name, value)
 }
 
 /// [`Kind::plain`], likewise.
@@ -212,6 +218,27 @@ impl Kind for Gains {
     }
 }
 
+/// A number, or one per axis.
+pub(crate) struct AxisGains;
+
+impl Kind for AxisGains {
+    type Core = Gain;
+
+    fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Gain> {
+        if let Some(k) = number(value) {
+            return Ok(Gain::Scalar(k));
+        }
+        match numbers(name, value)? {
+            (got, values) if got.len() == 1 => Ok(Gain::Diagonal(values)),
+            (got, _) => Err(shape(name, &got, "a number or (n,)")),
+        }
+    }
+
+    fn plain<'py>(core: &Gain, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        Gains::plain(core, py)
+    }
+}
+
 /// `None`: from the arm; a number: λ; three: λ₀, σ₀, λ_max.
 pub(crate) struct Dampings;
 
@@ -242,7 +269,7 @@ impl Kind for Dampings {
     }
 }
 
-/// Names of risks.
+/// Names of risks that are accepted.
 pub(crate) struct Names;
 
 impl Kind for Names {

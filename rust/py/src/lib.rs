@@ -15,6 +15,7 @@ mod error;
 mod extras;
 mod fields;
 mod functions;
+mod groups;
 mod in_use;
 mod kinds;
 mod kinematics;
@@ -54,6 +55,8 @@ mod _core {
         activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,
         null_space_projector, pose_error, responsibility,
     };
+    #[pymodule_export]
+    use crate::groups::{Compensation, NullSpace, PaperOptions, TorqueLimits, Tracking};
     #[pymodule_export]
     use crate::model::Model;
     #[pymodule_export]

@@ -5,13 +5,15 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
 use crate::error::{OrRaise, config};
-use crate::fields::{Fields, fields};
+use crate::fields::{Fields, Special, fields};
 use crate::kinds::{Flag, Joints, Optional};
 use crate::words::Word;
 
 #[pyclass(name = "Servos", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Servos(pub(crate) CoreServos);
+
+impl Special for Servos {}
 
 impl Servos {
     /// Spreads single numbers to the longest list.

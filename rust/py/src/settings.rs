@@ -1,25 +1,32 @@
 //! `Settings`.
 
 use pliant_core::MAX_AXES;
-use pliant_core::settings::{Follow, Law, LimitRule, Projector, Settings as CoreSettings};
+use pliant_core::settings::{Law, Settings as CoreSettings};
 use pliant_core::task::axes::{Axis, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
 use crate::arguments;
 use crate::error::{OrRaise, config};
-use crate::fields::{Fields, fields};
-use crate::kinds::{Dampings, Flag, Gains, Joints, Kind, Names, Number, Optional, Speeds};
+use crate::fields::{Fields, Special, fields};
+use crate::groups::{self, Compensation, Group, NullSpace, PaperOptions, TorqueLimits, Tracking};
+use crate::kinds::{Flag, Kind, Number, Speeds};
 use crate::model::Model;
 use crate::read::real;
 use crate::report::path as postures;
 use crate::servos::Servos;
 use crate::task::{AxesField, TaskField, merged};
-use crate::words::{Gravity, Word};
+use crate::words::Word;
 
 #[pyclass(name = "Settings", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Settings(pub(crate) CoreSettings);
+
+impl Special for Settings {
+    fn elsewhere(name: &str) -> Option<String> {
+        groups::owner(name)
+    }
+}
 
 impl Settings {
     fn check(core: &CoreSettings) -> PyResult<Self> {
@@ -31,7 +38,8 @@ impl Settings {
         Self::changed(&self.0, &CoreSettings::default(), py)
     }
 
-    /// A preset with some fields replaced; axes that are not named keep what the preset says.
+    /// A preset with some fields replaced; axes that are not named, and fields of a group that are not given, keep what
+    /// the preset says.
     ///
     /// Most presets speak of axes that a smaller task need not have; `named` are those that it must.
     fn preset(mut core: CoreSettings, named: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
@@ -73,58 +81,28 @@ fields! {
         task: TaskField,
         axes: AxesField,
         law: Word<Law>,
-        follow: Optional<Word<Follow>>,
-        limits: Word<LimitRule>,
-        projector: Word<Projector>,
-        kx: Gains,
-        horizon: Number,
-        kq: Gains,
-        alpha: Optional<Number>,
         rate: Number,
-        damping: Dampings,
-        posture: Optional<Joints>,
-        posture_weights: Optional<Joints>,
-        limit_avoidance: Number,
-        manipulability: Number,
-        null_torque: Optional<Number>,
-        null_stiffness: Optional<Number>,
-        null_speed: Number,
-        gravity: Gravity,
-        gravity_scale: Number,
-        friction_share: Number,
-        damping_share: Number,
-        prediction_share: Number,
-        friction_speed: Number,
-        velocity_filter: Number,
         delay: Number,
-        goal_slew: Number,
-        stiffening_time: Number,
+        gravity: Flag,
         max_tool_speed: Speeds,
         max_tool_acceleration: Speeds,
-        joint_speed: Optional<Joints>,
-        floor: Optional<Joints>,
-        margin: Number,
-        max_host_loss_force: Optional<Number>,
-        direction_band: Optional<Number>,
-        raw_deviation: Flag,
-        budget_on_goal: Flag,
-        joint_weights: Optional<Joints>,
-        lead_limit: Optional<Number>,
-        integrate: Number,
-        accept: Names,
+        accept_high_adaptation: Flag,
+        accept_high_stiffness: Flag,
+        tracking: Group<Tracking>,
+        null_space: Group<NullSpace>,
+        compensation: Group<Compensation>,
+        torque_limits: Group<TorqueLimits>,
+        paper_options: Group<PaperOptions>,
     }
     methods {
         #[new]
         #[pyo3(
             signature = (**fields),
-            text_signature = "(*, task='xyz rpy', axes={}, law='cap', follow=None, limits='demand', projector='exact', kx=4.0, \
-                              horizon=0.25, kq=1.0, alpha=None, rate=100.0, damping=None, posture=None, \
-                              posture_weights=None, limit_avoidance=0.0, manipulability=0.0, null_torque=None, \
-                              null_stiffness=None, null_speed=None, gravity=True, gravity_scale=1.1, friction_share=0.9, damping_share=0.8, \
-                              prediction_share=0.9, friction_speed=0.05, velocity_filter=0.02, delay=0.0, goal_slew=1.0, \
-                              stiffening_time=0.2, max_tool_speed=(0.25, 1.0), max_tool_acceleration=(1.0, 4.0), \
-                              joint_speed=None, floor=None, margin=0.1, max_host_loss_force=None, direction_band=None, raw_deviation=False, \
-                              budget_on_goal=False, joint_weights=None, lead_limit=None, integrate=0.0, accept=())"
+            text_signature = "(*, task='xyz rpy', axes={}, law='cap', rate=100.0, delay=0.0, gravity=True, \
+                              max_tool_speed=(0.25, 1.0), max_tool_acceleration=(1.0, 4.0), \
+                              accept_high_adaptation=False, accept_high_stiffness=False, tracking=..., \
+                              null_space=..., compensation=..., torque_limits=..., \
+                              paper_options=...)"
         )]
         fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
             Self::with(CoreSettings::default(), fields)
@@ -138,7 +116,7 @@ fields! {
 
         #[pyo3(signature = (model, path = None, *, servos = None))]
         #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
-        fn tracking(
+        fn raise_soft(
             &self,
             py: Python<'_>,
             #[pyo3(from_py_with = arguments::model)] model: Py<Model>,
@@ -148,7 +126,7 @@ fields! {
             let model = model.get();
             let poses = path.map_or(Ok(Vec::new()), |path| postures("path", path, model.core.n()))?;
             let servos = servos.as_ref().or(model.servos.as_ref()).map(|servos| &servos.get().0);
-            py.detach(|| self.0.tracking(&model.core, servos, &poses)).or_raise().map(Self)
+            py.detach(|| self.0.raise_soft(&model.core, servos, &poses)).or_raise().map(Self)
         }
 
         #[classmethod]

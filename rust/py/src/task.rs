@@ -8,13 +8,15 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping, PyMappingProxy, PyTuple};
 
 use crate::error::{OrRaise, config, shown};
-use crate::fields::{Fields, fields};
+use crate::fields::{Fields, Special, fields};
 use crate::kinds::{AxisKey, Kind, Number, Optional, Sides, TaskFrame};
 use crate::words::Word;
 
 #[pyclass(name = "Task", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Task(pub(crate) CoreTask);
+
+impl Special for Task {}
 
 impl Task {
     fn check(core: &CoreTask) -> PyResult<Self> {
@@ -59,6 +61,8 @@ fields! {
 #[pyclass(name = "Axis", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Axis(pub(crate) CoreAxis);
+
+impl Special for Axis {}
 
 impl Axis {
     fn check(core: &CoreAxis) -> PyResult<Self> {

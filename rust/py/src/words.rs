@@ -6,10 +6,10 @@ use pliant_core::{
     Follow, GravityUse, Law, LimitRule, LimitType, OnDeviationLimit, Profile, Projector, Reference, Yields,
 };
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyString};
+use pyo3::types::PyString;
 
 use crate::error::{config, shown, suggestion};
-use crate::kinds::{Flag, Kind, wrong};
+use crate::kinds::Kind;
 
 /// A choice of words.
 pub(crate) struct Word<E>(PhantomData<E>);
@@ -51,29 +51,7 @@ macro_rules! words_of_core {
 
 words_of_core!(Law, Follow, LimitRule, Projector, Profile, OnDeviationLimit, Yields, LimitType, Reference);
 
-/// True, False, `"goal"` or `"limits"`.
-pub(crate) struct Gravity;
-
-impl Kind for Gravity {
-    type Core = GravityUse;
-
-    fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<GravityUse> {
-        if let Ok(on) = value.cast::<PyBool>() {
-            return Ok(if on.is_true() { GravityUse::Both } else { GravityUse::Off });
-        }
-        match value.extract::<String>().as_deref() {
-            Ok("goal") => Ok(GravityUse::Goal),
-            Ok("limits") => Ok(GravityUse::Limits),
-            _ => Err(wrong(name, "True, False, 'goal' or 'limits'", value)),
-        }
-    }
-
-    fn plain<'py>(core: &GravityUse, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        match core {
-            GravityUse::Both => Flag::plain(&true, py),
-            GravityUse::Off => Flag::plain(&false, py),
-            GravityUse::Goal => Ok(PyString::new(py, "goal").into_any()),
-            GravityUse::Limits => Ok(PyString::new(py, "limits").into_any()),
-        }
-    }
+impl Words for GravityUse {
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("both", Self::Both), ("goal", Self::Goal), ("limits", Self::Limits)];
 }

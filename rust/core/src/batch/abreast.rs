@@ -86,7 +86,8 @@ impl Abreast<'_> {
         }
         let target = self.targets(row, &mut sure);
 
-        let view = model.chain().look_abreast(&q, masses, gravity, settings.gravity != GravityUse::Off, jacobians);
+        let view =
+            model.chain().look_abreast(&q, masses, gravity, settings.gravity_use() != GravityUse::Off, jacobians);
         let (q, mut turned) = (Columns::<W, ABREAST>::of_joints(&q), None);
         let seen = Seen::new(plan, settings, q, &view, &mut turned);
         let error = pose_error_by::<W>(&seen.view.tool, &target);
@@ -109,8 +110,12 @@ impl Abreast<'_> {
         let load = |values| Columns::<W, ABREAST>::load(values);
         let limit = finish(wanted, None, load(&plan.floor), load(&plan.servos.torque), Columns::splat(0.0));
         let goal = solution.goal(plan, settings, limit);
-        let speed =
-            register_speed(&seen.view.world, settings.max_tool_speed, settings.goal_slew, load(&plan.joint_speed));
+        let speed = register_speed(
+            &seen.view.world,
+            settings.max_tool_speed,
+            settings.tracking.goal_slew,
+            load(&plan.joint_speed),
+        );
 
         let (moving, goals, limits) = (solution.moving.numbers(), goal.numbers(), limit.numbers());
         for i in 0..n {

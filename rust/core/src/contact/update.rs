@@ -102,7 +102,7 @@ impl ContactEstimator {
             velocity_error: &motion.velocity_error,
             acceleration: &motion.acceleration,
             noise: &motion.noise,
-            friction_speed: controller.settings().friction_speed,
+            friction_speed: controller.settings().paper_options.friction_speed,
         };
         let errors = Errors {
             given: if measured.is_some() { self.options.load_error } else { self.errors.given },
@@ -112,7 +112,8 @@ impl ContactEstimator {
         let (own, moving) = (balance.held(), balance.resisted());
         let open = self.open(&errors, &resistance, &torque, &seen.gravity);
         // Velocities lag behind positions: what does not depend on them waits, so that all parts speak of one instant.
-        let wait = if memory.warm && dq.is_none() { dt / (controller.settings().velocity_filter + dt) } else { 1.0 };
+        let wait =
+            if memory.warm && dq.is_none() { dt / (controller.settings().tracking.velocity_filter + dt) } else { 1.0 };
         let share = if memory.warm { dt / (self.options.filter + dt) } else { 1.0 };
         for i in 0..self.joints.n {
             memory.held[i] += wait * (own[i] - memory.held[i]);
@@ -214,7 +215,7 @@ impl ContactEstimator {
             velocity_error: &zero,
             acceleration: &zero,
             noise: &Noise { reading: self.reading_noise(controller.settings().rate.recip()), ..Noise::default() },
-            friction_speed: controller.settings().friction_speed,
+            friction_speed: controller.settings().paper_options.friction_speed,
         };
         let resistance = balance.resistance_error(&self.errors);
         let open = self.open(&self.errors, &resistance, &seen.gravity, &seen.gravity);
@@ -247,7 +248,7 @@ impl ContactEstimator {
         dt: f64,
         memory: &mut Memory,
     ) -> Motion {
-        let filter = controller.settings().velocity_filter;
+        let filter = controller.settings().tracking.velocity_filter;
         if !memory.started {
             (memory.filter, memory.before) = (VelocityFilter::new(q), *q);
             (memory.slow, memory.started) = (dq.copied().unwrap_or_default(), true);

@@ -29,7 +29,7 @@ impl Controller {
             }
         }
         // What the integrating goal holds of this offset must not count twice.
-        if self.settings.gravity.in_goal() {
+        if self.settings.gravity_use().in_goal() {
             for i in 0..self.plan.n {
                 let more = holding[i] * (captured[i] - self.plan.gravity_compliance[i]);
                 self.memory.integral[i] -= more;

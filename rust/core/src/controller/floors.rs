@@ -42,7 +42,7 @@ impl<'a, J: Lanes> Seen<'a, J> {
     ) -> Self {
         let base_from_task = plan.base_from_task::<J::One>(&view.tool);
         let rows = task::rows_in(&plan.frame, &view.world, &base_from_task, &plan.axes, room);
-        let gravity = settings.gravity;
+        let gravity = settings.gravity_use();
         let in_goal = J::splat(f64::from(u8::from(gravity.in_goal())));
         let in_limit = J::splat(f64::from(u8::from(gravity.in_limits())));
         let (gravity_in_goal, gravity_in_limit) = (in_goal * view.holding, in_limit * view.holding);
@@ -100,7 +100,7 @@ impl<'a, J: Lanes> Given<'a, J> {
     ) -> Tick<'a, J> {
         Tick {
             plan,
-            horizon: settings.horizon,
+            horizon: settings.paper_options.horizon,
             rows: seen.rows,
             scaled_rows: self.scaled_rows,
             condition: self.condition,
@@ -165,7 +165,7 @@ impl<J: Lanes> Solution<J> {
             feed_forward: self.feed_forward,
             task: transpose_times(seen.rows, &J::Axes::clip(wrench, wish.most).axes()),
             offset: J::load(&plan.servos.kp) * (lead + integral + ahead),
-            gravity_scale: settings.gravity_scale,
+            gravity_scale: settings.paper_options.gravity_scale,
             margin: J::load(&plan.margin),
         }
     }
@@ -189,16 +189,16 @@ impl<J: Lanes> Solution<J> {
 fn fed<J: Lanes>(settings: &Settings, gamma: Scalar<J>) -> Fed<Scalar<J>> {
     let share = |of: f64| gamma * J::One::splat(of);
     Fed {
-        friction: share(settings.friction_share),
-        damping: share(settings.damping_share),
-        speed: settings.friction_speed,
+        friction: share(settings.compensation.friction),
+        damping: share(settings.compensation.damping),
+        speed: settings.paper_options.friction_speed,
     }
 }
 
 /// How far the goals may lead under law `paper` [rad]: what the limit can use and a little more.
 #[inline(always)]
 fn lead_limit<J: Lanes>(plan: &Plan, settings: &Settings, limit: J) -> J {
-    match settings.lead_limit {
+    match settings.paper_options.lead_limit {
         Some(lead) => J::splat(lead),
         None if plan.servos.has_kp => (limit + J::load(&plan.margin)) * J::load(&plan.servos.compliance),
         None => J::splat(LEAD_UNKNOWN),

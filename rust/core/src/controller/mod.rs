@@ -80,7 +80,7 @@ impl Controller {
     /// [`Error::OutOfRange`], [`Error::Shape`] or [`Error::Config`], naming the setting and the remedy.
     pub fn new(model: Arc<Model>, settings: Settings, servos: Option<Servos>) -> Result<Self> {
         let controller = Self::made(model, settings, servos, None)?;
-        controller.check_holding(controller.settings.gravity, &controller.masses)?;
+        controller.check_holding(controller.settings.gravity_use(), &controller.masses)?;
         Ok(controller)
     }
 
@@ -124,7 +124,11 @@ impl Controller {
 
     /// A rest posture is one that the joints could be read in.
     fn check_posture(&self, settings: &Settings) -> Result<()> {
-        settings.posture.as_ref().map_or(Ok(()), |posture| self.positions("posture", posture).map(|_| ()))
+        settings
+            .null_space
+            .posture
+            .as_ref()
+            .map_or(Ok(()), |posture| self.positions("null_space.posture", posture).map(|_| ()))
     }
 
     /// The robot.
@@ -236,8 +240,8 @@ impl Controller {
         let mut plan =
             Plan::new(&self.model, &settings, self.servos.as_ref(), self.captured.is_some(), &mut self.surveyed)?;
         self.check_posture(&settings)?;
-        if self.settings.gravity == GravityUse::Off {
-            self.check_holding(settings.gravity, &self.masses)?;
+        if self.settings.gravity_use() == GravityUse::Off {
+            self.check_holding(settings.gravity_use(), &self.masses)?;
         }
         if let Some(compliance) = self.captured {
             plan.gravity_compliance = compliance;
@@ -255,7 +259,7 @@ impl Controller {
 
     /// Gives up what memory holds of other settings.
     pub(crate) fn adapt_memory(&mut self) {
-        if self.settings.integrate <= 0.0 {
+        if self.settings.tracking.integrate <= 0.0 {
             self.memory.integral = [0.0; MAX_JOINTS];
         }
         self.memory.singular = crate::law::singular::SingularValues::start();
@@ -264,7 +268,7 @@ impl Controller {
 
     /// Takes all bounds on how fast goals and the tool's target may move.
     pub(crate) fn forget_bounds(&mut self) {
-        self.settings.goal_slew = f64::INFINITY;
+        self.settings.tracking.goal_slew = f64::INFINITY;
         self.settings.max_tool_speed = [f64::INFINITY; 2];
     }
 
@@ -281,7 +285,7 @@ impl Controller {
             payload.validate()?;
         }
         let masses = self.model.chain().masses(payload);
-        self.check_holding(self.settings.gravity, &masses)?;
+        self.check_holding(self.settings.gravity_use(), &masses)?;
         self.take(payload.copied(), &masses);
         Ok(())
     }

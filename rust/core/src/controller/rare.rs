@@ -77,7 +77,7 @@ impl Cycle<'_> {
         let (mut friction, mut base) = (nothing, nothing);
         for i in 0..plan.n {
             friction[i] = plan.servos.friction_at_rest(i, holding[i]);
-            base[i] = (self.settings.gravity_scale * in_limit[i].abs()).max(plan.floor[i]);
+            base[i] = (self.settings.paper_options.gravity_scale * in_limit[i].abs()).max(plan.floor[i]);
         }
         let dead = HostLoss {
             chain: self.chain,

@@ -109,7 +109,7 @@ impl<J: Joints> Solution<J> {
             }
             let takeover = Takeover {
                 plan,
-                horizon: settings.horizon,
+                horizon: settings.paper_options.horizon,
                 rows: seen.rows,
                 free: J::splat(1.0) - locks.locked,
                 lost: &times(seen.rows, locks.either(all - locks.lead, nothing)),

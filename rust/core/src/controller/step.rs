@@ -187,7 +187,7 @@ impl Cycle<'_> {
         let mut limit = finish(wanted, before, floor, ceiling, rise);
         let to = Goals { goal: solution.goal(plan, settings, limit), weight: solution.weight };
         let from = Goals { goal: J::load(&self.memory.goal), weight: J::load(&self.memory.weight) };
-        let (Goals { goal, weight }, share) = slew(from, to, settings.goal_slew * dt);
+        let (Goals { goal, weight }, share) = slew(from, to, settings.tracking.goal_slew * dt);
         let strain = strain(solution.motion.factors[2].min(share));
         if strain > 0.0 && governor.behind(speed) != [false; 2] {
             let lag = axes(wish.deviation * (J::Axes::splat(1.0) - wish.softness));
@@ -214,7 +214,7 @@ impl Cycle<'_> {
         }
         self.memory.governor = governor;
         // A deviation that a limit keeps up is not to be worked off.
-        if settings.integrate > 0.0 && !aim.limited.contains(&true) {
+        if settings.tracking.integrate > 0.0 && !aim.limited.contains(&true) {
             self.integrate(dt, &seen, &wish, &solved);
         }
         goal.store(&mut self.memory.goal);
@@ -222,7 +222,7 @@ impl Cycle<'_> {
         limit.store(self.memory.limit.get_or_insert([0.0; MAX_JOINTS]));
         goal.store(&mut self.command.goal);
         limit.store(&mut self.command.torque_limit);
-        let profile = register_speed(&seen.view.world, speed, settings.goal_slew, J::load(&plan.joint_speed));
+        let profile = register_speed(&seen.view.world, speed, settings.tracking.goal_slew, J::load(&plan.joint_speed));
         profile.store(&mut self.command.speed_limit);
         self.note(&seen, &aim, &wish, &solved, &filtered);
         true
@@ -238,8 +238,8 @@ impl Cycle<'_> {
         }
         let addition = Addition {
             lead: &lead,
-            share: self.settings.integrate * dt,
-            gravity: &(seen.view.holding * J::splat(self.settings.gravity_scale)).array(),
+            share: self.settings.tracking.integrate * dt,
+            gravity: &(seen.view.holding * J::splat(self.settings.paper_options.gravity_scale)).array(),
             softness: &axes(wish.softness),
             rows: &without_locked(&rows_array(seen.rows), locked),
             damping: &axes(solved.row_damping),
@@ -254,7 +254,7 @@ impl Cycle<'_> {
             return Filtered { held: q, velocity: J::load(dq) };
         }
         let encoder_step = J::load(&self.plan.servos.encoder_step);
-        self.memory.filter.after(q, encoder_step, self.settings.velocity_filter, self.input.dt)
+        self.memory.filter.after(q, encoder_step, self.settings.tracking.velocity_filter, self.input.dt)
     }
 
     /// Line 1: the positions at which the goal will arrive.
@@ -263,7 +263,7 @@ impl Cycle<'_> {
         if !self.plan.law.by_force() {
             return q;
         }
-        let ahead = self.memory.gamma * self.settings.prediction_share * self.delay;
+        let ahead = self.memory.gamma * self.settings.compensation.delay * self.delay;
         J::fma(J::splat(ahead), filtered.velocity, q)
     }
 
@@ -317,7 +317,7 @@ impl Cycle<'_> {
                     gravity: seen.gravity_in_limit.every(),
                     feed_forward: solution.feed_forward.every(),
                 };
-                J::load(&asked.sum(plan, self.settings.gravity_scale))
+                J::load(&asked.sum(plan, self.settings.paper_options.gravity_scale))
             }
         }
     }
@@ -338,7 +338,7 @@ impl Cycle<'_> {
         filtered.velocity.store(&mut record.velocity);
         record.deviation = axes(wish.deviation);
         record.adapted_deviation = axes(wish.adapted);
-        record.task_velocity = axes(wish.bounded * J::Axes::splat(1.0 / self.settings.horizon));
+        record.task_velocity = axes(wish.bounded * J::Axes::splat(1.0 / self.settings.paper_options.horizon));
         record.softness = axes(wish.softness);
         record.compliance = axes(wish.compliance);
         record.axis_strength = axes(wish.most);

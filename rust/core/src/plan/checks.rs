@@ -25,11 +25,11 @@ pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> 
 
 /// A torque for motions that the task leaves free needs some.
 pub(super) fn check_null_torque(settings: &Settings, k: usize, n: usize) -> Result<()> {
-    if settings.law != Law::Paper || k < n || settings.null_torque.is_none_or(|torque| torque <= 0.0) {
+    if settings.law != Law::Paper || k < n || settings.null_space.max_torque.is_none_or(|torque| torque <= 0.0) {
         return Ok(());
     }
     Err(Error::config(
-        "null_torque",
+        "null_space.max_torque",
         format!("{k} task axes leave no null space on {n} joints: leave it out, or take away an axis"),
     ))
 }
@@ -39,17 +39,18 @@ pub(super) fn check_gain(settings: &Settings, plan: &Plan) -> Result<()> {
     let shift = 1e-9 * (1.0 + symmetric.amax());
     if (symmetric + DMatrix::identity(plan.k, plan.k) * shift).cholesky().is_none() {
         return Err(Error::config(
-            "kx",
+            "tracking.gain",
             "drives some direction away from its target: K + Kᵀ has a negative eigenvalue",
         ));
     }
-    let (gain, bound) = (plan.gain(settings.horizon), plan.gain_bound(settings.delay, 1.0 / settings.rate));
+    let (gain, bound) =
+        (plan.gain(settings.paper_options.horizon), plan.gain_bound(settings.delay, 1.0 / settings.rate));
     if settings.law == Law::Cap && gain > bound * (1.0 + 1e-12) {
         return Err(Error::out_of_range(
-            "kx · horizon",
+            "tracking.gain · horizon",
             gain,
             format!(
-                "(0, {bound:.3}]: with a delay of {} s at {} Hz a stiffer loop oscillates; lower kx, or shorten delay and period",
+                "(0, {bound:.3}]: with a delay of {} s at {} Hz a stiffer loop oscillates; lower tracking.gain, or shorten delay and period",
                 settings.delay, settings.rate
             ),
         ));
@@ -59,7 +60,10 @@ pub(super) fn check_gain(settings: &Settings, plan: &Plan) -> Result<()> {
 
 pub(super) fn check_gravity(model: &Model, settings: &Settings) -> Result<()> {
     let unknown = model.unknown_mass_joints();
-    if settings.gravity == crate::settings::GravityUse::Off || unknown.is_empty() || settings.floor.is_some() {
+    if settings.gravity_use() == crate::settings::GravityUse::Off
+        || unknown.is_empty()
+        || settings.torque_limits.floor.is_some()
+    {
         return Ok(());
     }
     let names: Vec<&str> = unknown.iter().map(|&i| model.joint_names()[i].as_str()).collect();
@@ -67,7 +71,7 @@ pub(super) fn check_gravity(model: &Model, settings: &Settings) -> Result<()> {
         "gravity",
         format!(
             "no mass is known of what joints {} move, so gravity cannot be compensated there: add <inertial> to the URDF, \
-             or give floor=[...] [N·m] for the limits, or gravity=False",
+             or give torque_limits=TorqueLimits(floor=[...]) [N·m] for the limits, or gravity=False",
             names.join(", ")
         ),
     ))
@@ -80,9 +84,9 @@ pub(super) fn check_kp(settings: &Settings, servos: &ServoArrays, model: &Model)
     let wants = match settings.law {
         Law::Cap => Some("law=\"cap\""),
         Law::Impedance => Some("law=\"impedance\""),
-        Law::Paper if settings.budget_on_goal => Some("budget_on_goal=True"),
+        Law::Paper if settings.paper_options.budget_on_goal => Some("budget_on_goal=True"),
         Law::Paper if settings.effective_follow() == Follow::Free => Some("follow=\"free\""),
-        Law::Paper if settings.gravity.in_goal() => Some("gravity in the goals"),
+        Law::Paper if settings.gravity_use().in_goal() => Some("gravity in the goals"),
         Law::Paper => None,
     };
     wants.map_or(Ok(()), |what| {

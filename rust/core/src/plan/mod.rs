@@ -144,13 +144,16 @@ impl Plan {
         let rows = resolve_rows(model, settings, &arrays, &axes, known, surveyed)?;
         let unit = settings.task.length.filter(|_| k > n).unwrap_or_else(|| scale_length(model.reach()));
         // λ as printed in (3) adds to rows in mixed units; with more axes than joints it is what weighs them.
-        let as_printed = matches!(settings.damping, Damping::Fixed(_)) && k <= n;
+        let as_printed = matches!(settings.tracking.damping, Damping::Fixed(_)) && k <= n;
         let row_scale = of_translations(&axes, 1.0 / unit);
         let damping_scale = of_translations(&axes, if as_printed { 1.0 } else { unit * unit });
         let redundant = k < n;
         let damping = resolve_damping(model, settings, &axes, unit, surveyed)?;
         check_null_torque(settings, k, n)?;
-        let kx = settings.kx.spread("kx", if matches!(settings.kx, Gain::Scalar(_)) { MAX_AXES } else { k })?;
+        let kx = settings
+            .tracking
+            .gain
+            .spread("tracking.gain", if matches!(settings.tracking.gain, Gain::Scalar(_)) { MAX_AXES } else { k })?;
         let kx = compact(&kx, k);
         let (lower, upper) = (fill(model.lower(), f64::NEG_INFINITY), fill(model.upper(), f64::INFINITY));
         let posture_lets_go = settings.law.by_force() && redundant;
@@ -160,9 +163,9 @@ impl Plan {
             k,
             law: settings.law,
             follow: settings.effective_follow(),
-            limits: settings.limits,
-            projector: settings.projector,
-            budget_on_goal: settings.budget_on_goal,
+            limits: settings.paper_options.limits,
+            projector: settings.null_space.projector,
+            budget_on_goal: settings.paper_options.budget_on_goal,
             frame: settings.task.frame,
             fixed_axes: settings.task.frame.base_from_task(&Pose::IDENTITY.rotation),
             lanes: RowLanes::new(&rows[..k], &damping_scale, &kx),
@@ -172,27 +175,32 @@ impl Plan {
             row_scale,
             damping_scale,
             kx,
-            kq_columns: columns(&settings.kq.spread("kq", n)?),
-            kq_scalar: match settings.kq {
+            kq_columns: columns(&settings.paper_options.kq.spread("paper_options.kq", n)?),
+            kq_scalar: match settings.paper_options.kq {
                 Gain::Scalar(gain) => Some(gain),
                 _ => None,
             },
             kx_derating: 1.0,
             impedance_bounds: stiffness::bounds(settings, settings.delay, well_damped),
-            null_stiffness: settings.null_stiffness,
-            alpha: settings.alpha.unwrap_or_else(|| settings.kx.largest()),
+            null_stiffness: settings.null_space.stiffness,
+            alpha: settings.null_space.gain.unwrap_or_else(|| settings.tracking.gain.largest()),
             takeover_damping: damping_scale.map(|scale| {
                 scale * (damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2))
             }),
-            heavy: settings.gravity != GravityUse::Off
-                || settings.integrate > 0.0
-                || settings.max_host_loss_force.is_some(),
+            heavy: settings.gravity_use() != GravityUse::Off
+                || settings.tracking.integrate > 0.0
+                || settings.torque_limits.max_host_loss_force.is_some(),
             follows_sigma: scales::follows_sigma(settings, &damping),
             damping,
             cost: resolve_cost(model, settings)?,
-            rest: settings.posture.as_ref().map(|posture| list("posture", Some(posture), n, 0.0)).transpose()?,
-            null_torque: settings.null_torque.unwrap_or(if redundant { 2.0 } else { 0.0 }),
-            null_speed: settings.null_speed,
+            rest: settings
+                .null_space
+                .posture
+                .as_ref()
+                .map(|posture| list("null_space.posture", Some(posture), n, 0.0))
+                .transpose()?,
+            null_torque: settings.null_space.max_torque.unwrap_or(if redundant { 2.0 } else { 0.0 }),
+            null_speed: settings.null_space.max_speed,
             inverse_weight: resolve_weight(settings, n)?,
             joint_speed: resolve_speed(model, settings)?,
             lower,
@@ -203,12 +211,12 @@ impl Plan {
             beyond: joints(n, 0.0, |i| beyond(&arrays, i)),
             stop_slope: gain_bound(well_damped, settings.delay, 1.0 / settings.rate) - 1.0,
             clearance: if posture_lets_go { clearance(&lower, &upper) } else { [f64::NEG_INFINITY; MAX_JOINTS] },
-            floor: match &settings.floor {
-                Some(floor) => list("floor", Some(floor), n, 0.0)?,
+            floor: match &settings.torque_limits.floor {
+                Some(floor) => list("torque_limits.floor", Some(floor), n, 0.0)?,
                 None => arrays.friction,
             },
             margin: joints(n, 0.0, |i| margin(settings, &arrays, i)),
-            max_host_loss_force: settings.max_host_loss_force,
+            max_host_loss_force: settings.torque_limits.max_host_loss_force,
             rise: joints(n, f64::INFINITY, |i| rise(settings, &arrays, i)),
             gravity_compliance: arrays.compliance,
             servos: arrays,
@@ -233,7 +241,7 @@ impl Plan {
 
     /// Sets the factor on K_x that a measured delay [s] demands; law `paper` has no such bound.
     pub(crate) fn derate(&mut self, delay: f64, settings: &Settings) {
-        let (gain, bound) = (self.gain(settings.horizon), self.gain_bound(delay, 1.0 / settings.rate));
+        let (gain, bound) = (self.gain(settings.paper_options.horizon), self.gain_bound(delay, 1.0 / settings.rate));
         self.kx_derating = if self.law == Law::Cap && gain > bound { bound / gain } else { 1.0 };
         self.impedance_bounds = stiffness::bounds(settings, delay, self.servos.well_damped(self.n));
         self.stop_slope = bound - 1.0;
@@ -253,17 +261,21 @@ fn beyond(servos: &ServoArrays, i: usize) -> f64 {
 /// What a joint's limit has to spare beside what the law asks for [N·m].
 fn margin(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
     let usable = servos.torque[i];
-    let share = if usable.is_finite() { settings.margin * usable } else { 0.0 };
+    let share = if usable.is_finite() { settings.torque_limits.margin * usable } else { 0.0 };
     share.max(2.0 * servos.friction[i])
 }
 
 /// By how much a joint's limit may rise [N·m/s].
 fn rise(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
-    if settings.stiffening_time > 0.0 { servos.torque[i] / settings.stiffening_time } else { f64::INFINITY }
+    if settings.torque_limits.stiffening_time > 0.0 {
+        servos.torque[i] / settings.torque_limits.stiffening_time
+    } else {
+        f64::INFINITY
+    }
 }
 
 fn resolve_weight(settings: &Settings, n: usize) -> Result<JointVec> {
-    let weight = list("joint_weights", settings.joint_weights.as_deref(), n, 1.0)?;
+    let weight = list("paper_options.joint_weights", settings.paper_options.joint_weights.as_deref(), n, 1.0)?;
     Ok(if settings.law == Law::Paper { weight.map(|w| 1.0 / w) } else { [1.0; MAX_JOINTS] })
 }
 
@@ -305,7 +317,7 @@ fn resolve_damping(
     length: f64,
     surveyed: &mut Surveyed,
 ) -> Result<DampingPlan> {
-    Ok(match settings.damping {
+    Ok(match settings.tracking.damping {
         Damping::Fixed(lambda) => DampingPlan { lambda_0: lambda, sigma_0: 0.0, lambda_max: 0.0 },
         Damping::Adaptive { lambda_0, sigma_0, lambda_max } => DampingPlan { lambda_0, sigma_0, lambda_max },
         Damping::Auto => {
@@ -333,23 +345,26 @@ fn resolve_cost(model: &Model, settings: &Settings) -> Result<Cost> {
     for (i, (&lower, &upper)) in model.lower().iter().zip(model.upper()).enumerate().take(MAX_JOINTS) {
         if lower.is_finite() && upper.is_finite() {
             middle[i] = 0.5 * (lower + upper);
-            limits[i] = settings.limit_avoidance / (0.25 * (upper - lower) * (upper - lower));
+            limits[i] = settings.null_space.limit_avoidance / (0.25 * (upper - lower) * (upper - lower));
         }
     }
-    if settings.manipulability > 0.0 && model.chain().path != n {
-        return Err(Error::config("manipulability", "not available for a chain with mimic joints: use 0"));
+    if settings.paper_options.manipulability > 0.0 && model.chain().path != n {
+        return Err(Error::config(
+            "paper_options.manipulability",
+            "not available for a chain with mimic joints: use 0",
+        ));
     }
     Ok(Cost {
-        posture: list("posture_weights", settings.posture_weights.as_deref(), n, 1.0)?,
+        posture: list("paper_options.posture_weights", settings.paper_options.posture_weights.as_deref(), n, 1.0)?,
         middle,
         limits,
-        manipulability: settings.manipulability,
+        manipulability: settings.paper_options.manipulability,
     })
 }
 
 fn resolve_speed(model: &Model, settings: &Settings) -> Result<JointVec> {
-    if settings.joint_speed.is_some() {
-        return list("joint_speed", settings.joint_speed.as_deref(), model.n(), f64::INFINITY);
+    if settings.tracking.joint_speed.is_some() {
+        return list("tracking.joint_speed", settings.tracking.joint_speed.as_deref(), model.n(), f64::INFINITY);
     }
     let mut out = [f64::INFINITY; MAX_JOINTS];
     for (slot, speed) in out.iter_mut().zip(model.velocity_limit()) {

@@ -55,7 +55,8 @@ impl Pace {
         }
         let n = model.n().min(MAX_JOINTS);
         let resisted: f64 = (0..n).map(|i| servos.damping[i] * servos.compliance[i]).sum();
-        let taken = if settings.law == Law::Paper { 0.0 } else { settings.damping_share * resisted / n.max(1) as f64 };
+        let taken =
+            if settings.law == Law::Paper { 0.0 } else { settings.compensation.damping * resisted / n.max(1) as f64 };
         let on = inertia.iter().any(|&t| t > 0.0);
         let mut pace = Self { on, inertia, driven, damping: [0.0; LANES], given_back: GIVEN_BACK * taken };
         pace.derate(settings, settings.delay);
@@ -64,7 +65,7 @@ impl Pace {
 
     /// Sets the damper for a measured delay [s].
     pub(super) fn derate(&mut self, settings: &Settings, delay: f64) {
-        let late = delay + 0.5 / settings.rate + settings.velocity_filter;
+        let late = delay + 0.5 / settings.rate + settings.tracking.velocity_filter;
         let rate = DECAY.min(DECAY_DELAY_BOUND / late);
         let given_back = self.given_back;
         self.damping = self.inertia.map(|squared| if squared > 0.0 { rate * squared + given_back } else { 0.0 });

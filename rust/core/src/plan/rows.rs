@@ -137,17 +137,13 @@ fn resolve_row(
             ));
         }
     }
-    if !paper
-        && given.adaptation > ETA_UNPROVEN
-        && !stiffness_known
-        && !settings.accept.iter().any(|risk| risk == "eta")
-    {
+    if !paper && given.adaptation > ETA_UNPROVEN && !stiffness_known && !settings.accept_high_adaptation {
         return Err(Error::out_of_range(
             format!("axes.{name}.adaptation"),
             given.adaptation,
             format!(
                 "[0, {ETA_UNPROVEN}] while k_p is not known within 10 %: a gravity error would walk the arm away. \
-                 Identify k_p (Servos(..., stiffness_known=True)), capture gravity, or take the risk by name: Settings(accept=(\"eta\",))"
+                 Identify k_p (Servos(..., stiffness_known=True)), capture gravity, or accept the risk: Settings(accept_high_adaptation=True)"
             ),
         ));
     }
@@ -178,7 +174,7 @@ fn resolve_row(
         eta: given.adaptation,
         soft_until,
         firm_from,
-        band: soft_until * settings.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 }),
+        band: soft_until * settings.paper_options.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 }),
         profile: given.profile,
         step_limit: given.max_velocity.unwrap_or(if translation { 0.4 } else { 2.0 }),
         soft_step_limit: given.soft_step_limit.unwrap_or(soft_step),

@@ -30,8 +30,8 @@ pub(super) fn readable(model: &Model) -> [JointVec; 2] {
 pub(super) fn follows_sigma(settings: &Settings, damping: &DampingPlan) -> bool {
     settings.law != Law::Paper
         || damping.sigma_0 > 0.0
-        || settings.manipulability > 0.0
-        || settings.projector == Projector::Exact
+        || settings.paper_options.manipulability > 0.0
+        || settings.null_space.projector == Projector::Exact
 }
 
 impl Plan {

@@ -26,12 +26,12 @@ const WELL_DAMPED: f64 = 3.0;
 /// Largest ρ at a delay [s], with half a period added to it: of stiffness `max(1, 0.03 s / T_e)`, at least 3 for well damped
 /// servos up to a T_e of 0.03 s; of damping `0.007 s² / (T_e + T_f)`.
 pub(super) fn bounds(settings: &Settings, delay: f64, well_damped: bool) -> [f64; 2] {
-    if settings.accept.iter().any(|risk| risk == "stiffness") {
+    if settings.accept_high_stiffness {
         return [f64::INFINITY; 2];
     }
     let late = delay + 0.5 / settings.rate;
     let least = if well_damped && late <= WELL_DAMPED_DELAY { WELL_DAMPED } else { 1.0 };
-    [(GAIN_DELAY_BOUND / late).max(least), DAMPING_DELAY_BOUND / (late + settings.velocity_filter)]
+    [(GAIN_DELAY_BOUND / late).max(least), DAMPING_DELAY_BOUND / (late + settings.tracking.velocity_filter)]
 }
 
 /// Stiffness of axes that do not yield, translations and rotations; zero under the other laws.
@@ -50,12 +50,12 @@ pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &Ser
 /// What a pose demands beyond that is taken off tick by tick, see [`rho`]; so is the default stiffness of other axes.
 pub(super) fn check(model: &Model, settings: &Settings, plan: &Plan) -> Result<()> {
     let [most_stiff, most_damped] = plan.impedance_bounds;
-    if let Some(stiffness) = settings.null_stiffness {
+    if let Some(stiffness) = settings.null_space.stiffness {
         let softest = plan.servos.kp[..plan.n].iter().copied().fold(f64::INFINITY, f64::min);
         let most = most_stiff * softest;
         if stiffness > most {
             let bound = format!("[0, {most:.3}]: {}", why(settings));
-            return Err(Error::out_of_range("null_stiffness [N·m/rad]", stiffness, bound));
+            return Err(Error::out_of_range("null_space.stiffness [N·m/rad]", stiffness, bound));
         }
     }
     let (mut stiffness, mut damping) = ([0.0; MAX_AXES], [0.0; MAX_AXES]);
@@ -82,7 +82,7 @@ pub(super) fn check(model: &Model, settings: &Settings, plan: &Plan) -> Result<(
                 format!("axes.{field}"),
                 format!(
                     "{given} is {ratio:.2} times what the median pose can have, and {}: use {nearest}, shorten delay and \
-                     period, or take the risk by name: Settings(accept=(\"stiffness\",))",
+                     period, or accept the risk: Settings(accept_high_stiffness=True)",
                     why(settings)
                 ),
             ));

@@ -131,11 +131,11 @@ impl Controller {
             about: format!("{}{}", if sign < 0.0 { "−" } else { "+" }, AXIS_NAMES[self.plan.rows[row].axis]),
             required: true,
             reason: format!(
-                "max_host_loss_force is {} N, but limits that just hold the arm leave {} N to a hand",
+                "torque_limits.max_host_loss_force is {} N, but limits that just hold the arm leave {} N to a hand",
                 number(most),
                 number(worst.value)
             ),
-            setting: Some("max_host_loss_force".into()),
+            setting: Some("torque_limits.max_host_loss_force".into()),
             value: Some(round_up(worst.value)),
         })
     }

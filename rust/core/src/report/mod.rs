@@ -6,8 +6,8 @@
 mod check;
 mod findings;
 mod promise;
+mod raise_soft;
 mod stops;
-mod tracking;
 mod words;
 
 use crate::command::host_loss::HostLoss;
@@ -149,7 +149,7 @@ impl Controller {
         let at = self.joints("q", q, COORDINATE_BOUND)?;
         let mut copy = self.clone();
         // At rest the goals have long arrived where they hold the arm.
-        copy.settings.goal_slew = f64::INFINITY;
+        copy.settings.tracking.goal_slew = f64::INFINITY;
         copy.reset(q)?;
         let mut frames = Frames::default();
         copy.model().chain().forward(&at, &mut frames);

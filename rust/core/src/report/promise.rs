@@ -53,7 +53,7 @@ impl<'a> Pose<'a> {
     /// Share of the friction that the feed-forward leaves.
     pub(super) fn friction_share_left(&self) -> f64 {
         match self.plan.law {
-            Law::Cap | Law::Impedance => 1.0 - (self.settings.friction_share * self.record.gamma).min(1.0),
+            Law::Cap | Law::Impedance => 1.0 - (self.settings.compensation.friction * self.record.gamma).min(1.0),
             Law::Paper => 1.0,
         }
     }
@@ -88,8 +88,8 @@ impl<'a> Pose<'a> {
         let w = axis.yields[side];
         let left = 1.0 - axis.eta * w;
         let travel = TRAVEL[usize::from(axis.axis >= 3)];
-        let e = if self.settings.raw_deviation { threshold } else { threshold / left }.min(travel);
-        let seen = if self.settings.raw_deviation { e } else { left * e };
+        let e = if self.settings.paper_options.raw_deviation { threshold } else { threshold / left }.min(travel);
+        let seen = if self.settings.paper_options.raw_deviation { e } else { left * e };
         let c = compliance(seen, axis.soft_until, axis.firm_from);
         let soft = strength(c, axis.soft[side], axis.firm[side], axis.profile);
         let most = w * soft + (1.0 - w) * axis.hold;
@@ -98,7 +98,7 @@ impl<'a> Pose<'a> {
         }
         let own: f64 = (0..plan.n).map(|i| record.rows[row][i].powi(2) * plan.servos.compliance[i]).sum();
         let damping = plan.damping_scale[row] * record.damping * record.damping / plan.servos.kp_mean;
-        let h = self.settings.horizon;
+        let h = self.settings.paper_options.horizon;
         let bound = h * if w > 0.0 { axis.soft_step_limit } else { axis.step_limit };
         let step = (h * plan.kx_derating * plan.kx[row][row] * left * e).min(bound);
         most.min(step / (own + (1.0 - w) * damping))
@@ -109,7 +109,7 @@ impl<'a> Pose<'a> {
         let axis = &self.plan.rows[row];
         let travel = TRAVEL[usize::from(axis.axis >= 3)];
         let [small, large] = self.gives_way(row, side);
-        let left = if self.settings.raw_deviation { 1.0 } else { 1.0 - axis.eta };
+        let left = if self.settings.paper_options.raw_deviation { 1.0 } else { 1.0 - axis.eta };
         let from = if large > small { axis.firm_from / left } else { 0.0 };
         let slope = self.cap(row, side, 1e-4) / 1e-4;
         from.max(large / slope).min(travel)
@@ -142,14 +142,14 @@ impl<'a> Pose<'a> {
     /// Static force along `row` that the limits of the law hold when each axis may ask for `most`.
     fn held(&self, row: usize, side: usize, most: &AxisVec) -> f64 {
         let (plan, record, n) = (self.plan, self.record, self.plan.n);
-        let gravity = if self.settings.gravity.in_limits() { record.gravity } else { [0.0; MAX_JOINTS] };
+        let gravity = if self.settings.gravity_use().in_limits() { record.gravity } else { [0.0; MAX_JOINTS] };
         let wrench: Axes = wide(&record.wrench);
         let load = Load {
             gravity: EveryJoint::load(&gravity),
             feed_forward: EveryJoint::load(&record.feed_forward),
             task: transpose_times(&load_rows(&record.rows), &axes(Axes::clip(wrench, wide(most)))),
             offset: EveryJoint::splat(0.0),
-            gravity_scale: self.settings.gravity_scale,
+            gravity_scale: self.settings.paper_options.gravity_scale,
             margin: EveryJoint::load(&plan.margin),
         };
         let mut limit = match (&self.shares, plan.limits) {

@@ -148,7 +148,7 @@ impl PoseReport {
             (0..self.axes.len()).flat_map(|row| [1, 0].into_iter().filter_map(move |side| above(row, side))).collect();
         (!over.is_empty()).then(|| {
             let (most, over) = (number(most), over.join(", "));
-            format!("max_host_loss_force is {most} N, but limits that just hold the arm leave {over}.")
+            format!("torque_limits.max_host_loss_force is {most} N, but limits that just hold the arm leave {over}.")
         })
     }
 

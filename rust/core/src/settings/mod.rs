@@ -1,6 +1,9 @@
 //! Everything the user can ask of the controller, validated once.
 
+mod groups;
 mod validate;
+
+pub use groups::{Compensation, NullSpace, PaperOptions, TorqueLimits, Tracking};
 
 use crate::MAX_AXES;
 use crate::error::{Error, Result};
@@ -152,86 +155,31 @@ pub struct Settings {
     pub axes: [Axis; MAX_AXES],
     /// Control law.
     pub law: Law,
-    /// Whether yielding axes stay in the solve; `None`: by law.
-    pub follow: Option<Follow>,
-    /// Rule for the limits (not law `paper`).
-    pub limits: LimitRule,
-    /// Null-space projector.
-    pub projector: Projector,
-    /// Gain K_x [1/s] of (5).
-    pub kx: Gain,
-    /// Horizon h [s] of the goal `q + h q̇`.
-    pub horizon: f64,
-    /// Gain K_q of (5), law `paper` only.
-    pub kq: Gain,
-    /// Step α of the null-space motion [1/s]; `None`: as K_x.
-    pub alpha: Option<f64>,
     /// Nominal control rate [Hz]: the default `dt` of a step.
     pub rate: f64,
-    /// Damping of the inverse.
-    pub damping: Damping,
-    /// Rest posture [rad], one per joint; `None`: q at reset.
-    pub posture: Option<Vec<f64>>,
-    /// Weight of each joint in the posture cost; `None`: 1.
-    pub posture_weights: Option<Vec<f64>>,
-    /// Weight of the joint-limit cost `½ Σ ((q − mid)/half-range)²`.
-    pub limit_avoidance: f64,
-    /// Weight of the manipulability cost `−ln √det(JJᵀ)`.
-    pub manipulability: f64,
-    /// Most the null-space motion may ask of all joints together [N·m], `Σ k_p |null| ≤ τ₀`, and its budget under law
-    /// `paper`; `None`: 2 where the arm is redundant for the task.
-    pub null_torque: Option<f64>,
-    /// Law `impedance`: stiffness of the null-space motion [N·m/rad], in place of `alpha`; `None`: as `alpha` has it.
-    pub null_stiffness: Option<f64>,
-    /// Speed limit of the null-space motion [rad/s per joint]; ∞ for none.
-    pub null_speed: f64,
-    /// Where the gravity model is used.
-    pub gravity: GravityUse,
-    /// Factor s_g on gravity in the limits.
-    pub gravity_scale: f64,
-    /// Share b_f of the friction that is fed forward.
-    pub friction_share: f64,
-    /// Share b_d of the damping that is fed forward.
-    pub damping_share: f64,
-    /// Share b_p of the delay that is predicted over.
-    pub prediction_share: f64,
-    /// Speed v₀ [rad/s] at which the friction feed-forward saturates.
-    pub friction_speed: f64,
-    /// Time constant T_f [s] of the velocity filter.
-    pub velocity_filter: f64,
     /// Delay T_d [s] from reading to arrival of the goal.
     pub delay: f64,
-    /// Slew limit of the goals [rad/s]; ∞ for none.
-    pub goal_slew: f64,
-    /// Time [s] in which a limit may rise from zero to its ceiling; 0 for no limit.
-    pub stiffening_time: f64,
+    /// Whether the gravity model is used in goals and limits.
+    pub gravity: bool,
     /// Speed of the target that the law sees [m/s, rad/s]; ∞ for none. A tool that friction let go late is faster for a while.
     pub max_tool_speed: [f64; 2],
     /// Acceleration of the tool's target [m/s², rad/s²].
     pub max_tool_acceleration: [f64; 2],
-    /// Joint speed limit [rad/s] per joint; `None`: the model's.
-    pub joint_speed: Option<Vec<f64>>,
-    /// Floor of the torque limits [N·m] per joint; `None`: the servos' friction.
-    pub floor: Option<Vec<f64>>,
-    /// Margin m of the limits as a share of the usable torque (at least twice the friction).
-    pub margin: f64,
-    /// Most that a hand shall meet along the task's translations if the host dies [N]; `None`: whatever it is.
-    pub max_host_loss_force: Option<f64>,
-    /// Half-width of the band around zero in which an axis that yields to one side changes over, as a share of `soft_until`;
-    /// `None`: 0.1, under law `paper` 0.
-    pub direction_band: Option<f64>,
-    /// Compliance from the raw instead of the adapted deviation.
-    pub raw_deviation: bool,
-    /// Law `paper`: clamp each axis' step to what its budget can do.
-    pub budget_on_goal: bool,
-    /// Law `paper`: weight of each joint in J⁺; `None`: 1.
-    pub joint_weights: Option<Vec<f64>>,
-    /// Law `paper`: how far a goal may lead [rad]; `None`: what the limit can use (0.3 rad where `k_p` is unknown).
-    pub lead_limit: Option<f64>,
-    /// Rate [1/s] at which the goal of stiff axes integrates; 0 for none.
-    pub integrate: f64,
-    /// Risks taken by name: `"eta"`, `"stiffness"`.
-    pub accept: Vec<String>,
+    /// Accept an adaptation η above what a known stiffness allows.
+    pub accept_high_adaptation: bool,
+    /// Law `impedance`: accept springs and dampers above what rate and delay allow.
+    pub accept_high_stiffness: bool,
+    /// How the stiff axes follow the target.
+    pub tracking: Tracking,
+    /// Motion of the joints that the task leaves free.
+    pub null_space: NullSpace,
+    /// Shares of friction, damping and delay that are fed forward.
+    pub compensation: Compensation,
+    /// Joint torque limits that go to the servos.
+    pub torque_limits: TorqueLimits,
+    /// Options for studies of the law.
+    #[doc(hidden)]
+    pub paper_options: PaperOptions,
 }
 
 impl Default for Settings {
@@ -240,45 +188,18 @@ impl Default for Settings {
             task: Task::default(),
             axes: [Axis::default(); MAX_AXES],
             law: Law::Cap,
-            follow: None,
-            limits: LimitRule::Demand,
-            projector: Projector::Exact,
-            kx: Gain::Scalar(4.0),
-            horizon: 0.25,
-            kq: Gain::Scalar(1.0),
-            alpha: None,
             rate: 100.0,
-            damping: Damping::Auto,
-            posture: None,
-            posture_weights: None,
-            limit_avoidance: 0.0,
-            manipulability: 0.0,
-            null_torque: None,
-            null_stiffness: None,
-            null_speed: f64::INFINITY,
-            gravity: GravityUse::Both,
-            gravity_scale: 1.1,
-            friction_share: 0.9,
-            damping_share: 0.8,
-            prediction_share: 0.9,
-            friction_speed: 0.05,
-            velocity_filter: 0.02,
             delay: 0.0,
-            goal_slew: 1.0,
-            stiffening_time: 0.2,
+            gravity: true,
             max_tool_speed: [0.25, 1.0],
             max_tool_acceleration: [1.0, 4.0],
-            joint_speed: None,
-            floor: None,
-            margin: 0.1,
-            max_host_loss_force: None,
-            direction_band: None,
-            raw_deviation: false,
-            budget_on_goal: false,
-            joint_weights: None,
-            lead_limit: None,
-            integrate: 0.0,
-            accept: Vec::new(),
+            accept_high_adaptation: false,
+            accept_high_stiffness: false,
+            tracking: Tracking::default(),
+            null_space: NullSpace::default(),
+            compensation: Compensation::default(),
+            torque_limits: TorqueLimits::default(),
+            paper_options: PaperOptions::default(),
         }
     }
 }
@@ -299,9 +220,14 @@ impl Settings {
 
     /// The follow mode in force.
     pub fn effective_follow(&self) -> Follow {
-        self.follow.unwrap_or(match self.law {
+        self.paper_options.follow.unwrap_or(match self.law {
             Law::Cap | Law::Impedance => Follow::Free,
             Law::Paper => Follow::Hold,
         })
+    }
+
+    /// Where the gravity model is used.
+    pub fn gravity_use(&self) -> GravityUse {
+        if self.gravity { self.paper_options.gravity_use } else { GravityUse::Off }
     }
 }

@@ -1,11 +1,10 @@
 //! Checks of everything that can be checked without arm and servos.
 
 use crate::error::{Error, Result};
-use crate::settings::{Damping, Follow, Gain, Law, Settings};
+use crate::settings::{
+    Compensation, Damping, Follow, Gain, Law, NullSpace, PaperOptions, Settings, TorqueLimits, Tracking,
+};
 use crate::task::axes::{AXIS_NAMES, Axis};
-
-/// Risks that can be taken by name.
-const RISKS: [&str; 2] = ["eta", "stiffness"];
 
 impl Settings {
     /// Checks every value that can be checked without arm and servos.
@@ -26,77 +25,25 @@ impl Settings {
             }
         }
         self.validate_impedance()?;
-        let infinite = f64::INFINITY;
-        let ranges: [(&str, f64, f64, f64); 20] = [
-            ("horizon [s]", self.horizon, 1e-3, 10.0),
-            ("rate [Hz]", self.rate, 1.0, 1e5),
-            ("alpha [1/s]", self.alpha.unwrap_or(0.0), 0.0, 100.0),
-            ("limit_avoidance", self.limit_avoidance, 0.0, 1e3),
-            ("manipulability", self.manipulability, 0.0, 1e3),
-            ("null_torque [N·m]", self.null_torque.unwrap_or(0.0), 0.0, 1e3),
-            ("null_stiffness [N·m/rad]", self.null_stiffness.unwrap_or(0.0), 0.0, 1e6),
-            ("null_speed [rad/s]", self.null_speed, 0.0, infinite),
-            ("gravity_scale", self.gravity_scale, 1.0, 2.0),
-            ("friction_share", self.friction_share, 0.0, 1.0),
-            ("damping_share", self.damping_share, 0.0, 1.0),
-            ("prediction_share", self.prediction_share, 0.0, 1.0),
-            ("friction_speed [rad/s]", self.friction_speed, 1e-4, 10.0),
-            ("velocity_filter [s]", self.velocity_filter, 0.0, 1.0),
-            ("delay [s]", self.delay, 0.0, 0.5),
-            ("goal_slew [rad/s]", self.goal_slew, 1e-3, infinite),
-            ("stiffening_time [s]", self.stiffening_time, 0.0, 10.0),
-            ("margin", self.margin, 0.0, 1.0),
-            ("direction_band", self.direction_band.unwrap_or(0.0), 0.0, 1.0),
-            ("integrate [1/s]", self.integrate, 0.0, 20.0),
-        ];
-        for (name, value, low, high) in ranges {
-            within(name, value, low, high)?;
-        }
-        for (name, gain, high) in [("kx [1/s]", &self.kx, 100.0), ("kq", &self.kq, 10.0)] {
-            let low = if matches!(gain, Gain::Matrix(_)) { -high } else { 0.0 };
-            gain.values().into_iter().try_for_each(|k| within(name, k, low, high))?;
-        }
+        within("rate [Hz]", self.rate, 1.0, 1e5)?;
+        within("delay [s]", self.delay, 0.0, 0.5)?;
         for (speed, acceleration) in self.max_tool_speed.into_iter().zip(self.max_tool_acceleration) {
-            within("max_tool_speed [m/s, rad/s]", speed, 1e-3, infinite)?;
-            within("max_tool_acceleration [m/s², rad/s²]", acceleration, 1e-2, infinite)?;
+            within("max_tool_speed [m/s, rad/s]", speed, 1e-3, f64::INFINITY)?;
+            within("max_tool_acceleration [m/s², rad/s²]", acceleration, 1e-2, f64::INFINITY)?;
         }
-        if let Some(most) = self.max_host_loss_force {
-            within("max_host_loss_force [N]", most, 1e-3, infinite)?;
-        }
-        if let Some(lead) = self.lead_limit {
-            within("lead_limit [rad]", lead, 1e-3, infinite)?;
-        }
-        for (name, list, low, high) in [
-            ("posture_weights", &self.posture_weights, 0.0, 1e6),
-            ("joint_speed [rad/s]", &self.joint_speed, 1e-6, infinite),
-            ("floor [N·m]", &self.floor, 0.0, infinite),
-            ("joint_weights", &self.joint_weights, 1e-6, 1e6),
-        ] {
-            for value in list.iter().flatten() {
-                within(name, *value, low, high)?;
-            }
-        }
-        for value in self.posture.iter().flatten() {
-            within("posture [rad]", *value, -1e6, 1e6)?;
-        }
-        self.validate_damping()?;
-        for risk in &self.accept {
-            if !RISKS.contains(&risk.as_str()) {
-                return Err(Error::config(
-                    "accept",
-                    format!("'{risk}' is not a risk that can be taken by name; known: {}", RISKS.join(", ")),
-                ));
-            }
-        }
-        Ok(())
+        self.tracking.validate()?;
+        self.null_space.validate()?;
+        self.compensation.validate()?;
+        self.torque_limits.validate()?;
+        self.paper_options.validate()
     }
 
     /// Springs and dampers go with law `impedance`, and it with no solve.
     fn validate_impedance(&self) -> Result<()> {
         if self.law == Law::Impedance {
-            return match self.follow {
+            return match self.paper_options.follow {
                 Some(Follow::Hold) => Err(Error::config(
-                    "follow",
+                    "paper_options.follow",
                     "law=\"impedance\" has no solve in which a yielding axis could stay: leave it out, or use law=\"cap\"",
                 )),
                 _ => Ok(()),
@@ -114,20 +61,102 @@ impl Settings {
                 }
             }
         }
-        if self.null_stiffness.is_some() { wrong("null_stiffness".into()) } else { Ok(()) }
+        if self.null_space.stiffness.is_some() { wrong("null_space.stiffness".into()) } else { Ok(()) }
     }
+}
 
-    fn validate_damping(&self) -> Result<()> {
+impl Tracking {
+    /// Checks every value that can be checked without arm and servos.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] names the setting, its value and the bound.
+    pub fn validate(&self) -> Result<()> {
+        within_gain("tracking.gain [1/s]", &self.gain, 100.0)?;
+        within("tracking.velocity_filter [s]", self.velocity_filter, 0.0, 1.0)?;
+        within("tracking.goal_slew [rad/s]", self.goal_slew, 1e-3, f64::INFINITY)?;
+        within("tracking.integrate [1/s]", self.integrate, 0.0, 20.0)?;
+        all_within("tracking.joint_speed [rad/s]", self.joint_speed.as_deref(), 1e-6, f64::INFINITY)?;
         match self.damping {
             Damping::Auto => Ok(()),
-            Damping::Fixed(lambda) => within("damping", lambda, 0.0, 10.0),
+            Damping::Fixed(lambda) => within("tracking.damping", lambda, 0.0, 10.0),
             Damping::Adaptive { lambda_0, sigma_0, lambda_max } => {
-                within("damping.lambda_0", lambda_0, 1e-6, 10.0)?;
-                within("damping.sigma_0", sigma_0, 0.0, 10.0)?;
-                within("damping.lambda_max", lambda_max, 0.0, 10.0)
+                within("tracking.damping.lambda_0", lambda_0, 1e-6, 10.0)?;
+                within("tracking.damping.sigma_0", sigma_0, 0.0, 10.0)?;
+                within("tracking.damping.lambda_max", lambda_max, 0.0, 10.0)
             }
         }
     }
+}
+
+impl NullSpace {
+    /// Checks every value that can be checked without arm and servos.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] names the setting, its value and the bound.
+    pub fn validate(&self) -> Result<()> {
+        within("null_space.gain [1/s]", self.gain.unwrap_or(0.0), 0.0, 100.0)?;
+        within("null_space.limit_avoidance", self.limit_avoidance, 0.0, 1e3)?;
+        within("null_space.max_torque [N·m]", self.max_torque.unwrap_or(0.0), 0.0, 1e3)?;
+        within("null_space.stiffness [N·m/rad]", self.stiffness.unwrap_or(0.0), 0.0, 1e6)?;
+        within("null_space.max_speed [rad/s]", self.max_speed, 0.0, f64::INFINITY)?;
+        all_within("null_space.posture [rad]", self.posture.as_deref(), -1e6, 1e6)
+    }
+}
+
+impl Compensation {
+    /// Checks every value that can be checked without arm and servos.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] names the setting, its value and the bound.
+    pub fn validate(&self) -> Result<()> {
+        within("compensation.friction", self.friction, 0.0, 1.0)?;
+        within("compensation.damping", self.damping, 0.0, 1.0)?;
+        within("compensation.delay", self.delay, 0.0, 1.0)
+    }
+}
+
+impl TorqueLimits {
+    /// Checks every value that can be checked without arm and servos.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] names the setting, its value and the bound.
+    pub fn validate(&self) -> Result<()> {
+        within("torque_limits.margin", self.margin, 0.0, 1.0)?;
+        within("torque_limits.stiffening_time [s]", self.stiffening_time, 0.0, 10.0)?;
+        if let Some(most) = self.max_host_loss_force {
+            within("torque_limits.max_host_loss_force [N]", most, 1e-3, f64::INFINITY)?;
+        }
+        all_within("torque_limits.floor [N·m]", self.floor.as_deref(), 0.0, f64::INFINITY)
+    }
+}
+
+impl PaperOptions {
+    /// Checks every value that can be checked without arm and servos.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] names the setting, its value and the bound.
+    pub fn validate(&self) -> Result<()> {
+        within("paper_options.horizon [s]", self.horizon, 1e-3, 10.0)?;
+        within("paper_options.manipulability", self.manipulability, 0.0, 1e3)?;
+        within("paper_options.gravity_scale", self.gravity_scale, 1.0, 2.0)?;
+        within("paper_options.friction_speed [rad/s]", self.friction_speed, 1e-4, 10.0)?;
+        within("paper_options.direction_band", self.direction_band.unwrap_or(0.0), 0.0, 1.0)?;
+        within_gain("paper_options.kq", &self.kq, 10.0)?;
+        if let Some(lead) = self.lead_limit {
+            within("paper_options.lead_limit [rad]", lead, 1e-3, f64::INFINITY)?;
+        }
+        all_within("paper_options.posture_weights", self.posture_weights.as_deref(), 0.0, 1e6)?;
+        all_within("paper_options.joint_weights", self.joint_weights.as_deref(), 1e-6, 1e6)
+    }
+}
+
+fn within_gain(name: &str, gain: &Gain, high: f64) -> Result<()> {
+    let low = if matches!(gain, Gain::Matrix(_)) { -high } else { 0.0 };
+    gain.values().into_iter().try_for_each(|k| within(name, k, low, high))
+}
+
+fn all_within(name: &str, values: Option<&[f64]>, low: f64, high: f64) -> Result<()> {
+    values.into_iter().flatten().try_for_each(|value| within(name, *value, low, high))
 }
 
 fn within(name: &str, value: f64, low: f64, high: f64) -> Result<()> {
@@ -156,8 +185,11 @@ mod tests {
             "rate [Hz] = NaN is outside [1, 100000]"
         );
         assert_eq!(
-            message(Settings { kx: Gain::Scalar(-1.0), ..Settings::default() }),
-            "kx [1/s] = -1 is outside [0, 100]"
+            message(Settings {
+                tracking: Tracking { gain: Gain::Scalar(-1.0), ..Tracking::default() },
+                ..Settings::default()
+            }),
+            "tracking.gain [1/s] = -1 is outside [0, 100]"
         );
         let mut settings = Settings { task: Task::of("xyz").unwrap(), ..Settings::default() };
         settings.set_axes("yaw", Axis { hold: Some(1.0), ..Axis::default() }).unwrap();

@@ -42,11 +42,12 @@ impl<W: Axes> Wish<W> {
         let plus = plus_share::<W>(e, W::constant(&rows.band), W::constant(&rows.band_slope));
         let w = side(plus, &rows.yields);
         let adapted = adapt_deviation::<W>(e, W::constant(&rows.eta), w);
-        let seen = if settings.raw_deviation { e } else { adapted };
+        let seen = if settings.paper_options.raw_deviation { e } else { adapted };
         let c = compliance_by::<W>(seen, W::constant(&rows.firm_from), W::constant(&rows.d_slope));
         let strength = between::<W>(c, side(plus, &rows.far), side(plus, &rows.near));
-        let step = W::splat(settings.horizon) * W::fma(W::splat(plan.kx_derating), pulled(plan, adapted), twist);
-        let soft_most = W::splat(settings.horizon) * W::constant(&rows.soft_step_limit);
+        let step =
+            W::splat(settings.paper_options.horizon) * W::fma(W::splat(plan.kx_derating), pulled(plan, adapted), twist);
+        let soft_most = W::splat(settings.paper_options.horizon) * W::constant(&rows.soft_step_limit);
         Self {
             deviation: e,
             adapted,
@@ -60,7 +61,7 @@ impl<W: Axes> Wish<W> {
             step: W::clip(step, soft_most),
             bounded: W::clip(
                 step,
-                largest_step(w, W::splat(settings.horizon) * W::constant(&rows.step_limit), soft_most),
+                largest_step(w, W::splat(settings.paper_options.horizon) * W::constant(&rows.step_limit), soft_most),
             ),
         }
     }

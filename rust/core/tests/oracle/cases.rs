@@ -3,7 +3,10 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};
+use pliant_core::settings::{
+    Damping, Follow, Gain, GravityUse, Law, LimitRule, NullSpace, PaperOptions, Projector, Settings, TorqueLimits,
+    Tracking,
+};
 use pliant_core::task::axes::{Axis, Frame, OnDeviationLimit, Profile, Task, Yields};
 use pliant_core::{Controller, Model, Servos};
 
@@ -90,47 +93,64 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
         task: Task { axes, frame, length },
         axes: per_axis,
         law,
-        follow: if free_of_kp || law == Law::Impedance {
-            None
-        } else {
-            random.pick(&[None, Some(Follow::Free), Some(Follow::Hold)])
-        },
-        limits: random.pick(&[LimitRule::Demand, LimitRule::Demand, LimitRule::Sum]),
-        projector: random.pick(&[Projector::Exact, Projector::Exact, Projector::Paper]),
-        kx: gain(random, k, 4.0),
-        kq: if law == Law::Paper { gain(random, n, 1.5) } else { Gain::Scalar(1.0) },
-        alpha: random.pick(&[None, Some(0.0), Some(2.0)]),
-        damping: random.pick(&[
-            Damping::Auto,
-            Damping::Fixed(0.05),
-            Damping::Fixed(0.3),
-            Damping::Adaptive { lambda_0: 0.02, sigma_0: 0.15, lambda_max: 0.2 },
-        ]),
-        posture: random.chance(0.3).then(|| joints(random, -0.5, 0.5)),
-        posture_weights: random.chance(0.3).then(|| joints(random, 0.0, 1.5)),
-        limit_avoidance: random.pick(&[0.0, 0.0, 0.3]),
-        null_torque: if k < n { random.pick(&[None, Some(0.3), Some(8.0)]) } else { None },
-        null_stiffness: if law == Law::Impedance { random.pick(&[None, Some(0.0), Some(2.0)]) } else { None },
-        null_speed: random.pick(&[f64::INFINITY, 0.05]),
-        gravity: if free_of_kp {
-            GravityUse::Limits
-        } else {
-            random.pick(&[GravityUse::Both, GravityUse::Both, GravityUse::Goal, GravityUse::Limits, GravityUse::Off])
-        },
-        gravity_scale: random.pick(&[1.0, 1.1]),
-        velocity_filter: random.pick(&[0.0, 0.02]),
         delay: random.pick(&[0.0, 0.01, 0.02]),
-        goal_slew: random.pick(&[1.0, f64::INFINITY]),
-        stiffening_time: random.pick(&[0.2, 0.0]),
         max_tool_speed: [f64::INFINITY; 2],
-        joint_speed: random.chance(0.3).then(|| joints(random, 0.05, 3.0)),
-        floor: random.chance(0.3).then(|| joints(random, 0.0, 1.0)),
-        margin: random.pick(&[0.1, 0.0, 0.3]),
-        direction_band: random.pick(&[None, Some(0.0), Some(0.5)]),
-        raw_deviation: random.chance(0.2),
-        budget_on_goal: law == Law::Paper && !free_of_kp && random.chance(0.5),
-        joint_weights: if law == Law::Paper && random.chance(0.3) { Some(joints(random, 0.3, 3.0)) } else { None },
-        lead_limit: random.pick(&[None, None, Some(0.05), Some(f64::INFINITY)]),
+        tracking: Tracking {
+            gain: gain(random, k, 4.0),
+            damping: random.pick(&[
+                Damping::Auto,
+                Damping::Fixed(0.05),
+                Damping::Fixed(0.3),
+                Damping::Adaptive { lambda_0: 0.02, sigma_0: 0.15, lambda_max: 0.2 },
+            ]),
+            velocity_filter: random.pick(&[0.0, 0.02]),
+            goal_slew: random.pick(&[1.0, f64::INFINITY]),
+            joint_speed: random.chance(0.3).then(|| joints(random, 0.05, 3.0)),
+            ..Tracking::default()
+        },
+        null_space: NullSpace {
+            projector: random.pick(&[Projector::Exact, Projector::Exact, Projector::Paper]),
+            gain: random.pick(&[None, Some(0.0), Some(2.0)]),
+            posture: random.chance(0.3).then(|| joints(random, -0.5, 0.5)),
+            limit_avoidance: random.pick(&[0.0, 0.0, 0.3]),
+            max_torque: if k < n { random.pick(&[None, Some(0.3), Some(8.0)]) } else { None },
+            stiffness: if law == Law::Impedance { random.pick(&[None, Some(0.0), Some(2.0)]) } else { None },
+            max_speed: random.pick(&[f64::INFINITY, 0.05]),
+        },
+        torque_limits: TorqueLimits {
+            stiffening_time: random.pick(&[0.2, 0.0]),
+            floor: random.chance(0.3).then(|| joints(random, 0.0, 1.0)),
+            margin: random.pick(&[0.1, 0.0, 0.3]),
+            ..TorqueLimits::default()
+        },
+        paper_options: PaperOptions {
+            follow: if free_of_kp || law == Law::Impedance {
+                None
+            } else {
+                random.pick(&[None, Some(Follow::Free), Some(Follow::Hold)])
+            },
+            limits: random.pick(&[LimitRule::Demand, LimitRule::Demand, LimitRule::Sum]),
+            kq: if law == Law::Paper { gain(random, n, 1.5) } else { Gain::Scalar(1.0) },
+            posture_weights: random.chance(0.3).then(|| joints(random, 0.0, 1.5)),
+            gravity_use: if free_of_kp {
+                GravityUse::Limits
+            } else {
+                random.pick(&[
+                    GravityUse::Both,
+                    GravityUse::Both,
+                    GravityUse::Goal,
+                    GravityUse::Limits,
+                    GravityUse::Off,
+                ])
+            },
+            gravity_scale: random.pick(&[1.0, 1.1]),
+            direction_band: random.pick(&[None, Some(0.0), Some(0.5)]),
+            raw_deviation: random.chance(0.2),
+            budget_on_goal: law == Law::Paper && !free_of_kp && random.chance(0.5),
+            joint_weights: if law == Law::Paper && random.chance(0.3) { Some(joints(random, 0.3, 3.0)) } else { None },
+            lead_limit: random.pick(&[None, None, Some(0.05), Some(f64::INFINITY)]),
+            ..PaperOptions::default()
+        },
         ..Settings::default()
     }
 }
@@ -145,10 +165,10 @@ pub(crate) fn tamed(model: &Arc<Model>, mut settings: Settings, servos: Option<&
                 axis.stiffness = axis.stiffness.map(|pair| pair.map(|k| 0.7 * k));
                 axis.damping = axis.damping.map(|pair| pair.map(|d| 0.7 * d));
             }
-            settings.null_stiffness = settings.null_stiffness.map(|k| 0.7 * k);
+            settings.null_space.stiffness = settings.null_space.stiffness.map(|k| 0.7 * k);
         } else {
             assert!(text.contains("cannot move"), "{text}");
-            settings.damping = Damping::Fixed(0.3);
+            settings.tracking.damping = Damping::Fixed(0.3);
         }
     }
     settings
@@ -158,8 +178,8 @@ pub(crate) fn tamed(model: &Arc<Model>, mut settings: Settings, servos: Option<&
 pub(crate) fn free_of_kp(settings: &Settings) -> bool {
     settings.law == Law::Paper
         && settings.effective_follow() == Follow::Hold
-        && !settings.budget_on_goal
-        && matches!(settings.gravity, GravityUse::Off | GravityUse::Limits)
+        && !settings.paper_options.budget_on_goal
+        && matches!(settings.gravity_use(), GravityUse::Off | GravityUse::Limits)
 }
 
 /// Servos around `nominal`, some of them with a duty limit.

@@ -136,8 +136,8 @@ impl Want<'_> {
         }
 
         // 9: −α h N ∇cost, Σ k_p |null| ≤ τ₀, own speed limit.
-        let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
-        let null = self.shares().projector() * self.gradient * (-alpha * settings.horizon);
+        let alpha = settings.null_space.gain.unwrap_or_else(|| largest(settings));
+        let null = self.shares().projector() * self.gradient * (-alpha * settings.paper_options.horizon);
         self.exert(&soft, &stiff, null)
     }
 
@@ -157,16 +157,16 @@ impl Want<'_> {
         let late = self.oracle.delay + 0.5 / settings.rate;
         let least = if self.oracle.well_damped() && late <= 0.03 { 3.0 } else { 1.0 };
         let derating = within(self.stiffness, (0.03 / late).max(least));
-        let damped = within(self.viscosity, 0.007 / (late + settings.velocity_filter)) * self.viscosity;
+        let damped = within(self.viscosity, 0.007 / (late + settings.tracking.velocity_filter)) * self.viscosity;
         let force = Vector::from_fn(self.k(), |r, _| {
             let wanted = derating * self.stiffness[r] * self.adapted[r] + damped[r] * self.relative[r];
             wanted.max(-self.most[r]).min(self.most[r])
         });
-        let null = if let Some(kappa) = settings.null_stiffness {
+        let null = if let Some(kappa) = settings.null_space.stiffness {
             (self.shares().projector() * self.gradient * -kappa).component_div(&kp)
         } else {
-            let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
-            self.shares().projector() * self.gradient * (-alpha * settings.horizon)
+            let alpha = settings.null_space.gain.unwrap_or_else(|| largest(settings));
+            self.shares().projector() * self.gradient * (-alpha * settings.paper_options.horizon)
         };
         let soft = force.component_mul(self.softness);
         let stiff = &force - &soft;
@@ -178,7 +178,7 @@ impl Want<'_> {
         let (n, k, kp) = (self.n(), self.k(), self.oracle.kp());
         let settings = &self.oracle.settings;
         let torque: f64 = (0..n).map(|i| kp[i] * null[i].abs()).sum();
-        let most = settings.null_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
+        let most = settings.null_space.max_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
         if torque > most {
             null *= most / torque;
         }
@@ -215,19 +215,19 @@ impl Want<'_> {
     /// The null space's own speed limit.
     fn null_speed_factor(&self, null: &Vector) -> f64 {
         let settings = &self.oracle.settings;
-        let fastest = null.amax() / settings.horizon;
-        if fastest > settings.null_speed { settings.null_speed / fastest } else { 1.0 }
+        let fastest = null.amax() / settings.paper_options.horizon;
+        if fastest > settings.null_space.max_speed { settings.null_space.max_speed / fastest } else { 1.0 }
     }
 
     /// Factors that keep `(null + soft + stiff) / h` within the joints' speed limits; each gives way in its turn.
     fn slower(&self, null: &Vector, soft: &Vector, stiff: &Vector) -> [f64; 3] {
         let settings = &self.oracle.settings;
         let bound = Vector::from_fn(self.n(), |i, _| {
-            let speed = match &settings.joint_speed {
+            let speed = match &settings.tracking.joint_speed {
                 Some(speed) => speed[i],
                 None => self.oracle.model.velocity_limit()[i].unwrap_or(f64::INFINITY),
             };
-            speed * settings.horizon
+            speed * settings.paper_options.horizon
         });
         let mut factors = [1.0; 3];
         if beyond(&(null + soft + stiff), &bound) {
@@ -246,10 +246,10 @@ impl Want<'_> {
     pub(super) fn paper(&self) -> Motion {
         let (n, k, kp) = (self.n(), self.k(), self.oracle.kp());
         let settings = &self.oracle.settings;
-        let (h, shares) = (settings.horizon, self.shares());
+        let (h, shares) = (settings.paper_options.horizon, self.shares());
         let pinv = shares.pseudo_inverse();
         let mut s = self.step.clone();
-        if settings.budget_on_goal {
+        if settings.paper_options.budget_on_goal {
             for j in 0..k {
                 let reach: f64 = (0..n).map(|i| kp[i] * pinv[(i, j)].abs()).sum();
                 let most = self.most[j] / (h * reach) * h;
@@ -264,9 +264,9 @@ impl Want<'_> {
             (0..k).for_each(|j| w[j] += self.softness[j] * kappa[(j, j)] * s[j]);
             (self.rows.transpose() * w).component_div(&kp)
         };
-        let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
+        let alpha = settings.null_space.gain.unwrap_or_else(|| largest(settings));
         let null = shares.projector() * self.gradient * (-alpha * h);
-        let kq = Oracle::gain(&settings.kq, n);
+        let kq = Oracle::gain(&settings.paper_options.kq, n);
         let (lead, mut null) = (&kq * task, &kq * null);
         let zero = Vector::zeros(n);
         null *= self.null_speed_factor(&null);
@@ -340,8 +340,8 @@ impl Want<'_> {
     fn row_scale(&self) -> Vector {
         let oracle = self.oracle;
         let axes = oracle.axes();
-        let printed =
-            matches!(oracle.settings.damping, pliant_core::settings::Damping::Fixed(_)) && self.k() <= self.n();
+        let printed = matches!(oracle.settings.tracking.damping, pliant_core::settings::Damping::Fixed(_))
+            && self.k() <= self.n();
         Vector::from_fn(self.k(), |r, _| if axes[r] < 3 && !printed { oracle.length().powi(2) } else { 1.0 })
     }
 
@@ -359,7 +359,7 @@ impl Want<'_> {
 /// α as K_x, where it is not given.
 pub(super) fn largest(settings: &pliant_core::Settings) -> f64 {
     use pliant_core::settings::Gain;
-    match &settings.kx {
+    match &settings.tracking.gain {
         Gain::Scalar(k) => *k,
         Gain::Diagonal(d) => d.iter().copied().fold(0.0, f64::max),
         Gain::Matrix(m) => m.iter().flatten().copied().fold(0.0, f64::max),

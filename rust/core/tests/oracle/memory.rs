@@ -59,7 +59,7 @@ impl Oracle {
                 memory.held[i] = q[i] + count;
             }
             let rate = (memory.held[i] - before) / dt;
-            memory.velocity[i] += dt / (self.settings.velocity_filter + dt) * (rate - memory.velocity[i]);
+            memory.velocity[i] += dt / (self.settings.tracking.velocity_filter + dt) * (rate - memory.velocity[i]);
         }
     }
 }

@@ -102,7 +102,7 @@ impl Oracle {
     pub(crate) fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>, sigma: [f64; 2]) -> Tick {
         let (n, settings) = (self.n(), self.settings.clone());
         let dt = input.dt.unwrap_or(1.0 / settings.rate);
-        let h = settings.horizon;
+        let h = settings.paper_options.horizon;
         let axes = self.axes();
         let (k, kp, cap) = (axes.len(), self.kp(), settings.law != Law::Paper);
 
@@ -112,7 +112,7 @@ impl Oracle {
         let velocity = self.memory.velocity.clone();
         let mut q = measured.clone();
         if cap {
-            q += &velocity * (self.memory.gamma * settings.prediction_share * self.delay);
+            q += &velocity * (self.memory.gamma * settings.compensation.delay * self.delay);
         }
         // 2
         let tool = self.model.forward_kinematics(q.as_slice()).unwrap();
@@ -133,7 +133,7 @@ impl Oracle {
         let (stiffness, viscosity) = (of(|r| r.stiffness), of(|r| r.viscosity));
         let relative = &twist - &rows * &velocity;
         // 6
-        let s = (Self::gain(&settings.kx, k) * &adapted + &twist) * h;
+        let s = (Self::gain(&settings.tracking.gain, k) * &adapted + &twist) * h;
         let clip = |value: f64, bound: f64| value.max(-bound).min(bound);
         let soft_step = Vector::from_fn(k, |r, _| clip(s[r], h * self.soft_velocity_limit(axes[r])));
         let step = Vector::from_fn(k, |r, _| clip(s[r], h * self.velocity_limit(axes[r], softness[r])));
@@ -145,7 +145,7 @@ impl Oracle {
         }
         let gamma = if sigma_0 > 0.0 { (3.0 * sigma[0] / sigma_0).clamp(0.5, 1.0) } else { 1.0 };
         let length = self.length();
-        let scale_lambda = !matches!(settings.damping, Damping::Fixed(_)) || k > n;
+        let scale_lambda = !matches!(settings.tracking.damping, Damping::Fixed(_)) || k > n;
         let row_lambda2 =
             Vector::from_fn(k, |r, _| if axes[r] < 3 && scale_lambda { lambda2 * length * length } else { lambda2 });
         // 10
@@ -156,24 +156,25 @@ impl Oracle {
             let x = velocity[i].abs() / self.joint(|s| &s.stribeck_speed, 1.0)[i];
             1.0 / (1.0 + x + x * x)
         };
-        let way = |i: usize| settings.friction_share * (velocity[i] / settings.friction_speed).tanh();
+        let way =
+            |i: usize| settings.compensation.friction * (velocity[i] / settings.paper_options.friction_speed).tanh();
         let (stribeck, per_load) = (self.joint(|s| &s.stribeck, 0.0), self.joint(|s| &s.load_friction, 0.0));
         let per_load_at_rest = self.joint(|s| &s.load_stribeck, 0.0);
         let on = if cap { gamma } else { 0.0 };
         let idle = Vector::from_fn(n, |i, _| {
             let dry = (friction[i] + fading(i) * stribeck[i]) * way(i);
-            on * (dry + settings.damping_share * resistance[i] * velocity[i])
+            on * (dry + settings.compensation.damping * resistance[i] * velocity[i])
         });
         let loaded = Vector::from_fn(n, |i, _| on * (per_load[i] + fading(i) * per_load_at_rest[i]) * way(i));
-        let in_goal = if settings.gravity == pliant_core::settings::GravityUse::Both
-            || settings.gravity == pliant_core::settings::GravityUse::Goal
+        let in_goal = if settings.gravity_use() == pliant_core::settings::GravityUse::Both
+            || settings.gravity_use() == pliant_core::settings::GravityUse::Goal
         {
             gravity.clone()
         } else {
             Vector::zeros(n)
         };
-        let in_limit = if settings.gravity == pliant_core::settings::GravityUse::Both
-            || settings.gravity == pliant_core::settings::GravityUse::Limits
+        let in_limit = if settings.gravity_use() == pliant_core::settings::GravityUse::Both
+            || settings.gravity_use() == pliant_core::settings::GravityUse::Limits
         {
             gravity.clone()
         } else {
@@ -258,31 +259,31 @@ impl Oracle {
             shares::Shares { oracle: self, rows: &rows, scaled: &self.scaled(&rows), row_lambda2: &row_lambda2, sigma };
         let activation = every.activation(&gradient);
         let responsibility = every.responsibility(&(&step / h), &gradient);
-        let null_torque = settings.null_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
-        let wanted = if cap && settings.limits == LimitRule::Demand {
+        let null_torque = settings.null_space.max_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
+        let wanted = if cap && settings.paper_options.limits == LimitRule::Demand {
             let bounded = Vector::from_fn(k, |r, _| clip(motion.wrench[r], most[r]));
             // Less what a position limit cuts off.
             let (pulled, whole) = (rows.transpose() * bounded, rows.transpose() * &motion.wrench);
             let task = pulled + kp.component_mul(&(&motion.lead + &motion.force)) - whole;
             let asked = &in_limit + task + &feed_forward + kp.component_mul(&(&motion.null + &q - &measured));
-            asked.zip_map(&in_limit, |a, g| a.abs().max(settings.gravity_scale * g.abs())) + self.margin()
+            asked.zip_map(&in_limit, |a, g| a.abs().max(settings.paper_options.gravity_scale * g.abs())) + self.margin()
         } else if cap {
-            in_limit.abs() * settings.gravity_scale
+            in_limit.abs() * settings.paper_options.gravity_scale
                 + rows.abs().transpose() * &most
                 + activation.column(k) * null_torque
                 + feed_forward.abs()
         } else {
             let mut budget = most.clone().resize_vertically(k + 1, 0.0);
             budget[k] = null_torque;
-            &activation * budget + in_limit.abs() * settings.gravity_scale
+            &activation * budget + in_limit.abs() * settings.paper_options.gravity_scale
         };
-        let floor = settings.floor.as_ref().map_or(friction.clone(), |f| Vector::from_column_slice(f));
+        let floor = settings.torque_limits.floor.as_ref().map_or(friction.clone(), |f| Vector::from_column_slice(f));
         let ceiling = self.ceiling();
         let mut limit = Vector::from_fn(n, |i, _| wanted[i].min(ceiling[i]));
         if let Some(before) = &self.memory.limit {
             for i in 0..n {
-                let rise = if settings.stiffening_time > 0.0 {
-                    ceiling[i] / settings.stiffening_time * ahead
+                let rise = if settings.torque_limits.stiffening_time > 0.0 {
+                    ceiling[i] / settings.torque_limits.stiffening_time * ahead
                 } else {
                     f64::INFINITY
                 };
@@ -293,7 +294,7 @@ impl Oracle {
         let mut goal = goal;
         for i in 0..n {
             if !cap {
-                let most = settings.lead_limit.unwrap_or(if self.servos.is_some() {
+                let most = settings.paper_options.lead_limit.unwrap_or(if self.servos.is_some() {
                     (limit[i] + self.margin()[i]) / kp[i]
                 } else {
                     0.3
@@ -307,7 +308,7 @@ impl Oracle {
             goal[i] = goal[i].max(lower).min(upper);
         }
         // The weight by itself and first, then all the rest by one share.
-        let slew = settings.goal_slew * ahead;
+        let slew = settings.tracking.goal_slew * ahead;
         let (carried, all) = (in_goal.component_div(&self.kg), goal - &self.memory.goal);
         let change = &carried - &self.memory.weight;
         let (lift, way) = (change.map(|w| clip(w, slew)), all - change);

@@ -56,7 +56,7 @@ impl Oracle {
     /// m = max(share of the usable torque, 2 τ_f).
     pub(super) fn margin(&self) -> Vector {
         let friction = self.joint(|s| &s.friction, 0.0);
-        let usable = self.ceiling().map(|t| if t.is_finite() { self.settings.margin * t } else { 0.0 });
+        let usable = self.ceiling().map(|t| if t.is_finite() { self.settings.torque_limits.margin * t } else { 0.0 });
         usable.zip_map(&friction, |m, f| m.max(2.0 * f))
     }
 
@@ -112,7 +112,7 @@ impl Oracle {
         let translation = axis < 3;
         let soft_until = given.soft_until.unwrap_or(if translation { 0.01 } else { 0.04 });
         let firm_from = given.firm_from.unwrap_or(if translation { 0.1 } else { 0.4 });
-        let band = soft_until * self.settings.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 });
+        let band = soft_until * self.settings.paper_options.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 });
         // Pushed toward +: the tool is beyond its target, e < 0.
         let toward_plus = if e <= -band && (band > 0.0 || e < 0.0) {
             1.0
@@ -129,7 +129,7 @@ impl Oracle {
             Yields::Minus => 1.0 - toward_plus,
         };
         let adapted = e - given.adaptation * w * e;
-        let seen = if self.settings.raw_deviation { e.abs() } else { adapted.abs() };
+        let seen = if self.settings.paper_options.raw_deviation { e.abs() } else { adapted.abs() };
         let c = if seen <= soft_until {
             1.0
         } else if seen >= firm_from {
@@ -187,7 +187,7 @@ impl Oracle {
     /// Line 9, first half: gradient of posture, joint limits and the caller's own (manipulability has its own test).
     pub(super) fn gradient(&self, q: &Vector, input: &StepInput<'_>, wishes: &[Row]) -> Vector {
         let n = self.n();
-        let rest = match (input.posture, &self.settings.posture) {
+        let rest = match (input.posture, &self.settings.null_space.posture) {
             (Some(p), _) => Vector::from_column_slice(p),
             (None, Some(p)) => Vector::from_column_slice(p),
             (None, None) => self.memory.rest.clone(),
@@ -214,12 +214,12 @@ impl Oracle {
         let share = 1.0 - (1.0 - share.max(0.0)) * felt.fold(0.0, f64::max);
         let mut out = Vector::zeros(n);
         for i in 0..n {
-            let weight = share * self.settings.posture_weights.as_ref().map_or(1.0, |w| w[i]);
+            let weight = share * self.settings.paper_options.posture_weights.as_ref().map_or(1.0, |w| w[i]);
             out[i] = weight * (q[i] - rest[i]) + input.gradient.map_or(0.0, |g| g[i]);
             let (lower, upper) = (self.model.lower()[i], self.model.upper()[i]);
             if lower.is_finite() && upper.is_finite() {
                 let half = 0.5 * (upper - lower);
-                out[i] += self.settings.limit_avoidance * (q[i] - lower - half) / (half * half);
+                out[i] += self.settings.null_space.limit_avoidance * (q[i] - lower - half) / (half * half);
             }
         }
         out

@@ -18,7 +18,7 @@ impl Shares<'_> {
     /// Inverse of the joints' weights.
     fn joint_weight(&self) -> Matrix {
         let n = self.rows.ncols();
-        let weights = self.oracle.settings.joint_weights.as_ref();
+        let weights = self.oracle.settings.paper_options.joint_weights.as_ref();
         diagonal(&Vector::from_fn(n, |i, _| weights.map_or(1.0, |w| 1.0 / w[i])))
     }
 
@@ -34,7 +34,7 @@ impl Shares<'_> {
             return Matrix::zeros(n, n);
         }
         let d = self.joint_weight();
-        match self.oracle.settings.projector {
+        match self.oracle.settings.null_space.projector {
             Projector::Paper => Matrix::identity(n, n) - self.pseudo_inverse() * self.rows,
             Projector::Exact => {
                 let j = self.scaled;
@@ -49,7 +49,7 @@ impl Shares<'_> {
     /// (6)(7): `|J⁺ diag(Δx)|` and `|α N∇g|`.
     pub(super) fn responsibility(&self, dx: &Vector, gradient: &Vector) -> Matrix {
         let settings = &self.oracle.settings;
-        let alpha = settings.alpha.unwrap_or_else(|| largest(settings));
+        let alpha = settings.null_space.gain.unwrap_or_else(|| largest(settings));
         let task = (self.pseudo_inverse() * diagonal(dx)).abs();
         let null = (self.projector() * gradient * alpha).abs();
         let k = task.ncols();

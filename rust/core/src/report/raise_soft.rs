@@ -25,7 +25,7 @@ impl Settings {
     ///
     /// # Errors
     /// As [`Controller::new`] and [`Controller::step`].
-    pub fn tracking(&self, model: &Arc<Model>, servos: Option<&Servos>, path: &[Vec<f64>]) -> Result<Self> {
+    pub fn raise_soft(&self, model: &Arc<Model>, servos: Option<&Servos>, path: &[Vec<f64>]) -> Result<Self> {
         let controller = Controller::new(Arc::clone(model), self.clone(), servos.cloned())?;
         let plan = &controller.plan;
         let least = if path.is_empty() {
