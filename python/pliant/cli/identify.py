@@ -114,11 +114,12 @@ def _gravity_lines(found: identify.Captured) -> list[str]:
         return ["", "# nothing to change in the file: the arm stays with its settings"]
     if found.remedy is None:
         return ["", "# no settings for the file: identify the servos or the payload"]
+    own = found.remedy.compensation
     return [
         "",
-        "# in the table [settings]:",
-        f"friction_share = {_toml(float(found.remedy.friction_share))}",
-        f"damping_share = {_toml(float(found.remedy.damping_share))}",
+        "[settings.compensation]",
+        f"friction = {_toml(float(own.friction))}",
+        f"damping = {_toml(float(own.damping))}",
     ]
 
 

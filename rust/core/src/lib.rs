@@ -25,7 +25,7 @@
 //! let servos = Servos::new(vec![150.0], vec![10.7]); // k_p [N·m/rad], usable torque [N·m], of every joint
 //!
 //! let mut settings = Settings::default();
-//! settings.set_axes("y", Axis { soft: Some([4.0; 2]), eta: 0.9, ..Axis::default() })?; // [N]
+//! settings.set_axes("y", Axis { soft: Some([4.0; 2]), adaptation: 0.9, ..Axis::default() })?; // [N]
 //! let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos))?;
 //!
 //! let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // measured [rad]

@@ -227,6 +227,14 @@ fn maybe<T>(random: &mut Random, make: impl FnOnce(&mut Random) -> T) -> Option<
     random.chance(0.2).then(|| make(random))
 }
 
+fn fuzz_damping(random: &mut Random, number: impl Fn(&mut Random) -> f64) -> Damping {
+    match random.below(4) {
+        0 => Damping::Fixed(number(random)),
+        1 => Damping::Adaptive { lambda_0: number(random), sigma_0: number(random), lambda_max: number(random) },
+        _ => Damping::Auto,
+    }
+}
+
 /// Any settings at all.
 fn fuzz(random: &mut Random, n: usize) -> Settings {
     let number = |random: &mut Random| if random.chance(0.05) { strange(random) } else { random.scale(1e-3, 20.0) };
@@ -287,13 +295,7 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         accept_high_stiffness: random.chance(0.2),
         tracking: Tracking {
             gain: gain(random, on.iter().filter(|&&x| x).count()),
-            damping: match random.below(4) {
-                0 => Damping::Fixed(number(random)),
-                1 => {
-                    Damping::Adaptive { lambda_0: number(random), sigma_0: number(random), lambda_max: number(random) }
-                }
-                _ => Damping::Auto,
-            },
+            damping: fuzz_damping(random, number),
             velocity_filter: or(random, 0.02),
             goal_slew: or(random, 1.0),
             joint_speed: maybe(random, list),

@@ -29,7 +29,7 @@ where
     fn of(value: &Bound<'_, PyAny>) -> Option<(Self::Core, Given)>;
 
     /// An object of this class.
-    fn object<'py>(core: Self::Core, given: Given, py: Python<'py>) -> PyResult<Bound<'py, PyAny>>;
+    fn object(core: Self::Core, given: Given, py: Python<'_>) -> PyResult<Bound<'_, PyAny>>;
 }
 
 /// Whether the field `name` is among those given.
@@ -117,7 +117,7 @@ macro_rules! group {
                 value.cast::<Self>().ok().map(|group| (group.get().0.clone(), group.get().1))
             }
 
-            fn object<'py>(core: Self::Core, given: Given, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+            fn object(core: Self::Core, given: Given, py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
                 Ok(Bound::new(py, Self(core, given))?.into_any())
             }
         }

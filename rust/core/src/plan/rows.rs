@@ -44,7 +44,7 @@ pub(super) fn deviation_limits(settings: &Settings, axes: &[usize]) -> Vec<Devia
         given.deviation_limit.map(|limit| DeviationLimit {
             axis,
             most: given.effective_yields().sides().map(|on| if on { f64::INFINITY } else { limit }),
-            on_deviation_limit: given.on_deviation_limit,
+            reaction: given.on_deviation_limit,
         })
     };
     axes.iter().filter_map(of).collect()

@@ -19,7 +19,7 @@ pub(crate) struct DeviationLimit {
     pub(crate) axis: usize,
     /// Largest deviation [m or rad] when pushed toward (−, +); ∞ toward a side that yields.
     pub(crate) most: [f64; 2],
-    pub(crate) on_deviation_limit: OnDeviationLimit,
+    pub(crate) reaction: OnDeviationLimit,
 }
 
 impl DeviationLimit {
@@ -67,7 +67,7 @@ impl Pushed<'_> {
             let (e0, e1) = (from[limit.axis], to[limit.axis]);
             if (limit.kept(e1) - e1).abs() > 0.0 {
                 met[limit.axis] = true;
-                if limit.on_deviation_limit == OnDeviationLimit::Wait {
+                if limit.reaction == OnDeviationLimit::Wait {
                     // What a hand has pushed beyond the limit need not come back: it must only not grow.
                     let allowed = e1.clamp(e0.min(-limit.most[1]), e0.max(limit.most[0]));
                     let share = if (e1 - e0).abs() > STILL { (allowed - e0) / (e1 - e0) } else { 0.0 };
@@ -81,7 +81,7 @@ impl Pushed<'_> {
         let mut reference = if advance < 1.0 { between(self.before, reference, advance) } else { *reference };
         let mut error = self.error(&reference);
         let mut follows = false;
-        for limit in limits.iter().filter(|limit| limit.on_deviation_limit == OnDeviationLimit::Yield) {
+        for limit in limits.iter().filter(|limit| limit.reaction == OnDeviationLimit::Yield) {
             let kept = limit.kept(error[limit.axis]);
             follows |= (kept - error[limit.axis]).abs() > 0.0;
             error[limit.axis] = kept;
@@ -130,8 +130,8 @@ mod tests {
         Pose { position: [x, y, 0.0], rotation: rotation_matrix([0.0, 0.0, yaw]) }
     }
 
-    fn limit(axis: usize, most: f64, on_deviation_limit: OnDeviationLimit) -> DeviationLimit {
-        DeviationLimit { axis, most: [most; 2], on_deviation_limit }
+    fn limit(axis: usize, most: f64, reaction: OnDeviationLimit) -> DeviationLimit {
+        DeviationLimit { axis, most: [most; 2], reaction }
     }
 
     #[test]
@@ -175,8 +175,7 @@ mod tests {
     fn a_side_that_yields_has_no_limit() {
         let tool = Pose::IDENTITY;
         let pushed = Pushed { tool: &tool, base_from_task: &FRAME, before: &tool };
-        let limits =
-            [DeviationLimit { axis: 1, most: [0.02, f64::INFINITY], on_deviation_limit: OnDeviationLimit::Yield }];
+        let limits = [DeviationLimit { axis: 1, most: [0.02, f64::INFINITY], reaction: OnDeviationLimit::Yield }];
         assert!(pushed.keep(&limits, &at(0.0, -0.5, 0.0)).is_none());
         assert!((pushed.keep(&limits, &at(0.0, 0.5, 0.0)).unwrap().error[1] - 0.02).abs() < 1e-15);
     }
