@@ -31,7 +31,9 @@ def pull(axis, start):
 
 
 settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})  # [N]
-with pliant.connect("arm7", backend="sim", q=START, scene=[pull("y", 1.0), pull("z", 4.0)]) as arm:
+plant = pliant.sim.Plant(pliant.robots.arm7(), scene=[pull("y", 1.0), pull("z", 4.0)])
+plant.reset(START)
+with pliant.Arm(plant.model, pliant.sim.SimDrive(plant)) as arm:
     controller = pliant.Controller(arm.model, settings, arm.servos)
     target = arm.model.forward_kinematics(arm.read().q)
     recorder = pliant.log.Recorder(folder / "run.mcap", note="two pulls")

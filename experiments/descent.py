@@ -25,8 +25,7 @@ from pliant.config import assemble
 from pliant.config.emulation import PATIENCE, emulated
 from pliant.emulator import StepClock, Timing
 from pliant.servo import ServoBus
-from pliant.sim import Plant, table
-from pliant.sim.drive import SimDrive
+from pliant.sim import Plant, SimDrive, table
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:

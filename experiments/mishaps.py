@@ -12,8 +12,7 @@ from experiments.setups import arm, displaced, tool
 from pliant.arm.arm import Arm
 from pliant.arm.drive import Sample
 from pliant.loop import Loop, Tick
-from pliant.sim import Guide, Plant
-from pliant.sim.drive import SimDrive
+from pliant.sim import Guide, Plant, SimDrive
 from pliant.sim.hand import Course
 from pliant.sim.postures import VERTICAL
 

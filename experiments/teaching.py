@@ -16,8 +16,7 @@ import tyro
 import pliant
 from experiments.campaign_arms import load
 from experiments.runner import Job, Workers
-from pliant.sim import Course, Drag, Plant
-from pliant.sim.drive import SimDrive
+from pliant.sim import Course, Drag, Plant, SimDrive
 from pliant.teach import Motion, Replay, teach
 
 if TYPE_CHECKING:

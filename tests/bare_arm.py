@@ -4,8 +4,7 @@ from typing import Any
 
 import pliant
 from pliant._connect import ARM_OPTIONS
-from pliant.sim import Plant
-from pliant.sim.drive import SimDrive
+from pliant.sim import Plant, SimDrive
 
 
 def bare_arm(

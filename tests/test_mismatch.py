@@ -39,8 +39,7 @@ from experiments.campaign_arms import load
 from experiments.chapters import comparison_stress
 from experiments.conditions import NOMINAL, Conditions
 from pliant.arm import Arm
-from pliant.sim import LIGHT, Plant
-from pliant.sim.drive import SimDrive
+from pliant.sim import LIGHT, Plant, SimDrive
 from pliant.sim.postures import VERTICAL
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

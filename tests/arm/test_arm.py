@@ -7,8 +7,7 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant.arm import Arm, GripperConfig
-from pliant.sim import Plant
-from pliant.sim.drive import SimDrive
+from pliant.sim import Plant, SimDrive
 
 
 def test_order_from_torque_on_to_torque_off(make, grasp):

@@ -24,8 +24,7 @@ from hypothesis.stateful import (
 import pliant
 import pliant.arm.arm
 import pliant.arm.signals
-from pliant.sim import Plant
-from pliant.sim.drive import SimDrive
+from pliant.sim import Plant, SimDrive
 
 CAUGHT = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 NUMBERS = [getattr(signal, name) for name in CAUGHT if hasattr(signal, name)]

@@ -148,8 +148,7 @@ def simulated(
     config: Config, model: Model, *, q: ArrayLike | None, real_time: bool, **plant: Any
 ) -> Drive:
     """The arm on the simulator: servos by the file, on its table."""
-    from pliant.sim import Plant
-    from pliant.sim.drive import SimDrive
+    from pliant.sim import Plant, SimDrive
 
     options: dict[str, Any] = {"rate": config.loop.rate}
     if config.servo:

@@ -13,6 +13,7 @@ axes; all units SI.
 from pliant.arm.state import State
 from pliant.sim.doors import Door, Drive, door, fridge, oven
 from pliant.sim.drawer import Drawer, drawer
+from pliant.sim.drive import SimDrive
 from pliant.sim.friction import MX64, MX106, STS3215, Friction
 from pliant.sim.grip import Gripped
 from pliant.sim.hand import (
@@ -64,6 +65,7 @@ __all__ = [
     "Plant",
     "Push",
     "Recorder",
+    "SimDrive",
     "Socket",
     "State",
     "Surface",

@@ -92,8 +92,7 @@ class Simulated:
 
     def arm(self) -> Arm:
         """A new simulation."""
-        from pliant.sim import Plant
-        from pliant.sim.drive import SimDrive
+        from pliant.sim import Plant, SimDrive
 
         scene = self.scenes[self.name]
         plant = Plant(self.model, rate=self.rate, scene=scene.make())
