@@ -47,14 +47,14 @@ KNOWN = signatures()
 
 #: Pages of the package itself; a public name that stands nowhere fails the build.
 CORE = {
-    "model": (
-        "Model and poses",
-        "Model Pose Payload",
-    ),
+    "robot": ("Model, poses and servos", "Model Pose Payload Servos"),
     "controller": ("Controller", "Controller Command Diagnostics BatchState"),
-    "settings": ("Settings", "Settings Task Axis Servos"),
+    "settings": (
+        "Settings",
+        "Settings Task Axis Tracking NullSpace Compensation TorqueLimits AXES",
+    ),
     "contact": ("Contact", "ContactEstimator WrenchEstimate"),
-    "loop": ("Arm and loop", "connect Loop HandGuiding"),
+    "loop": ("Arm and loop", "connect Arm Loop Tick HandGuiding"),
     "errors": (
         "Errors",
         "PliantError UrdfError FrameNotFoundError OutOfRangeError ShapeError ConfigError "
