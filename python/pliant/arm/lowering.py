@@ -73,7 +73,8 @@ LOOK = 0.15
 STILL, LOOSE = 0.01, 0.04
 #: Time in which limits fall to zero [s]; the second applies if a joint has no position.
 RAMP, UNSEEN = 1.0, 6.0
-#: Holding torque over gravity.
+#: Holding torque over gravity torque.
+SUPPORT = 1.1
 #: After this long without any position the descent goes blind; a single joint that is silent for as
 #: long keeps its goal [s].
 PATIENCE = 0.2
@@ -232,7 +233,7 @@ class Lowering:
         return -DOWN * (carried - np.clip(carried, -half, half))
 
     def _carried(self, here: Geometry, gravity: Array) -> Array:
-        """Return the difference (n,) [rad] between the lead and that of a lightly pressing joint."""
+        """Return the lead (n,) [rad] minus that of a lightly pressing joint."""
         press = np.minimum(PRESS * self._friction, PUSH * self._lever(here)) * self._presses
         clear = np.maximum(CLEAR * self._friction, 1e-9)
         excess: Array = self._lead + press / self._kp * np.clip(gravity / clear, -1.0, 1.0)
@@ -247,7 +248,7 @@ class Lowering:
         return lever
 
     def _goal_before(self, age: float) -> Array:
-        """Return the goals (n,) [rad] that were in force when the present positions were sampled."""
+        """Return the goals (n,) [rad] in force when the present positions were sampled."""
         while len(self._goals) > 1 and self._goals[1][0] <= self._total - age + 1e-9:
             self._goals.popleft()
         return self._goals[0][1]
@@ -367,7 +368,7 @@ class Lowering:
             self.phase = "done"
 
     def _speed_of_joints(self) -> Array:
-        """Return mean joint velocities (n,) [rad/s] over `LOOK`; a flicker of one count is ignored."""
+        """Return mean joint velocities (n,) [rad/s] over `LOOK`, without one count of flicker."""
         began, q = self._past[0]
         passed = self._past[-1][0] - began
         way = self._q - q

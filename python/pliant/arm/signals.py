@@ -142,7 +142,7 @@ class Registry:
                 signal.signal(number, self._catch)
 
     def remove(self, arm: Signals) -> None:
-        """Unregister an arm; with the last one, restore former handlers where ours are installed."""
+        """Unregister an arm; with the last one, restore the former handlers."""
         if arm not in self.arms:
             return
         self.arms.remove(arm)
@@ -242,7 +242,7 @@ def exception(number: int) -> BaseException:
 
 
 def _stronger(first: int | None, second: int | None) -> int | None:
-    """Return the signal that ends the program; SIGINT has the lower priority, it is often caught."""
+    """Return the signal that ends the program; SIGINT has lower priority, it is often caught."""
     if first is None or (first == signal.SIGINT and second is not None):
         return second
     return first
