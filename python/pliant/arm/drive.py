@@ -159,7 +159,7 @@ class Drive(Protocol):
         """Connect and identify.
 
         Raises:
-                ServoError: The cause and the remedy.
+            ServoError: The cause and the remedy.
         """
 
     def close(self) -> None:
@@ -188,7 +188,7 @@ class Drive(Protocol):
         A joint whose torque is on already keeps it on.
 
         Raises:
-                ServoError: A joint moved or did not confirm; torque is then as it was before.
+            ServoError: A joint moved or did not confirm; torque is then as it was before.
         """
 
     def disable(self, names: Sequence[str]) -> None:

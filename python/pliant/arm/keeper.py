@@ -85,8 +85,7 @@ class Keeper:
         """Hold the lock while the arm is left.
 
         Wait until a descent in another thread ends. With `at_once`, or if an exception comes during
-        the
-        wait, that descent is aborted where it is, torque on.
+        the wait, that descent is aborted where it is, torque on.
 
         Raises:
             ServoError: Another process switched torque on.

@@ -75,7 +75,7 @@ class Speaker:
         return message
 
     def flush(self, within: float = FLUSH) -> None:
-        """Wait until all lines are written, at most `within` [s]; only once for a blocked stream."""
+        """Wait until all lines are written, at most `within` [s]; once per blocked stream."""
         last = self._last
         if last is None or (self._stuck is not None and not self._stuck.told):
             return
