@@ -453,8 +453,7 @@ class Arm:
             self._cycle.write(goal, limit, extra, lead=lead, velocity=velocity)
 
     def watched(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
-        """Return a context in which an arm in real time is left after `patience` [s] without a
-        call.
+        """Return a context that leaves an arm in real time after `patience` [s] without a call.
 
         `Loop` uses this. The context yields a function that raises `ServoTimeoutError` after that.
         """

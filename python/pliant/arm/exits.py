@@ -37,7 +37,7 @@ def descend(
     *,
     on_tick: Callable[[Lowering], None] | None = None,
 ) -> bool:
-    """Lower the arm until its limits have fallen to nothing; torque can go off then.
+    """Lower the arm until its limits are zero, so that torque can be switched off.
 
     Joints off the chain keep their orders until everything rests. Single bus errors do not end the
     descent. A bus that fails for 2 s does; the servos then keep their last goal and limit.
