@@ -232,7 +232,7 @@ class ServoBus:
 
     @property
     def refusing(self) -> NDArray[np.bool_]:
-        """Mask (n,) of joints known to reject goals: watchdog tripped, or goals do not read back."""
+        """Mask (n,) of joints known to reject goals: watchdog tripped, or wrong read-back."""
         return np.array([any(d.is_refusing for d in joint) for joint in self._joints])
 
     # The cycle.
@@ -388,6 +388,7 @@ class ServoBus:
 
     def _start(self) -> None:
         """Reset all servo state."""
+        #: Servos of each joint, the primary first.
         self._joints = [
             [Device(spec, i, number, sign) for number, sign in spec.servos]
             for i, spec in enumerate(self.specs)

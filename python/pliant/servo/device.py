@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 SAG = 0.5
 #: Jump that is always accepted, in addition to the distance at twice the no-load speed [rad].
 JUMP = 0.1
-#: A register that reads back wrong is a fault after this time [s] and this many packets; the time
-#: equals the read timeout.
+#: A register that reads back wrong is a fault after this time [s] and this many packets; a
+#: silent servo is given the same time.
 UNHEARD, MISMATCHES = 0.5, 3
 #: Implausible readings in a row that are a fault; and the gap between readings after which the
 #: joint may have moved in between [s].
@@ -186,7 +186,7 @@ class Device:
         return b"".join(self.family.registers[n].encode(values.get(n, 0)) for n in names)
 
     def accept(self, reply: Reply) -> bool:
-        """Store a reading; return False if it is implausible because the joint would have jumped."""
+        """Store a reading; return False if it is implausible, as the joint would have jumped."""
         family = self.family
         raw = family.decode(reply.block, reply.data, "position")
         turns, position = self._unwrap(raw)
