@@ -109,7 +109,7 @@ class Units:
         return self._stall / self.row.family.full_duty * self._share
 
     def torque(self, register: int) -> float:
-        """Return the joint torque of a limit register; signed for a load or current register [N·m]."""
+        """Return the joint torque of a limit register [N·m]; signed for load and current."""
         size = abs(register) * self.torque_per_unit - self.spec.torque_offset
         return max(size, 0.0) * (1 if register >= 0 else -1)
 
