@@ -97,7 +97,7 @@ def mounts(config: Config) -> list[Mount]:
 
 
 def _as_set_up(servo: Servo) -> dict[str, int]:
-    """Return EEPROM as after `pliant servos setup`: no return delay, current-based position mode."""
+    """Return EEPROM as after `pliant servos setup`: no return delay, current-based position."""
     row = find(servo.model)
     mode = {"operating_mode": 5} if row.kind == "current" else {}
     gain = {} if servo.gain is None else {"p_coefficient": servo.gain}

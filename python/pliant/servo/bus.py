@@ -162,7 +162,7 @@ class ServoBus:
         order = {name: i for i, name in enumerate(self.names)}
         return tuple(sorted(found, key=lambda f: order[f.joint]))
 
-    # What the servos are.
+    # Servo parameters and state.
 
     @property
     def servos(self) -> Servos:
