@@ -46,9 +46,8 @@ class Arm:
     """An arm over any drive, with its life cycle.
 
     `with` opens, identifies and enables the arm, and lowers it at the end, whatever the reason.
-    While
-    torque is on, the arm belongs to the process that switched it on. In a process forked from it,
-    exits do nothing, and `read` and `write` raise.
+    While torque is on, the arm belongs to the process that switched it on. In a process forked from
+    it, exits do nothing, and `read` and `write` raise.
 
     Args:
         model: The robot; its joint names are matched with the drive's.
@@ -75,8 +74,7 @@ class Arm:
         servos: Servo parameters of the chain, n entries, from the drive; updated when it opens.
         grippers: Grippers by joint name; created again when the drive opens.
         leads: Goal minus position that carried each joint at torque on (n,) [rad]; NaN if unknown:
-            the
-            joint rested on something, or torque was never on.
+            the joint rested on something, or torque was never on.
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
@@ -155,8 +153,7 @@ class Arm:
         Raises:
             ServoTimeoutError: Joints do not answer; the message names them.
             ServoError: A joint reads outside its limits, and nothing was sent; or joints moved or
-                did
-                not confirm when torque came on.
+                did not confirm when torque came on.
         """
         with self._keeper.alone():
             if not self.enabled:
@@ -430,14 +427,12 @@ class Arm:
 
         Args:
             goal: Joint goals (n,) [rad], clipped to the position limits and the lead beyond them
-                that
-                the weight needs.
+                that the weight needs.
             limit: Torque limits (n,) [N·m]; None keeps the last.
             extra: Goal [rad] and limit [N·m] of joints off the chain by name; others keep theirs.
             lead: Whether goals may lie beyond the position limits to exert a force. A `Controller`
                 makes sure that this moves no joint out of its range; `Tick.write` sets `lead` for
-                its
-                commands.
+                its commands.
             velocity: Largest velocity (n,) [rad/s] toward the goals, for the servos' speed
                 registers;
                 None or inf: no speed limit.

@@ -45,8 +45,7 @@ class Belief:
         self.time: Array = np.full(fastest.size, -np.inf)
         self.jumps = 0
         # Per joint: time of the last reading; time in which it may have moved since the last
-        # accepted
-        # position; implausible readings in a row, and the size of the last jump.
+        # accepted position; implausible readings in a row, and the size of the last jump.
         self._last: Array = self.time.copy()
         self._allowed: Array = np.zeros(fastest.size)
         self._refused: NDArray[np.int_] = np.zeros(fastest.size, dtype=np.int_)

@@ -28,8 +28,7 @@ class Budget:
     Attributes:
         continuous: Share of the usable torque that a servo can exert continuously, in (0, 1].
         seconds: Thermal time constant of its winding [s]. At full torque the budget is used up
-            after
-            ``−seconds ln(1 − continuous²)``: 5.2 s by default.
+            after ``−seconds ln(1 − continuous²)``: 5.2 s by default.
         supply: Largest current of the supply [A]; None: no limit.
         hottest: Temperature at which the servos switch off [°C].
     """

@@ -31,8 +31,7 @@ class GripperConfig:
         limit: Default torque limit [N·m, N]; None: the lesser of 30 % of the largest torque and 0.9
             of the overload threshold.
         lever: Distance from the axis to the middle of the finger [m]. If given, forces are in
-            newtons
-            at the finger and the width is in metres; None: torques [N·m] and angles [rad].
+            newtons at the finger and the width is in metres; None: torques [N·m] and angles [rad].
     """
 
     opened: float | None = None

@@ -67,8 +67,7 @@ class Keeper:
 
         Raises:
             ServoTimeoutError: The watchdog thread has taken the arm over; raised at once, also
-                while the
-                arm is being lowered.
+                while the arm is being lowered.
             ServoError: Another process switched its torque on.
         """
         if self.elsewhere:

@@ -97,8 +97,7 @@ class Lowering:
         phase: `rest`, `down`, `ramp` or `done`.
         blind: Whether positions have been missing for so long that the model's replace them.
         velocity: Largest joint velocities (n,) [rad/s] while blind, so that a joint does not jump
-            to a
-            goal after lost packets; otherwise None.
+            to a goal after lost packets; otherwise None.
     """
 
     def __init__(

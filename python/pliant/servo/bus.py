@@ -204,8 +204,7 @@ class ServoBus:
 
         Those of `pliant.servo.guard.Counters`, and `mismatches`: limits that did not read back as
         written; `alerts`: errors that appeared in a status, even briefly; `trips`: bus watchdogs
-        that
-        tripped and were cleared.
+        that tripped and were cleared.
         """
         kinds = ("mismatches", "alerts", "trips")
         total = {kind: sum(getattr(device, kind) for device in self._devices) for kind in kinds}
@@ -268,8 +267,7 @@ class ServoBus:
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative. Nothing is sent.
             ServoError: All ports are gone. Other lost packets are counted, and the last goal and
-                limit
-                stay in force.
+                limit stay in force.
         """
         self._check_open()
         goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", least="N·m")

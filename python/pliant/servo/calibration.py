@@ -28,8 +28,7 @@ class Calibration:
     Attributes:
         id: Servo id.
         drive_mode: 1 if LeRobot inverts normalised values. Feetech counts are not affected;
-            Dynamixel
-            servos then count in the opposite direction.
+            Dynamixel servos then count in the opposite direction.
         homing_offset: Offset that the servo adds (Dynamixel) or subtracts (Feetech) [counts].
         range_min, range_max: Ends of the travel, present position [counts].
     """
@@ -50,8 +49,7 @@ class Calibration:
 
         Raises:
             ConfigError: An end is not a count of its encoder. For a multi-turn servo, one turn
-                beyond
-                either end of the encoder is allowed.
+                beyond either end of the encoder is allowed.
         """
         beyond = row.counts + 1 if row.family.multi_turn else 0
         low, high = -beyond, row.counts + beyond

@@ -162,8 +162,7 @@ class Device:
         """Return the goal register of a joint angle, within the goal range.
 
         If a single-turn servo was pushed past its encoder seam, a goal on the other side would turn
-        it
-        the long way round. It gets the range end on its own side instead.
+        it the long way round. It gets the range end on its own side instead.
         """
         if self.turns and not self.multi_turn:
             return 0 if self.turns > 0 else self.row.counts

@@ -165,8 +165,7 @@ class Guard:
 
         Raises:
             BusError: All tries failed, or there was no time for another; `late` if every length
-                fits a
-                missing reply.
+                fits a missing reply.
         """
 
         def once() -> Reply:
@@ -390,8 +389,7 @@ class Guard:
 
         A ping to an unused id reads all data that arrive: it returns early if there were any, and
         after its timeout otherwise. Without a budget, the silence must last as long as a reply
-        timeout,
-        and the drain ends after `DRAIN`.
+        timeout, and the drain ends after `DRAIN`.
         """
         self.counters.drains += 1
         unhurried = isinf(self._deadline)

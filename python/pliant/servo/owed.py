@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from pliant.servo.models.row import Block
 
 #: Time for which the length of a missing reply is avoided if there is a choice; and time after
-#: which
-#: a reply is given up if nothing was answered since [s].
+#: which a reply is given up if nothing was answered since [s].
 MEMORY, GIVEN_UP = 1.0, 2.0
 
 

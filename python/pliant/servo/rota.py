@@ -65,8 +65,7 @@ class Rota:
         Three kinds of servos are read first: those with a new alert, with an urgent fault, and with
             a
         goal or limit that read back wrong, because only a second reading distinguishes a lost
-        packet
-        from a servo that rejects it.
+        packet from a servo that rejects it.
 
         Raises:
             BusError: The port is gone.

@@ -25,8 +25,7 @@ BAUDRATES = (1_000_000, 57_600, 115_200, 500_000, 2_000_000, 3_000_000, 4_000_00
 USUAL = range(41)
 ALL = range(253)
 #: Reply timeout in addition to wire and adapter [s]: the longest return delay of a servo, and a
-#: busy
-#: host.
+#: busy host.
 PATIENCE = 0.005
 #: Reply timeout if a reply may be late, and silence of the line before such a request [s]: an
 #: adapter that holds replies back for 16 ms, and a busy host.

@@ -23,10 +23,9 @@ class BusError(ServoError):
 
     Attributes:
         reason: `timeout`: no or an incomplete reply; `corrupt`: an invalid reply; `stale`: a reply
-            to
-            an earlier request; `refused`: the servo rejected the request; `late`: nothing was sent,
-            the cycle has no time left; `noisy`: nothing was sent, the line is never silent; `gone`:
-            the port has vanished.
+            to an earlier request; `refused`: the servo rejected the request; `late`: nothing was
+            sent, the cycle has no time left; `noisy`: nothing was sent, the line is never silent;
+            `gone`: the port has vanished.
         id: Servo whose reply failed, if known.
     """
 
