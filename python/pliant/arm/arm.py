@@ -421,9 +421,8 @@ class Arm:
         """Send goals and torque limits, within position limits and budgets.
 
         Low limits are sent unchanged: with a limit below the weight the arm sinks, with 0 it falls.
-            A
-        `RuntimeWarning` is issued once if a limit stays below half of the weight for 0.2 s, but not
-        for a `Controller`'s commands in `Tick.write`.
+        A `RuntimeWarning` is issued once if a limit stays below half of the weight for 0.2 s, but
+        not for a `Controller`'s commands in `Tick.write`.
 
         Args:
             goal: Joint goals (n,) [rad], clipped to the position limits and the lead beyond them
@@ -434,8 +433,7 @@ class Arm:
                 makes sure that this moves no joint out of its range; `Tick.write` sets `lead` for
                 its commands.
             velocity: Largest velocity (n,) [rad/s] toward the goals, for the servos' speed
-                registers;
-                None or inf: no speed limit.
+                registers; None or inf: no speed limit.
 
         Raises:
             ShapeError, OutOfRangeError, ConfigError, TypeError: Invalid argument; nothing was sent.

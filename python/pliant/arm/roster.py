@@ -88,8 +88,7 @@ class Roster:
 
         Raises:
             TypeError: Not a mapping. ConfigError: Unknown joint, or not two numbers.
-                OutOfRangeError:
-                Not finite, or a negative limit.
+                OutOfRangeError: Not finite, or a negative limit.
         """
         checked = {}
         for name, order in mapping(orders, "extra", EXTRA).items():

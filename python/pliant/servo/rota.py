@@ -63,8 +63,7 @@ class Rota:
         """Read one block; return the slow data of its joint.
 
         Three kinds of servos are read first: those with a new alert, with an urgent fault, and with
-            a
-        goal or limit that read back wrong, because only a second reading distinguishes a lost
+        a goal or limit that read back wrong, because only a second reading distinguishes a lost
         packet from a servo that rejects it.
 
         Raises:

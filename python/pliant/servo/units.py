@@ -158,8 +158,7 @@ class Units:
 
         ``k_p = τ_stall · (duty per radian of error)``. A current-limited servo in mode 5 converts
         position error into current: P/128 current counts per position count. These are initial
-            values:
-        the sources agree within a factor of two (docs/ports.md).
+        values: the sources agree within a factor of two (docs/ports.md).
         """
         row, gear = self.row, self.spec.gear
         if row.kind == "current":
