@@ -1,8 +1,8 @@
-"""Descent of an arm: goals and torque limits, tick by tick, from measured positions alone.
+"""Descent of an arm: goals and torque limits, tick by tick, from measured positions.
 
 A position servo carries a weight by its lead, the distance from the joint to its goal. The lead is
-measured. Stiffness, payload and friction are not, so the descent does not rely on them. Goals start
-at their present values and move toward the joints, in proportion to the lead:
+measured. Stiffness, payload and friction are not, so the measured lead drives the descent. Goals
+start at their present values and move toward the joints, in proportion to the lead:
 
 ``goal ← goal + dt r u``, ``u = −40/s (goal − q − ℓ*)``.
 
