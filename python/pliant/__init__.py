@@ -5,7 +5,7 @@
     >>> controller = pliant.Controller(model, pliant.Settings.soft("y"))
 
 SI units; joints base to tip; task axes x y z roll pitch yaw; 6-vectors linear first; poses
-`base_from_tool` (4, 4); deviations target minus actual; gravity torques are those that hold.
+`base_from_tool` (4, 4); deviations target minus actual; gravity torques hold the arm.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ __all__ = [
 #: Task axes in their order: translations [m], then rotations [rad].
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
-#: Parts that are loaded when they are first named: they need extras, or time.
+#: Submodules imported at first use, because they need extras or import slowly.
 _PARTS = (
     "arm",
     "config",
@@ -120,7 +120,7 @@ _PARTS = (
     "sim",
     "teach",
 )
-#: Names that live in one of them.
+#: Names exported from submodules, imported at first use.
 _NAMES = {
     "Arm": "pliant.arm",
     "HandGuiding": "pliant.identify.hand_guiding",

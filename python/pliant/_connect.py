@@ -1,4 +1,4 @@
-"""`connect`: from a configuration to an arm."""
+"""`connect`: create an arm from a configuration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class ArmOptions(TypedDict, total=False):
-    """Options of `pliant.Arm`, in place of what the configuration says."""
+    """Options of `pliant.Arm`; they override the configuration."""
 
     rest_q: ArrayLike | None
     on_exit: Literal["lower", "leave_enabled"]
@@ -33,7 +33,7 @@ class ArmOptions(TypedDict, total=False):
 
 
 class ConnectOptions(ArmOptions, total=False):
-    """Options of `connect`: those of the arm, and with ``backend="sim"`` of `pliant.sim.Plant`."""
+    """Options of `connect`: of the arm, and with ``backend="sim"`` of `pliant.sim.Plant`."""
 
     servos: Servos | None
     extra_servos: Mapping[str, Servos] | None
@@ -63,7 +63,7 @@ class ConnectOptions(ArmOptions, total=False):
 
 ARM_OPTIONS = frozenset(ArmOptions.__annotations__)
 PLANT_OPTIONS = frozenset(ConnectOptions.__annotations__) - ARM_OPTIONS
-#: Keywords of `connect` that replace words of a configuration file.
+#: Keywords of `connect` that override keys of a configuration file.
 FILE_OPTIONS = frozenset(("backend", "port", "urdf", "calibration"))
 ALL_OPTIONS = ARM_OPTIONS | PLANT_OPTIONS | FILE_OPTIONS | {"q", "real_time"}
 
@@ -79,32 +79,32 @@ def connect(
     real_time: bool = False,
     **options: Unpack[ConnectOptions],
 ) -> Arm:
-    """Make the arm of a configuration; `with` enables it, and lowers it at the end.
+    """Create the arm of a configuration. `with` enables it, and lowers it at the end.
 
-    Nothing is opened and nothing moves before `with`. For a drive of your own, or a model without a
+    Nothing is opened or moved before `with`. To use your own drive, or a model without a
     configuration, construct `pliant.Arm(model, drive)`.
 
     Args:
         config: Name of a ready arm (`pliant.config.names()`), path of a TOML file, or a `Config`.
-        backend: `"bus"`: the servos; `"emulator"`: emulated servos on a virtual serial port;
-            `"sim"`: the simulator without a bus; None: as the file has it.
-        port: Serial device in place of the file's, or `"auto"`.
-        urdf: URDF file in place of the file's.
-        calibration: LeRobot's calibration file in place of the file's.
+        backend: `"bus"`: real servos; `"emulator"`: emulated servos on a virtual serial port;
+            `"sim"`: the simulator without a bus; None: as in the file.
+        port: Serial device, overrides the file; or `"auto"`.
+        urdf: URDF file, overrides the file.
+        calibration: LeRobot calibration file, overrides the file.
         q: Initial joint positions (n,) [rad] of a simulated or emulated arm; None: near zero,
             clear of the table.
         real_time: Run the simulator in real time; otherwise as fast as it can.
-        **options: Options of `pliant.Arm`, in place of the file's; with ``backend="sim"`` also of
+        **options: Options of `pliant.Arm`, which override the file; with ``backend="sim"`` also of
             `pliant.sim.Plant` (``scene=[...]``). `table` is the height of the table [m], or False
             for none.
 
     Returns:
-        The arm, with torque as it was.
+        The arm, with torque unchanged.
 
     Raises:
-        ConfigError: An unknown name or option, with the nearest known one; a wrong file; options
-            that do not go together.
-        ServoError: The file leaves the port open and there is none, or a choice.
+        ConfigError: Unknown name or option, with the nearest known one; invalid file; conflicting
+            options.
+        ServoError: The port is `auto`, and there is no serial port or more than one.
 
     Example:
         >>> with pliant.connect("so101", backend="sim") as arm:
@@ -136,10 +136,10 @@ def connect(
 
 
 def check_options(options: Iterable[str], known: Iterable[str]) -> None:
-    """Check that there are such options, before anything is opened.
+    """Check option names before anything is opened.
 
     Raises:
-        ConfigError: An unknown option; the message has the nearest and all.
+        ConfigError: Unknown option; the message lists the nearest and all known ones.
     """
     names = frozenset(known)
     for key in options:

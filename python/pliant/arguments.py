@@ -1,4 +1,4 @@
-"""What a caller gave: checked once, and named in the error with its value and what would do."""
+"""Checks of function arguments; errors show the value and the allowed values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: How one comes by what a function wants.
+#: How to create an argument of each type.
 HINTS: dict[type, str] = {
     Model: "as pliant.robots.arm7(), .so101(), .koch() or Model.from_urdf(path) make one",
     Servos: "e.g. Servos.of(['sts3215'] * model.n)",
@@ -23,16 +23,16 @@ HINTS: dict[type, str] = {
 
 
 def given(value: Any) -> str:
-    """A value as errors quote it, with its type."""
+    """Format a value with its type for an error message."""
     text = repr(value)
     return f"{text if len(text) <= 80 else text[:77] + '...'} ({type(value).__name__})"
 
 
 def instance(value: Any, kind: type[T], name: str, hint: str = "") -> T:
-    """Return a value that is of this kind.
+    """Return `value` if it is an instance of `kind`.
 
     Raises:
-        TypeError: It is not; says what would do.
+        TypeError: It is not; the message describes what is needed.
     """
     if not isinstance(value, kind):
         hint = hint or HINTS.get(kind, "")
@@ -43,7 +43,7 @@ def instance(value: Any, kind: type[T], name: str, hint: str = "") -> T:
 
 
 def mapping(value: Any, name: str, hint: str) -> Mapping[Any, Any]:
-    """Return a mapping; errors as `instance`."""
+    """Return `value` if it is a mapping; errors as in `instance`."""
     if not isinstance(value, Mapping):
         raise TypeError(f"{name} must be a mapping, {hint}, got {given(value)}")
     return value
@@ -53,7 +53,7 @@ def real(value: Any, name: str) -> float:
     """Return a number, finite or not.
 
     Raises:
-        ConfigError: It is no number.
+        ConfigError: Not a number.
     """
     if isinstance(value, (bool, str, bytes)) or np.ndim(value) != 0:
         raise ConfigError(f"{name} must be a number, got {given(value)}")
@@ -67,8 +67,8 @@ def number(value: Any, name: str, low: float, high: float = np.inf, unit: str = 
     """Return a finite number in [low, high].
 
     Raises:
-        ConfigError: It is no number.
-        OutOfRangeError: It is NaN, infinite or outside.
+        ConfigError: Not a number.
+        OutOfRangeError: NaN, infinite or out of range.
     """
     out = real(value, name)
     if not (low <= out <= high and np.isfinite(out)):
@@ -79,7 +79,7 @@ def number(value: Any, name: str, low: float, high: float = np.inf, unit: str = 
 
 
 def positive(value: Any, name: str, unit: str = "") -> float:
-    """Return a finite number above zero; errors as `number`."""
+    """Return a finite number above zero; errors as in `number`."""
     out = number(value, name, 0.0, unit=unit)
     if out == 0.0:
         of = f" [{unit}]" if unit else ""
@@ -88,10 +88,10 @@ def positive(value: Any, name: str, unit: str = "") -> float:
 
 
 def vector(value: ArrayLike, n: int, name: str, unit: str = "") -> NDArray[np.float64]:
-    """Return a fresh array (n,) of finite numbers.
+    """Return a new array (n,) of finite numbers.
 
     Raises:
-        ShapeError: It has another shape, or is no array of numbers, or not finite.
+        ShapeError: Wrong shape, not an array of numbers, or not finite.
     """
     of = f" [{unit}]" if unit else ""
     try:
@@ -104,6 +104,6 @@ def vector(value: ArrayLike, n: int, name: str, unit: str = "") -> NDArray[np.fl
 
 
 def rounded_up(value: float) -> str:
-    """Return a lower bound as three digits, rounded up so that the shown number is accepted."""
+    """Format a lower bound with three digits, rounded up so that the shown value is accepted."""
     digit = 10.0 ** (math.floor(math.log10(value)) - 2)
     return f"{math.ceil(value / digit) * digit:.3g}"

@@ -1,19 +1,19 @@
-"""Priority of processes beside the loop: some have time, the emulator has deadlines."""
+"""Process priorities: background processes get a lower one, the emulator a higher one."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 
-#: Steps by which a process with time gives way, and by which one with deadlines goes first.
+#: Change of the nice value in either direction.
 NICE = 10
 
 
 def step_back() -> None:
-    """Let this process wait for others, and never take a processor from one that runs.
+    """Lower the priority of this process, so that it never delays the control loop.
 
-    On Linux it also becomes a batch process: its waking up interrupts nobody. It is not made idle,
-    for a page has to hear STOP on a busy machine too.
+    On Linux it also becomes a batch process, which does not preempt others when it wakes up. The
+    idle policy is not used, because STOP on a web page must work on a busy machine too.
     """
     os.nice(NICE)
     if hasattr(os, "SCHED_BATCH"):
@@ -22,6 +22,6 @@ def step_back() -> None:
 
 
 def step_forward() -> None:
-    """Let threads that start from here go before others, where the system allows it."""
+    """Raise the priority of threads started from here, if the system permits it."""
     with contextlib.suppress(OSError):
         os.nice(-NICE)

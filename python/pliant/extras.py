@@ -1,4 +1,4 @@
-"""What to say where a part is missing that an extra brings: the one place with pip's command."""
+"""Messages about missing extras, with the pip command that installs them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 
 
 def pip() -> str:
-    """The command that installs into the environment that runs, whichever that is."""
+    """Return the command that installs packages into the running environment."""
     python = Path(sys.executable)
-    # Not resolved: the interpreter of a virtual environment is a link to another.
+    # Do not resolve: the interpreter of a virtual environment is a symbolic link.
     shown = os.path.relpath(python) if python.is_relative_to(Path.cwd()) else str(python)
     if importlib.util.find_spec("pip") is None:
         return f"uv pip install --python {shown}"
@@ -19,12 +19,12 @@ def pip() -> str:
 
 
 def missing(what: str, extra: str) -> str:
-    """One line: what needs which extra, and how to get it.
+    """Return one line: the missing extra, and the command that installs it.
 
-    pliant itself is installed, from a clone or a wheel, so pip looks for it on no index.
+    pliant itself is installed from a clone or a wheel, so pip does not need a package index for it.
 
     Args:
-        what: Who needs it, as the beginning of a sentence.
-        extra: Its name in `pyproject.toml`.
+        what: Feature that needs the extra, as the beginning of a sentence.
+        extra: Name of the extra in `pyproject.toml`.
     """
     return f"{what} needs the extra \"{extra}\": {pip()} 'pliant[{extra}]'"

@@ -1,4 +1,4 @@
-"""Files that are read: of bounded size, and never a pipe or a device that does not end."""
+"""Bounded reading of input files: limited size, and no pipes or devices."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pliant import ConfigError
 
-#: Largest size of a file of settings [bytes], and of one with samples.
+#: Largest size of a settings file, and of a file with samples [bytes].
 SMALL, LARGE = 1 << 20, 1 << 28
 
 
@@ -19,9 +19,9 @@ def read_text(path: Path, most: int = SMALL) -> str:
         most: Largest size [bytes].
 
     Raises:
-        ConfigError: It is a pipe, a device or a folder, or larger.
-        OSError: It is not there, or must not be read.
-        UnicodeDecodeError: It is no UTF-8 text.
+        ConfigError: A pipe, a device or a folder, or too large.
+        OSError: Missing, or not readable.
+        UnicodeDecodeError: Not UTF-8 text.
     """
     mode = path.stat().st_mode
     if not stat.S_ISREG(mode):
@@ -35,5 +35,5 @@ def read_text(path: Path, most: int = SMALL) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text of a file without control characters, which a terminal would obey."""
+    """Remove control characters from a text, because a terminal would execute them."""
     return "".join(c if c.isprintable() or c in " \n\t" else "�" for c in text)

@@ -1,4 +1,4 @@
-"""The control loop: absolute deadlines, honest times, and no lunge after a silence."""
+"""Control loop with absolute deadlines, measured times and bounded motion after a silence."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 LOG = logging.getLogger("pliant")
-#: After a gap this long between two steps a controller starts anew from where the arm is [s].
+#: Gap between two steps after which a controller is reset to the present pose [s].
 RESTART = 0.25
-#: A command made from positions older than this many periods, and this long [s], is not sent.
+#: Largest age of a tick whose command is sent, in periods and in seconds; the larger one applies.
 STALE_PERIODS, STALE = 5.0, 0.1
-#: Slew of a step that lets a controller's first goal carry the weight [s].
+#: Time step of the first step, which lets the first goal carry the weight [s].
 PRIME = 0.1
-#: How much later than the loop itself would the arm sees that the program does not come back [s].
+#: Extra time before the arm's watchdog acts on a stall, so that the loop detects it first [s].
 GRACE = 0.1
-#: Lowest rate [Hz]: a controller is told no longer time than 1 s between two steps.
+#: Lowest rate [Hz]: the time step of a controller is at most 1 s.
 LOWEST = 1.0
-#: Ticks over which the delay is averaged, and the change that is passed on [s], [1].
+#: Ticks over which the delay is averaged; least change that is passed on, absolute [s], relative.
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 
 
 class Commanded(Protocol):
-    """What a controller hands to the servos."""
+    """Protocol of a command: joint goals and torque limits."""
 
     @property
     def goal(self) -> Array:
@@ -51,16 +51,16 @@ class Commanded(Protocol):
 
 
 class Tick:
-    """One turn of the loop.
+    """One cycle of the loop.
 
     Attributes:
         q: Joint positions (n,) [rad], new in this tick.
-        dt: Time since the positions of the last tick were sampled [s].
-        state: All that was read.
-        time: When the tick began [s]; 0 at the first tick of the loop, on every backend.
-        index: Count of ticks before it.
-        began: `time` on the arm's clock, which `state.time` and `arm.time` are read from [s].
-        command: The last command given to `write`; None before.
+        dt: Time between the samples of the last positions and of these [s].
+        state: State of the arm in this tick.
+        time: Start of the tick [s]; 0 at the first tick of the loop, on every backend.
+        index: Number of ticks before this one.
+        began: Start of the tick on the arm's clock, which `state.time` and `arm.time` also use [s].
+        command: Last command given to `write`; None before.
     """
 
     __slots__ = ("_loop", "answered", "began", "command", "dt", "index", "q", "state", "time")
@@ -68,7 +68,7 @@ class Tick:
     def __init__(
         self, loop: Loop, state: State, dt: float, times: tuple[float, float], index: int
     ) -> None:
-        """Made by `Loop`; times: of this tick and of the first, on the arm's clock."""
+        """Store the state; `Loop` creates ticks. `times`: start of this and the first tick [s]."""
         began, first = times
         self._loop, self.state, self.q, self.dt = loop, state, state.q, dt
         self.began, self.time, self.index, self.answered = began, began - first, index, False
@@ -102,22 +102,22 @@ class Tick:
     def write(
         self, command: Commanded, extra: Mapping[str, tuple[float, float]] | None = None
     ) -> bool:
-        """Send a command; goal and limits stay as they are where it cannot be sent.
+        """Send a command; if it cannot be sent, goals and limits stay unchanged.
 
-        A command that is not finite, or made from positions of more than five periods ago, is
-        counted and not sent.
+        A command is counted and not sent if it is not finite, or if the tick began longer ago than
+        five periods and 0.1 s.
 
         Args:
-            command: Goals and limits; a `pliant.Command`. Limits of another making are sent however
-                low they are, and an arm that they do not carry sinks or falls: see `Arm.write`.
+            command: Goals and limits; a `pliant.Command`. Low limits from another source are sent
+                unchanged, and an arm that they do not hold sinks or falls: see `Arm.write`.
             extra: Goal [rad] and limit [N·m] of joints off the chain by name.
 
         Returns:
-            Whether it was sent.
+            True if the command was sent.
 
         Raises:
-            ShapeError, ConfigError, OutOfRangeError: A command of another arm, or a negative limit.
-            TypeError: No command.
+            ShapeError, ConfigError, OutOfRangeError: Wrong number of joints, or a negative limit.
+            TypeError: Not a command.
             ServoError: Torque is off, or the connection is gone.
         """
         self.command = command
@@ -125,48 +125,47 @@ class Tick:
         return self.answered
 
     def skip(self) -> None:
-        """Keep goal and limits on purpose, for as long as it is said at every tick."""
+        """Keep goals and limits on purpose; call it in every tick without a command."""
         self.answered = True
 
 
 class Loop:
-    """Turns of a control loop over an enabled arm.
+    """Control loop over an enabled arm; an iterator of ticks.
 
-    A tick is given out only with new positions of all joints. Goals and limits stay as they are
-    while positions do not arrive, while commands are missing or not finite, and while the program
-    does not come back; after `arm.comm_timeout` of that the loop raises, and the arm's `with`
-    lowers it. A controller that had to wait more than 0.25 s is reset to where the arm is, and
-    limits rise again within 0.5 s. Where a program does not come back for the longer of
-    `comm_timeout` and `max_step_time`, and a period and 0.1 s more, a thread lowers an arm in real
-    time in its place.
+    A tick is yielded only with new positions of all joints. Goals and limits stay unchanged while
+    positions are missing, while commands are missing or not finite, and while the program stalls.
+    After `arm.comm_timeout` of this the loop raises, and the arm's `with` lowers it. After a gap of
+    more than 0.25 s the controller is reset to the present pose, and limits rise again within
+    0.5 s. If the program stalls for the longer of `comm_timeout` and `max_step_time`, plus a period
+    and 0.1 s, a thread lowers an arm in real time.
 
     Args:
         arm: The arm, enabled.
-        controller: What makes the commands; its delay is set from measurements, and it is reset
-            when it must start anew. None: nothing to set or reset.
+        controller: Controller to step. The loop sets its delay from measurements, and resets it
+            after gaps. None: no controller.
         rate: Ticks per second [Hz], at least 1; None: the controller's, or the arm's.
-        duration: Ends the loop [s]; None: never.
-        max_step_time: Longest time that one turn of the program may take [s]; None:
+        duration: Duration of the loop [s]; None: unlimited.
+        max_step_time: Longest time that the program may take in one tick [s]; None:
             `arm.comm_timeout`.
-        recorder: A `pliant.log.Recorder`, or anything with its `start`, `add` and `close`: it gets
-            every tick with its command, and is closed when the loop ends.
+        recorder: A `pliant.log.Recorder`, or an object with its `start`, `add` and `close`. It
+            receives every tick with its command, and is closed when the loop ends.
 
     Attributes:
-        controller: The controller to step: with a recorder one that records its calls. Give this
-            one to whatever steps it for you (`pliant.teach.Replay`).
+        controller: Controller to step. With a recorder, a wrapper that records its calls. Pass this
+            object to helpers that step the controller (`pliant.teach.Replay`).
         period: Time between two ticks [s].
         duration: As given.
-        lateness: Histogram of how late ticks began.
-        missed: Deadlines that were skipped because a turn took too long.
-        missing: Ticks without new positions of all joints.
-        rejected: Commands that were not sent.
-        restarts: How often the controller started anew.
-        delay: Measured, from positions to the arrival of the goal [s].
+        lateness: Histogram of the lateness of ticks.
+        missed: Number of deadlines skipped because a tick took too long.
+        missing: Number of ticks without new positions of all joints.
+        rejected: Number of commands that were not sent.
+        restarts: Number of resets of the controller.
+        delay: Measured delay from positions to the arrival of the goal [s].
 
     Raises:
-        TypeError: `arm` is no arm, or `controller` nothing that can be reset.
-        ConfigError: The rate does not fit, or a time is negative or no number.
-        ServoTimeoutError: While looping: positions, commands or the program did not come.
+        TypeError: `arm` is not an arm, or `controller` has no `reset`.
+        ConfigError: The rate does not fit, or a time is negative or not a number.
+        ServoTimeoutError: While looping: positions, commands or the program stalled.
         ServoFaultError: While looping: a servo reports a fault, or is too hot.
 
     Example:
@@ -186,7 +185,7 @@ class Loop:
         max_step_time: float | None = None,
         recorder: Recorder | None = None,
     ) -> None:
-        """Check that it can run."""
+        """Check the arguments."""
         if not hasattr(arm, "clock"):
             raise TypeError(
                 f"arm must be an Arm, as pliant.connect(...) makes one, got {given(arm)}"
@@ -224,7 +223,7 @@ class Loop:
             self.controller = recorder.start(arm, controller, rate)
 
     def __iter__(self) -> Iterator[Tick]:
-        """Wait, read, give out a tick; again."""
+        """Yield ticks: wait for the deadline, read, yield."""
         if not self._arm.enabled:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
@@ -238,7 +237,7 @@ class Loop:
                 self._close(self._recorder, raises=ended)
 
     def _close(self, recorder: Recorder, *, raises: bool) -> None:
-        """Close the recorder; an error is logged where raising it would hide another."""
+        """Close the recorder; log its error if raising would hide another one."""
         try:
             recorder.close()
         except OSError as error:
@@ -247,7 +246,7 @@ class Loop:
             LOG.error("%s", error)
 
     def _turns(self) -> Iterator[Tick]:
-        """The loop itself."""
+        """Run the loop."""
         arm, clock = self._arm, self._arm.clock
         begin = deadline = clock.now()
         last: float | None = None
@@ -290,7 +289,8 @@ class Loop:
             else:
                 self.missing += 1
                 self._wait_no_longer_than(state, arm.comm_timeout)
-                # A turn without positions is none in which a command could have been sent.
+                # Without positions no command could be sent: do not count this time against the
+                # program.
                 commanded += now - before
             before = now
             deadline += self.period
@@ -301,7 +301,7 @@ class Loop:
                 deadline += skipped * self.period
 
     def _wait_no_longer_than(self, state: State, most: float) -> None:
-        """Raise where positions have not come for too long."""
+        """Raise if positions of a joint have been missing for more than `most` [s]."""
         if state.age.max() > most:
             names = [
                 name
@@ -315,7 +315,7 @@ class Loop:
             )
 
     def _restart(self, q: Array, *, first: bool) -> None:
-        """Let the controller begin at q (n,) [rad], and its first goal carry the weight."""
+        """Reset the controller to q (n,) [rad]; its first goal then carries the weight."""
         controller = self.controller
         if not first:
             self.restarts += 1
@@ -324,14 +324,14 @@ class Loop:
             return
         if first:
             self._capture(q)
-        # Capturing is bumpless: only the reset lets the goals carry the weight by what it found.
+        # `capture_gravity` alone does not change the goals; the reset applies the captured leads.
         controller.reset(q)
         if hasattr(controller, "model"):
-            # Goals slew from q: one long step in place takes up the weight before anything is sent.
+            # Goals slew from q: a long step at q takes up the weight before anything is sent.
             controller.step(q, controller.model.forward_kinematics(q), dt=PRIME)
 
     def _capture(self, q: Array) -> None:
-        """Tell the controller by which leads joints of unknown stiffness are carried at q (n,)."""
+        """Pass the measured leads at q (n,) [rad] to the controller if the stiffness is unknown."""
         arm, capture = self._arm, getattr(self.controller, "capture_gravity", None)
         leads = getattr(arm, "leads", None)
         if capture is None or leads is None or arm.servos.stiffness_known:
@@ -342,7 +342,7 @@ class Loop:
     def _write(
         self, tick: Tick, command: Commanded, extra: Mapping[str, tuple[float, float]] | None
     ) -> bool:
-        """Send a command, or count it."""
+        """Send a command; count it if it is rejected."""
         self._check()
         clock = self._arm.clock
         if not (hasattr(command, "goal") and hasattr(command, "torque_limit")):
@@ -363,7 +363,7 @@ class Loop:
         return True
 
     def _measure(self, delay: float) -> None:
-        """Average the delay; tell the controller when it has changed."""
+        """Average the delay; pass changes to the controller."""
         self._delays.append(delay + getattr(self._arm.drive, "latency", 0.0))
         if len(self._delays) < AVERAGE:
             return
@@ -378,10 +378,10 @@ class Loop:
 
 
 def _never() -> None:
-    """Outside the loop nobody takes the arm over."""
+    """Do nothing: outside the loop there is no takeover to report."""
 
 
 def _divides(grain: float, period: float) -> bool:
-    """Whether a period is a whole number of grains."""
+    """Return True if `period` is a multiple of `grain`."""
     ratio = period / grain
     return ratio > 0.5 and abs(ratio - round(ratio)) < 1e-6

@@ -1,4 +1,4 @@
-"""Files that are written: never over an input or another kind of file, whole or not at all."""
+"""Atomic writing of output files, without overwriting inputs or files of another kind."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pliant import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-#: Bytes of a file that tell its kind.
+#: Number of leading bytes that identify the kind of a file.
 HEAD = 4096
-#: What each kind of file begins with; an empty file may become any kind.
+#: Signature of each kind of file; an empty file may be replaced by any kind.
 KINDS: dict[str, Callable[[bytes], bool]] = {
     "log": lambda head: head.startswith(b"\x89MCAP0\r\n"),
     "motion": lambda head: b"pliant motion" in head,
@@ -27,19 +27,19 @@ KINDS: dict[str, Callable[[bytes], bool]] = {
 
 
 def check_output(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()) -> bool:
-    """Check that a file can be written without loss of another one; nothing is changed.
+    """Check that a file can be written without loss of another file; nothing is changed.
 
     Args:
         path: File to write.
         kind: Key of `KINDS`.
-        inputs: Files that are read; those that are None or not there do not count.
+        inputs: Files that are read; None and missing files are ignored.
 
     Returns:
-        Whether a file of the same kind is there, which will be replaced.
+        True if a file of the same kind exists and will be replaced.
 
     Raises:
-        ConfigError: It is one of the inputs, a folder, or a file of another kind; its folder is not
-            there; or it must not be written.
+        ConfigError: The path is one of the inputs, a folder, or a file of another kind; its folder
+            does not exist; or it is not writable.
     """
     for other in inputs:
         if other is not None and _is_same(path, Path(other)):
@@ -52,7 +52,7 @@ def check_output(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()
     if path.exists() and not path.is_file():
         return False  # a device or a pipe: only writing would tell
     try:
-        # A file beside it: whether a folder takes one, only trying tells.
+        # Creating a temporary file is the only reliable test of write access to the folder.
         with replacing(path, keep=False):
             pass
         if not path.exists():
@@ -72,14 +72,14 @@ def check_output(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()
 
 @contextmanager
 def replacing(path: Path, *, keep: bool = True) -> Iterator[Path]:
-    """Give a temporary file beside `path` that takes its place at the end; on errors it is removed.
+    """Yield a temporary file beside `path`; it replaces `path` at the end, or is removed on errors.
 
     Args:
         path: File to write.
-        keep: Whether it takes its place; else it is removed.
+        keep: True to replace `path` at the end; False to remove the temporary file.
 
     Raises:
-        OSError: The folder or the disk does not take it.
+        OSError: The folder or the disk rejects the file.
     """
     if path.exists() and not path.is_file():
         yield path  # a device or a pipe
@@ -101,7 +101,7 @@ def replacing(path: Path, *, keep: bool = True) -> Iterator[Path]:
 
 
 def _is_same(path: Path, other: Path) -> bool:
-    """Whether two paths are one file, also through links."""
+    """Return True if two paths are the same file, also through links."""
     with suppress(OSError):
         if path.samefile(other):
             return True

@@ -1,4 +1,4 @@
-"""The life of an arm over any drive: enabling, reading and writing, leaving without a fall."""
+"""Life cycle of an arm over any drive: torque on, read and write, lower, torque off."""
 
 from pliant.arm.arm import Arm
 from pliant.arm.budget import Budget

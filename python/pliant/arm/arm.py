@@ -1,4 +1,4 @@
-"""An arm that is not dropped: torque on in order, limits within budget, a way down at the end."""
+"""Arm with a safe life cycle: torque on, bounded limits, and a descent at the end."""
 
 from __future__ import annotations
 
@@ -45,41 +45,41 @@ if TYPE_CHECKING:
 class Arm:
     """An arm over any drive, with its life cycle.
 
-    `with` opens, identifies and enables it, and lowers it at the end, whatever the reason. With
-    torque on it belongs to the process that switched it on: in one forked from that, exits do
-    nothing, and `read` and `write` raise.
+    `with` opens, identifies and enables the arm, and lowers it at the end, whatever the reason.
+    While torque is on, the arm belongs to the process that switched it on. In a process forked from
+    it, exits do nothing, and `read` and `write` raise.
 
     Args:
-        model: The robot; its joint names are looked up among the drive's.
-        drive: What moves the joints.
-        rest_q: Joint positions (n,) [rad] where `lower` goes first, where the way is free of the
+        model: The robot; its joint names are matched with the drive's.
+        drive: Interface to the servos or the simulator.
+        rest_q: Joint positions (n,) [rad] to which `lower` moves first, if the path is clear of the
             table; None: straight down.
         on_exit: Action on leaving: `lower`, or `leave_enabled`.
-        rate: Of the arm's own loops, enabling and leaving [Hz].
+        rate: Rate of the arm's own loops for enabling and leaving [Hz].
         comm_timeout: Time without an answer from the bus or the program after which the arm is
             lowered [s], at most 60.
-        budget: What servos and supply give for long; None: the default.
-        grippers: How joints off the chain open and close, by name; others take the model's limits.
-        watchdog: Silence after which servos that can stop by themselves do [s]; 0: never. One that
-            stops holds the position where it is then and loses the lead that carries the weight:
+        budget: Thermal and supply limits; None: the default.
+        grippers: Configuration of joints off the chain, by name; others take the model's limits.
+        watchdog: Silence after which servos stop by themselves, where supported [s]; 0: never. A
+            stopped servo holds its present position and loses the lead that carries the weight:
             the arm sinks by ``g/k_p``.
         signals: Whether SIGINT, SIGTERM, SIGHUP and SIGQUIT lower the arm.
-        table: Height of the table that it stands on, in base axes [m]; None: there is none, or it
+        table: Height of the table in base axes [m]; None: no table, or unknown.
             is not known.
 
     Attributes:
-        model: As given, driven by `servos`.
+        model: The given model with the parameters of `servos`.
         drive, rate, rest_q, comm_timeout, table: As given.
-        detour: Why the last descent left the rest pose out; None where it did not.
-        servos: The chain's servos, n entries, as the drive has them; better known once open.
-        grippers: The joints off the chain by name; made anew when the drive opens.
-        leads: Goal minus position that carried each joint when torque came on (n,) [rad], NaN
-            where that is not known: a joint that rested on something, or torque was never on.
+        detour: Reason for which the last descent did not go to the rest pose; None if it did.
+        servos: Servo parameters of the chain, n entries, from the drive; updated when it opens.
+        grippers: Grippers by joint name; created again when the drive opens.
+        leads: Goal minus position that carried each joint at torque on (n,) [rad]; NaN if unknown:
+            the joint rested on something, or torque was never on.
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
-        TypeError: A budget or gripper of another kind.
-        ShapeError, OutOfRangeError: The rest pose is none.
+        TypeError: `budget` or a gripper has another type.
+        ShapeError, OutOfRangeError: The rest pose is not valid.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Arm:
         signals: bool = True,
         table: float | None = None,
     ) -> None:
-        """Sort the joints; nothing is opened or moved yet."""
+        """Match the joints; nothing is opened or moved yet."""
         if on_exit not in {"lower", "leave_enabled"}:
             raise ConfigError(f"on_exit must be 'lower' or 'leave_enabled', got {on_exit!r}")
         self.model, self.drive = model, drive
@@ -118,10 +118,10 @@ class Arm:
         self.leads: Array = np.full(model.n, np.nan)
 
     def _meet(self) -> None:
-        """Make all that depends on what the servos are: a drive that is open knows it better."""
+        """Create all parts that depend on the servo parameters; `open` may have updated them."""
         self._cycle = Cycle(self.model, self.drive, self._budget)
         self.servos = self._cycle.servos
-        # What is made from the model alone must not believe the table that it came with.
+        # The model's own servo parameters may differ from the drive's.
         self.model = self.model.with_servos(self.servos)
         self._points = Points(self.model, self.servos.armature)
         self.grippers = make_grippers(self._cycle, self._gripper_configs, self._order)
@@ -130,14 +130,14 @@ class Arm:
 
     @property
     def enabled(self) -> bool:
-        """Whether torque is on, and this process switched it on."""
+        """True if torque is on and this process switched it on."""
         return self._keeper.owner == os.getpid()
 
     def open(self) -> None:
-        """Connect and identify; torque stays as it is.
+        """Connect and identify the servos; torque stays as it is.
 
         Raises:
-            ServoError: What is wrong on the bus.
+            ServoError: A fault on the bus.
         """
         if not self._opened:
             self.drive.open()
@@ -145,22 +145,22 @@ class Arm:
             self._meet()
 
     def enable(self) -> None:
-        """Torque on: limits first, goals where the joints are, then a ramp of half a second.
+        """Switch torque on: limits, then goals at the present positions, then a ramp of 0.5 s.
 
-        The first limits carry the weight of the arm and little more: one that holds itself up is
-        taken over, one that lies on a table stays there. Signal handlers come first.
+        The first limits carry little more than the weight. An arm that is held by torque is taken
+        over; an arm that lies on a table stays there. Signal handlers are installed before.
 
         Raises:
-            ServoTimeoutError: Joints do not answer; names them.
-            ServoError: A joint is believed to be outside its limits, and nothing was sent; or
-                joints moved or did not obey when torque came on.
+            ServoTimeoutError: Joints do not answer; the message names them.
+            ServoError: A joint reads outside its limits, and nothing was sent; or joints moved or
+                did not confirm when torque came on.
         """
         with self._keeper.alone():
             if not self.enabled:
                 self._enable()
 
     def _enable(self) -> None:
-        """With the lock held."""
+        """Enable the arm with the lock held."""
         self.open()
         self._keeper.reason = None
         cycle = self._cycle
@@ -183,7 +183,7 @@ class Arm:
             self._forget()
             raise
         except BaseException:
-            # A signal before torque could come on leaves no handler behind; later ones lower.
+            # If a signal comes before torque on, remove the handlers; later signals lower the arm.
             if not self.enabled:
                 self._forget()
             raise
@@ -193,19 +193,19 @@ class Arm:
         cycle.guard(self._watchdog)
 
     def lower(self) -> None:
-        """To the rest pose if there is one, then down at 0.15 m/s until it rests; torque off.
+        """Lower the arm: to the rest pose if set, then down at 0.15 m/s until it rests; torque off.
 
         Raises:
-            ServoError: The bus is gone, or a joint kept its torque.
+            ServoError: The bus is gone, or torque of a joint stayed on.
         """
         self._descend(self.rest_q)
 
     def park(self, pose: ArrayLike | None = None) -> None:
-        """To a pose (n,) [rad], by default the rest pose, straight through joint space; then lower.
+        """Move to a pose (n,) [rad], by default the rest pose, straight in joint space; then lower.
 
         Raises:
-            ConfigError, ShapeError, OutOfRangeError: No pose of this arm, or it is inside the
-                table; nothing has moved.
+            ConfigError, ShapeError, OutOfRangeError: The pose is not valid, or inside the table;
+                nothing has moved.
             ServoError: As `lower`.
         """
         if pose is None and self.rest_q is None:
@@ -218,7 +218,7 @@ class Arm:
         self._descend(target)
 
     def leave_enabled(self) -> None:
-        """Stay here with torque on, also when the program ends. Servos that hold get hot."""
+        """Hold the present pose with torque on, also after the program ends. The servos get hot."""
         with self._keeper.alone():
             if self.enabled:
                 settle(self._cycle)
@@ -226,10 +226,10 @@ class Arm:
                 self._forget()
 
     def disable_torque(self) -> None:
-        """Torque off where the arm stands: it falls. Every joint is tried.
+        """Switch torque off in the present pose: the arm falls. Every joint is tried.
 
         Raises:
-            ServoError: A joint kept its torque.
+            ServoError: Torque of a joint stayed on.
         """
         with self._keeper.alone(at_once=True):
             try:
@@ -238,7 +238,7 @@ class Arm:
                 self._forget()
 
     def close(self) -> None:
-        """Leave as `on_exit` says where torque is on, then let go of the bus."""
+        """Leave as `on_exit` says if torque is on, then close the bus."""
         if self._keeper.elsewhere:
             return
         try:
@@ -252,7 +252,7 @@ class Arm:
             SPEAKER.flush()
 
     def _descend(self, rest: Array | None) -> None:
-        """Lower the arm; a second Ctrl-C leaves it where it is, torque on."""
+        """Lower the arm; a second Ctrl-C aborts this, torque on."""
         if not self.enabled:
             return
         error, signals = sys.exception(), self._signals
@@ -274,7 +274,7 @@ class Arm:
                 signals.deliver()
 
     def _bring_down(self, rest: Array | None, ending: Ending) -> None:
-        """Descend and switch torque off; what ends the descent before leaves the arm carried."""
+        """Descend and switch torque off; if the descent is aborted, keep the arm held."""
         down = False
         rest = self._reachable(rest)
         if self.detour is not None:
@@ -293,11 +293,11 @@ class Arm:
                     self._cycle.guard(0.0)
                 self.drive.disable(self._cycle.roster.names)
         except BaseException as error:
-            # A bus that hangs, left by a third Ctrl-C, would hang once more.
+            # The bus hung and a third Ctrl-C aborted the call: do not use the bus again.
             hangs = isinstance(error, SystemExit) and self._keeper.unwanted.is_set()
             if not down and not hangs:
                 self._stay()
-            # A connection that is gone cannot be asked.
+            # Without a connection the torque state is unknown.
             unknown = isinstance(error, ServoError) and not down
             self._left = ending.failed(error, None if unknown else self._powered())
             raise
@@ -309,12 +309,12 @@ class Arm:
             self._left = ending.stays(stopped=True)
 
     def _stay(self) -> None:
-        """Leave goals and limits that carry the arm, as far as the bus takes them."""
+        """Send goals and limits that hold the arm, as far as the bus works."""
         with contextlib.suppress(Exception):
             settle(self._cycle)
 
     def _powered(self) -> list[str]:
-        """Joints that have torque, as far as the drive knows."""
+        """Return the joints whose torque is on, as far as the drive knows."""
         names = self._cycle.roster.names
         on = np.broadcast_to(getattr(self.drive, "enabled", True), len(names))
         return [name for name, powered in zip(names, on, strict=True) if powered]
@@ -323,7 +323,7 @@ class Arm:
         return Ending(self.model.name, self._cycle, cause)
 
     def _reachable(self, rest: Array | None) -> Array | None:
-        """Return the rest pose where the way there is free; else None, and note why not."""
+        """Return the rest pose if the path is free; else set `detour` and return None."""
         self.detour = None
         if rest is None:
             return None
@@ -331,7 +331,7 @@ class Arm:
         return rest if self.detour is None else None
 
     def _leave(self) -> None:
-        """Leave in the place of a program that stands still; its signals stay its own."""
+        """Leave on behalf of a stalled program; its signals are not delivered here."""
         try:
             if not self.enabled:
                 return
@@ -346,7 +346,7 @@ class Arm:
             self._keeper.owner = None
 
     def _forget(self) -> None:
-        """Nothing is left to be brought down."""
+        """Release ownership, watchdog and signal handlers."""
         self._keeper.owner = None
         self._keeper.dismiss()
         atexit.unregister(self._at_exit)
@@ -354,13 +354,13 @@ class Arm:
             self._signals.restore()
 
     def _at_exit(self) -> None:
-        """The program ends and torque is on."""
+        """Leave the arm if the program ends with torque on."""
         if not self._keeper.elsewhere:
             self._keeper.reason = self._keeper.reason or "the program ends"
         self.close()
 
     def __repr__(self) -> str:
-        """The arm in one line."""
+        """Return a one-line description."""
         torque = "on" if self.enabled else "off"
         return f"<Arm {self.model.name}, {self.model.n} joints, torque {torque}>"
 
@@ -384,11 +384,11 @@ class Arm:
         except ServoError as worse:
             if error is None:
                 raise
-            # The first error is the cause; what went wrong on the way down stands beside it.
+            # The first error is the cause; attach the error of the descent as a note.
             error.add_note(f"while the arm was being lowered: {worse}")
         else:
             if error is not None and self._left is not None:
-                # A traceback comes after the summary, and would bury it.
+                # The traceback is printed after the summary: repeat the summary below it.
                 error.add_note(f"pliant: {self._left}")
         finally:
             if isinstance(error, KeyboardInterrupt):
@@ -397,14 +397,13 @@ class Arm:
     # Every cycle.
 
     def read(self) -> State:
-        """What the joints report in this cycle.
+        """Return the state of the joints in this cycle.
 
-        Joints that did not answer, or whose answer cannot be true, keep their last position and
-        grow older: `State.fresh`, `State.age`.
+        A joint without an answer, or with an implausible one, keeps its last position, and its age
+        grows: see `State.fresh`, `State.age`.
 
         Raises:
-            ServoTimeoutError: The program was away for too long, and the arm has been lowered
-                meanwhile.
+            ServoTimeoutError: The program stalled for too long, and the arm was lowered meanwhile.
             ServoError: The connection is gone, or another process switched torque on.
         """
         with self._keeper:
@@ -421,22 +420,23 @@ class Arm:
     ) -> None:
         """Send goals and torque limits, within position limits and budgets.
 
-        Limits are sent however low they are: with less than the weight of a pose the arm sinks,
-        with 0 it falls. A `RuntimeWarning` says so once where a limit has been below half of the
-        weight for 0.2 s, but not of a `Controller`'s commands in `Tick.write`.
+        Low limits are sent unchanged: with a limit below the weight the arm sinks, with 0 it falls.
+        A `RuntimeWarning` is issued once if a limit stays below half of the weight for 0.2 s, but
+        not for a `Controller`'s commands in `Tick.write`.
 
         Args:
-            goal: Joint goals (n,) [rad], cut at the position limits and what the weight needs
-                beyond them.
+            goal: Joint goals (n,) [rad], clipped to the position limits and the lead beyond them
+                that the weight needs.
             limit: Torque limits (n,) [N·m]; None keeps the last.
             extra: Goal [rad] and limit [N·m] of joints off the chain by name; others keep theirs.
-            lead: Whether goals may lead beyond the position limits to exert a force: a `Controller`
-                sees to it that no joint is driven out by that, and `Tick.write` lets its commands.
-            velocity: Fastest motion (n,) [rad/s] to the goals, for the servos' speed registers;
-                None, or inf: as fast as they can.
+            lead: Whether goals may lie beyond the position limits to exert a force. A `Controller`
+                makes sure that this moves no joint out of its range; `Tick.write` sets `lead` for
+                its commands.
+            velocity: Largest velocity (n,) [rad/s] toward the goals, for the servos' speed
+                registers; None or inf: no speed limit.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError, TypeError: What cannot be sent; nothing was.
+            ShapeError, OutOfRangeError, ConfigError, TypeError: Invalid argument; nothing was sent.
             ServoTimeoutError: As `read`.
             ServoError: Torque is off, or was switched on by another process, or the connection is
                 gone.
@@ -446,23 +446,23 @@ class Arm:
             self._cycle.write(goal, limit, extra, lead=lead, velocity=velocity)
 
     def watched(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
-        """Inside, an arm in real time leaves by itself after so long without read or write [s].
+        """Return a context that leaves an arm in real time after `patience` [s] without a call.
 
-        `Loop` does this. Gives a function that raises `ServoTimeoutError` once that has happened.
+        `Loop` uses this. The context yields a function that raises `ServoTimeoutError` after that.
         """
         real = getattr(self.clock, "real_time", False)
         return self._keeper.watched(patience if real else None)
 
     def ease(self) -> None:
-        """Let limits rise again from what carries the arm, within 0.5 s: after a silence."""
+        """Ramp limits up again within 0.5 s, from those that hold the arm: after a silence."""
         self._cycle.ease()
 
     @property
     def gripper(self) -> Gripper:
-        """The only joint off the chain.
+        """The gripper, if it is the only joint off the chain.
 
         Raises:
-            ConfigError: There is none, or there are several: those are in `grippers`.
+            ConfigError: There is no such joint, or several; use `grippers`.
         """
         if len(self.grippers) != 1:
             there = ", ".join(self.grippers) or "none"
@@ -471,21 +471,21 @@ class Arm:
 
     @property
     def clock(self) -> Clock:
-        """The drive's time."""
+        """Clock of the drive."""
         return self._cycle.clock
 
     @property
     def heat(self) -> dict[str, float]:
-        """Share of the thermal budget in use, by joint; limits come down from 0.8 on."""
+        """Share of the thermal budget in use, by joint; limits are reduced from 0.8 on."""
         return dict(zip(self._cycle.roster.names, self._cycle.meter.heat.tolist(), strict=True))
 
     @property
     def counters(self) -> dict[str, int]:
-        """What has happened so far: the drive's counters, and readings refused for a jump."""
+        """Event counters: those of the drive, and `jumps`, the readings rejected for a jump."""
         return {**self.drive.counters, "jumps": self._cycle.belief.jumps}
 
     def _order(self, name: str, goal: float, limit: float) -> None:
-        """Give a joint off the chain its order at once; the chain keeps its own."""
+        """Send goal and limit of a joint off the chain at once; the chain's stay unchanged."""
         with self._keeper:
             self._on()
             self._cycle.orders[name] = (goal, limit)
@@ -497,7 +497,7 @@ class Arm:
 
 
 def _end_at_the_caller(error: KeyboardInterrupt) -> None:
-    """Cut this package's frames off a traceback: Ctrl-C came wherever it came."""
+    """Remove this package's frames from the traceback: Ctrl-C can arrive anywhere."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         module = trace.tb_next.tb_frame.f_globals.get("__name__", "")

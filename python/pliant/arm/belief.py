@@ -1,4 +1,4 @@
-"""Which readings are believed, and how old the last believed ones are."""
+"""Plausibility check of joint readings, and the age of the last plausible ones."""
 
 from __future__ import annotations
 
@@ -15,44 +15,44 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Speed of a joint whose limit is not known [rad/s], and a jump that any reading may show [rad].
+#: Assumed speed of a joint without a known limit [rad/s]; jump that is always accepted [rad].
 FASTEST, JUMP = 10.0, 0.2
-#: How much faster than its limit a joint may be thrown.
+#: Largest speed of a joint that is pushed, as a multiple of its limit.
 THROWN = 2.0
-#: Readings in a row that a joint cannot have reached and that are a fault, and a pause between
-#: readings after which it may have moved meanwhile [s].
+#: Implausible readings in a row that are a fault; and the gap between readings after which the
+#: joint may have moved in between [s].
 IMPOSSIBLE, PAUSE = 3, 0.1
 
 
 class Belief:
-    """The last believed position of each of N joints.
+    """Last plausible position of each of N joints.
 
-    A position is believed when it was read in this cycle, is finite, and lies within
-    ``2 v_max Δt + 0.2 rad`` of the last believed one: protocols without sequence numbers hand out
-    answers of earlier cycles. Δt does not grow while readings come that are farther away: an
-    encoder that stepped is a fault, and never believed.
+    A position is accepted if it was read in this cycle, is finite, and lies within
+    ``2 v_max Δt + 0.2 rad`` of the last accepted one. The check is needed because protocols without
+    sequence numbers can deliver answers of earlier cycles. Δt does not grow while implausible
+    readings arrive: a jump of the encoder is a fault and is never accepted.
 
     Attributes:
-        position: (N,) [rad]; NaN before the first.
-        time: When each was sampled (N,) [s].
-        jumps: Readings refused for their jump so far.
+        position: Last accepted positions (N,) [rad]; NaN before the first.
+        time: Time at which each was sampled (N,) [s].
+        jumps: Number of readings rejected because of a jump.
     """
 
     def __init__(self, fastest: Array) -> None:
-        """Know the largest speeds (N,) [rad/s]; not finite: unknown."""
+        """Set the largest speeds (N,) [rad/s]; NaN or inf: unknown."""
         self._fastest = np.where(np.isfinite(fastest), fastest, FASTEST)
         self.position: Array = np.full(fastest.size, np.nan)
         self.time: Array = np.full(fastest.size, -np.inf)
         self.jumps = 0
-        # When each was last read; for how long it may have moved since it was believed; how often
-        # in a row, and by how much, it was read where it cannot be.
+        # Per joint: time of the last reading; time in which it may have moved since the last
+        # accepted position; implausible readings in a row, and the size of the last jump.
         self._last: Array = self.time.copy()
         self._allowed: Array = np.zeros(fastest.size)
         self._refused: NDArray[np.int_] = np.zeros(fastest.size, dtype=np.int_)
         self._way: Array = np.zeros(fastest.size)
 
     def take(self, sample: Sampled) -> NDArray[np.bool_]:
-        """Take what can be believed of a sample; return which joints that were (N,)."""
+        """Accept the plausible positions of a sample; return a mask (N,) of the accepted joints."""
         read = np.asarray(sample.ok, dtype=bool) & np.isfinite(sample.position)
         first = np.isnan(self.position)
         gap = np.where(first, 0.0, sample.time - self._last)
@@ -73,7 +73,7 @@ class Belief:
         return ok
 
     def faults(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Joints that have been read for several times where they cannot be, in sentences."""
+        """Return a sentence for each joint with repeated implausible readings."""
         return tuple(
             f"{names[int(i)]}: its position jumped by {self._way[i]:.2f} rad, which it cannot have "
             "moved: encoder fault, slipped horn or loose gear. Torque off, then check its zero"
@@ -81,7 +81,7 @@ class Belief:
         )
 
     def forget(self) -> None:
-        """Believe any position next: the arm may have been moved meanwhile."""
+        """Accept any position next, because the arm may have been moved in between."""
         self.position = np.full_like(self._fastest, np.nan)
         self.time = np.full_like(self._fastest, -np.inf)
         self._last = self.time.copy()

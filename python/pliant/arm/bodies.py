@@ -1,4 +1,4 @@
-"""The rigid bodies of an arm: all that each joint of the chain carries up to the next one."""
+"""Rigid bodies of an arm: for each joint of the chain, all links up to the next joint."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ class Body:
 
 
 def carried(model: Model, tool: Array) -> list[Body]:
-    """What every moving joint between base and tip carries, in chain order.
+    """Return the body that each moving joint between base and tip carries, in chain order.
 
-    Joints off the chain stand where the model holds them. The payload is a point in the last body.
+    Joints off the chain are fixed at the model's values. The payload is a point mass in the last
+    body.
 
     Args:
         model: The arm.
@@ -59,7 +60,7 @@ def carried(model: Model, tool: Array) -> list[Body]:
 
 
 def path(model: Model) -> list[Joint]:
-    """The joints from base to tip, fixed ones too."""
+    """Return the joints from base to tip, fixed joints included."""
     found: list[Joint] = []
     link = next(item for item in model.links if item.name == model.tip)
     while link.name != model.base and link.parent_joint is not None:
@@ -70,14 +71,14 @@ def path(model: Model) -> list[Joint]:
 
 
 def held(model: Model, joint: Joint) -> Array:
-    """Pose (4, 4) of the link below a joint that no coordinate moves, in the link above it."""
+    """Return the pose (4, 4) of the link below a joint off the chain, in the link above it."""
     here = displacement(np.asarray(joint.axis), joint.kind == "prismatic", _rest(model, joint))
     pose: Array = np.asarray(joint.origin.matrix) @ here
     return pose
 
 
 def displacement(axis: Array, slides: bool, value: float) -> Array:
-    """Pose (4, 4) of a joint at `value` [rad or m]."""
+    """Return the pose (4, 4) of a joint displaced by `value` [rad or m]."""
     pose = np.eye(4)
     if slides:
         pose[:3, 3] = value * axis
@@ -88,7 +89,7 @@ def displacement(axis: Array, slides: bool, value: float) -> Array:
 
 
 def _seat(model: Model, index: int, chain: dict[int, int]) -> tuple[int, Array] | None:
-    """Which joint of the chain moves a link, and the link's pose (4, 4) in that joint's frame."""
+    """Return the chain joint that moves a link, and the link's pose (4, 4) in its frame."""
     pose = np.eye(4)
     while index not in chain:
         above = model.links[index].parent_joint
@@ -100,7 +101,7 @@ def _seat(model: Model, index: int, chain: dict[int, int]) -> tuple[int, Array] 
 
 
 def _together(parts: list[tuple[float, Array, Array]]) -> Body:
-    """Several rigid parts as one."""
+    """Combine rigid parts into one body."""
     mass = sum(part[0] for part in parts)
     if mass <= 0.0:
         return Body(mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)))
@@ -113,7 +114,7 @@ def _together(parts: list[tuple[float, Array, Array]]) -> Body:
 
 
 def _rest(model: Model, joint: Joint) -> float:
-    """Where a joint that no coordinate moves is held [rad or m]."""
+    """Return the fixed value of a joint off the chain [rad or m]."""
     if joint.mimic is None:
         return joint.locked_at or 0.0
     leader = model.joints[joint.mimic.joint]

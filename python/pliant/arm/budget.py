@@ -1,4 +1,4 @@
-"""What servos and supply can give for long: limits come down before the hardware trips."""
+"""Thermal and supply budget: limits are reduced before the hardware protects itself."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Heat at which limits begin to come down, and at which the arm must come down.
+#: Heat from which on limits are reduced, and heat at which a fault is reported.
 WARM, TOO_HOT = 0.8, 1.3
-#: Limits come down over so many degrees below the last tolerable temperature [°C], which stays
-#: this far from the servo's own [°C].
+#: Range below the last allowed temperature over which limits are reduced [°C]; and distance of that
+#: temperature from the servo's own shutdown temperature [°C].
 SPAN, MARGIN = 8.0, 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """What an arm may draw.
+    """Thermal and electrical budget of an arm.
 
     Attributes:
-        continuous: Share of the usable torque that a servo gives for ever, in (0, 1].
-        seconds: Time constant of its winding [s]. At full torque a servo uses its budget up within
-            ``−seconds ln(1 − continuous²)``: 5.2 s by default.
-        supply: Current that the supply gives [A]; None: enough for everything.
+        continuous: Share of the usable torque that a servo can exert continuously, in (0, 1].
+        seconds: Thermal time constant of its winding [s]. At full torque the budget is used up
+            after ``−seconds ln(1 − continuous²)``: 5.2 s by default.
+        supply: Largest current of the supply [A]; None: no limit.
         hottest: Temperature at which the servos switch off [°C].
     """
 
@@ -51,10 +51,10 @@ class Budget:
 
 
 class Meter:
-    """Heat of N servos, and the ceilings that follow from it.
+    """Thermal model of N servos, and the torque limits that follow from it.
 
-    ``ḣ = ((τ/usable)²/continuous² − h) / seconds``: h is the share of the thermal budget in use,
-    1 where a servo gives its continuous torque for ever.
+    ``ḣ = ((τ/usable)²/continuous² − h) / seconds``, where h is the share of the thermal budget in
+    use; h = 1 in steady state at the continuous torque.
 
     Attributes:
         heat: h (N,).
@@ -62,12 +62,12 @@ class Meter:
     """
 
     def __init__(self, budget: Budget, usable: Array, stall_current: Array | None) -> None:
-        """Start cold.
+        """Start with cold servos.
 
         Args:
-            budget: What may be drawn.
+            budget: Thermal and electrical budget.
             usable: Usable torque (N,) [N·m].
-            stall_current: Current at that torque (N,) [A], None where unknown.
+            stall_current: Current at that torque (N,) [A]; None: unknown.
 
         Raises:
             ConfigError: A supply is given and the currents are not known.
@@ -84,25 +84,25 @@ class Meter:
         self.temperature = np.full_like(usable, np.nan)
 
     def use(self, torque: Array, dt: float) -> None:
-        """Account for torques (N,) [N·m] over dt [s]."""
+        """Update the heat with torques (N,) [N·m] exerted over dt [s]."""
         share = torque / (self._usable * self._budget.continuous)
         gain = 1.0 - np.exp(-dt / self._budget.seconds)
         self.heat += gain * (share**2 - self.heat)
 
     def ceiling(self) -> Array:
-        """Largest torque limits (N,) [N·m] at the present heat."""
+        """Return the largest torque limits (N,) [N·m] at the present heat and temperature."""
         over = np.clip((self.heat - WARM) / (1.0 - WARM), 0.0, 1.0)
         ceiling = self._usable * (1.0 - (1.0 - self._budget.continuous) * over)
         left = (self._budget.hottest - MARGIN - self.temperature) / SPAN
         return np.where(np.isnan(left), ceiling, ceiling * np.clip(left, 0.0, 1.0))
 
     def ration(self, torque: Array, limit: Array, least: Array) -> Array:
-        """Limits (N,) [N·m] under which the supply suffices.
+        """Return limits (N,) [N·m] that keep the current within the supply.
 
         Args:
-            torque: What the servos are about to exert, were there no limits (N,) [N·m].
-            limit: Limits wanted (N,) [N·m].
-            least: Limits not to be cut (N,) [N·m]: the weight of the arm.
+            torque: Expected torques without limits (N,) [N·m].
+            limit: Requested limits (N,) [N·m].
+            least: Limits that are never reduced (N,) [N·m]: the weight of the arm.
 
         Returns:
             ``least + s (limit − least)`` with the largest s in [0, 1] that the supply allows.
@@ -125,7 +125,7 @@ class Meter:
         return least + low * (limit - least)
 
     def faults(self, names: tuple[str, ...]) -> list[str]:
-        """Sentences about servos that a lower limit no longer helps."""
+        """Return a sentence for each servo that is too hot."""
         found = []
         last = self._budget.hottest - MARGIN
         for name, heat, degrees in zip(names, self.heat, self.temperature, strict=True):

@@ -1,4 +1,4 @@
-"""Joint vectors from outside: of this arm, finite, and within its limits."""
+"""Checks of joint vectors and times from the caller."""
 
 from __future__ import annotations
 
@@ -18,23 +18,22 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: How far outside of the limits a pose may be that is brought inside, and a joint that lies beyond
-#: its stop [rad].
+#: Distance outside the position limits up to which a pose is clipped to them, and up to which a
+#: joint counts as inside [rad].
 SLACK = 0.1
-#: Longest time that a silent bus or program may be waited for [s].
+#: Largest `comm_timeout` [s].
 LONGEST_HOLD = 60.0
 
 
 def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) -> Array:
-    """A joint vector (n,) that can be sent.
+    """Return `value` as a joint vector (n,).
 
     Raises:
-        ShapeError: Another shape, or no real numbers. OutOfRangeError: Not finite, where it has to
-            be.
+        ShapeError: Wrong shape, or not real numbers. OutOfRangeError: Not finite, if `finite`.
     """
     try:
         raw = np.asarray(value)
-        # Truth, complex numbers and text would become real numbers without a word.
+        # NumPy would convert bool, complex and text silently.
         array = None if raw.dtype.kind in "bcUS" else np.array(raw, dtype=np.float64)
     except (TypeError, ValueError):
         array = None
@@ -48,10 +47,10 @@ def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) ->
 
 
 def times(rate: float, comm_timeout: float, watchdog: float) -> tuple[float, float, float]:
-    """Rate [Hz], `comm_timeout` and watchdog [s] that an arm can keep; see `Arm`.
+    """Return checked rate [Hz], `comm_timeout` [s] and watchdog [s]; see `Arm`.
 
     Raises:
-        ConfigError: One is no number or out of range.
+        ConfigError: A value is not a number or out of range.
     """
     rate, comm_timeout = real(rate, "rate"), real(comm_timeout, "comm_timeout")
     watchdog = real(watchdog, "watchdog")
@@ -68,10 +67,10 @@ def times(rate: float, comm_timeout: float, watchdog: float) -> tuple[float, flo
 
 
 def posture(model: Model, value: ArrayLike, name: str) -> Array:
-    """A pose of this arm (n,) [rad], brought within the limits where it is just outside.
+    """Return a checked pose (n,) [rad], clipped to the position limits.
 
     Raises:
-        ShapeError, OutOfRangeError: It is none.
+        ShapeError, OutOfRangeError: Not a joint vector, or more than `SLACK` outside the limits.
     """
     pose = vector(model, value, name)
     for joint, q, least, most in outside(model, pose):
@@ -83,7 +82,7 @@ def posture(model: Model, value: ArrayLike, name: str) -> Array:
 
 
 def outside(model: Model, q: Array) -> Iterator[tuple[str, float, float, float]]:
-    """Joints of q (n,) [rad] that are beyond their limits by more than `SLACK`.
+    """Yield the joints of q (n,) [rad] that are more than `SLACK` outside their limits.
 
     Yields:
         Name, position and limits of each [rad].

@@ -1,4 +1,4 @@
-"""One cycle of an arm: what is believed of a reading, and what a command may become."""
+"""One cycle of an arm: plausibility of readings, and checks and bounds of commands."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Limits rise to what is asked for within this time after torque on, or after a silence [s].
+#: Time over which limits rise to the requested values after torque on or after a silence [s].
 EASE = 0.5
-#: A goal that lies this far outside of the limits is a mistake, not a lead [rad].
+#: Largest distance of a goal outside the position limits; farther goals are rejected [rad].
 FAR = 1.0
 
 
 class Cycle:
-    """Reads and writes all joints of a drive, with the checks that every cycle gets.
+    """Read and write all joints of a drive, with the checks that apply to every cycle.
 
     Attributes:
-        servos: The chain's servos, n entries.
-        goal, limit: Last sent to the chain (n,) [rad, N·m].
-        orders: Last goal and limit of each joint beside the chain.
-        meter: Heat.
-        belief: Believed positions.
+        servos: Servos of the chain, n entries.
+        goal, limit: Goals [rad] and limits [N·m] last sent to the chain (n,).
+        orders: Last goal and limit of each joint off the chain.
+        meter: Thermal model of the servos.
+        belief: Last plausible positions.
     """
 
     def __init__(self, model: Model, drive: Drive, budget: Budget) -> None:
-        """Sort the joints and start with nothing known."""
+        """Match joints to servos; no reading is available yet."""
         self.model, self.drive = model, drive
         self.clock: Clock = getattr(drive, "clock", None) or MonotonicClock()
         self.roster = Roster(model, drive)
@@ -66,13 +66,13 @@ class Cycle:
         self._trouble: dict[str, tuple[str, ...]] = {}
         self._rows: dict[str, Array | None] = {}
         self._watchdog = 0.0
-        # When something was last sent, and when a position last came.
+        # Time of the last bus access, and of the last position received.
         self._spoke = self._heard = self.clock.now()
 
     # Reading.
 
     def sample(self) -> NDArray[np.bool_]:
-        """Take a reading; return which joints of the chain brought a position (n,).
+        """Take a reading; return a mask (n,) of the chain's joints that have a new position.
 
         Raises:
             ServoError: The connection is gone.
@@ -101,7 +101,7 @@ class Cycle:
         return heard
 
     def state(self, ok: NDArray[np.bool_]) -> State:
-        """What is known now, after a sample that brought these joints (n,)."""
+        """Return the present state; `ok` (n,) marks joints read in the last sample."""
         belief, chain = self.belief, self.roster.chain
         time = belief.time[chain]
         position = belief.position
@@ -118,28 +118,28 @@ class Cycle:
         )
 
     def faults(self) -> tuple[str, ...]:
-        """What is wrong with servos, in sentences."""
+        """Return the present faults of the servos, one sentence each."""
         reported = [text for found in self._trouble.values() for text in found]
         jumped = self.belief.faults(self.roster.names)
         return (*reported, *jumped, *self.meter.faults(self.roster.names))
 
     def delay(self, now: float) -> float:
-        """How long before `now` the goals were sent that were in force at the last reading [s]."""
+        """Return the age at `now` of the goals that were in force at the last reading [s]."""
         sampled = float(self.belief.time[self.roster.chain].max())
         return max(now - sampled, 0.0) + float(getattr(self.drive, "latency", 0.0))
 
     @property
     def q(self) -> Array:
-        """Believed positions of the chain (n,) [rad]."""
+        """Last plausible positions of the chain (n,) [rad]."""
         q: Array = self.belief.position[self.roster.chain]
         return q
 
     def gravity(self) -> Array:
-        """Torques (n,) [N·m] that hold the chain at the believed positions."""
+        """Return torques (n,) [N·m] that hold the chain against gravity at `q`."""
         return np.asarray(self.model.gravity(self.q), dtype=np.float64)
 
     def standing(self) -> tuple[Array, Array]:
-        """Goals [rad] and limits [N·m] of the chain that stand in its servos (n,); NaN: unknown."""
+        """Return goals [rad] and limits [N·m] (n,) read from the chain's servos; NaN if unknown."""
         orders = getattr(self.drive, "orders", None)
         chain = self.roster.chain
         if orders is None:
@@ -147,7 +147,7 @@ class Cycle:
         return np.asarray(orders[0])[chain], np.asarray(orders[1])[chain]
 
     def guard(self, seconds: float) -> None:
-        """Let servos that can stop by themselves after this silence [s]; 0: never.
+        """Set the servos' watchdog: they stop after this silence [s], where supported; 0: never.
 
         Raises:
             ServoError: A servo did not confirm.
@@ -157,12 +157,12 @@ class Cycle:
         self._spoke = self.clock.now()
 
     def _wake(self) -> None:
-        """A watchdog that may have tripped refuses goals until it is cleared: never forget it."""
+        """Rearm the watchdog after a long silence; once tripped it refuses goals until cleared."""
         if self._watchdog and self.clock.now() - self._spoke > 0.5 * self._watchdog:
             self._rearm()
 
     def _rearm(self) -> None:
-        """Clear tripped watchdogs and arm them again; retry later while the bus is silent."""
+        """Clear tripped watchdogs and arm them again; errors are ignored, a later call retries."""
         self._heard = self.clock.now()
         with contextlib.suppress(ServoError):
             self.drive.watchdog(0.0)
@@ -176,7 +176,7 @@ class Cycle:
     # Writing.
 
     def ease(self, limit: Array | float = 0.0) -> None:
-        """Let limits rise again from what carries the arm, and from `limit` (n,) [N·m] at least."""
+        """Ramp limits up again, from the holding torque and at least from `limit` (n,) [N·m]."""
         self._eased, self._least = self.clock.now(), limit
 
     def write(
@@ -188,7 +188,7 @@ class Cycle:
         lead: bool,
         velocity: ArrayLike | None = None,
     ) -> None:
-        """Check, cut and send; see `Arm.write`."""
+        """Check, clip and send goals and limits; see `Arm.write`."""
         goal = vector(self.model, goal, "goal")
         limit = self.limit if limit is None else vector(self.model, limit, "limit")
         if limit.min() < 0.0:
@@ -218,7 +218,7 @@ class Cycle:
             self._shortfall.look(limit, gravity, self.clock.now())
 
     def _cut(self, goal: Array, limit: Array, gravity: Array) -> Array:
-        """Limits (n,) [N·m] within heat, supply, and the rise after a silence."""
+        """Return limits (n,) [N·m], bounded by heat, by supply and by the ramp after a silence."""
         chain, least = self.roster.chain, SUPPORT * np.abs(gravity)
         usable = self._usable[chain]
         firm = np.minimum(np.maximum(least + margin(self.servos, gravity), self._least), usable)
@@ -232,7 +232,7 @@ class Cycle:
         return rationed
 
     def begin(self, goal: Array, limit: Array) -> None:
-        """Torque on with these first goals and limits (n,).
+        """Switch torque on with these first goals [rad] and limits [N·m] (n,).
 
         Raises:
             ServoError: A joint moved or did not obey.
@@ -242,9 +242,9 @@ class Cycle:
         self.drive.enable(*self._sent)
 
     def send(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
-        """Send goals and limits of the chain (n,) as they are; joints beside it get their orders.
+        """Send goals and limits of the chain (n,) unchanged; joints off the chain get their orders.
 
-        `velocity` (n,) [rad/s] is for the servos' speed registers; None: as fast as they can.
+        `velocity` (n,) [rad/s] goes to the servos' speed registers; None: no speed limit.
 
         Raises:
             ServoError: The connection is gone.
@@ -260,7 +260,7 @@ class Cycle:
         self._learn(self.drive.slow())
 
     def _all(self, goal: Array, limit: Array) -> tuple[Array, Array]:
-        """Goals and limits (N,) in the drive's order; limits beside the chain within their heat."""
+        """Return goals and limits (N,) in drive order; limits off the chain are bounded by heat."""
         beside = self.roster.beside
         orders = [self.orders[name] for name in self.roster.extra]
         most = np.minimum([order[1] for order in orders], self.meter.ceiling()[beside])
@@ -268,7 +268,7 @@ class Cycle:
         return goals, self.roster.join(limit, most)
 
     def _heat(self, load: Array | None) -> None:
-        """Account for what the servos have exerted since the last reading."""
+        """Update the thermal model with the torques exerted since the last reading."""
         now = self.clock.now()
         if self._used is not None and self._sent is not None:
             goal, limit = self._sent
@@ -280,7 +280,7 @@ class Cycle:
         self._used = now
 
     def _learn(self, health: Reported | None) -> None:
-        """Keep what the slow rota brought."""
+        """Store voltage, temperature and faults from one slow read."""
         if health is None:
             return
         place = self.roster.index(health.name)
@@ -292,5 +292,5 @@ class Cycle:
 
 
 def _row(value: ArrayLike, size: int) -> Array:
-    """One number per joint."""
+    """Return one number per joint."""
     return np.broadcast_to(np.asarray(value, dtype=np.float64), size).copy()

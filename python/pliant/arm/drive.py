@@ -1,8 +1,8 @@
-"""The seam between an arm's life cycle and whatever moves its joints.
+"""Interface between an arm's life cycle and the hardware or simulation that moves its joints.
 
-A drive moves *all* joints of an arm, those of the chain and those beside it (a gripper), in an
-order of its own; `Arm` sorts them by name. It knows units and its bus, and nothing of kinematics,
-gravity or policy.
+A drive moves *all* joints of an arm, on the chain and off it (a gripper), in its own order; `Arm`
+matches them by name. A drive handles units and its bus. It does not handle kinematics, gravity or
+control policy.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Last stretch of a wait that is spun instead of slept [s]: sleeping wakes up this much late.
+#: Last part of a wait that is spent in a busy loop [s], because sleep wakes up this late.
 SPIN = 1e-4
 
 
@@ -30,13 +30,14 @@ class Sample:
     """One reading of all N joints of a drive, in its order.
 
     Attributes:
-        position: (N,) [rad]; anything where `ok` is False.
+        position: Positions (N,) [rad]; undefined where `ok` is False.
         ok: Which positions were read in this cycle (N,).
-        time: When each was sampled, on the drive's clock: (N,), or one number for all [s].
-        velocity: As the servos report them (N,) [rad/s].
-        load: Torque that they exert by their own reckoning, PWM duty or current, no sensor
-            (N,) [N·m].
-        current: Of the motors (N,) [A]. What no servo says is None, what one does not say NaN.
+        time: Sample times on the drive's clock [s]: (N,), or one number for all.
+        velocity: Velocities as the servos report them (N,) [rad/s]; None: not reported.
+        load: Torques as the servos estimate them from PWM duty or current, not from a torque sensor
+            (N,) [N·m]; None: not reported.
+        current: Motor currents (N,) [A]; None: not reported. In all three, NaN marks single servos
+            that do not report the value.
     """
 
     position: Array
@@ -49,14 +50,14 @@ class Sample:
 
 @dataclass(frozen=True)
 class Health:
-    """What the slow rota learned about one servo.
+    """Slow data of one servo: voltage, temperature, faults and limit.
 
     Attributes:
-        name: The joint.
-        voltage: At the servo [V].
-        temperature: Of the servo [°C].
-        faults: What the servo reports, in sentences; empty when healthy.
-        limit: Torque limit as it stands in the servo [N·m], None before it was read.
+        name: Joint name.
+        voltage: Supply voltage at the servo [V].
+        temperature: Temperature of the servo [°C].
+        faults: Faults that the servo reports, one sentence each; empty if healthy.
+        limit: Torque limit read from the servo [N·m]; None before it was read.
     """
 
     name: str
@@ -67,7 +68,7 @@ class Health:
 
 
 class Sampled(Protocol):
-    """Anything with the fields of a `Sample`."""
+    """Protocol of a reading: the fields of `Sample`."""
 
     @property
     def position(self) -> Array:
@@ -75,11 +76,11 @@ class Sampled(Protocol):
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Which were read (N,)."""
+        """Mask of the positions that were read (N,)."""
 
     @property
     def time(self) -> Array | float:
-        """When [s]."""
+        """Sample times [s]."""
 
     @property
     def velocity(self) -> Array | None:
@@ -95,48 +96,51 @@ class Sampled(Protocol):
 
 
 class Reported(Protocol):
-    """Anything with the fields of a `Health`."""
+    """Protocol of slow data: the fields of `Health`."""
 
     @property
     def name(self) -> str:
-        """The joint."""
+        """Joint name."""
 
     @property
     def voltage(self) -> float | None:
-        """At the servo [V]."""
+        """Supply voltage at the servo [V]."""
 
     @property
     def temperature(self) -> float | None:
-        """Of the servo [°C]."""
+        """Temperature of the servo [°C]."""
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """In sentences."""
+        """Faults, one sentence each."""
 
 
 class Clock(Protocol):
-    """The time a drive lives in.
+    """Clock of a drive.
 
-    One with `real_time` True passes whether or not somebody waits.
+    If `real_time` is True, time passes on its own; otherwise it advances only in `wait_until`.
     """
 
     def now(self) -> float:
-        """Time [s]; never goes back."""
+        """Return the time [s]; never decreases."""
 
     def wait_until(self, deadline: float) -> None:
-        """Return at `deadline` [s], or at once where it has passed."""
+        """Return at `deadline` [s], or at once if it has passed."""
 
 
 class Drive(Protocol):
-    """What `Arm` needs: all servos of an arm, in SI units.
+    """Interface that `Arm` needs: all servos of an arm, in SI units.
 
-    Further attributes are used where a drive has them: `clock` (default: the machine's), `latency`,
-    the time from the end of a write to its effect [s]; `overload` (N,), the share of the usable
-    torque above which a servo protects itself; `stall_current` (N,) [A], for the supply's budget;
-    `enabled` (N,), which joints have torque already; `orders`, goals (N,) [rad] and limits (N,)
-    [N·m] that stand in the servos, NaN where they are not known; `refusing` (N,), which joints are
-    known not to take goals; `stiffness_known` (N,), which stiffnesses are known within 10 %, where
-    that is not the same for all.
+    Optional attributes:
+
+    - `clock`: default is the monotonic clock of the machine;
+    - `latency`: time from the end of a write to its effect [s];
+    - `overload` (N,): share of the usable torque above which a servo protects itself;
+    - `stall_current` (N,) [A]: needed for the supply budget;
+    - `enabled` (N,): joints whose torque is on already;
+    - `orders`: goals (N,) [rad] and limits (N,) [N·m] stored in the servos, NaN if unknown;
+    - `refusing` (N,): joints that are known not to accept goals;
+    - `stiffness_known` (N,): joints whose stiffness is known within 10 %, if this differs by joint.
     """
 
     @property
@@ -145,24 +149,24 @@ class Drive(Protocol):
 
     @property
     def servos(self) -> Servos:
-        """What drives them, one entry per name; once open, as the servos themselves say."""
+        """Servo parameters, one entry per name; after `open`, as read from the servos."""
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """What has happened so far, by name: retries, timeouts, ..."""
+        """Event counters by name: retries, timeouts, ..."""
 
     def open(self) -> None:
         """Connect and identify.
 
         Raises:
-            ServoError: What is wrong, and what to do.
+            ServoError: The cause and the remedy.
         """
 
     def close(self) -> None:
-        """Let go of the port; the servos keep their last goal and limit."""
+        """Close the port; the servos hold their last goal and limit."""
 
     def read(self) -> Sampled:
-        """Positions of this cycle, joint by joint; what did not arrive is not `ok`.
+        """Return the positions of this cycle; `ok` is False for joints that did not answer.
 
         Raises:
             ServoError: The connection is gone.
@@ -171,40 +175,40 @@ class Drive(Protocol):
     def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
         """Send goals (N,) [rad] and torque limits (N,) [N·m] to enabled joints.
 
-        `velocity` (N,) [rad/s] is the fastest that a servo may go to its goal, for its speed
-        register where it has one; inf, or None: as fast as it can.
+        `velocity` (N,) [rad/s] limits the speed toward the goal, for servos with a speed register;
+        inf, or None: no speed limit.
         """
 
     def slow(self) -> Reported | None:
-        """One step of the rota of voltages, temperatures and faults; None without news."""
+        """Read slow data (voltage, temperature, faults) of the next servo; None: nothing new."""
 
     def enable(self, goal: Array, limit: Array) -> None:
-        """Torque on: limit first, then the goal (the present position), then torque, then a look.
+        """Switch torque on: limit, then goal = present position, then torque, then verify.
 
         A joint whose torque is on already keeps it on.
 
         Raises:
-            ServoError: A joint moved or did not obey; torque is then as it was before.
+            ServoError: A joint moved or did not confirm; torque is then as it was before.
         """
 
     def disable(self, names: Sequence[str]) -> None:
-        """Torque off; every joint is tried even where one fails."""
+        """Switch torque off; every joint is tried even if one fails."""
 
     def watchdog(self, seconds: float) -> None:
-        """Let the servos stop by themselves after a silence, where they can; 0 switches it off."""
+        """Make servos stop after this silence [s], where supported; 0 disables it."""
 
 
 class MonotonicClock:
-    """The machine's clock. Waiting sleeps, other threads run, and spins the last 0.1 ms."""
+    """Monotonic clock of the machine. A wait sleeps, then busy-waits for the last 0.1 ms."""
 
     real_time = True
 
     def now(self) -> float:
-        """Time [s]."""
+        """Return the time [s]."""
         return time.perf_counter()
 
     def wait_until(self, deadline: float) -> None:
-        """Sleep until `deadline` [s]."""
+        """Return at `deadline` [s]."""
         rest = deadline - time.perf_counter() - SPIN
         if rest > 0.0:
             time.sleep(rest)

@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from pliant.arm.lowering import Lowering
     from pliant.arm.speaker import Message
 
-#: Time between two lines of progress [s].
+#: Time between two progress messages [s].
 PROGRESS = 1.0
-#: Least torque that counts as carrying [N·m].
+#: Lowest torque at which a joint counts as loaded [N·m].
 LEAST = 1e-3
-#: Longest reason that is repeated in full [characters].
+#: Largest length of a reason in a message [characters].
 LONGEST = 160
-#: What each phase of a descent is called.
+#: Text for each phase of a descent.
 PHASES = {"rest": "to its rest pose", "down": "down", "ramp": "at rest, giving up its weight"}
-#: How to go on from an arm that was left with torque on.
+#: Remedy for an arm that was left with torque on.
 RECOVER = (
     "`pliant run ARM`, or your program started again, takes it over and lowers it at its end; or "
     "support the arm and cut the supply"
@@ -33,19 +33,19 @@ RECOVER = (
 
 
 class Ending:
-    """One way out of an arm.
+    """Messages of one exit of an arm.
 
-    An ending that the program planned is logged as INFO, for an arm in simulated time as DEBUG; any
-    other as WARNING.
+    A planned exit is logged as INFO, or as DEBUG for an arm in simulated time; any other as
+    WARNING.
 
     Args:
-        name: The arm's.
-        cycle: The arm.
-        cause: Why it is left; None: as planned.
+        name: Name of the arm.
+        cycle: Cycle of the arm.
+        cause: Reason for the exit; None: planned.
     """
 
     def __init__(self, name: str, cycle: Cycle, cause: str | None) -> None:
-        """Note where the arm stands; nothing is said yet."""
+        """Store the start time; no message is sent yet."""
         self._name, self._cycle, self._cause = name, cycle, cause
         is_real = bool(getattr(cycle.clock, "real_time", False))
         planned = logging.INFO if is_real else logging.DEBUG
@@ -55,10 +55,10 @@ class Ending:
         self._from: float | None = None
 
     def begin(self, *, interrupted: bool = False) -> Message:
-        """Say that the arm is being lowered, and what Ctrl-C does meanwhile.
+        """Announce that the arm is being lowered, and what Ctrl-C does meanwhile.
 
         Args:
-            interrupted: Whether one Ctrl-C is why.
+            interrupted: Whether a Ctrl-C is the reason.
         """
         why = "" if self._cause is None else f" ({self._cause})"
         again = "Ctrl-C again leaves" if interrupted else "Ctrl-C twice leaves"
@@ -67,14 +67,14 @@ class Ending:
         )
 
     def progress(self, lowering: Lowering) -> None:
-        """Say how far the arm is, at most once a second."""
+        """Report progress, at most once a second."""
         now = time.monotonic()
         if self._from is None:
             self._from = self._height()
         if now - self._spoke < PROGRESS:
             return
         self._spoke = now
-        # No fault in a message may end a descent.
+        # An error in a message must not end the descent.
         with contextlib.suppress(Exception):
             where = PHASES.get(lowering.phase, lowering.phase)
             SPEAKER.say(
@@ -84,10 +84,10 @@ class Ending:
             )
 
     def down(self, *, heard: bool = False) -> str:
-        """Say that the arm rests and torque is off.
+        """Report that the arm rests and torque is off.
 
         Args:
-            heard: Whether a signal came meanwhile, whose sender waits for this.
+            heard: Whether a signal came during the descent; the message is then a WARNING.
         """
         return self._say(
             f"{self._name} was lowered: torque OFF, {self._fallen()}, {self._passed():.1f} s",
@@ -95,10 +95,10 @@ class Ending:
         )
 
     def stays(self, *, stopped: bool = False) -> str:
-        """Say that torque stays on, which joints carry the arm, and how to go on.
+        """Report that torque stays on, which joints carry the arm, and the remedy.
 
         Args:
-            stopped: Whether it was being lowered.
+            stopped: Whether a descent was aborted.
         """
         return self._say(
             f"{self._name} stays where it is, torque ON: {self._carrying()}. {RECOVER}",
@@ -106,11 +106,11 @@ class Ending:
         )
 
     def failed(self, error: BaseException, on: list[str] | None) -> str:
-        """Say what ended a descent, and what is known of torque.
+        """Report the error that ended a descent, and the torque state.
 
         Args:
             error: The reason.
-            on: Joints that have torque; None: not known, the servos no longer answer.
+            on: Joints whose torque is on; None: unknown, the servos do not answer.
         """
         if on is None:
             return self._say(
@@ -127,7 +127,7 @@ class Ending:
         return text
 
     def _carrying(self) -> str:
-        """Return the joints whose load is above their friction, the largest first."""
+        """Name the joints with a gravity torque above their friction, largest first."""
         with contextlib.suppress(Exception):
             cycle = self._cycle
             load = np.abs(cycle.gravity())
@@ -143,11 +143,11 @@ class Ending:
         return "no joint carries much"
 
     def _passed(self) -> float:
-        """Return the time since the ending began [s], on the arm's clock."""
+        """Return the time since the exit began [s], on the arm's clock."""
         return self._cycle.clock.now() - self._begin
 
     def _height(self) -> float:
-        """Return the height of the tool [m], against gravity; NaN where it is not known."""
+        """Return the height of the tool [m], against gravity; NaN if unknown."""
         with contextlib.suppress(Exception):
             model = self._cycle.model
             gravity = np.asarray(model.gravity_vector)
@@ -165,7 +165,7 @@ class Ending:
 
 
 def cause_of(error: BaseException | None) -> str | None:
-    """Return why an arm is left that an exception leaves; None without one."""
+    """Return the reason for an exit after an exception; None: no exception, or a planned end."""
     if error is None or isinstance(error, GeneratorExit):
         return None
     number = signal_of(error)

@@ -1,4 +1,4 @@
-"""Torque on: every joint is heard first, then takes up its weight, whatever its stiffness is."""
+"""Torque on: wait for all joints, then transfer the weight to servos of unknown stiffness."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Cycles within which every joint must have answered before torque goes on.
+#: Number of cycles within which every joint must answer before torque on.
 ATTEMPTS = 10
-#: Largest lead of a first goal whose joint is carried by orders that are not known [rad].
+#: Largest lead of the first goal of a powered joint whose present orders are unknown [rad].
 LEAD = 0.1
-#: Lead of the first goals over what the believed stiffness needs: enough for half of it.
+#: First lead over the lead by the assumed stiffness: enough for half of that stiffness.
 AHEAD = 2.0
-#: Time in which leads rise to that, for which they stay, and in which they shrink to nothing [s].
+#: Time in which leads rise to that, stay there, and shrink to zero [s].
 RISE, STAY, SHRINK = 0.04, 0.2, 1.2
-#: How long before it is seen a joint begins to sink [s].
+#: Delay until the sinking of a joint is detected [s].
 SEEN = 0.1
-#: Time in which the limit of a joint that sinks rises from nothing to all that its servo has [s].
+#: Time in which the limit of a sinking joint rises from zero to the servo's maximum [s].
 RAISED = 0.1
-#: The same where it stays below where it stood [s].
+#: Time of the same rise for a joint that stays below its first position [s].
 HELD = 1.0
-#: A joint begins to sink that is farther down than this, or two counts, and has sunk that is
-#: farther than the second, or three counts [rad].
+#: Displacement at which a joint starts to sink (at least two counts), and at which it has sunk (at
+#: least three counts) [rad].
 SINKS, SUNK = 0.002, 0.005
-#: How fast a joint is drawn back to where it stood, per rad that it is away [1/s], and at most
-#: [rad/s].
+#: Rate at which a joint returns to its first position, per rad of displacement [1/s]; and the
+#: largest such speed [rad/s].
 BACK, RETURN = 8.0, 0.1
-#: A joint is back that is this near, or 0.6 of a count [rad]; torque on takes no longer [s].
+#: Displacement at which a joint is back, at least 0.6 of a count [rad]; longest torque on [s].
 HOME, LONGEST = 1.5e-4, 3.0
-#: Longest silence of a joint while torque comes on [s].
+#: Longest silence of a joint during torque on [s].
 SILENT = 0.5
-#: Stiffness over the believed one, or its inverse, from which on the arm says so.
+#: Ratio of measured to assumed stiffness, or its inverse, from which on there is a warning.
 OFF = 1.5
 
 
@@ -50,7 +50,7 @@ def hear_all(cycle: Cycle, rate: float) -> None:
     """Read at `rate` [Hz] until every joint has answered once.
 
     Raises:
-        ServoTimeoutError: Joints do not answer; names them.
+        ServoTimeoutError: Joints do not answer; the message names them.
     """
     belief, roster = cycle.belief, cycle.roster
     belief.forget()
@@ -66,17 +66,17 @@ def hear_all(cycle: Cycle, rate: float) -> None:
 
 
 def stand_within(cycle: Cycle, on: NDArray[np.bool_]) -> None:
-    """See that every joint of the chain is where it can be, before torque goes on.
+    """Check before torque on that every joint of the chain reads within its limits.
 
-    A joint that is far outside of its limits is not there: its zero is wrong, and so are the
-    weights and ways that follow from it.
+    A reading far outside the limits means a wrong zero, so gravity torques and paths would be wrong
+    too.
 
     Args:
-        cycle: The arm, heard.
-        on: Which joints of the chain have torque already (n,).
+        cycle: The arm; all joints have answered.
+        on: Mask of the chain's joints whose torque is on already (n,).
 
     Raises:
-        ServoError: Joints are believed to be outside; names each, and what to do.
+        ServoError: Joints read outside their limits; the message names each, with the remedy.
     """
     found = [
         f"{name} stands at {q:.2f} rad, outside its {low:.2f} to {high:.2f}"
@@ -92,14 +92,14 @@ def stand_within(cycle: Cycle, on: NDArray[np.bool_]) -> None:
 
 
 def first_orders(cycle: Cycle, on: NDArray[np.bool_]) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return goals (n,) [rad] and limits (n,) [N·m] to begin with, and which are taken over (n,).
+    """Return first goals (n,) [rad], first limits (n,) [N·m], and a mask (n,) of joints taken over.
 
-    Joints without torque begin where they stand. Joints that have torque keep the orders that stand
-    in their servos, which carry them; where these are not known, the servo exerts the weight.
+    Joints without torque start at their present positions. Joints with torque keep the goals and
+    limits stored in their servos, which hold them. If these are unknown, the limit is the weight.
 
     Args:
-        cycle: The arm, heard.
-        on: Which joints of the chain have torque already (n,).
+        cycle: The arm; all joints have answered.
+        on: Mask of the chain's joints whose torque is on already (n,).
     """
     servos, q, weight = cycle.servos, cycle.q, cycle.gravity()
     kp, usable = np.asarray(servos.kp), np.asarray(servos.max_torque)
@@ -118,26 +118,27 @@ def first_orders(cycle: Cycle, on: NDArray[np.bool_]) -> tuple[Array, Array, NDA
 
 
 def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -> Array:
-    """Let servos carry an arm that stands where it stood, and measure the leads that carry it.
+    """Transfer the weight of a standing arm to its servos, and measure the leads that carry it.
 
-    A servo whose goal is far ahead exerts its limit, whatever its stiffness. So goals first lead by
-    twice what the believed stiffness needs while limits are the weight: joints neither rise nor
-    sink. Then leads shrink until a joint begins to sink: that lead carries it, and the limit may
-    rise. A joint that rests on something gives its weight back to it. A joint that sinks before
-    carries a load that the model does not know: it gets more torque at once, up to all that its
-    servo has, and is drawn back slowly.
+    A servo with a goal far ahead exerts its limit, whatever its stiffness. So goals first lead by
+    twice what the assumed stiffness needs, with limits equal to the weight: joints neither rise nor
+    sink. Then the leads shrink until a joint begins to sink. That lead carries the joint, and its
+    limit may rise. A joint that rests on an object transfers its weight back to the object. A joint
+    that sinks earlier carries a load that the model does not include: its limit rises at once, up
+    to the servo's maximum, and the joint is moved back slowly.
 
     Args:
         cycle: The arm, torque on.
-        stood: Where it stood before torque came on (n,) [rad].
-        taken: Which joints are carried already by the orders sent (n,).
-        rate: Of this loop [Hz].
+        stood: Joint positions before torque on (n,) [rad].
+        taken: Mask of joints that the present goals and limits carry already (n,).
+        rate: Rate of this loop [Hz].
 
     Returns:
-        The leads that carry joints (n,) [rad]; NaN for those that rest on something.
+        Leads that carry the joints (n,) [rad]; NaN for joints that rest on an object.
 
     Raises:
-        ServoTimeoutError: A joint was silent for 0.5 s; orders stayed as they were meanwhile.
+        ServoTimeoutError: A joint was silent for 0.5 s; goals and limits stayed unchanged
+            meanwhile.
     """
     servos, clock = cycle.servos, cycle.clock
     kp, usable = np.asarray(servos.kp), np.asarray(servos.max_torque)
@@ -183,19 +184,19 @@ def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -
         change = usable / (RAISED * rate)
         more += np.where((away > far) & (moves > 0.0), change, 0.0)
         fast = moves < -np.maximum(RETURN / rate, 0.5 * count)
-        # One that stays below with its servo at its limit gets more, slowly.
+        # A joint that stays below its first position with its servo at the limit gets more, slowly.
         stays = np.isfinite(found) & (away > home) & (kp * np.abs(led) > 0.9 * limit)
         more += np.where(stays & (moves >= 0.0), change * RAISED / HELD, 0.0)
         more = np.maximum(more - np.where(fast, change, 0.0), 0.0)
         shrinking = np.isnan(found) & (passed >= STAY)
         held = shrinking & ((q - level) * down > still) & (moves >= 0.0)
         step = (np.abs(full) + more / kp) / SHRINK
-        # It began to sink a moment before it was seen to.
+        # Compensate the detection delay: the joint began to sink earlier.
         lead = np.where(held, lead + np.sign(lead) * SEEN * step, lead)
         found = np.where(held, lead, found)
         left = np.maximum(np.abs(lead) - step / rate, 0.0)
         lead = np.where(shrinking & ~held, np.sign(lead) * left, lead)
-        # One that had sunk before hangs in its servo's spring.
+        # A joint that sank earlier is held by the stiffness of its servo.
         found = np.where(shrinking & (lead == 0.0) & (away > 0.5 * still), 0.0, found)
         known = np.isfinite(found) | (lead == 0.0)
         spare = np.where(known | trusted, margin(servos, weight), 0.5 * friction)
@@ -206,7 +207,7 @@ def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -
         limit = np.minimum(firm + more, usable)
         drawn = np.isfinite(found) & (np.abs(away) > home)
         pull += np.where(drawn, np.clip(BACK * (stood - q), -RETURN, RETURN), 0.0) / rate
-        # Beyond what its limit can use a lead would only be wound up.
+        # Anti-windup: bound the lead to what the limit can use.
         most = AHEAD * limit / kp
         pull = np.clip(lead + pull, q - stood - most, q - stood + most) - lead
         led = stood + lead + pull - q
@@ -224,13 +225,13 @@ def _named(cycle: Cycle, joints: NDArray[np.bool_]) -> str:
 
 
 def strange_leads(cycle: Cycle, leads: Array) -> str | None:
-    """Return a sentence on joints that another lead carries than the servo table says, or None.
+    """Return a sentence on joints whose lead differs from that of the servo table, or None.
 
-    Joints whose weight is too small beside their friction and encoder step are left out.
+    Joints with a gravity torque that is small against friction and encoder step are left out.
 
     Args:
-        cycle: The arm, standing.
-        leads: What `take_up` found (n,) [rad].
+        cycle: The arm, at rest.
+        leads: Leads from `take_up` (n,) [rad].
     """
     servos, weight = cycle.servos, cycle.gravity()
     believed = weight / np.asarray(servos.kp)

@@ -1,4 +1,4 @@
-"""The last orders of an arm: no controller, no target, and a bus that may be sick."""
+"""Exits of an arm: the descent, and holding the present pose, without a controller."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: How many times stiffer and softer than believed servos may be for a lead to be kept.
+#: Factors by which servos may be stiffer or softer than assumed for a lead to be kept.
 STIFFER, SOFTER = 2.5, 2.0
-#: A bus that has carried nothing at all for so long is given up [s].
+#: Silence of the bus after which a descent is given up [s].
 GONE = 2.0
-#: Largest number of restarts of a descent whose goals were refused.
+#: Largest number of restarts of a descent after refused goals.
 ANEW = 2
 
 
@@ -37,27 +37,27 @@ def descend(
     *,
     on_tick: Callable[[Lowering], None] | None = None,
 ) -> bool:
-    """Lower the arm until its limits have fallen to nothing; torque can go off then.
+    """Lower the arm until its limits are zero, so that torque can be switched off.
 
-    Joints beside the chain keep their orders until everything rests. Errors of the bus do not end
-    the descent; a bus that is gone for 2 s does: the servos then keep their last goal and limit.
+    Joints off the chain keep their orders until everything rests. Single bus errors do not end the
+    descent. A bus that fails for 2 s does; the servos then keep their last goal and limit.
 
     Args:
         cycle: The arm.
-        points: Its points.
-        rest: Where to go first (n,) [rad]; None: straight down.
-        rate: Of this loop [Hz].
-        unwanted: Whether to end it here and now, with torque as it is.
-        on_tick: Called once per turn.
+        points: The arm's points.
+        rest: Rest pose to move to first (n,) [rad]; None: straight down.
+        rate: Rate of this loop [Hz].
+        unwanted: Returns True to abort the descent, with torque as it is.
+        on_tick: Called once per tick.
 
     Returns:
-        Whether the limits have fallen to nothing.
+        True if the limits are zero; False if the descent was aborted.
 
     Raises:
         ServoError: The bus is gone, or servos refuse goals; torque stays on.
     """
     clock, model = cycle.clock, cycle.model
-    # A servo that stops by itself when the bus is silent would refuse the way down.
+    # Disable the watchdog: a servo that it stopped would refuse the goals of the descent.
     with contextlib.suppress(ServoError):
         cycle.guard(0.0)
     refused = 0
@@ -105,14 +105,14 @@ def descend(
 
 
 def settle(cycle: Cycle) -> None:
-    """Goals and limits that carry the arm where it is, for ever, and no watchdog."""
+    """Send goals and limits that hold the present pose, and disable the watchdog."""
     kp, gravity = np.asarray(cycle.servos.kp), cycle.gravity()
     push, need = margin(cycle.servos, gravity), gravity / kp
-    # Servos stiffer or softer than believed carry the weight by less or more lead than it needs.
+    # Servos stiffer or softer than assumed need a smaller or larger lead for the weight.
     ends = np.sort((need / STIFFER, need * SOFTER), axis=0)
     lead = np.clip(cycle.goal - cycle.q, ends[0] - push / kp, ends[1] + push / kp)
     limit = SUPPORT * np.abs(gravity) + push
-    # A servo that carries the weight at its limit would be let loose by a higher one.
+    # A servo that carries the weight at its limit would move if the limit rose.
     full = (kp * np.abs(lead) > cycle.limit) & (cycle.limit >= np.abs(gravity))
     held = np.where(full, np.minimum(cycle.limit, limit), limit)
     cycle.send(cycle.q + lead, held)

@@ -1,4 +1,4 @@
-"""Grippers, and any other joint beside the chain: a goal and a torque limit of their own."""
+"""Grippers and other joints off the chain: one goal and one torque limit each."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ if TYPE_CHECKING:
     from pliant import Model
     from pliant.arm.cycle import Cycle
 
-#: Default limit as a share of the largest torque, and of the servo's overload threshold.
+#: Default limit as a share of the largest torque, and of the overload threshold.
 DEFAULT_SHARE, OVERLOAD_SHARE = 0.3, 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
 class GripperConfig:
-    """What a gripper is.
+    """Configuration of a gripper.
 
     Attributes:
         opened, closed: Joint positions [rad, m]; None: upper and lower limit in the robot's
             description.
-        limit: Torque limit unless a force is asked for [N·m, N]; None: the lesser of 30 % of the
-            largest torque and 0.9 of the overload threshold.
-        lever: Distance from the axis to the middle of the finger [m]: forces are then newtons at
-            the finger, and the width is metres. None: torques and angles.
+        limit: Default torque limit [N·m, N]; None: the lesser of 30 % of the largest torque and 0.9
+            of the overload threshold.
+        lever: Distance from the axis to the middle of the finger [m]. If given, forces are in
+            newtons at the finger and the width is in metres; None: torques [N·m] and angles [rad].
     """
 
     opened: float | None = None
@@ -50,12 +50,12 @@ class GripperConfig:
 class Gripper:
     """A joint off the chain that opens and closes with a bounded torque.
 
-    Holding an object is sitting at the limit: the goal is where the fingers would meet.
+    The goal of `close` is the closed position; an object in between is held with the torque limit.
 
     Attributes:
-        name: Its joint.
+        name: Joint name.
         opened, closed: Joint positions [rad, m].
-        limit: Limit unless a force is asked for [N·m, N].
+        limit: Default limit [N·m, N].
         largest: Largest limit [N·m, N].
     """
 
@@ -70,10 +70,10 @@ class Gripper:
         order: Callable[[str, float, float], None],
         measure: Callable[[str], float],
     ) -> None:
-        """Complete what the jaw leaves open; `Arm` makes these.
+        """Fill in defaults from the model; `Arm` creates grippers.
 
         Raises:
-            ConfigError: Neither the jaw nor the model knows how far it opens.
+            ConfigError: Neither `jaw` nor the model gives the ends of the travel.
         """
         joint = next((j for j in model.joints if j.name == name), None)
         self.name, self.largest = name, largest
@@ -89,19 +89,19 @@ class Gripper:
         self.go(self.opened)
 
     def close(self, force: float | None = None) -> None:
-        """Close on whatever is there.
+        """Close until the fingers meet or an object stops them.
 
         Args:
-            force: Largest force at the finger [N] where the lever is known or the joint slides,
-                else torque [N·m]; None: the default limit.
+            force: Largest force at the finger [N] if the lever is known or the joint slides, else
+                torque [N·m]; None: the default limit.
 
         Raises:
-            ConfigError: The force is negative, not finite, or more than the servo has.
+            ConfigError: The force is negative, not finite, or above the servo's maximum.
         """
         self.go(self.closed, force)
 
     def go(self, position: float, force: float | None = None) -> None:
-        """Go to a joint position [rad, m], at most from end to end; `force` as in `close`."""
+        """Move to a joint position [rad, m], clipped to the travel; `force` as in `close`."""
         low, high = sorted((self.closed, self.opened))
         position = real(position, f"{self.name}: position")
         if not math.isfinite(position):
@@ -115,14 +115,14 @@ class Gripper:
 
     @property
     def width(self) -> float:
-        """How far it is open, 0 when closed: [m] with a lever or a sliding joint, else [rad]."""
+        """Opening, 0 when closed: [m] with a lever or a sliding joint, else [rad]."""
         way = abs(self.position - self.closed)
         if self._sliding or self._lever is None:
             return way
         return 2.0 * self._lever * math.sin(min(way, math.pi) / 2.0)
 
     def _torque(self, force: float | None) -> float:
-        """Torque limit [N·m] of a force [N]."""
+        """Return the torque limit [N·m] for a force [N]."""
         if force is None:
             return self.limit
         arm = self._lever if self._lever is not None and not self._sliding else 1.0
@@ -134,7 +134,7 @@ class Gripper:
         return torque
 
     def _end(self, given: float | None, described: float | None, which: str) -> float:
-        """One end of the travel."""
+        """Return one end of the travel [rad, m]."""
         value = described if given is None else given
         if value is None or not math.isfinite(value):
             raise ConfigError(
@@ -145,10 +145,10 @@ class Gripper:
 
 
 def check_grippers(grippers: Mapping[str, GripperConfig] | None) -> dict[str, GripperConfig]:
-    """What each gripper is, by joint; none of them for None.
+    """Return the gripper configurations by joint name; empty for None.
 
     Raises:
-        TypeError: No mapping, or one of them is no `GripperConfig`.
+        TypeError: Not a mapping, or a value is not a `GripperConfig`.
     """
     hint = "as {'gripper': pliant.arm.GripperConfig(lever=0.05)}"
     named = {} if grippers is None else mapping(grippers, "grippers", hint)
@@ -161,10 +161,10 @@ def check_grippers(grippers: Mapping[str, GripperConfig] | None) -> dict[str, Gr
 def make_grippers(
     cycle: Cycle, grippers: Mapping[str, GripperConfig], order: Callable[[str, float, float], None]
 ) -> dict[str, Gripper]:
-    """One gripper per joint beside the chain.
+    """Create one gripper per joint off the chain.
 
     Raises:
-        ConfigError: A jaw is for no such joint, or a gripper lacks its ends.
+        ConfigError: A configuration names no such joint, or the ends of the travel are missing.
     """
     roster, drive = cycle.roster, cycle.drive
     unknown = sorted(set(grippers) - set(roster.extra))

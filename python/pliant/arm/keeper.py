@@ -1,4 +1,4 @@
-"""Takes the arm over from a program that does not come back."""
+"""Lock of an arm, and a watchdog thread that lowers it when the program stalls."""
 
 from __future__ import annotations
 
@@ -14,27 +14,26 @@ from pliant import ServoError, ServoTimeoutError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-#: While another thread computes without pause, Python hands over only after this time [s]; its
-#: default of 5 ms, once per call of the bus, would be half a period each.
+#: Thread switch interval of Python while the arm is lowered by the watchdog thread [s]. The default
+#: of 5 ms would cost half a period per bus call while another thread computes.
 SWITCH = 1e-4
 
 
 class Keeper:
-    """The one lock of an arm, and a thread that brings the arm down when nobody calls any more.
+    """Lock of an arm, and a thread that lowers the arm when the program makes no more calls.
 
     Every call of the program is a `with keeper`. The thread exists only inside `watched`. An arm
-    with torque belongs to one process: one forked from it has the same port and other threads, and
-    none of it is for it to use.
+    with torque on belongs to one process. A forked process shares its port but must not use it.
 
     Attributes:
-        owner: Process that switched torque on; None while it is off.
-        lock: Held by whoever uses the drive.
-        reason: Why the arm was taken over, None while it was not.
-        unwanted: Set to end a descent before it is over, wherever it runs.
+        owner: Id of the process that switched torque on; None while torque is off.
+        lock: Held by the thread that uses the drive.
+        reason: Reason for which the watchdog thread took the arm over; None: it did not.
+        unwanted: Set to abort a running descent, in any thread.
     """
 
     def __init__(self, leave: Callable[[], None]) -> None:
-        """Know how to leave; `leave` is called with the lock held."""
+        """Store the function that leaves the arm; it is called with the lock held."""
         self.lock = threading.RLock()
         self.unwanted = threading.Event()
         self.reason: str | None = None
@@ -43,7 +42,7 @@ class Keeper:
         self._done = threading.Event()
 
     def __enter__(self) -> None:
-        """One call of the program.
+        """Enter one call of the program.
 
         Raises:
             ServoError: As `check`.
@@ -60,14 +59,15 @@ class Keeper:
 
     @property
     def elsewhere(self) -> bool:
-        """Whether the arm has torque and belongs to another process."""
+        """Return True if torque is on and the arm belongs to another process."""
         return self.owner is not None and self.owner != os.getpid()
 
     def check(self) -> None:
-        """Tell a program that comes back, and one that never had the arm.
+        """Raise if the arm was taken over or belongs to another process.
 
         Raises:
-            ServoTimeoutError: The arm has been taken over: at once, also while it is being lowered.
+            ServoTimeoutError: The watchdog thread has taken the arm over; raised at once, also
+                while the arm is being lowered.
             ServoError: Another process switched its torque on.
         """
         if self.elsewhere:
@@ -81,10 +81,10 @@ class Keeper:
 
     @contextlib.contextmanager
     def alone(self, *, at_once: bool = False) -> Iterator[None]:
-        """Hold the lock for an exit.
+        """Hold the lock while the arm is left.
 
-        A descent that another thread has begun is waited for, unless `at_once`, or an exception
-        comes meanwhile: it then ends where it is, torque on.
+        Wait until a descent in another thread ends. With `at_once`, or if an exception comes during
+        the wait, that descent is aborted where it is, torque on.
 
         Raises:
             ServoError: Another process switched torque on.
@@ -104,16 +104,16 @@ class Keeper:
             self.unwanted.clear()
             yield
         finally:
-            # The thread has waited for the lock, and shall not take this for silence.
+            # The thread waited for the lock meanwhile; do not count this time as a silence.
             self._seen = time.perf_counter()
             self.lock.release()
 
     @contextlib.contextmanager
     def watched(self, patience: float | None) -> Iterator[Callable[[], None]]:
-        """Take the arm over after so long without a call [s], None for never; gives `check`.
+        """Take the arm over after `patience` [s] without a call; None: never. Yields `check`.
 
-        An exception does not end the watch: the program may block on its way to an exit of the arm.
-        `dismiss`, the next watch, or a take-over does.
+        An exception does not end the watch, because the program may block before it leaves the arm.
+        `dismiss`, the next watch or a takeover ends it.
         """
         if patience is None:
             yield self.check
@@ -137,20 +137,20 @@ class Keeper:
         self._done.set()
 
     def _watch(self, patience: float, done: threading.Event) -> None:
-        """Sleep until the program would be late, look, sleep again."""
+        """Sleep until the next possible timeout and check; repeat."""
         most = threading.TIMEOUT_MAX
         while not done.wait(min(max(self._seen + patience - time.perf_counter(), 1e-3), most)):
             if time.perf_counter() - self._seen < patience:
                 continue
             with self.lock:
-                # Whoever had the lock was no stalled program.
+                # The thread that held the lock until now was not stalled: measure again.
                 silent = time.perf_counter() - self._seen
                 if silent >= patience and not done.is_set() and self.reason is None:
                     self._take_over(silent)
                     return
 
     def _take_over(self, silent: float) -> None:
-        """Leave in the place of the program."""
+        """Leave the arm on behalf of the stalled program."""
         self.reason = f"the program did not come back for {silent:.2f} s: the arm was taken over"
         self.unwanted.clear()
         before = sys.getswitchinterval()

@@ -1,4 +1,4 @@
-"""How late ticks begin: a histogram of bounded size."""
+"""Histogram of the lateness of ticks, of bounded size."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ import math
 
 import numpy as np
 
-#: Lower end of the first bin [s], bins per factor of ten, and how many bins: 1 µs to 10 s.
+#: Lower end of the first bin [s], bins per decade, and number of bins: 1 µs to 10 s.
 FIRST, PER_DECADE, BINS = 1e-6, 20, 140
 
 
 class Lateness:
-    """Counts of ticks by lateness, 20 bins per factor of ten from 1 µs to 10 s.
+    """Histogram of ticks by lateness, 20 bins per decade from 1 µs to 10 s.
 
     Attributes:
-        counts: Ticks per bin (142,): below 1 µs, the bins, above 10 s.
+        counts: Ticks per bin (142,): below 1 µs, the 140 bins, above 10 s.
         largest: Latest tick [s].
     """
 
     def __init__(self) -> None:
-        """No ticks yet."""
+        """Start with empty bins."""
         self.counts = np.zeros(BINS + 2, dtype=np.int64)
         self.largest = 0.0
 
     def add(self, late: float) -> None:
-        """Count a tick that began `late` [s] after its time."""
+        """Count a tick that began `late` [s] after its deadline."""
         late = max(late, 0.0)
         self.largest = max(self.largest, late)
         bin_ = 0
@@ -33,11 +33,11 @@ class Lateness:
         self.counts[bin_] += 1
 
     def __len__(self) -> int:
-        """Ticks counted."""
+        """Return the number of ticks."""
         return int(self.counts.sum())
 
     def percentile(self, share: float) -> float:
-        """Lateness [s] that `share` (0 to 100) of the ticks do not exceed, 12 % coarse; 0: none."""
+        """Return the lateness percentile `share` (0 to 100) [s], 12 % coarse; 0 without ticks."""
         total = len(self)
         if total == 0:
             return 0.0

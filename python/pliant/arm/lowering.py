@@ -1,22 +1,23 @@
-"""Bringing an arm down without dropping it: goals and limits, tick by tick, from positions alone.
+"""Descent of an arm: goals and torque limits, tick by tick, from measured positions.
 
 A position servo carries a weight by its lead, the distance from the joint to its goal. The lead is
-measured; stiffness, payload and friction are not, so nothing here is made from them. Goals begin
-where they stand and creep toward the joints, each as fast as its lead is large,
+measured. Stiffness, payload and friction are not, so the measured lead drives the descent. Goals
+start at their present values and move toward the joints, in proportion to the lead:
 
-``goal ← goal + dt r u``, ``u = −40/s (goal − q − ℓ*)``,
+``goal ← goal + dt r u``, ``u = −40/s (goal − q − ℓ*)``.
 
-so that the arm descends the potential that it really has, and gives its weight to whatever it
-comes to rest on. A goal never follows a joint upward. ``ℓ* = ∓ 2 τ_f / k_p`` lets a joint press
-downward with little more than its own friction. r keeps every point of the arm below the speed
-allowed and below what a thing of stiffness k may feel, ``v √(k m)``, m the mass that the point has
-along its way; it falls further where the arm is seen to move faster than it is led.
+So the arm descends its real potential, and transfers its weight to the object on which it comes to
+rest. A goal never follows a joint upward. ``ℓ* = ∓ 2 τ_f / k_p`` lets a joint press downward with
+little more than its own friction. The factor r keeps every point of the arm below the allowed speed
+and below the speed at which an impact on an object of stiffness k exceeds the allowed force,
+``v √(k m)``, with m the effective mass of the point along its path. r decreases further if the arm
+moves faster than its goals.
 
-- `rest`: toward a rest pose first, ``u = 4/s (q_rest − q)``, if there is one;
-- `down`: until no joint carries anything;
-- `ramp`: limits fall to zero, and wait while anything moves.
+- `rest`: if there is a rest pose, move toward it first, ``u = 4/s (q_rest − q)``;
+- `down`: descend until no joint carries a load;
+- `ramp`: reduce the limits to zero, and wait while anything moves.
 
-Where positions no longer arrive, the arm of the model takes the place of the real one.
+If positions no longer arrive, a model of the arm replaces the measured one.
 """
 
 from __future__ import annotations
@@ -38,65 +39,65 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
     Phase = Literal["rest", "down", "ramp", "done"]
 
-#: Speed of the tool and every joint origin on the way down [m/s], and of any joint [rad/s].
+#: Largest speed of the tool and of every joint origin during the descent [m/s], and of any joint
+#: [rad/s].
 SPEED, JOINT_SPEED = 0.15, 0.8
-#: Least speed that is asked of servos [rad/s]: some take 0 for no speed limit.
+#: Lowest speed written to servos [rad/s]: some interpret 0 as no speed limit.
 LEAST_SPEED = 0.01
-#: Rates of the two descents [1/s], and the time over which they fade in [s].
+#: Rates of the two descents [1/s], and the fade-in time [s].
 TO_REST, DOWN, FADE = 4.0, 40.0, 0.3
 #: Distance at which a joint counts as arrived at the rest pose [rad].
 ARRIVED = 0.02
-#: Way that counts as coming nearer to the rest pose [rad], and the time without any, or with goals
-#: and arm at a standstill, after which a phase is over [s].
+#: Least progress toward the rest pose [rad]; and the time without progress, or with goals and arm
+#: at a standstill, after which a phase ends [s].
 NEARER, STUCK = 0.01, 1.5
-#: Largest force [N] that a thing of this stiffness [N/m] may feel where a point of the arm meets
-#: it, with a load at the tool that the model does not know [kg]. Arms of less reach than this [m]
-#: have as much less.
+#: Largest impact force [N] on an object of this stiffness [N/m], with an additional unknown load at
+#: the tool [kg]. For arms of less reach than this [m], the force is reduced in proportion.
 IMPACT, HARD, UNKNOWN, REACH = 10.0, 2e4, 0.5, 0.55
-#: Downward torque over friction, by believed stiffness, and the largest force with which it may
-#: press the lowest point that the joint moves on what is below it [N].
+#: Downward torque over friction, by the assumed stiffness; and the largest force with which a joint
+#: may press the lowest of its points on what is below it [N].
 PRESS, PUSH = 2.0, 1.5
-#: Gravity torque at which the downward press is fully there, over friction.
+#: Gravity torque over friction at which the downward press reaches its full value.
 CLEAR = 0.5
-#: A limit that lets a joint sink rises from nothing to all that the servo has in this time [s].
+#: Time in which the limit of a sinking joint rises from zero to the servo's maximum [s].
 RAISED = 0.1
-#: Time over which goals slow down for an arm that runs ahead of them [s].
+#: Time over which goals slow down if the arm moves faster than they do [s].
 EASE = 0.2
-#: A joint sinks whose lead has grown by this much, or by two counts [rad].
+#: Increase of the lead from which on a joint is sinking [rad]; at least two counts.
 SUNK = 0.004
-#: Lead that counts as nothing [rad], and how long no joint may carry more before `ramp` [s].
+#: Lead that counts as zero [rad]; and how long all leads must be below it before `ramp` [s].
 NOTHING, SETTLED = 0.003, 0.3
-#: Time over which the speed of the arm is measured, and by which it must be still [s].
+#: Window over which the speed of the arm is measured [s].
 LOOK = 0.15
-#: Speed of the arm's points that counts as still, and above which an arm has come loose [m/s].
+#: Speed of the arm's points that counts as still, and above which the arm is sliding [m/s].
 STILL, LOOSE = 0.01, 0.04
-#: Time in which limits fall to zero [s]; the second where a joint is not seen.
+#: Time in which limits fall to zero [s]; the second applies if a joint has no position.
 RAMP, UNSEEN = 1.0, 6.0
-#: Holding torque over gravity.
+#: Holding torque over gravity torque.
 SUPPORT = 1.1
-#: After this long without any position the descent goes blind; a joint silent for as long is left
-#: alone [s].
+#: After this long without any position the descent goes blind; a single joint that is silent for as
+#: long keeps its goal [s].
 PATIENCE = 0.2
-#: Longest descent before an arm that is seen lets go wherever it is [s].
+#: Longest descent before an arm with measured positions is released where it is [s].
 LONGEST = 60.0
-#: Longest time between two ticks that counts [s].
+#: Upper bound of the time between two ticks [s].
 LONGEST_TICK = 0.1
 
 
 def margin(servos: Servos, gravity: Array) -> Array:
-    """Torque (n,) [N·m] that joints may exert beyond their weight g (n,) [N·m]."""
+    """Return the torque margin (n,) [N·m] of joints over their gravity torque (n,) [N·m]."""
     least = np.maximum(0.1 * np.asarray(servos.max_torque), 2.0 * np.asarray(servos.friction))
     return np.maximum(least, 0.3 * np.abs(gravity))
 
 
 class Lowering:
-    """One descent, from where the arm is to limits of zero.
+    """One descent, from the present pose until the limits are zero.
 
     Attributes:
         phase: `rest`, `down`, `ramp` or `done`.
-        blind: Whether no position has come for so long that the model's take their place.
-        velocity: Fastest motion of the joints (n,) [rad/s] while blind: goals that did not arrive
-            either would all be caught up with at once. None otherwise.
+        blind: Whether positions have been missing for so long that the model's replace them.
+        velocity: Largest joint velocities (n,) [rad/s] while blind, so that a joint does not jump
+            to a goal after lost packets; otherwise None.
     """
 
     def __init__(
@@ -114,14 +115,14 @@ class Lowering:
         """Start from the last good reading.
 
         Args:
-            model: The arm; its `gravity` tells which way is down for each joint.
-            servos: Its servos (`kp`, `torque`, `friction`, `armature`, `count`), n entries.
+            model: The arm; its `gravity` gives the downward direction of each joint.
+            servos: Its servo parameters, n entries.
             q: Last good joint positions (n,) [rad].
-            goal: Last goals sent (n,) [rad]; None: what the weight needs by the servo table.
-            limit: Last limits sent (n,) [N·m]; None: what the weight needs, and a margin.
-            rest: Where to go first (n,) [rad]; None: straight down.
+            goal: Last goals sent (n,) [rad]; None: holding goals by the servo table.
+            limit: Last limits sent (n,) [N·m]; None: the weight and a margin.
+            rest: Rest pose (n,) [rad]; None: straight down.
             speed: Largest speed of any point of the arm [m/s].
-            points: The arm's points, where the caller has them already.
+            points: The arm's points; None: made from the model.
         """
         self._model, self._speed = model, speed
         self._kp = np.asarray(servos.kp, dtype=np.float64)
@@ -160,17 +161,17 @@ class Lowering:
     def step(
         self, q: Array, dt: float, ok: Flags | bool = True, age: float = 0.0
     ) -> tuple[Array, Array] | None:
-        """One tick.
+        """Compute goals and limits of one tick.
 
         Args:
-            q: Joint positions (n,) [rad]; what is not finite counts as lost.
+            q: Joint positions (n,) [rad]; NaN and inf count as lost.
             dt: Time since the last tick [s].
-            ok: Which positions are new (n,).
-            age: How long before now a goal was sent that was in force when q was sampled [s].
+            ok: Mask of the new positions (n,).
+            age: Age of the goals that were in force when q was sampled [s].
 
         Returns:
-            Goals (n,) [rad] and torque limits (n,) [N·m] to write; None when the arm rests and
-            torque can go off.
+            Goals (n,) [rad] and torque limits (n,) [N·m] to write; None if the arm rests and torque
+            can be switched off.
         """
         if self._is_over():
             return None
@@ -191,11 +192,11 @@ class Lowering:
         return None if self._is_over() else (self._goal.copy(), self._limit.copy())
 
     def _is_over(self) -> bool:
-        """Whether torque can go off."""
+        """Return True if torque can be switched off."""
         return self.phase == "done"
 
     def _advance(self, dt: float, lost: Flags) -> None:
-        """Move goals and limits on; lost joints keep their goal."""
+        """Update goals and limits; joints without a position keep their goal."""
         here, gravity = self._points(self._q), self._gravity()
         self._past.append((self._total, self._q.copy()))
         while len(self._past) > 2 and self._past[1][0] <= self._total - LOOK + 1e-9:
@@ -226,19 +227,19 @@ class Lowering:
             self.velocity = None
 
     def _downward(self, here: Geometry, gravity: Array) -> Array:
-        """Joint velocities (n,) [rad/s] of the descent, before they are paced."""
+        """Return the joint velocities (n,) [rad/s] of the descent, before the speed limit."""
         carried, half = self._carried(here, gravity), 0.5 * self._count
         return -DOWN * (carried - np.clip(carried, -half, half))
 
     def _carried(self, here: Geometry, gravity: Array) -> Array:
-        """How far the lead (n,) [rad] is from one that carries nothing and presses a little."""
+        """Return the lead (n,) [rad] minus that of a lightly pressing joint."""
         press = np.minimum(PRESS * self._friction, PUSH * self._lever(here)) * self._presses
         clear = np.maximum(CLEAR * self._friction, 1e-9)
         excess: Array = self._lead + press / self._kp * np.clip(gravity / clear, -1.0, 1.0)
         return excess
 
     def _lever(self, here: Geometry) -> Array:
-        """Lever (n,) [m] with which each joint lowers the lowest of the points that it moves."""
+        """Return the lever (n,) [m] of each joint about the lowest point that it moves."""
         moves = (here.jacobian**2).sum(axis=1) > 1e-12
         height = np.where(moves, (here.position @ self._up)[:, None], np.inf)
         rise = np.abs(self._up @ here.jacobian)
@@ -246,13 +247,13 @@ class Lowering:
         return lever
 
     def _goal_before(self, age: float) -> Array:
-        """Goals (n,) [rad] that were in force when the present positions were sampled."""
+        """Return the goals (n,) [rad] in force when the present positions were sampled."""
         while len(self._goals) > 1 and self._goals[1][0] <= self._total - age + 1e-9:
             self._goals.popleft()
         return self._goals[0][1]
 
     def _toward_rest(self, dt: float) -> Array:
-        """Joint velocities (n,) [rad/s] toward the rest pose."""
+        """Return joint velocities (n,) [rad/s] toward the rest pose."""
         assert self._rest is not None
         away = self._rest - self._q
         far = float(np.abs(away).max())
@@ -263,7 +264,7 @@ class Lowering:
         return TO_REST * away
 
     def _leash(self, gravity: Array, u: Array) -> None:
-        """Keep goals within a margin of the lead at which joints were last seen to move freely."""
+        """Keep goals within a margin of the lead at which joints last moved freely."""
         push = margin(self._servos, gravity) / self._kp
         lead = self._goal - self._q
         moving = np.abs(self._speed_of_joints()) > 0.3 * np.abs(u)
@@ -271,21 +272,21 @@ class Lowering:
         self._goal = self._q + np.clip(lead, self._free - push, self._free + push)
 
     def _is_outward(self, u: Array) -> Flags:
-        """Which joints stand at a limit of their range and would be led out of it (n,)."""
+        """Return a mask (n,) of joints at a position limit that u would move outward."""
         outward: Flags = (u < 0.0) & (self._q <= self._model.lower) | (u > 0.0) & (
             self._q >= self._model.upper
         )
         return outward
 
     def _without_rise(self, here: Geometry, gravity: Array, u: Array) -> Array:
-        """Return u (n,) [rad/s] without what raises the tool."""
+        """Return u (n,) [rad/s] without the part that raises the tool."""
         rise = self._up @ here.jacobian[-1]
         climb = float(rise @ u)
         if climb <= 0.0:
             return u
         soft = np.where(u == 0.0, 0.0, rise / self._kp)
         u = u - soft * (climb / max(float(rise @ soft), 1e-9))
-        # A joint that presses enough does not press more to keep the tool down.
+        # A joint that already presses enough must not press more to keep the tool down.
         pressed = self._carried(here, gravity) * np.sign(gravity) < -0.5 * self._count
         u = np.where(pressed & (u * gravity < 0.0), 0.0, u)
         lifts = np.maximum(rise * u, 0.0)
@@ -293,7 +294,7 @@ class Lowering:
         return u if climb <= 0.0 else np.where(lifts > 0.0, u * (1.0 - climb / lift), u)
 
     def _paced(self, here: Geometry, u: Array, speeds: Array, dt: float) -> Array:
-        """Return u (n,) [rad/s] as slow as the arm may move."""
+        """Return u (n,) [rad/s], scaled down to the allowed speed."""
         velocity = here.velocity(u)
         speed = np.sqrt((velocity**2).sum(axis=1))
         mass = here.effective_mass(velocity)
@@ -305,7 +306,7 @@ class Lowering:
             JOINT_SPEED / max(float(np.abs(u).max()), 1e-9),
         )
         scale *= min(1.0, self._age / FADE)
-        # A goal that waits lets the servo brake an arm that runs ahead of it.
+        # If the arm moves faster than its goals, slow the goals down so that the servos brake it.
         ahead = min(max(2.2 - 2.0 * float((speeds / most).max()), 0.0), 1.0)
         self._ease += min(dt / EASE, 1.0) * (ahead - self._ease)
         scale *= self._ease
@@ -313,7 +314,7 @@ class Lowering:
         return scale * u
 
     def _next_limit(self, dt: float, gravity: Array) -> Array:
-        """Torque limits (n,) [N·m]: enough for the lead, more at once for a joint that sinks."""
+        """Return torque limits (n,) [N·m] that fit the lead; they rise fast for a sinking joint."""
         size = np.abs(self._lead)
         sunk = size > self._least + np.maximum(SUNK, 2.0 * self._count)
         self._least = np.minimum(np.maximum(self._least, size - 2.0 * SUNK), size)
@@ -327,7 +328,7 @@ class Lowering:
     def _change_phase(
         self, dt: float, here: Geometry, gravity: Array, idle: Flags, seen: float
     ) -> None:
-        """Go on to the next phase where this one is over."""
+        """Enter the next phase if this one is over."""
         if self.phase == "rest":
             if self._nearest < ARRIVED or self._stuck > STUCK:
                 self._enter("down")
@@ -335,21 +336,21 @@ class Lowering:
         carried = self._carried(here, gravity) * np.sign(gravity)
         little = np.maximum(NOTHING, 1.5 * self._count)
         waits = seen < STILL and self._led < STILL / 2.0
-        # Flickering encoders make goals tremble, which counts as waiting in the long run.
+        # Encoder flicker makes goals tremble; the timer tolerates this on average.
         self._stuck = max(self._stuck + (dt if waits else -dt), 0.0)
         light = bool((idle | (carried < little)).all()) or self._stuck > STUCK
         calm = self._demand < 0.5 and seen < LOOSE if self._presses else seen < STILL
         self._light = self._light + dt if light and calm else 0.0
-        # The model's arm comes to rest in the end; a real one that is not seen may still hang.
+        # No timeout while blind: the model's arm comes to rest, a real one may still hang.
         late = self._total > LONGEST and not self.blind
         if late or (self._light > SETTLED and not self._presses):
             self._enter("ramp")
         elif self._light > SETTLED:
-            # An arm that moves only because its joints press counts as resting.
+            # Stop pressing and check again: only the press may have moved the arm.
             self._presses, self._light = False, 0.0
 
     def _let_go(self, dt: float, seen: float, lost: Flags) -> None:
-        """Let leads and limits fall to nothing while the arm is still."""
+        """Reduce leads and limits to zero while the arm is still."""
         late = self._total > LONGEST and not self.blind
         if seen > LOOSE and not late:
             self._enter("down")
@@ -358,7 +359,7 @@ class Lowering:
             slow = UNSEEN if lost.any() or self.blind else RAMP
             self._share = max(self._share - dt / slow, 0.0)
         self._limit = self._share * self._start
-        # A goal that stayed behind a sliding arm would be caught up with once limits rise again.
+        # Keep goals near a sliding arm; otherwise it would jump back once limits rise again.
         most = self._share * self._most
         goal = self._q + np.clip(self._goal - self._q, -most, most)
         self._goal = np.where(lost, self._goal, goal)
@@ -366,7 +367,7 @@ class Lowering:
             self.phase = "done"
 
     def _speed_of_joints(self) -> Array:
-        """Mean joint velocities (n,) [rad/s] over the last moments; a count may flicker."""
+        """Return mean joint velocities (n,) [rad/s] over `LOOK`, without one count of flicker."""
         began, q = self._past[0]
         passed = self._past[-1][0] - began
         way = self._q - q
@@ -381,30 +382,30 @@ class Lowering:
         return speeds
 
     def _enter(self, phase: Phase) -> None:
-        """Begin a phase with clean clocks."""
+        """Enter a phase and reset its timers."""
         self.phase, self._age, self._light, self._stuck = phase, 0.0, 0.0, 0.0
         self._share, self._start = 1.0, self._limit
         self._most = np.abs(self._goal - self._q)
 
     def _gravity(self) -> Array:
-        """Holding torques (n,) [N·m] at the last good positions, as the model has them."""
+        """Return holding torques (n,) [N·m] at the last good positions, by the model."""
         return np.asarray(self._model.gravity(self._q), dtype=np.float64)
 
     # Without positions.
 
     def _go_blind(self) -> None:
-        """Let the model's arm take the place of one that is not seen."""
+        """Start to use the model's positions in place of the measured ones."""
         if not self.blind:
             self.blind = True
             self._unknown = self._goal - self._q - self._gravity() / self._kp
 
     def _follow(self, gravity: Array) -> None:
-        """Move the model's arm to where its goals hold it."""
+        """Move the model's arm to the positions that its goals hold."""
         self._lead = gravity / self._kp + self._unknown
         self._q = np.clip(self._goal - self._lead, self._model.lower, self._model.upper)
 
     def _see_again(self) -> None:
-        """Go on from where the arm is: what carried the model's may be far from it."""
+        """Continue from the measured positions; they may be far from the model's."""
         self.blind = False
         gravity = self._gravity()
         self._goal = self._q + gravity / self._kp + self._unknown

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """One moving joint: index and slope of its coordinate, its axis, what leads to it."""
+    """One moving joint: index, slope and offset of its coordinate, axis, and fixed transform."""
 
     index: int
     slides: bool
@@ -60,7 +60,7 @@ class Geometry:
         """Mass (m,) [kg] that each point has along its own velocity (m, 3) [m/s].
 
         ``1 / (dᵀ J M⁻¹ Jᵀ d)`` with d the direction of the velocity (Khatib 1995); 0 for a point
-        that stands still.
+        with zero velocity.
         """
         speed = np.sqrt((velocity**2).sum(axis=1))
         direction = velocity / np.maximum(speed, 1e-12)[:, None]
@@ -74,7 +74,7 @@ class Points:
     """The origins of the chain's joints and of the tool, and the bodies between them.
 
     Attributes:
-        count: How many points there are, m.
+        count: Number of points m.
     """
 
     def __init__(self, model: Model, armature: ArrayLike = 0.0) -> None:
@@ -148,7 +148,7 @@ class Points:
         )
 
     def _lever(self, at: Array, origins: Array, axes: Array) -> Array:
-        """Velocities (k, 3, joints) of places (k, 3) for unit speeds of all joints."""
+        """Return velocities (k, 3, joints) of points `at` (k, 3) for unit speed of each joint."""
         arm = at[:, None, :] - origins[None, :, :]
         turning = np.empty_like(arm)
         for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):

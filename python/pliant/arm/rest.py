@@ -1,4 +1,4 @@
-"""The rest pose: whether the arm can lie there, and whether the way there is free."""
+"""Checks of the rest pose and of the path to it against the table."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Poses that are looked at on the way.
+#: Number of poses checked along the path.
 STEPS = 60
-#: How far a point of the model may be inside the table [m]: models are as good as that.
+#: Depth by which a point may be inside the table, as models are not exact [m].
 TOLERANCE = 0.005
 
 
 def check_rest(model: Model, points: Points, rest: Array, table: float | None) -> None:
-    """See that the arm is above its table in a rest pose (n,) [rad].
+    """Check that the arm is above its table in a rest pose (n,) [rad].
 
     Raises:
-        OutOfRangeError: It is inside.
+        OutOfRangeError: A point of the arm is inside the table.
     """
     if table is None:
         return
@@ -43,17 +43,17 @@ def check_rest(model: Model, points: Points, rest: Array, table: float | None) -
 def obstacle(
     model: Model, points: Points, q: Array, rest: Array, table: float | None
 ) -> str | None:
-    """Return why the way from q to the rest pose, straight through joint space, is not free.
+    """Return why the straight joint-space path from q to the rest pose is blocked, or None.
 
-    Both ends are inside the joint limits, and so is all that lies between. A point that begins
-    inside the table may stay as deep as it began.
+    Both ends are inside the joint limits, so every pose between them is too. A point that starts
+    inside the table may stay at that depth.
 
     Args:
         model: The arm.
         points: Its points.
-        q: Where it stands (n,) [rad].
+        q: Present joint positions (n,) [rad].
         rest: The rest pose (n,) [rad].
-        table: Height of the table in base axes [m]; None: there is none.
+        table: Height of the table in base axes [m]; None: no table.
     """
     if table is None:
         return None

@@ -1,4 +1,4 @@
-"""Which servo of a drive is which joint: those of the chain, and those beside it."""
+"""Mapping between the servos of a drive and the joints of an arm, on and off the chain."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Orders = Mapping[str, tuple[float, float]]
 
-#: What orders of joints beside the chain look like.
+#: Format of orders for joints off the chain, as errors show it.
 EXTRA = "as {'gripper': (goal [rad], limit [N·m])}"
 
 
 class Roster:
-    """The joints of a drive, sorted.
+    """Joints of a drive, split into chain joints and others.
 
     Attributes:
-        names: All joints in the order of the drive (N,).
-        chain: Places of the chain's joints in that order (n,).
-        beside: Places of the others.
-        extra: Their names.
+        names: All joint names in drive order (N,).
+        chain: Indices of the chain's joints in drive order (n,).
+        beside: Indices of the joints off the chain.
+        extra: Names of the joints off the chain.
     """
 
     def __init__(self, model: Model, drive: Drive) -> None:
-        """Match names.
+        """Match the joint names of the model and the drive.
 
         Raises:
-            ConfigError: A joint of the chain has no servo, or a name stands twice.
+            ConfigError: A joint of the chain has no servo, or a name is not unique.
         """
         self.names = tuple(drive.names)
         if len(set(self.names)) != len(self.names):
@@ -58,11 +58,11 @@ class Roster:
         self.extra = tuple(self.names[i] for i in self.beside)
 
     def index(self, name: str) -> int:
-        """Place of a joint in the drive's order."""
+        """Return the index of a joint in drive order."""
         return self.names.index(name)
 
     def servos(self, drive: Drive) -> Servos:
-        """The chain's servos out of the drive's table, in chain order."""
+        """Return the chain's servo parameters from the drive's table, in chain order."""
         size = len(self.names)
         table = take(drive.servos, size, self.chain)
         known = getattr(drive, "stiffness_known", None)
@@ -71,24 +71,24 @@ class Roster:
         return table.replace(stiffness_known=bool(np.broadcast_to(known, size)[self.chain].all()))
 
     def fastest(self, model: Model) -> Array:
-        """Largest speeds (N,) [rad/s]: the model's, where it has them."""
+        """Return the largest speeds (N,) [rad/s]: the model's limits, else `FASTEST`."""
         fastest = np.full(len(self.names), FASTEST)
         known = np.asarray(model.velocity_limit)
         fastest[self.chain] = np.where(np.isfinite(known), known, FASTEST)
         return fastest
 
     def join(self, chain: Array, beside: Array) -> Array:
-        """A vector (N,) in the drive's order."""
+        """Merge chain values (n,) and other values into a vector (N,) in drive order."""
         both = np.empty(len(self.names))
         both[self.chain], both[self.beside] = chain, beside
         return both
 
     def check(self, orders: Orders) -> dict[str, tuple[float, float]]:
-        """Goals [rad] and limits [N·m] of joints beside the chain, as numbers that can be sent.
+        """Return checked goals [rad] and limits [N·m] of joints off the chain.
 
         Raises:
-            TypeError: No mapping. ConfigError: No such joint, or no two numbers. OutOfRangeError:
-                Not finite, or a negative limit.
+            TypeError: Not a mapping. ConfigError: Unknown joint, or not two numbers.
+                OutOfRangeError: Not finite, or a negative limit.
         """
         checked = {}
         for name, order in mapping(orders, "extra", EXTRA).items():

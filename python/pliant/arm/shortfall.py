@@ -1,4 +1,4 @@
-"""Limits below the weight, written without a controller: sent as they are, and said once."""
+"""Warning about torque limits that are too low to hold the arm."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Share of the weight below which a limit counts as short, and for how long it must be so [s].
+#: Share of the weight below which a limit is too low, and for how long before a warning [s].
 SHARE, LASTING = 0.5, 0.2
 
 
 class Shortfall:
-    """Watches what a program asks for itself; a controller's commands know what they leave out.
+    """Monitor of limits that a program writes itself; commands of a controller are not checked.
 
-    A joint is short whose limit is below half of its weight g(q), and together with its friction
-    below all of it: ``limit < 0.5 |g|`` and ``limit + τ_f < |g|``.
+    A limit is too low if it is below half of the joint's gravity torque g(q), and limit plus
+    friction is below all of it: ``limit < 0.5 |g|`` and ``limit + τ_f < |g|``.
     """
 
     def __init__(self, model: Model, servos: Servos) -> None:
-        """Nothing was short so far."""
+        """Start without a low limit."""
         self._names, self._friction = model.joint_names, np.asarray(servos.friction)
         self._since: float | None = None
         self._said = False
 
     def none(self) -> None:
-        """A controller commands: what was short before does not count any more."""
+        """Reset the timer, because a controller sent this command."""
         self._since = None
 
     def look(self, limit: Array, gravity: Array, now: float) -> None:
-        """Warn once where limits (n,) [N·m] have been short of g (n,) [N·m] until `now` [s].
+        """Warn once if limits (n,) [N·m] stay too low for g (n,) [N·m]; `now` is the time [s].
 
         Warns:
-            RuntimeWarning: Names the joint that lacks most.
+            RuntimeWarning: The joint with the largest shortfall.
         """
         weight = np.abs(gravity)
         short = (limit < SHARE * weight) & (limit + self._friction < weight)

@@ -1,12 +1,12 @@
-"""Signals while arms have torque: one registry per process, and no signal ends a descent by chance.
+"""Signal handling while arms have torque: one registry per process.
 
 - While no arm is being lowered, SIGINT raises `KeyboardInterrupt`, and SIGTERM, SIGHUP and SIGQUIT
-  raise `SystemExit`, on which arms are lowered. The same signal again within `PAUSE` is the same
-  request.
-- While an arm is being lowered, a handler raises nothing. The exception follows once the arm is
+  raise `SystemExit`; these exceptions lower the arms. A repetition of the same signal within
+  `PAUSE` is ignored.
+  - While an arm is being lowered, a handler raises nothing. The exception follows once the arm is
   down.
-- Only SIGINT ends a descent: the second one, at least `PAUSE` after the one before it, and after
-  the message that says what it does.
+  - Only SIGINT aborts a descent. This takes a second SIGINT, at least `PAUSE` after the one before,
+  and after the message that announces the effect.
 """
 
 from __future__ import annotations
@@ -29,32 +29,32 @@ if TYPE_CHECKING:
 
     from pliant.arm.speaker import Message
 
-#: Those that there are on this system.
+#: Handled signals, as far as this system has them.
 CAUGHT = tuple(
     getattr(signal, name)
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
     if hasattr(signal, name)
 )
-#: A signal this soon after the same one is a repetition [s]: keyboards begin to repeat a key that
+#: A signal this soon after the same one is a key repeat [s]: keyboards begin to repeat a key that
 #: is held down after 0.25 to 0.66 s.
 PAUSE = 0.75
-#: A descent that has not ended this long after it was told to hangs [s]; a third Ctrl-C leaves it.
+#: A descent still running this long after it was aborted hangs [s]; a third Ctrl-C then leaves it.
 HANGS = 1.0
 
 
 class Signals:
-    """The part of one arm in the registry.
+    """Registration of one arm for signals.
 
     Args:
-        stop: Ends the arm's descent, torque on; called in a signal handler.
+        stop: Aborts the arm's descent, torque on; called in a signal handler.
 
     Attributes:
         leaving: Whether the arm is being lowered.
-        stopped: Whether a second Ctrl-C has ended its descent.
+        stopped: Whether a second Ctrl-C has aborted its descent.
     """
 
     def __init__(self, stop: Callable[[], None]) -> None:
-        """Catch nothing yet."""
+        """Store the callback; no signal is handled yet."""
         self.stop = stop
         self.leaving = self.stopped = False
 
@@ -65,11 +65,11 @@ class Signals:
 
     @property
     def heard(self) -> bool:
-        """Whether a signal waits until arms are down."""
+        """Return True if a signal is pending until the arms are down."""
         return _REGISTRY.pending is not None
 
     def install(self) -> None:
-        """Catch signals from now on; outside the main thread, warn that Python cannot."""
+        """Handle signals from now on; outside the main thread, warn that this is not possible."""
         self.stopped = False
         if self.installed:
             return
@@ -85,50 +85,51 @@ class Signals:
         _REGISTRY.add(self)
 
     def restore(self) -> None:
-        """Leave the registry; the former handlers come back with the last arm."""
+        """Unregister; with the last arm, restore the former handlers."""
         _REGISTRY.remove(self)
         self.leaving = False
 
     def begin(self, told: Message) -> None:
-        """Begin a descent, announced by a message."""
+        """Mark the start of a descent; `told` is the message that announces it."""
         if self.installed:
             _REGISTRY.begin(self, told)
 
     def deliver(self) -> None:
-        """Raise what a signal during the descent asked for.
+        """Raise the exception for a signal that came during the descent.
 
         Raises:
-            KeyboardInterrupt, SystemExit: Here in the main thread; from another, there.
+            KeyboardInterrupt, SystemExit: In the main thread. Another thread sends the process the
+                signal instead.
         """
         _REGISTRY.deliver(self)
 
 
 class Registry:
-    """All arms with torque, the handlers, and the handlers that were there before.
+    """Registry of all arms with torque, with the installed and the former signal handlers.
 
     Attributes:
-        arms: In order of arrival.
-        pending: Signal that came during a descent and has had no effect yet.
+        arms: In order of registration.
+        pending: Signal that came during a descent and was not delivered yet.
     """
 
     def __init__(self) -> None:
-        """Catch nothing yet."""
+        """Start without arms and handlers."""
         self.arms: list[Signals] = []
         self._before: dict[int, Any] = {}
         self._process = 0
         self._forget()
 
     def _forget(self) -> None:
-        """Begin without a past."""
+        """Reset the state of earlier signals."""
         self._last: tuple[int, float] = (0, -PAUSE)
         self.pending: int | None = None
         self._told: Message | None = None
         self._stopped_at: float | None = None
 
     def add(self, arm: Signals) -> None:
-        """Catch signals for an arm too."""
+        """Register an arm and install the handlers."""
         if self._process != os.getpid():
-            # The arms of the process that this one was forked from are not its own.
+            # After a fork: the arms of the parent process do not belong to this process.
             self.arms.clear()
             self._forget()
         self._process = os.getpid()
@@ -141,7 +142,7 @@ class Registry:
                 signal.signal(number, self._catch)
 
     def remove(self, arm: Signals) -> None:
-        """Forget an arm; with the last one, put former handlers back where ours are in force."""
+        """Unregister an arm; with the last one, restore the former handlers."""
         if arm not in self.arms:
             return
         self.arms.remove(arm)
@@ -149,26 +150,27 @@ class Registry:
             self._told = self._stopped_at = None
         if self.arms:
             return
-        # Python sets handlers in the main thread alone; in another, ours act as the former ones.
+        # Python sets handlers in the main thread only; elsewhere, `_catch` calls the former ones.
         with contextlib.suppress(ValueError):
             for number, handler in self._before.items():
                 if signal.getsignal(number) == self._catch:
-                    # A handler that was not set from Python is None; the default is nearest to it.
+                    # None: the handler was not set from Python. The default is the nearest
+                    # substitute.
                     signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
     def begin(self, arm: Signals, told: Message) -> None:
-        """Raise nothing from now on, until the arm is removed."""
+        """Suppress exceptions from signals until the arm is removed."""
         arm.leaving = True
         if self._told is None and is_interrupted(sys.exception()):
             self._told = told
 
     def deliver(self, arm: Signals) -> None:
-        """Raise what has come while arms were lowered, once none is any more."""
+        """Raise the exception for a pending signal once no arm is being lowered."""
         if any(other.leaving for other in self.arms):
             return
         pending, self.pending = self.pending, None
         stopped, arm.stopped = arm.stopped, False
-        # What is on its way already ends the program as surely, unless it is Ctrl-C alone.
+        # An exception in flight ends the program already, unless it is only Ctrl-C.
         number = _stronger(signal_of(sys.exception()), pending)
         if stopped:
             raised: BaseException = SystemExit(128 + (number or signal.SIGINT))
@@ -181,7 +183,7 @@ class Registry:
         os.kill(os.getpid(), number or signal.SIGINT)
 
     def _catch(self, number: int, frame: FrameType | None) -> None:
-        """Act on a signal."""
+        """Handle a signal."""
         if self._process != os.getpid() or not self.arms:
             self._pass_on(number, frame)
             return
@@ -203,7 +205,7 @@ class Registry:
             self._interrupt(now, is_repeated=is_repeated)
 
     def _interrupt(self, now: float, *, is_repeated: bool) -> None:
-        """Ctrl-C while an arm is being lowered."""
+        """Handle Ctrl-C while an arm is being lowered."""
         if self._stopped_at is not None:
             if now - self._stopped_at > HANGS and not is_repeated:
                 raise SystemExit(128 + signal.SIGINT)
@@ -222,7 +224,7 @@ class Registry:
                     arm.stop()
 
     def _pass_on(self, number: int, frame: FrameType | None) -> None:
-        """Do what would have been done without an arm."""
+        """Call the former handler, or its default action."""
         former = self._before.get(number)
         if callable(former):
             former(number, frame)
@@ -235,24 +237,24 @@ _REGISTRY = Registry()
 
 
 def exception(number: int) -> BaseException:
-    """Return what Python raises, or would raise, on a signal."""
+    """Return the exception that corresponds to a signal."""
     return KeyboardInterrupt() if number == signal.SIGINT else SystemExit(128 + number)
 
 
 def _stronger(first: int | None, second: int | None) -> int | None:
-    """Return the signal that ends a program after two; Ctrl-C, often caught, is the weaker."""
+    """Return the signal that ends the program; SIGINT has lower priority, it is often caught."""
     if first is None or (first == signal.SIGINT and second is not None):
         return second
     return first
 
 
 def name_of(number: int) -> str:
-    """Return what a user calls a signal."""
+    """Return the name of a signal as users know it."""
     return "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
 
 
 def signal_of(error: BaseException | None) -> int | None:
-    """Return the signal that an exception, or one that it came out of, was raised for."""
+    """Return the signal for which an exception, or one in its context chain, was raised."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return int(signal.SIGINT)
@@ -265,5 +267,5 @@ def signal_of(error: BaseException | None) -> int | None:
 
 
 def is_interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is why an exception is on its way."""
+    """Return True if an exception was caused by Ctrl-C."""
     return signal_of(error) == signal.SIGINT

@@ -1,4 +1,4 @@
-"""Messages about an arm, written by a thread of their own: no reader can hold up a descent."""
+"""Messages about an arm, written by a separate thread so that output never blocks a descent."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ import threading
 import time
 from typing import NoReturn
 
-#: Messages go here. Where no handler is configured, INFO and above go to standard error.
+#: Logger of all messages. Without a handler, INFO and above go to standard error.
 LOGGER = logging.getLogger("pliant.arm")
-#: Without a terminal, a progress line follows the line before it no sooner than this [s].
+#: Least time between a progress line and the line before it, without a terminal [s].
 SPARSE = 5.0
-#: Of a terminal that does not know its width.
+#: Width of a terminal that does not report one [columns].
 WIDTH = 80
 #: Longest wait for messages at the end of a descent [s].
 FLUSH = 0.3
 
 
 class Message:
-    """A line on its way to its reader.
+    """A queued line.
 
     Attributes:
         text: The line.
         level: As in `logging`.
-        progress: Whether a later line may take its place on a terminal.
-        told: Whether it was written, or could not be: its reader is gone.
+        progress: Whether a later line may overwrite it on a terminal.
+        told: Whether the line was written, or writing failed.
     """
 
     __slots__ = ("level", "progress", "text", "told")
 
     def __init__(self, text: str, level: int, *, progress: bool = False) -> None:
-        """Hold a line; nothing is written yet."""
+        """Store the line; it is not written yet."""
         self.text, self.level, self.progress, self.told = text, level, progress, False
 
 
@@ -45,7 +45,7 @@ class Speaker:
     """
 
     def __init__(self) -> None:
-        """Start nothing yet."""
+        """Start without a thread."""
         self._process = 0
         self._queue: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._last: Message | None = None
@@ -53,11 +53,11 @@ class Speaker:
         self._line_open, self._written = False, -SPARSE
 
     def start(self) -> None:
-        """Start the thread, once per process; a signal handler could not."""
+        """Start the thread, once per process; this is not possible in a signal handler."""
         if self._process == os.getpid():
             return
         self._queue, self._last = queue.SimpleQueue(), None
-        # Without a thread the arm comes down in silence.
+        # Without a thread the arm is still lowered, but without messages.
         with contextlib.suppress(RuntimeError):
             threading.Thread(
                 target=self._run, args=(self._queue,), name="pliant-speaker", daemon=True
@@ -75,7 +75,7 @@ class Speaker:
         return message
 
     def flush(self, within: float = FLUSH) -> None:
-        """Wait until all lines are written, at most `within` [s]; a blocked reader only once."""
+        """Wait until all lines are written, at most `within` [s]; once per blocked stream."""
         last = self._last
         if last is None or (self._stuck is not None and not self._stuck.told):
             return
@@ -93,7 +93,7 @@ class Speaker:
             message.told = True
 
     def _write(self, message: Message) -> None:
-        """Hand a line to `logging`, or write it to standard error."""
+        """Pass a line to `logging`, or write it to standard error."""
         now = time.monotonic()
         sparse = message.progress and now - self._written < SPARSE
         if LOGGER.hasHandlers():
@@ -105,7 +105,7 @@ class Speaker:
         if stream is None or not _is_enabled(message.level):
             return
         text = f"pliant: {message.text}"
-        # The interpreter's own stream has a lock, which a blocked writer would keep for ever.
+        # Bypass the interpreter's stream: a blocked writer would hold its lock forever.
         own = sys.__stderr__
         number = own.fileno() if own is not None and stream is own else None
         if number is not None and os.isatty(number) and os.environ.get("TERM") != "dumb":
@@ -130,7 +130,7 @@ class Speaker:
 
 
 def _is_enabled(level: int) -> bool:
-    """Whether standard error takes this level, where `logging` has no handler."""
+    """Return True if standard error shows this level when `logging` has no handler."""
     if LOGGER.disabled or logging.root.manager.disable >= level:
         return False
     for logger in (LOGGER, logging.getLogger("pliant")):
@@ -139,5 +139,5 @@ def _is_enabled(level: int) -> bool:
     return level >= logging.INFO
 
 
-#: The one of this process.
+#: Speaker of this process.
 SPEAKER = Speaker()

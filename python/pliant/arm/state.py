@@ -1,4 +1,4 @@
-"""What an arm reports at one moment."""
+"""State of an arm in one cycle."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class State:
-    """What the bus reports, joints in chain order; None where a servo does not say.
+    """State of an arm in one cycle, joints in chain order; None if the servos do not report it.
 
     Attributes:
-        q: Joint positions (n,) [rad], the last good ones where this tick brought none.
+        q: Joint positions (n,) [rad]; the last good ones if this tick brought none.
         dq: Joint velocities (n,) [rad/s].
-        time: When the positions were sampled, on the clock of the arm [s].
+        time: Sample time of the positions, on the arm's clock [s].
         fresh: Whether every joint's position is new in this tick.
         extra: Positions of the joints off the chain (a gripper) by name [rad].
-        age: How old each position is (n,) [s].
-        load: What each servo says it exerts (n,) [N·m].
-        current: Of each servo (n,) [A].
-        voltage: At each servo (n,) [V]; NaN where not yet asked.
-        temperature: Of each servo (n,) [°C]; NaN where not yet asked.
-        faults: What is wrong, in sentences; empty when healthy.
+        age: Age of each position (n,) [s].
+        load: Torque as each servo estimates it (n,) [N·m].
+        current: Current of each servo (n,) [A].
+        voltage: Supply voltage at each servo (n,) [V]; NaN before the first reading.
+        temperature: Temperature of each servo (n,) [°C]; NaN before the first reading.
+        faults: Present faults, one sentence each; empty if healthy.
     """
 
     q: Array
@@ -46,6 +46,6 @@ class State:
     faults: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Without ages the positions count as new."""
+        """Set the ages to 0 if they are not given."""
         if self.age.shape != self.q.shape:
             object.__setattr__(self, "age", np.zeros_like(self.q))

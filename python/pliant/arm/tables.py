@@ -1,4 +1,4 @@
-"""Servo tables cut, spread over joints and joined: every field goes along."""
+"""Selection, broadcasting and concatenation of servo tables, for all fields."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ COLUMNS = (
     "armature",
     "encoder_step",
 )
-#: No-load speed that stands for none [rad/s].
+#: No-load speed that stands for an unlimited one [rad/s].
 UNREACHABLE = 1e6
 
 
 def take(table: Servos, n: int, places: ArrayLike) -> Servos:
-    """Return the entries at some places of a table for n joints, with all its fields.
+    """Return a servo table with the entries at some indices of a table for n joints.
 
     Raises:
-        ConfigError: The table is for another number of joints.
+        ConfigError: The table has another number of joints.
     """
     return table.replace(**_columns(table, n, np.asarray(places, dtype=int)))
 
@@ -46,16 +46,16 @@ def spread(table: Servos, n: int) -> Servos:
     """Return a table with n entries in every field.
 
     Raises:
-        ConfigError: The table is for another number of joints.
+        ConfigError: The table has another number of joints.
     """
     return take(table, n, np.arange(n))
 
 
 def join(first: Servos, rest: Sequence[Servos]) -> Servos:
-    """Return one table of several: limit type and `stiffness_known` are those of the first.
+    """Concatenate servo tables; limit type and `stiffness_known` are those of the first.
 
-    Where the first is of limit type `pwm`, a servo of another type counts with an unreachable
-    no-load speed, that is without back-EMF.
+    If the first is of limit type `pwm`, servos of another type get an unreachable no-load speed,
+    that is, no back-EMF.
     """
     tables = [first, *rest]
     sizes = [np.size(table.kp) for table in tables]
@@ -73,7 +73,7 @@ def join(first: Servos, rest: Sequence[Servos]) -> Servos:
 
 
 def _columns(table: Servos, n: int, places: NDArray[np.int_]) -> dict[str, Any]:
-    """Every field of a table that has one number per joint, at some places."""
+    """Return the entries at some indices, for every field with one number per joint."""
     names = [*COLUMNS, *(["no_load_speed"] if table.no_load_speed is not None else [])]
     out = {}
     for name in names:

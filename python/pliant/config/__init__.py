@@ -1,11 +1,11 @@
-"""Files that describe an arm: robot, ports, servos, settings, loop; read from TOML, checked whole.
+"""Configuration files of an arm (TOML): robot, ports, servos, settings, loop.
 
     >>> config = pliant.config.load("so101")          # a ready file, or a path
     >>> config = pliant.config.load("my_arm.toml")
     >>> model, settings = config.model(), config.settings()
 
-A mistake is an error that names the file, the key, the value and what would be right; nothing is
-opened before the whole file is good.
+An error names the file, the key, the value and the allowed values. Nothing is opened before the
+whole file is valid.
 """
 
 from pliant.config.lerobot import Calibration, read_calibration

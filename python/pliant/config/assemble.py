@@ -1,4 +1,4 @@
-"""From a configuration to an arm that can be enabled."""
+"""Construction of an arm, its drive and its grippers from a configuration."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
     from pliant.config.schema import Config
     from pliant.sim import Plant, Tabletop
 
-#: How deep in the table a simulated arm may start [m].
+#: Largest depth in the table at which a simulated arm may start [m].
 INSIDE = 0.001
 
 
 def arm(config: Config, **options: Any) -> Arm:
-    """Make the arm that a configuration describes; nothing moves before it is enabled.
+    """Create the arm of a configuration; nothing moves before it is enabled.
 
     Args:
         config: The configuration.
-        **options: Those of `pliant.Arm`, in place of the file's; on the simulator and the
-            emulator `q` (n,) [rad], where the arm stands first; `table`, the height of its table
-            in place of the file's [m], or False for none; on the simulator `real_time` and
-            those of `pliant.sim.Plant`.
+        **options: Options of `pliant.Arm`, which override the file. On the simulator and the
+            emulator also `q` (n,) [rad], the initial joint positions; `table`, the height of its
+            table [m], or False for none; on the simulator also `real_time` and the options of
+            `pliant.sim.Plant`.
 
     Raises:
-        ConfigError, UrdfError: There is no such option; URDF, calibration and file do not go
-            together, or the rest pose is none of this arm.
-        ServoError: `auto` finds no port, or several.
+        ConfigError, UrdfError: Unknown option; URDF, calibration and file do not match; or the rest
+            pose is not valid.
+        ServoError: The port is `auto`, and there is no serial port or more than one.
     """
     if "table" in options:
         config = _on_table(config, options.pop("table"))
@@ -53,7 +53,7 @@ def arm(config: Config, **options: Any) -> Arm:
         "rate": config.loop.rate,
         "comm_timeout": config.loop.comm_timeout,
         "table": config.robot.table,
-        # The simulator alone knows no currents.
+        # The simulator without a bus has no currents.
         "budget": Budget(supply=None if config.backend == "sim" else config.supply.current),
         "grippers": grippers(config),
         **{key: value for key, value in options.items() if key not in beside},
@@ -67,7 +67,7 @@ def arm(config: Config, **options: Any) -> Arm:
 
 
 def _fixed(model: Model, made: Drive) -> dict[str, GripperConfig]:
-    """Joints beside the chain to which the model gives no ends: they stay where they are."""
+    """Return joints off the chain whose travel the model does not give; they are held in place."""
     known = {joint.name for joint in model.joints if _has_ends(joint.lower, joint.upper)}
     places = zip(made.names, made.read().position.tolist(), strict=True)
     return {
@@ -82,7 +82,7 @@ def _has_ends(*ends: float | None) -> bool:
 
 
 def _on_table(config: Config, height: float | bool | None) -> Config:
-    """The same arm on a table of another height [m], or on none (False, None)."""
+    """Return the configuration with another table height [m], or without a table (False, None)."""
     if height is True:
         raise ConfigError("table is a height [m], or False for none; got True")
     there = None if height is None or height is False else real(height, "table [m]")
@@ -91,10 +91,10 @@ def _on_table(config: Config, height: float | bool | None) -> Config:
 
 
 def _beside(config: Config, options: dict[str, Any]) -> dict[str, Any]:
-    """Options that belong to what stands in for the arm, not to the arm.
+    """Return the options for the simulator or the emulator, which are not options of the arm.
 
     Raises:
-        ConfigError: There is no such option on this backend.
+        ConfigError: Unknown option on this backend.
     """
     of_the_sim = {"q", "real_time", *PLANT_OPTIONS} - ARM_OPTIONS
     known = {"bus": set(), "emulator": {"q"}, "sim": of_the_sim}[config.backend]
@@ -109,7 +109,7 @@ def _beside(config: Config, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_rest(config: Config, model: Model) -> None:
-    """Whether the file's rest pose is a pose of this arm."""
+    """Check that the file's rest pose is a pose of this arm."""
     if config.life.rest_q is None:
         return
     try:
@@ -126,14 +126,14 @@ def drive(
     real_time: bool = False,
     **plant: Any,
 ) -> Drive:
-    """What moves the joints: the bus, its emulation, or the simulator alone.
+    """Create the drive: the bus, its emulation, or the simulator alone.
 
     Args:
         config: The configuration.
         model: Its model.
-        q: Where a simulated or emulated arm stands first (n,) [rad].
-        real_time: Let simulated time be real time.
-        **plant: Of `pliant.sim.Plant`, in place of what the file says.
+        q: Initial joint positions of a simulated or emulated arm (n,) [rad].
+        real_time: Whether simulated time runs in real time.
+        **plant: Options of `pliant.sim.Plant`, which override the file.
     """
     if config.backend == "sim":
         return simulated(config, model, q=q, real_time=real_time, **plant)
@@ -147,7 +147,7 @@ def drive(
 def simulated(
     config: Config, model: Model, *, q: ArrayLike | None, real_time: bool, **plant: Any
 ) -> Drive:
-    """The arm on the simulator: servos by the file, on its table."""
+    """Create the simulated arm with the file's servos, on its table."""
     from pliant.sim import Plant, SimDrive
 
     options: dict[str, Any] = {"rate": config.loop.rate}
@@ -161,12 +161,12 @@ def simulated(
     made = Plant(model, **options)
     made.reset(start(config, model) if q is None else vector(model, q, "q"))
     above_table(made)
-    # What the arm believes is the file's, whatever servos the caller gives the plant.
+    # The arm assumes the file's servos, even if the caller gives the plant other ones.
     return SimDrive(made, servos=model.servos if config.servo else None, real_time=real_time)
 
 
 def tabletop(config: Config) -> list[Tabletop]:
-    """The table that the file's arm stands on, for a scene; none without."""
+    """Return the table of the file's arm as scene objects; empty without a table."""
     if config.robot.table is None:
         return []
     from pliant.sim import Tabletop
@@ -175,10 +175,10 @@ def tabletop(config: Config) -> list[Tabletop]:
 
 
 def above_table(plant: Plant) -> None:
-    """See that a simulated arm starts above its table.
+    """Check that a simulated arm starts above its table.
 
     Raises:
-        ConfigError: It stands in it.
+        ConfigError: It starts inside the table.
     """
     from pliant.sim import Tabletop
 
@@ -191,14 +191,14 @@ def above_table(plant: Plant) -> None:
 
 
 def chain(config: Config, ports: dict[str, str]) -> ServoBus:
-    """The servos on these ports: name in the file to path."""
+    """Create the servo bus; `ports` maps port names of the file to paths."""
     bauds = {ports[port.name]: port.baud for port in config.port}
     loop = config.loop
     return ServoBus(specs(config, ports), baudrate=bauds, rate=loop.rate, patience=loop.patience)
 
 
 def specs(config: Config, ports: dict[str, str]) -> list[ServoSpec]:
-    """How each joint hangs on its servo."""
+    """Return the servo of each joint."""
     files = build.calibrations(config)
     return [
         build.spec(joint, servo, port=ports[servo.port], calibration=files.get(joint))
@@ -207,10 +207,10 @@ def specs(config: Config, ports: dict[str, str]) -> list[ServoSpec]:
 
 
 def paths(config: Config) -> dict[str, str]:
-    """Path of every port of the file; `auto` is the only one there is.
+    """Return the path of every port of the file; `auto` stands for the only serial port.
 
     Raises:
-        ServoError: There is none, or a choice.
+        ServoError: There is no serial port, or more than one.
     """
     out: dict[str, str] = {}
     for port in config.port:
@@ -234,7 +234,7 @@ def _only_port(name: str) -> str:
 
 
 def grippers(config: Config) -> dict[str, GripperConfig]:
-    """The grippers, by joint; a simulated arm has those of its model."""
+    """Return the gripper configuration of the file by joint; empty without a gripper."""
     gripper = config.gripper
     if gripper is None:
         return {}
@@ -245,10 +245,9 @@ def grippers(config: Config) -> dict[str, GripperConfig]:
 
 
 def start(config: Config, model: Model) -> Any:
-    """Where a simulated or emulated arm stands first (n,) [rad]: near zero, else its rest pose.
+    """Return the initial positions (n,) [rad] of a simulated or emulated arm: near zero.
 
-    The zero of the ready arms is a pose to work from. Where it is in the table, the arm begins in
-    its rest pose.
+    If that pose is inside the table and there is a rest pose, return the rest pose.
     """
     zero = np.clip(np.zeros(model.n), model.lower, model.upper)
     table, rest = config.robot.table, config.life.rest_q

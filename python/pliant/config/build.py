@@ -1,4 +1,4 @@
-"""From a configuration to the objects that work: model, settings, servos."""
+"""Construction of model, settings and servos from a configuration."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 
 def check(config: Config) -> None:
-    """What no table can check by itself.
+    """Check conditions across the tables of a configuration.
 
     Raises:
-        ValueError: Several sentences, a line each.
+        ValueError: One sentence for each error, a line each.
     """
     wrong = [*_ports(config), *_ids(config)]
     if config.backend != "sim" and not config.servo:
@@ -62,7 +62,7 @@ def _ids(config: Config) -> list[str]:
 
 
 def servos(config: Config) -> dict[str, Servo]:
-    """All servos of the file by the name of their joint."""
+    """Return all servos of the file by joint name."""
     out = dict(config.servo)
     if config.gripper is not None:
         out[config.gripper.joint] = config.gripper.servo
@@ -70,7 +70,7 @@ def servos(config: Config) -> dict[str, Servo]:
 
 
 def model(config: Config) -> Model:
-    """The kinematic model; see `Config.model`."""
+    """Return the kinematic model; see `Config.model`."""
     robot = config.robot
     options: dict[str, Any] = {
         "base": robot.base,
@@ -99,7 +99,7 @@ def model(config: Config) -> Model:
 def spec(
     joint: str, servo: Servo, *, port: str, calibration: Calibration | None = None
 ) -> ServoSpec:
-    """How a joint hangs on its servo; a calibration gives it its zero."""
+    """Return the `ServoSpec` of a joint; a calibration gives its zero."""
     return ServoSpec(
         name=joint,
         zero=servo.zero if calibration is None else calibration.middle,
@@ -111,10 +111,9 @@ def spec(
 
 
 def servo_table(config: Config) -> tuple[tuple[str, ...], pliant.Servos]:
-    """Joints of the file's servos, the gripper's last, and what the file says of them (N,).
+    """Return the joints of the file's servos, the gripper last, and their parameters (N,).
 
-    The same numbers come from the registers of such servos on a bus, at the file's supply voltage
-    and gains.
+    They equal those read from the registers on a bus, at the file's supply voltage and gains.
     """
     own = servos(config)
     units = [
@@ -126,7 +125,7 @@ def servo_table(config: Config) -> tuple[tuple[str, ...], pliant.Servos]:
 
 
 def chain_servos(config: Config, model: Model) -> pliant.Servos:
-    """Return the servos (n,) of the chain; `stiffness_known` where the file gives every `kp`."""
+    """Return the servos (n,) of the chain; `stiffness_known` if the file gives every `kp`."""
     names, table = servo_table(config)
     known = all(config.servo[joint].kp is not None for joint in model.joint_names)
     places = [names.index(joint) for joint in model.joint_names]
@@ -134,7 +133,7 @@ def chain_servos(config: Config, model: Model) -> pliant.Servos:
 
 
 def extra_servos(config: Config, model: Model) -> dict[str, pliant.Servos]:
-    """Servos of joints off the chain, one entry each, by name."""
+    """Return the servo parameters of joints off the chain, one entry each, by name."""
     names, table = servo_table(config)
     return {
         name: take(table, len(names), [i])
@@ -144,7 +143,7 @@ def extra_servos(config: Config, model: Model) -> dict[str, pliant.Servos]:
 
 
 def _match(config: Config, model: Model) -> None:
-    """Joints of the chain and servos of the file are the same."""
+    """Check that the joints of the chain and the servos of the file are the same."""
     if not config.servo:
         return
     chain, named = set(model.joint_names), set(config.servo)
@@ -164,7 +163,7 @@ def _match(config: Config, model: Model) -> None:
 
 
 def settings(config: Config) -> Settings:
-    """The controller's settings; see `Config.settings`."""
+    """Return the controller settings; see `Config.settings`."""
     made, wrong = fields.resolve(config.fields, config.preset, config.loop.rate)
     if made is None:
         raise ConfigError("; ".join(wrong))
@@ -172,11 +171,11 @@ def settings(config: Config) -> Settings:
 
 
 def zeros(config: Config) -> dict[str, float | None]:
-    """Count at which each joint's angle is 0, `gripper` included; None: the middle of the servo.
+    """Return the count at zero angle of each joint, `gripper` included; None: mid-range.
 
     Raises:
-        ConfigError: The calibration file cannot be read, does not know a joint or its id, or has a
-            range that its servo cannot have.
+        ConfigError: The calibration file cannot be read, lacks a joint, or has another id or an
+            impossible range for its servo.
     """
     own = calibrations(config)
     return {
@@ -186,7 +185,7 @@ def zeros(config: Config) -> dict[str, float | None]:
 
 
 def calibrations(config: Config) -> dict[str, Calibration]:
-    """Entry of the calibration file for each joint that takes its zero from there.
+    """Return the calibration of each joint that takes its zero from the calibration file.
 
     Raises:
         ConfigError: As `zeros`.
@@ -217,7 +216,7 @@ def calibrations(config: Config) -> dict[str, Calibration]:
 
 
 def inside(config: Config, path: Path | None) -> Path:
-    """A path of the file, from its folder."""
+    """Resolve a path of the file relative to its folder."""
     assert path is not None
     path = path.expanduser()
     return path if path.is_absolute() else config.folder / path

@@ -1,4 +1,4 @@
-"""What stands between a configuration and a soft arm, with remedies. Writes nothing."""
+"""Diagnosis of a configuration and its hardware, with remedies. Writes nothing."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from pliant.servo.identify import Found
 
 Level = Literal["good", "note", "bad"]
-#: Latency timer of an FTDI adapter that is short enough [s].
+#: Largest acceptable latency timer of an FTDI adapter [s].
 SHORT = 0.0015
-#: Cycles that are read, and seconds that the clock is watched.
+#: Number of cycles that are read; and duration of the clock test [s].
 CYCLES, WATCHED = 200, 1.0
-#: Lateness of a tick that a loop can live with, as a share of its period.
+#: Largest acceptable lateness of a tick, as a share of its period.
 LATE = 0.2
-#: Axes that any arm of so many joints can meet.
+#: Task axes that are feasible for any arm with so many joints.
 ANY_TASK = "xyz"
 
 
@@ -44,9 +44,9 @@ class Diagnosis:
     """One finding.
 
     Attributes:
-        level: `good`, `note` (works, could be better), or `bad` (must be mended).
-        about: What was looked at.
-        text: What was found, and the remedy.
+        level: `good`, `note` (works, could be better), or `bad` (must be fixed).
+        about: Subject.
+        text: Finding and remedy.
     """
 
     level: Level
@@ -55,9 +55,9 @@ class Diagnosis:
 
 
 def examine(config: Config) -> Iterator[Diagnosis]:
-    """Look at files, ports, servos and the machine, in the order in which they are needed.
+    """Check files, ports, servos and the machine, in this order.
 
-    What depends on something that is broken is left out.
+    If a part is broken, the checks that depend on it are skipped.
     """
     try:
         model = config.model()
@@ -95,7 +95,7 @@ def examine(config: Config) -> Iterator[Diagnosis]:
 
 
 def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
-    """What the description leaves open."""
+    """Report data that the robot description lacks."""
     rest = config.life.rest_q
     if rest is None:
         yield Diagnosis(
@@ -122,7 +122,7 @@ def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
 
 
 def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
-    """Whether a controller takes the model with these settings: its task, its weight."""
+    """Check that a controller accepts the model with these settings: task and weight."""
     settings = config.settings()
     try:
         Controller(model, settings)
@@ -143,7 +143,7 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
 
 
 def _clock(rate: float) -> Diagnosis:
-    """How late this machine wakes up."""
+    """Measure how late this machine wakes up."""
     clock, late, period = MonotonicClock(), Lateness(), 1.0 / rate
     deadline = clock.now()
     end = deadline + WATCHED
@@ -161,7 +161,7 @@ def _clock(rate: float) -> Diagnosis:
 
 
 def _ports(chain: ServoBus) -> Iterator[Diagnosis]:
-    """Permissions and adapters."""
+    """Check permissions and adapters."""
     for path in dict.fromkeys(spec.port for spec in chain.specs):
         if not Path(path).exists() or not os.access(path, os.R_OK | os.W_OK):
             continue  # opening it says why, with the remedy
@@ -177,7 +177,7 @@ def _ports(chain: ServoBus) -> Iterator[Diagnosis]:
 
 
 def _servos(found: tuple[Found, ...]) -> Iterator[Diagnosis]:
-    """Who answered, and what is worth knowing of them."""
+    """Report the identified servos and their notes."""
     volts = [f.voltage for f in found]
     yield Diagnosis(
         "good",
@@ -202,7 +202,7 @@ def _servos(found: tuple[Found, ...]) -> Iterator[Diagnosis]:
 
 
 def _gains(chain: ServoBus, config: Config) -> Iterator[Diagnosis]:
-    """Whether the servos have the gains that the simulator was told of."""
+    """Compare the servos' gains with those that the file gives the simulator."""
     read = chain.gains
     for joint, servo in build.servos(config).items():
         if servo.gain is not None and read[joint] != servo.gain:
@@ -215,7 +215,7 @@ def _gains(chain: ServoBus, config: Config) -> Iterator[Diagnosis]:
 
 
 def _sense(chain: ServoBus, model: Model) -> Iterator[Diagnosis]:
-    """Whether where the joints say they are is possible."""
+    """Check that the measured joint positions are possible."""
     position = dict(zip(chain.names, chain.read().position.tolist(), strict=True))
     for name, q, low, high in outside(model, np.array([position[j] for j in model.joint_names])):
         yield Diagnosis(
@@ -227,7 +227,7 @@ def _sense(chain: ServoBus, model: Model) -> Iterator[Diagnosis]:
 
 
 def _cycle(chain: ServoBus, config: Config) -> Diagnosis:
-    """How long reading all joints takes, against the wire."""
+    """Compare the time to read all joints with the wire time."""
     times, before = [], chain.counters["timeouts"]
     for _ in range(CYCLES):
         begin = time.perf_counter()

@@ -1,4 +1,4 @@
-"""An arm on an emulated bus: the driver that real servos get, over real bytes, on physics."""
+"""Arm on an emulated bus: the real servo driver and real bytes, with simulated physics."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ if TYPE_CHECKING:
     from pliant.emulator.arm import ArmEmulator
     from pliant.servo.calibration import Calibration
 
-#: Least time to wait for an answer [s]: the emulator shares the machine with its host.
+#: Minimum reply timeout [s]: the emulator runs on the same machine as the program.
 PATIENCE = 0.05
-#: What the emulator calls registers of a calibration that pliant calls otherwise; in Protocol 1.0.
+#: Emulator names of calibration registers, if they differ from pliant's; second: Protocol 1.0.
 REGISTERS = {"position_min": "min_position_limit", "position_max": "max_position_limit"}
 REGISTERS_P1 = {"position_min": "cw_angle_limit", "position_max": "ccw_angle_limit"}
 
 
 class EmulatedChain(ServoBus):
-    """The servos of a configuration on an emulator in a process of its own.
+    """Servo bus of a configuration on an emulator in a separate process.
 
     Attributes:
-        emulator: The emulator; `emulator.call("faults.inject", …)` reaches into it.
+        emulator: The emulator; `emulator.call("faults.inject", …)` calls its functions.
     """
 
     def __init__(self, config: Config, model: Model, *, q: ArrayLike | None = None) -> None:
-        """Start the emulator; the arm stands at q (n,) [rad] first, by default near zero."""
+        """Start the emulator with the arm at q (n,) [rad], by default near zero."""
         at = None if q is None else vector(model, q, "q").tolist()
         self.emulator = Remote(emulated, config, q=at)
         bauds = {self.emulator.ports[port.name]: port.baud for port in config.port}
@@ -45,21 +45,21 @@ class EmulatedChain(ServoBus):
         )
 
     def close(self) -> None:
-        """Let go of the ports; the emulator ends."""
+        """Close the ports and end the emulator."""
         super().close()
         self.emulator.stop()
 
 
 def emulated(config: Config, *, q: ArrayLike | None = None, **options: Any) -> ArmEmulator:
-    """The emulator of a configuration's arm, in real time, not yet started.
+    """Return the emulator of a configuration's arm, in real time, not started yet.
 
-    The arm stands on the configuration's table. A hand holds it until torque comes on; the supply
-    has the configuration's voltage.
+    The arm stands on the configuration's table, and is held until torque comes on. The supply has
+    the configuration's voltage.
 
     Args:
         config: The configuration.
-        q: Where the arm stands first (n,) [rad]; None: as `assemble.start` says.
-        **options: Of `pliant.emulator.emulate`: `timing`, `faults`, `clock`, `plant`, ...
+        q: Initial joint positions (n,) [rad]; None: as in `assemble.start`.
+        **options: Options of `pliant.emulator.emulate`: `timing`, `faults`, `clock`, `plant`, ...
     """
     model = config.model()
     plant = dict(options.pop("plant", None) or {})
@@ -73,7 +73,7 @@ def emulated(config: Config, *, q: ArrayLike | None = None, **options: Any) -> A
 
 
 def mounts(config: Config) -> list[Mount]:
-    """Where each emulated servo sits."""
+    """Return the mounting of each emulated servo."""
     zeros, files = build.zeros(config), build.calibrations(config)
     out = []
     for joint, servo in build.servos(config).items():
@@ -97,7 +97,7 @@ def mounts(config: Config) -> list[Mount]:
 
 
 def _as_set_up(servo: Servo) -> dict[str, int]:
-    """EEPROM as `pliant servos setup` leaves it: answers at once, current-based position mode."""
+    """Return EEPROM as after `pliant servos setup`: no return delay, current-based position."""
     row = find(servo.model)
     mode = {"operating_mode": 5} if row.kind == "current" else {}
     gain = {} if servo.gain is None else {"p_coefficient": servo.gain}
@@ -105,7 +105,7 @@ def _as_set_up(servo: Servo) -> dict[str, int]:
 
 
 def _calibrated(file: Calibration | None, servo: Servo) -> dict[str, int]:
-    """EEPROM as LeRobot leaves it where it has calibrated the arm."""
+    """Return EEPROM as after LeRobot's calibration of the arm."""
     if file is None:
         return {}
     family = find(servo.model).family

@@ -1,4 +1,4 @@
-"""The table `settings` and the preset: fields of `pliant.Settings`, all that is wrong with them."""
+"""Parsing of the table `settings` and the preset into `pliant.Settings`, with all errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from pliant import Settings
 
-#: Presets that need nothing but their name, and the one that needs axes.
+#: Presets; `soft` also needs axes.
 PRESETS = ("paper", "firm", "door", "drawer", "hand_guiding", "hand_over", "plug", "soft", "wipe")
 #: Groups of settings, each a table of its own.
 GROUPS = {
@@ -25,15 +25,15 @@ GROUPS = {
     "torque_limits": pliant.TorqueLimits,
     "paper_options": PaperOptions,
 }
-#: Fields on which the meaning of others depends: once one is wrong, the others cannot be judged.
+#: Fields on which the meaning of others depends; if one is wrong, the others are not checked.
 FIRST = ("task", "law")
 
 
 def check_preset(preset: str | dict[str, Any] | None) -> None:
-    """See that there is such a preset.
+    """Check that a preset exists.
 
     Raises:
-        ValueError: There is none.
+        ValueError: Unknown preset.
     """
     name, _ = _preset(preset)
     if name not in (None, *PRESETS):
@@ -43,18 +43,18 @@ def check_preset(preset: str | dict[str, Any] | None) -> None:
 def resolve(
     fields: Mapping[str, Any], preset: str | dict[str, Any] | None, rate: float
 ) -> tuple[Settings | None, list[str]]:
-    """Make settings, or say all that is wrong with them.
+    """Create settings, or return all errors.
 
-    What is wrong is left out and the rest tried again, until what is left is right or an error
-    names nothing that could be left out.
+    A wrong field is removed and the rest tried again, until the rest is valid or an error names no
+    field that can be removed.
 
     Args:
         fields: The table `settings` as read.
         preset: Name of a preset, or a table with its name and arguments.
-        rate: Of the loop [Hz], where the fields have none.
+        rate: Loop rate [Hz], used if the fields have none.
 
     Returns:
-        The settings, or None; and what is wrong, a sentence each.
+        The settings or None, and the errors, one sentence each.
     """
     left, wrong = dict(fields), list[str]()
     if "axes" in left:
@@ -81,7 +81,7 @@ def resolve(
 
 
 def _make(fields: dict[str, Any], preset: str | dict[str, Any] | None, rate: float) -> Settings:
-    """Settings of fields whose axes are made."""
+    """Create settings from fields with parsed axes."""
     given = {"rate": rate, **fields}
     name, arguments = _preset(preset)
     if name is None:
@@ -95,7 +95,7 @@ def _make(fields: dict[str, Any], preset: str | dict[str, Any] | None, rate: flo
 
 
 def _preset(preset: str | dict[str, Any] | None) -> tuple[Any, dict[str, Any]]:
-    """Name and arguments of the preset."""
+    """Return name and arguments of the preset."""
     if isinstance(preset, dict):
         arguments = dict(preset)
         return arguments.pop("name", "(without a name)"), arguments
@@ -103,7 +103,7 @@ def _preset(preset: str | dict[str, Any] | None) -> tuple[Any, dict[str, Any]]:
 
 
 def _axes(table: Any, wrong: list[str]) -> dict[str, pliant.Axis]:
-    """The axes that can be read; what is wrong with the others is added."""
+    """Return the valid axes; append the errors of the others to `wrong`."""
     if not isinstance(table, dict):
         wrong.append(f"axes is a table of axis keys, got {table!r}")
         return {}
@@ -111,7 +111,7 @@ def _axes(table: Any, wrong: list[str]) -> dict[str, pliant.Axis]:
 
 
 def _axis(key: str, value: Any, wrong: list[str]) -> pliant.Axis | None:
-    """One axis, or None and what is wrong with it."""
+    """Return one axis, or None with an error appended to `wrong`."""
     if not isinstance(value, dict):
         wrong.append(f"axes.{key} is a table such as {{ soft = 4.0 }}, got {value!r}")
         return None
@@ -121,7 +121,7 @@ def _axis(key: str, value: Any, wrong: list[str]) -> pliant.Axis | None:
         try:
             axis = pliant.Axis(**left)
         except (PliantError, TypeError) as error:
-            # An axis does not know its name.
+            # `Axis` does not know its name.
             said = str(error).removeprefix("Axis.")
             wrong.append(f"axes.{key}: {said}")
             good = False
@@ -132,7 +132,7 @@ def _axis(key: str, value: Any, wrong: list[str]) -> pliant.Axis | None:
 
 
 def _group(name: str, table: Any, wrong: list[str]) -> Any:
-    """A group of settings, or None and what is wrong with it."""
+    """Return a group of settings, or None with an error appended to `wrong`."""
     if not isinstance(table, dict):
         wrong.append(f"{name} is a table such as [settings.{name}], got {table!r}")
         return None
@@ -151,12 +151,12 @@ def _group(name: str, table: Any, wrong: list[str]) -> Any:
 
 
 def _leave_out(left: dict[str, Any], said: str) -> bool:
-    """Take what an error names out of the fields; whether the rest can be judged without it."""
+    """Remove the field that an error names; return True if the rest can be checked."""
     name, _, rest = said.partition(".")
     axes = left.get("axes")
     if name == "axes" and axes:
         key = re.split(r"[:.]", rest)[0]
-        # A key of several axes is named by one of them, which cannot be left out alone.
+        # The error names one axis, but the key applies to several: removing one does not help.
         left["axes"] = {k: v for k, v in axes.items() if k != key} if key in axes else {}
         return True
     found = re.match(r"\w+", said)

@@ -1,8 +1,8 @@
-"""Calibration files of LeRobot, read as they are: no arm is calibrated twice.
+"""Reading of LeRobot calibration files, so that no arm needs a second calibration.
 
-LeRobot writes one JSON file per robot: motor name to `id`, `drive_mode`, `homing_offset`,
-`range_min`, `range_max`, in counts of the present position, which already has the homing offset in
-it. Its zero degrees are the middle of the range.
+LeRobot writes one JSON file per robot. It maps the motor name to `id`, `drive_mode`,
+`homing_offset`, `range_min` and `range_max`. The range is in counts of the present position, which
+already includes the homing offset. LeRobot's zero angle is the middle of the range.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from pliant.servo.calibration import Calibration
 
 __all__ = ["Calibration", "read_calibration"]
 
-#: Keys that are named of a file of another kind.
+#: Number of keys that an error shows for a file of another kind.
 SHOWN = 6
-#: Largest number of a servo's register, of four bytes with a sign.
+#: Largest register value of a servo: four bytes, signed.
 LARGEST = 2**31 - 1
 _FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
@@ -35,7 +35,7 @@ def read_calibration(path: str | Path) -> dict[str, Calibration]:
         Motor name to calibration.
 
     Raises:
-        ConfigError: It is not there, is no such file, or a motor's range is empty.
+        ConfigError: The file is missing or invalid, or a motor's range is empty.
     """
     file = Path(path).expanduser()
     try:

@@ -1,4 +1,4 @@
-"""From a TOML file, or the name of a ready one, to a checked `Config`."""
+"""Loading of a TOML file, or of a built-in one by name, into a checked `Config`."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ def load(
 
     Args:
         source: Path of a TOML file, or the name of a ready one (`pliant.config.names()`).
-        port: Device in place of the file's, where the file names a single port; or `auto`.
-        backend: `bus`, `emulator` or `sim` in place of the file's.
-        urdf: URDF file in place of the file's, relative to the working folder; a file for a
-            built-in model takes none, since its signs belong to that model.
-        calibration: LeRobot's calibration file in place of the file's, likewise.
-        table: Height of the table in place of the file's [m]; False: no table.
+        port: Serial device, overrides a file with a single port; or `auto`.
+        backend: `bus`, `emulator` or `sim`, overrides the file.
+        urdf: URDF file, overrides the file; relative to the working folder. Not allowed for a
+            built-in model, because the signs in the file belong to that model.
+        calibration: LeRobot calibration file, overrides the file; relative to the working folder.
+        table: Height of the table [m], overrides the file; False: no table.
 
     Returns:
         The configuration, checked as a whole.
 
     Raises:
-        ConfigError: The file is not there, is no TOML, or something in it is wrong. All keys and
-            values that are wrong are said at once, with what would be right; whether they go
-            together (ids on a port, names of ports) is looked at once each is right by itself.
+        ConfigError: The file is missing, is not TOML, or has errors. The message lists all wrong
+            keys and values, with the allowed ones. Conditions across tables (ids on a port, names
+            of ports) are checked once each table is valid by itself.
     """
     path = Path(source).expanduser()
     name = str(source)
@@ -64,7 +64,7 @@ def load(
 
 @dataclass(frozen=True)
 class Overrides:
-    """What the command line says in place of the file; see `load`."""
+    """Values that override the file; see `load`."""
 
     port: str | None = None
     backend: str | None = None
@@ -73,11 +73,11 @@ class Overrides:
     table: float | bool | None = None
 
     def apply(self, table: dict[str, Any], source: str) -> None:
-        """Write them into the table.
+        """Write the values into the table.
 
         Raises:
-            ConfigError: One port is given for several or for no bus, or a URDF for a built-in
-                model.
+            ConfigError: A port is given for a file with several ports or none, or a URDF for a
+                built-in model.
         """
         if self.backend is not None:
             table["backend"] = self.backend
@@ -126,9 +126,9 @@ def parse(
 
     Args:
         text: TOML.
-        source: What errors call it.
-        folder: Folder that relative paths start from.
-        overrides: What replaces the file's words.
+        source: Name of the text in errors.
+        folder: Folder for relative paths.
+        overrides: Values that override the text.
 
     Raises:
         ConfigError: As in `load`.
@@ -159,16 +159,16 @@ def parse(
 
 
 def _all_wrong(source: str, wrong: list[str]) -> ConfigError:
-    """All that is wrong with a file, a line each."""
+    """Create an error with all errors of a file, a line each."""
     if len(wrong) == 1:
         return ConfigError(f"{source}: {wrong[0]}")
     return ConfigError("\n".join([f"{source} has {len(wrong)} mistakes:", *wrong]))
 
 
 def _settings(table: dict[str, Any]) -> list[str]:
-    """What is wrong with the settings of a table that may be wrong elsewhere too."""
+    """Return the errors of the settings, also if other parts of the table are wrong."""
     fields, preset, loop = table.get("settings", {}), table.get("preset"), table.get("loop", {})
-    # What is wrong with either is said already; the settings are then those without it.
+    # Errors of loop and preset are reported already: check the settings without them.
     try:
         rate = Loop.model_validate(loop).rate
     except ValueError:

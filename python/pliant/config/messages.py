@@ -1,4 +1,4 @@
-"""What is wrong with a file, in sentences: which key, which value, what would be right."""
+"""Error messages for a configuration file: key, value, and allowed values."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 
 def explain(error: ValidationError, schema: type[BaseModel]) -> list[str]:
-    """All that is wrong, one sentence each.
+    """Return all validation errors, one sentence each.
 
     Args:
-        error: What pydantic found.
-        schema: The table that was read.
+        error: Error of pydantic.
+        schema: Model of the table.
     """
     return list(dict.fromkeys(_sentence(detail, schema) for detail in error.errors()))
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
-    """`, did you mean 'x'? There are: ...` for a word that is not known."""
+    """Return `, did you mean 'x'? There are: ...` for an unknown word."""
     names = sorted(known)
     close = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
     hint = f"did you mean {close[0]!r}? " if close else ""
@@ -48,7 +48,7 @@ def _sentence(detail: ErrorDetails, schema: type[BaseModel]) -> str:
 
 
 def keys(schema: type[BaseModel], path: Sequence[int | str]) -> set[str]:
-    """Keys of the table at `path`."""
+    """Return the keys of the table at `path`."""
     table: Any = schema
     for step in path:
         if isinstance(table, type) and issubclass(table, BaseModel):
@@ -74,7 +74,7 @@ def _is_model(table: Any) -> bool:
 
 
 def _inner(table: Any, step: int | str) -> Any:
-    """The table inside an Optional; containers stay for the next step to open."""
+    """Return the table inside an Optional; containers are opened by the next step."""
     parts = get_args(table)
     if type(None) in parts:
         return next((part for part in parts if part is not type(None)), None)

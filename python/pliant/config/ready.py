@@ -18,17 +18,17 @@ def _all() -> dict[str, Traversable]:
 
 
 def names() -> tuple[str, ...]:
-    """Names of the ready files."""
+    """Return the names of the ready files."""
     return tuple(_all())
 
 
 def text(name: str) -> str:
-    """Text of a ready file, to start from."""
+    """Return the text of a ready file."""
     return _all()[name].read_text(encoding="utf-8")
 
 
 def describe(name: str) -> str:
-    """What a ready file says of itself: the comment at its top."""
+    """Return the description of a ready file: the comment at its top."""
     lines = []
     for line in text(name).splitlines():
         if not line.startswith("#"):

@@ -1,6 +1,6 @@
-"""The tables of a configuration file, and what they must keep by themselves.
+"""Schema of a configuration file: its tables, and the checks within each table.
 
-Angles are radians, torques N·m, as everywhere in the package; counts are the servo's own.
+Angles are in radians and torques in N·m, as in the whole package; counts are those of the servo.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pliant.servo.wire import LONGEST_PATIENCE
 if TYPE_CHECKING:
     from pliant import Model, Settings
 
-# Strict: a number in quotes is a mistake, not a number.
+# Strict: a number in quotes is an error.
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
@@ -29,7 +29,7 @@ Id = Annotated[int, Field(ge=0, le=252, strict=True)]
 
 
 class Table(BaseModel):
-    """A table that refuses keys it does not know."""
+    """A table that rejects unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -39,7 +39,7 @@ class Payload(Table):
 
     Attributes:
         mass: [kg]
-        com: Its centre in the tool frame [m].
+        com: Centre of mass in the tool frame [m].
     """
 
     mass: NotNegative
@@ -47,18 +47,18 @@ class Payload(Table):
 
 
 class Robot(Table):
-    """Where the kinematics come from: one of `urdf` and `builtin`.
+    """Source of the kinematics: one of `urdf` and `builtin`.
 
     Attributes:
         urdf: Path of a URDF file, relative to the configuration file.
         builtin: Name of an arm that ships with the package.
-        base, tip: Ends of the chain; may be left out where there is only one choice.
-        payload: What the tool carries.
+        base, tip: Ends of the chain; optional if there is only one choice.
+        payload: Load at the tool.
         gravity: Vector in base axes [m/s²].
-        locked: Angles at which joints off the chain stand [rad].
-        limits: Position limits in place of the URDF's, by joint [rad].
-        table: Height of the table that the arm stands on, in base axes [m]: simulated and emulated
-            arms touch it, and the way to the rest pose stays above it. None: no table.
+        locked: Fixed angles of joints off the chain [rad].
+        limits: Position limits by joint, override the URDF's [rad].
+        table: Height of the table under the arm, in base axes [m]; None: no table. Simulated and
+            emulated arms touch it, and the path to the rest pose stays above it.
     """
 
     urdf: Path | None = None
@@ -83,8 +83,8 @@ class Port(Table):
     """A serial port.
 
     Attributes:
-        name: What servos call it.
-        path: Device, or `auto` for the only one there is.
+        name: Name that servos refer to.
+        path: Device, or `auto` for the only serial port.
         baud: [bit/s]
     """
 
@@ -98,7 +98,7 @@ class Secondary(Table):
 
     Attributes:
         id: Its id on the same port.
-        sign: +1 where its counts rise with the joint's angle.
+        sign: +1 if its counts rise with the joint angle.
     """
 
     id: Id
@@ -112,19 +112,19 @@ class Servo(Table):
         model: Row of the servo table, e.g. `STS3215-7.4V` or `XM430-W350`.
         id: Its id on the port.
         port: Name of the port.
-        sign: +1 where counts rise with the joint's angle.
-        zero: Count at which the joint's angle is 0; None: from the calibration file, else the
-            middle of the servo's range.
+        sign: +1 if counts rise with the joint angle.
+        zero: Count at zero joint angle; None: from the calibration file, else the middle of the
+            servo's range.
         gear: Turns of the servo per turn of the joint.
         secondary: A second servo on the same joint.
-        lower, upper: Position limits in software [rad]; None: what the servo's own limits allow.
-        stall: Stall torque at the rated voltage in place of the table's [N·m].
-        torque_offset: Torque that the gears eat, off what the register promises [N·m].
-        gain: P gain register as it is set on this arm, of servos that keep it without power
-            (Feetech), for the simulator and the emulator; None: as the maker sets it. On the bus
-            the servo's own is read.
-        kp: Stiffness [N·m/rad] as identified, in place of what the gain register says.
-        friction, damping: Of the gears as identified, in place of the table's [N·m, N·m·s/rad].
+        lower, upper: Software position limits [rad]; None: those of the servo.
+        stall: Stall torque at the rated voltage, overrides the table [N·m].
+        torque_offset: Torque loss in the gears, subtracted from that of the register [N·m].
+        gain: P gain register, for the simulator and the emulator; only for servos that store it
+            without power (Feetech); None: the maker's default. On the bus it is read from the
+            servo.
+        kp: Identified stiffness [N·m/rad], overrides that of the gain register.
+        friction, damping: Identified values of the gears, override the table's [N·m, N·m·s/rad].
     """
 
     model: str
@@ -167,11 +167,12 @@ class Gripper(Table):
 
     Attributes:
         servo: Its servo.
-        joint: Its name; where the model has a joint of this name, its weight is where it is.
+        joint: Joint name; if the model has this joint, it gives the gripper's weight and place.
         opened, closed: Angles of the two ends [rad]; None: the limits of the model's joint.
-        limit: Torque limit unless a force is asked for [N·m]; None: the lesser of 30 % of the
-            largest and 0.9 of the servo's overload threshold.
-        lever: From its axis to the middle of the finger [m], so that forces are newtons there.
+        limit: Default torque limit [N·m]; None: the lesser of 30 % of the largest torque and 0.9 of
+            the servo's overload threshold.
+        lever: Distance from its axis to the middle of the finger [m]; forces are then in newtons
+            at the finger.
     """
 
     servo: Servo
@@ -195,8 +196,8 @@ class Loop(Table):
         rate: [Hz]
         comm_timeout: Time without an answer from the bus or the program after which the arm is
             lowered [s], at most 60.
-        patience: Least time to wait for a servo's answer [s], at most 1; more than the default on a
-            computer that is busy elsewhere.
+        patience: Minimum reply timeout [s], at most 1; use more than the default on a busy
+            computer.
     """
 
     rate: Annotated[float, Field(gt=0.0, le=2000.0, strict=True)] = 100.0
@@ -205,10 +206,10 @@ class Loop(Table):
 
 
 class Life(Table):
-    """How the arm is put down.
+    """Descent at the end.
 
     Attributes:
-        rest_q: Pose where it goes first (n,) [rad]; None: straight down.
+        rest_q: Pose to move to first (n,) [rad]; None: straight down.
         on_exit: Action on leaving.
     """
 
@@ -217,11 +218,11 @@ class Life(Table):
 
 
 class Supply(Table):
-    """What feeds the servos.
+    """Power supply of the servos.
 
     Attributes:
-        voltage: Nominal voltage [V]; the emulator and `doctor` use it, an arm reads its own.
-        current: Most current of the supply [A]; None: no limit.
+        voltage: Nominal voltage [V], for the emulator and `doctor`; an arm measures its own.
+        current: Largest current of the supply [A]; None: no limit.
     """
 
     voltage: Positive | None = None
@@ -229,10 +230,10 @@ class Supply(Table):
 
 
 class Config(Table):
-    """A whole arm. Read one with `pliant.config.load`.
+    """Configuration of an arm. Read one with `pliant.config.load`.
 
     Attributes:
-        backend: `bus`, the emulated bus with the arm's physics behind it, or `sim`, physics alone.
+        backend: `bus`; `emulator`, an emulated bus with simulated physics; or `sim`, physics alone.
         robot: Kinematics.
         port: Serial ports.
         servo: Servo of each joint of the chain, by the joint's name.
@@ -240,7 +241,7 @@ class Config(Table):
         supply: Voltage and current of the supply.
         calibration: LeRobot's calibration file, relative to this one; `~` is the home folder.
         loop: Rate and deadlines.
-        life: How it ends.
+        life: Descent at the end.
         preset: A preset of `pliant.Settings` by name, `"door"`, or with its arguments,
             `{ name = "soft", axes = "y yaw" }`.
         fields: The table `settings`: fields of `pliant.Settings`; `axes` is a table by axis key.
@@ -258,7 +259,7 @@ class Config(Table):
     preset: str | dict[str, Any] | None = None
     fields: dict[str, Any] = Field(default_factory=dict, alias="settings")
 
-    #: Folder that relative paths start from, and what errors call the file.
+    #: Folder for relative paths, and name of the file in errors.
     _folder: Path = PrivateAttr(default=Path())
     _source: str = PrivateAttr(default="configuration")
 
@@ -275,39 +276,39 @@ class Config(Table):
 
     @property
     def folder(self) -> Path:
-        """Folder that relative paths start from."""
+        """Folder for relative paths."""
         return self._folder
 
     @property
     def source(self) -> str:
-        """What errors call the file."""
+        """Name of the file in errors."""
         return self._source
 
     def at(self, folder: Path, source: str) -> Self:
-        """The same as read from a file in `folder` that errors call `source`."""
+        """Return a copy as if read from a file in `folder`, with the name `source` in errors."""
         out = self.model_copy()
         out._folder, out._source = folder, source
         return out
 
     def model(self) -> Model:
-        """The kinematic model.
+        """Return the kinematic model.
 
         Raises:
-            UrdfError: The URDF cannot be used.
-            ConfigError: Its joints are not those that have servos.
+            UrdfError: The URDF is not usable.
+            ConfigError: Its joints do not match the servos of the file.
         """
         return build.model(self)
 
     def settings(self) -> Settings:
-        """The controller's settings, validated by the same code as those made in Python.
+        """Return the controller settings, validated by the same code as those created in Python.
 
         Raises:
-            ConfigError: Fields or values are wrong; all of them are named.
+            ConfigError: Invalid fields or values; the message lists all.
         """
         return build.settings(self)
 
     def __repr__(self) -> str:
-        """The arm in one line."""
+        """Return a one-line description."""
         robot = self.robot.builtin or self.robot.urdf
         return f"<Config of {robot}, {len(self.servo)} servos, backend {self.backend!r}>"
 

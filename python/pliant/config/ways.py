@@ -1,4 +1,4 @@
-"""Which way a model says that the tool goes when a joint's angle grows: to compare by eye."""
+"""Direction in which each joint moves the tool as its angle grows, for a visual check."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Below this a joint turns the tool in place [m/rad].
+#: Tool motion below which a joint only turns the tool in place [m/rad].
 IN_PLACE = 0.02
-#: Share of the motion from which on an axis is named.
+#: Least share of the motion from which on an axis is named.
 NAMED = 0.3
 
 
 def ways(model: Model, q: ArrayLike, *, up: ArrayLike, falling: bool = False) -> tuple[str, ...]:
-    """What each joint does to the tool as its angle grows, in base axes.
+    """Describe the motion of the tool as each joint angle grows, in base axes.
 
-    The columns of the geometric Jacobian: the axes along which most of the motion is, with signs;
-    where the tool turns in place, the axes about which it turns.
+    From the columns of the geometric Jacobian: the axes with most of the motion, with signs; if the
+    tool turns in place, the axes of rotation.
 
     Args:
         model: The robot.
         q: Joint positions (n,) [rad].
-        up: A vector (3,) in base axes that points up; the axis along it is also called so.
-        falling: What it does as the angle falls instead.
+        up: Upward vector (3,) in base axes; the axis along it is also labelled up or down.
+        falling: Describe the motion for a falling angle instead.
 
     Returns:
-        A phrase a joint, `goes +x 0.11, -z (down) 0.30 m/rad`.
+        One phrase per joint, `goes +x 0.11, -z (down) 0.30 m/rad`.
     """
     columns = np.asarray(model.jacobian(q)).T * (-1.0 if falling else 1.0)
     rise = np.asarray(up, dtype=np.float64)
@@ -47,7 +47,7 @@ def _way(linear: Array, angular: Array, up: Array) -> str:
 
 
 def _axes(vector: Array, up: Array, *, numbers: bool) -> str:
-    """The large components of a vector, the largest first."""
+    """Format the large components of a vector, the largest first."""
     size, parts = np.abs(vector), []
     for axis in np.argsort(-size):
         if size[axis] >= NAMED * np.linalg.norm(vector):

@@ -1,4 +1,4 @@
-"""All servos of an arm, on one port or several, in SI units."""
+"""Bus of all servos of an arm, on one or several ports, in SI units."""
 
 from __future__ import annotations
 
@@ -35,32 +35,31 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: A reading may take this many periods, or patiences, before nothing is tried again.
+#: Time for one reading, in periods and in multiples of `patience`; no retries after that.
 BUDGET = 3.0
 
 
 class ServoBus:
     """Reads and writes all servos of an arm: goals in rad, torque limits in N·m.
 
-    It knows units and its bus, and nothing of kinematics, gravity or policy. Limits are clamped to
-    what each servo says it takes, goals to the joint's range; goals go to enabled joints only;
-    EEPROM is never written.
+    It handles units and its bus, not kinematics, gravity or control policy. Limits are clamped to
+    the servo's ceiling, and goals to the joint's range. Goals go to enabled joints only. EEPROM is
+    never written.
 
     Args:
-        specs: One per joint, grippers included; vectors have their order.
-        baudrate: Bits per second, for all ports or by port.
+        specs: One per joint, grippers included; all vectors have their order.
+        baudrate: Bits per second, one value or a mapping by port.
         rate: Control rate [Hz], from which timeouts and the time for retries follow.
-        patience: Least time to wait for an answer [s], at most 1; more where the computer is busy.
-        speed: Fastest motion of every joint [rad/s] as the servo's own cap; None for the no-load
-            speed.
+        patience: Minimum reply timeout [s], at most 1; use more on a busy computer.
+        speed: Largest speed of every joint [rad/s], for the servos' speed registers; None: the
+            no-load speed.
         transport: ``(port, baudrate, protocol) -> Transport`` instead of rustypot.
-        clock: The time that samples carry, and an arm over this chain lives in; default the
-            machine's.
+        clock: Clock of the samples, and of an arm over this bus; default: the machine's.
 
     Attributes:
         names: Joint names.
-        specs: The joints.
-        found: How the servos introduced themselves at open.
+        specs: Joints and their servos.
+        found: Identification of each servo, read at open.
 
     Raises:
         ConfigError: The specs contradict each other.
@@ -110,7 +109,7 @@ class ServoBus:
         """Open the ports, identify every servo, and read all joints once.
 
         Raises:
-            ServoError: What is wrong, and what to do; the ports are closed again.
+            ServoError: The cause and the remedy; the ports are closed again.
         """
         if self._ports:
             return
@@ -127,7 +126,7 @@ class ServoBus:
             raise
 
     def close(self) -> None:
-        """Let go of the ports; the servos keep their last goal and limit."""
+        """Close the ports; the servos hold their last goal and limit."""
         for port in self._ports:
             port.close()
         self._ports, self._port_of = [], {}
@@ -145,10 +144,10 @@ class ServoBus:
         self.close()
 
     def identify(self) -> tuple[Found, ...]:
-        """Read who is there, check it, and take over ceilings, limits and gains.
+        """Identify and check every servo, and read its ceilings, limits and gains.
 
         Raises:
-            ServoError: A servo is missing, another one, or not fit to be driven.
+            ServoError: A servo is missing, is another model, or cannot be driven.
         """
         self._check_open()
         wrong: list[str] = []
@@ -163,18 +162,18 @@ class ServoBus:
         order = {name: i for i, name in enumerate(self.names)}
         return tuple(sorted(found, key=lambda f: order[f.joint]))
 
-    # What the servos are.
+    # Servo parameters and state.
 
     @property
     def servos(self) -> Servos:
-        """The servos as a controller takes them: gains as read, torque at the ceilings as read."""
+        """Servo parameters for a controller: gains and torque ceilings as read from the servos."""
         first = [joint[0] for joint in self._joints]
         ceilings = [min(device.ceiling for device in joint) for joint in self._joints]
         return servos([d.units for d in first], [d.gain for d in first], ceilings)
 
     @property
     def stiffness_known(self) -> NDArray[np.bool_]:
-        """Which joints' k_p was identified on this arm: `ServoSpec.kp` (n,)."""
+        """Mask (n,) of joints whose k_p was identified on this arm (`ServoSpec.kp`)."""
         return np.array([spec.kp is not None for spec in self.specs])
 
     @property
@@ -184,9 +183,9 @@ class ServoBus:
 
     @property
     def overload(self) -> Array:
-        """Share of the usable torque above which a servo protects itself (n,), ∞ where it does not.
+        """Share of the usable torque above which a servo protects itself (n,); ∞: never.
 
-        On Feetech the Overload Torque as read, of the full torque.
+        For Feetech this is the Overload Torque register, as a share of the full torque.
         """
         shares = []
         for first, *_ in self._joints:
@@ -196,16 +195,16 @@ class ServoBus:
 
     @property
     def stall_current(self) -> Array:
-        """Current at the stall torque (n,) [A], NaN where the maker gives none."""
+        """Current at the stall torque (n,) [A]; NaN if the data sheet gives none."""
         return np.array([s.row.stall_current * len(s.servos) for s in self.specs])
 
     @property
     def counters(self) -> dict[str, int]:
-        """What has happened since open, all ports together.
+        """Event counters since open, summed over all ports.
 
-        As `pliant.servo.guard.Counters`; `mismatches`: limits that read back other than written;
-        `alerts`: how often a status began to say that something is wrong, for a moment or longer;
-        `trips`: bus watchdogs that tripped, and were cleared.
+        Those of `pliant.servo.guard.Counters`, and `mismatches`: limits that did not read back as
+        written; `alerts`: errors that appeared in a status, even briefly; `trips`: bus watchdogs
+        that tripped and were cleared.
         """
         kinds = ("mismatches", "alerts", "trips")
         total = {kind: sum(getattr(device, kind) for device in self._devices) for kind in kinds}
@@ -216,12 +215,12 @@ class ServoBus:
 
     @property
     def enabled(self) -> NDArray[np.bool_]:
-        """Which joints have torque on: enabled here, or found so at open (n,)."""
+        """Mask (n,) of joints with torque on: enabled here, or already at open."""
         return np.array([all(d.enabled or d.torque_on for d in joint) for joint in self._joints])
 
     @property
     def orders(self) -> tuple[Array, Array]:
-        """Goals (n,) [rad] and limits (n,) [N·m] that joints with torque had at open; else NaN."""
+        """Goals [rad] and limits [N·m] (n,) of joints whose torque was on at open; else NaN."""
         goals, limits = np.full(len(self._joints), np.nan), np.full(len(self._joints), np.nan)
         for i, joint in enumerate(self._joints):
             standing = [d.standing for d in joint if d.torque_on and not d.enabled]
@@ -232,16 +231,16 @@ class ServoBus:
 
     @property
     def refusing(self) -> NDArray[np.bool_]:
-        """Which joints are known not to take goals (n,): a tripped watchdog, or deaf servos."""
+        """Mask (n,) of joints known to reject goals: watchdog tripped, or wrong read-back."""
         return np.array([any(d.is_refusing for d in joint) for joint in self._joints])
 
     # The cycle.
 
     def read(self) -> Sample:
-        """Read all joints; who did not answer is not ok and keeps its last position.
+        """Read all joints; a joint without an answer has `ok` False and keeps its last position.
 
         Raises:
-            ServoError: All ports are gone; where only some are, their joints have a fault.
+            ServoError: All ports are gone. If only some are gone, their joints have a fault.
         """
         self._check_open()
         if self._pool is None:
@@ -263,12 +262,12 @@ class ServoBus:
             goal: Joint goals (n,) [rad]; clamped to the joint's range.
             limit: Torque limits (n,) [N·m], at least 0; rounded down to the register, clamped to
                 the servo's ceiling.
-            velocity: Fastest motion (n,) [rad/s], at least 0; at most the chain's own, the default.
+            velocity: Largest speed (n,) [rad/s], at least 0; at most `speed`, the default.
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative. Nothing is sent.
-            ServoError: All ports are gone. A packet that is lost otherwise is counted, and the
-                goal and limit before it stay in force.
+            ServoError: All ports are gone. Other lost packets are counted, and the last goal and
+                limit stay in force.
         """
         self._check_open()
         goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", least="N·m")
@@ -287,13 +286,13 @@ class ServoBus:
                     )
         for port in self._ports:
             if id(port) in packets:
-                # Counted; what was written last stays in force.
+                # Counted; the last written values stay in force.
                 with suppress(BusError):
                     port.write(packets[id(port)])
         self._see_what_is_left()
 
     def slow(self) -> Health | None:
-        """One step of the rota: voltage, temperature, faults and limit of one joint.
+        """Read voltage, temperature, faults or limit of the next servo.
 
         Call it once per cycle, after `read` and `write`.
 
@@ -313,18 +312,18 @@ class ServoBus:
     # Torque on and off.
 
     def enable(self, goal: ArrayLike, limit: ArrayLike) -> None:
-        """Switch torque on: limit, then goal = present position, then torque, then a look.
+        """Switch torque on: limit, then goal = present position, then torque, then verify.
 
-        A joint whose torque is on already is taken over without switching it off, with `goal`.
+        A joint whose torque is on already keeps it on, with `goal`.
 
         Args:
-            goal: Where the joints are believed to be (n,) [rad].
-            limit: Torque limits to start with (n,) [N·m].
+            goal: Expected joint positions (n,) [rad].
+            limit: First torque limits (n,) [N·m].
 
         Raises:
             ShapeError, ConfigError: As `write`.
-            ServoError: A servo has a fault, a joint is elsewhere than `goal` says, moved or did not
-                obey. Torque is then as it was before.
+            ServoError: A servo has a fault, a joint is not near `goal`, moved, or did not confirm.
+                Torque is then as it was before.
         """
         self._check_open()
         goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", least="N·m")
@@ -334,25 +333,25 @@ class ServoBus:
             self.watchdog(self._watchdog)
 
     def disable(self, names: Sequence[str] | None = None) -> None:
-        """Switch torque off, of all joints by default; all are tried even where one fails.
+        """Switch torque off, by default of all joints; all are tried even if one fails.
 
         Raises:
-            ServoError: Who did not confirm.
+            ServoError: Joints that did not confirm.
         """
         self._check_open()
         enabling.disable(self._chosen(names), self._port_of)
 
     def reboot(self, name: str) -> None:
-        """Restart the servos of a joint, which clears latched faults; its torque is then off.
+        """Restart the servos of a joint, which clears latched faults; torque is then off.
 
         Raises:
-            ServoError: Its family cannot, or it did not come back.
+            ServoError: The servo family does not support it, or the servo did not return.
         """
         self._check_open()
         enabling.reboot(self._chosen([name]), self._port_of)
 
     def watchdog(self, seconds: float) -> None:
-        """Let servos that can (Protocol 2.0) stop by themselves after this silence; 0 for never.
+        """Set the bus watchdog (Protocol 2.0): servos stop after this silence [s]; 0: never.
 
         Raises:
             ServoError: A servo did not confirm.
@@ -366,14 +365,14 @@ class ServoBus:
     # Inside.
 
     def _take(self, port: Port) -> set[int]:
-        """Read one port; nothing of one that is gone."""
+        """Return the ids read on one port; empty if the port is gone."""
         try:
             return port.read(self._budget)
         except BusError:
             return set()
 
     def _see_what_is_left(self) -> None:
-        """Name the joints of a port that is gone; the others are driven on, to be brought down.
+        """Report the joints of lost ports as faults; the others can still be driven and lowered.
 
         Raises:
             BusError: All ports are gone.
@@ -386,8 +385,8 @@ class ServoBus:
                 device.fault("port", True, f"its port {port.path} is gone: is it plugged in?")
 
     def _start(self) -> None:
-        """Know nothing of the servos yet."""
-        #: The servos of each joint, the first one first.
+        """Reset all servo state."""
+        #: Servos of each joint, the primary first.
         self._joints = [
             [Device(spec, i, number, sign) for number, sign in spec.servos]
             for i, spec in enumerate(self.specs)
@@ -412,7 +411,7 @@ class ServoBus:
         self._port_of.update({id(device): port for device in devices})
 
     def _first_look(self) -> None:
-        """Read all joints once; secondaries take their zero from the first servo of their joint."""
+        """Read all joints once; secondaries take their zero from the first servo of the joint."""
         for device in self._devices:
             port = self._port_of[id(device)]
             port.guard.begin()
@@ -423,7 +422,7 @@ class ServoBus:
         speeds = np.array([self._speed or joint[0].units.no_load_speed for joint in self._joints])
         if velocity is None:
             return speeds
-        # A speed that no servo reaches is none.
+        # inf means no speed limit.
         cap = self._vector(np.nan_to_num(velocity, nan=np.nan), "velocity", least="rad/s")
         slower: Array = np.minimum(cap, speeds)
         return slower
@@ -437,7 +436,7 @@ class ServoBus:
         return [device for device in self._devices if device.spec.name in names]
 
     def _vector(self, value: ArrayLike, name: str, *, least: str = "") -> Array:
-        """One finite number a joint; with `least`, their unit, at least 0."""
+        """Return one finite number per joint; `least` is the unit if values must be at least 0."""
         array = np.array(value, dtype=np.float64)
         if array.shape != (self.n,):
             raise ShapeError(f"{name} has shape {array.shape}, expected ({self.n},)")

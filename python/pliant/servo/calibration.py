@@ -1,4 +1,4 @@
-"""LeRobot's calibration of one motor, and whether a servo still has it."""
+"""LeRobot's calibration of one motor, and its comparison with the servo's registers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pliant.servo.identify import Image
     from pliant.servo.models import ServoModel
 
-#: What to do about a file that does not fit.
+#: Remedy for a file that does not fit.
 REMEDY = (
     "the file is of another arm, or older than its last calibration: name the file of this arm, or "
     "run lerobot-calibrate, which writes file and servos alike"
@@ -23,13 +23,13 @@ REMEDY = (
 
 @dataclass(frozen=True)
 class Calibration:
-    """One motor of a calibration file.
+    """Entry of one motor in a calibration file.
 
     Attributes:
         id: Servo id.
-        drive_mode: 1 where LeRobot turns the direction of normalised values; on Feetech counts are
-            not affected, Dynamixel servos count the other way round.
-        homing_offset: What the servo itself adds (Dynamixel) or takes off (Feetech) [counts].
+        drive_mode: 1 if LeRobot inverts normalised values. Feetech counts are not affected;
+            Dynamixel servos then count in the opposite direction.
+        homing_offset: Offset that the servo adds (Dynamixel) or subtracts (Feetech) [counts].
         range_min, range_max: Ends of the travel, present position [counts].
     """
 
@@ -41,15 +41,15 @@ class Calibration:
 
     @property
     def middle(self) -> float:
-        """Count of LeRobot's zero degrees."""
+        """Count at LeRobot's zero angle."""
         return (self.range_min + self.range_max) / 2.0
 
     def check_range(self, joint: str, row: ServoModel) -> None:
-        """See that the ends of the travel are positions of the joint's servo.
+        """Check that the ends of the travel are valid positions of the servo.
 
         Raises:
-            ConfigError: One is no count of its encoder; goals of a multi-turn servo may be a turn
-                beyond either end.
+            ConfigError: An end is not a count of its encoder. For a multi-turn servo, one turn
+                beyond either end of the encoder is allowed.
         """
         beyond = row.counts + 1 if row.family.multi_turn else 0
         low, high = -beyond, row.counts + beyond
@@ -61,9 +61,10 @@ class Calibration:
                 )
 
     def registers(self, known: Container[str]) -> dict[str, int]:
-        """Registers that LeRobot writes from this file, by pliant's names, of those known.
+        """Return the registers that LeRobot writes from this file, limited to the known names.
 
-        LeRobot compares the same ones at each connect. Feetech servos have no direction.
+        LeRobot compares the same registers at each connect. Feetech servos have no direction
+        register.
         """
         written = {
             "homing_offset": self.homing_offset,
@@ -75,10 +76,10 @@ class Calibration:
 
 
 def differences(device: Device, image: Image) -> list[str]:
-    """Return in which registers a servo differs from its joint's calibration file.
+    """Describe the registers in which a servo differs from its joint's calibration file.
 
-    Each sentence has the value of the file and of the servo, and by how much the joint's zero would
-    be off. A second servo of the joint is not in the file.
+    Each sentence has the value of the file and of the servo, and the resulting error of the joint's
+    zero. A second servo of the joint is not in the file.
     """
     file = device.spec.calibration
     if file is None or device.id != device.spec.id:
@@ -103,7 +104,7 @@ def differences(device: Device, image: Image) -> list[str]:
     return said
 
 
-#: What LeRobot's file calls the registers.
+#: Register names in LeRobot's file.
 WORDS = {
     "homing_offset": "homing_offset",
     "position_min": "range_min",
@@ -113,7 +114,7 @@ WORDS = {
 
 
 def notes(device: Device) -> list[str]:
-    """Return what is worth knowing of a file that fits."""
+    """Return notes about a file that fits."""
     file = device.spec.calibration
     if file is None or device.id != device.spec.id or not file.drive_mode:
         return []
@@ -126,5 +127,5 @@ def notes(device: Device) -> list[str]:
 
 
 def _degrees(device: Device, counts: float) -> float:
-    """Angle of the joint [°] of so many counts."""
+    """Return the joint angle of a number of counts [°]."""
     return abs(counts) * device.units.count * 57.29577951308232

@@ -1,4 +1,4 @@
-"""One servo on the bus: what it was last told, what it last said, and how its numbers read."""
+"""State of one servo on the bus: last values written and read, and their conversion."""
 
 from __future__ import annotations
 
@@ -14,29 +14,28 @@ if TYPE_CHECKING:
     from pliant.servo.models import Block, Family, ServoModel
     from pliant.servo.spec import ServoSpec
 
-#: A supply may be too low for so long [s].
+#: Longest undervoltage without a fault [s].
 SAG = 0.5
-#: Positions may run this much ahead of twice the no-load speed before a reading is disbelieved
-#: [rad].
+#: Jump that is always accepted, in addition to the distance at twice the no-load speed [rad].
 JUMP = 0.1
-#: A limit that reads back wrong for so long [s], and after so many packets, is a fault: writing is
-#: given as long as reading.
+#: A register that reads back wrong is a fault after this time [s] and this many packets; a
+#: silent servo is given the same time.
 UNHEARD, MISMATCHES = 0.5, 3
-#: Readings in a row that a joint cannot have reached and that are a fault, and a pause between
-#: readings after which it may have moved meanwhile [s].
+#: Implausible readings in a row that are a fault; and the gap between readings after which the
+#: joint may have moved in between [s].
 IMPOSSIBLE, PAUSE = 3, 0.1
-#: What the bus watchdog reads once it has tripped.
+#: Value of a tripped bus watchdog.
 TRIPPED = 255
 
 
 @dataclass
 class Echo:
-    """How a register that was written reads back.
+    """Comparison of a register with the value written.
 
     Attributes:
-        wrong: After so many packets in a row it read other than written.
-        agreed: When it last read as written [s].
-        write: Number of the packet after which it last read wrong.
+        wrong: Number of packets in a row after which it read a wrong value.
+        agreed: Time at which it last read as written [s].
+        write: Number of the last packet after which it read wrong.
     """
 
     wrong: int = 0
@@ -48,44 +47,43 @@ class Device:
     """State of one servo.
 
     Args:
-        spec: Its joint.
+        spec: Joint and servo.
         joint: Index of the joint.
         id: Id on the bus.
         sign: +1 or -1.
 
     Attributes:
         units: Conversions at the latest voltage.
-        ceiling: Largest limit the servo takes.
+        ceiling: Largest limit register that the servo accepts.
         gain: Gain register as read.
-        low, high: Counts that goals stay within.
-        starved: Voltage below which it cannot be driven [V].
-        alerts: How often its status began to say that something is wrong, also where that was gone
-            again with the next answer.
-        multi_turn: Whether goals may leave one turn.
-        overload: Share of the full torque above which it protects itself, None where it does not.
-        seam: Counts after which positions start again, None where they do not.
-        enabled: Whether we have switched its torque on, or taken it over.
-        torque_on: Whether torque was on when that was last read.
-        goal, limit: Goal and limit register as last written; no goal yet: None.
-        position: Unwrapped count of the last reading, None before the first.
-        time: When that was asked for [s].
+        low, high: Range of goals [counts].
+        starved: Lowest voltage at which it can be driven [V].
+        alerts: Number of errors that appeared in its status, even if the next answer cleared them.
+        multi_turn: Whether goals may exceed one turn.
+        overload: Share of the full torque above which it protects itself; None: never.
+        seam: Counts per turn after which positions wrap around; None: they do not.
+        enabled: Whether this program switched its torque on, or took it over.
+        torque_on: Whether torque was on at the last reading of that register.
+        goal, limit: Goal and limit register as last written; goal is None before the first.
+        position: Unwrapped count of the last reading; None before the first.
+        time: Time of the request of that reading [s].
         speed, load, current: Registers of the last reading.
         voltage, temperature: As last read [V, °C].
         limit_read: Limit register as last read.
-        conditions: What the last answer's status said.
-        hardware: What the hardware error register said (Protocol 2.0).
-        rota: Faults that the rota found, by what they concern.
-        watchdog: Its bus watchdog as last read [units of 20 ms].
-        tripped: Whether its bus watchdog has tripped, and it refuses goals.
-        trips: How often that was found.
-        found: Registers in RAM that we write, as they are handed back: as they were at open.
-        standing: Goal and limit registers of a servo that had torque at open; None otherwise.
-        unbound: Registers that bound torque or motion, and what they are while we drive.
-        mismatches: How often a limit read back other than written.
+        conditions: Errors in the status of the last answer.
+        hardware: Errors in the hardware error register (Protocol 2.0).
+        rota: Other faults, by topic.
+        watchdog: Bus watchdog as last read [units of 20 ms].
+        tripped: Whether its bus watchdog has tripped, so that it refuses goals.
+        trips: Number of trips found.
+        found: Values at open of the RAM registers that are written, to restore them.
+        standing: Goal and limit registers of a servo whose torque was on at open; None otherwise.
+        unbound: Registers that bound torque or motion, and their values while driven.
+        mismatches: Number of times a register did not read back as written.
     """
 
     def __init__(self, spec: ServoSpec, joint: int, id: int, sign: int) -> None:
-        """A servo nothing is known of yet."""
+        """Store the joint; nothing is known of the servo yet."""
         self.spec, self.joint, self.id = spec, joint, id
         self.row: ServoModel = spec.row
         self.family: Family = self.row.family
@@ -123,7 +121,7 @@ class Device:
         self._refused, self._allowed, self._last = 0, 0.0, 0.0
 
     def set_range(self) -> None:
-        """Narrow the limits of goals to those of the joint.
+        """Narrow the goal range to that of the joint.
 
         Raises:
             ServoError: The joint's range crosses the seam of a single-turn encoder.
@@ -147,47 +145,47 @@ class Device:
 
     @property
     def name(self) -> str:
-        """The joint, with the id where it has two servos."""
+        """Joint name, with the servo id if the joint has two servos."""
         return self.spec.name if self.spec.secondary is None else f"{self.spec.name} (id {self.id})"
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What is wrong with it, in sentences that name it."""
+        """Present faults, one sentence each, with the joint name."""
         found = (self.hardware or self.conditions) + tuple(self.rota.values())
         return tuple(f"{self.name}: {text}" for text in found)
 
     def angle(self, position: float) -> float:
-        """Joint angle of a count of this servo [rad]."""
+        """Return the joint angle of a count of this servo [rad]."""
         return self.units.angle(position)
 
     def goal_counts(self, angle: float) -> int:
-        """Goal register of a joint angle, within the limits of the servo.
+        """Return the goal register of a joint angle, within the goal range.
 
-        A single-turn servo that was pushed past its seam would take the long way back round to any
-        goal on the other side; it gets the edge on its own side and stays.
+        If a single-turn servo was pushed past its encoder seam, a goal on the other side would turn
+        it the long way round. It gets the range end on its own side instead.
         """
         if self.turns and not self.multi_turn:
             return 0 if self.turns > 0 else self.row.counts
         return self.clamp(self.units.counts(angle)) - self.turns * (self.seam or 0)
 
     def clamp(self, counts: int) -> int:
-        """A count within the software limits; where the servo is outside them, it may stay."""
+        """Clamp a count to the goal range; a multi-turn servo outside the range may stay there."""
         low, high = self.low, self.high
         if self.position is not None and self.multi_turn:
             low, high = min(low, round(self.position)), max(high, round(self.position))
         return max(low, min(counts, high))
 
     def limit_register(self, torque: float) -> int:
-        """Limit register of a torque of the joint [N·m], at most what the servo can give."""
+        """Return the limit register of a joint torque [N·m], at most the servo's ceiling."""
         return self.units.register(min(torque, self.units.usable(self.ceiling)), self.ceiling)
 
     def packet(self, names: tuple[str, ...], goal: int, limit: int, speed: int) -> bytes:
-        """Bytes of a packet of these fields; what is not goal, limit or speed cap is 0."""
+        """Return the bytes of a packet; fields other than goal, limit and speed cap are 0."""
         values = {"goal": goal, "limit": limit, "speed_cap": speed}
         return b"".join(self.family.registers[n].encode(values.get(n, 0)) for n in names)
 
     def accept(self, reply: Reply) -> bool:
-        """Take a reading in; False where it cannot be: the joint would have jumped."""
+        """Store a reading; return False if it is implausible, as the joint would have jumped."""
         family = self.family
         raw = family.decode(reply.block, reply.data, "position")
         turns, position = self._unwrap(raw)
@@ -208,7 +206,7 @@ class Device:
         return True
 
     def note(self, reply: Reply) -> None:
-        """Take in what a block tells of voltage, temperature, limit and health."""
+        """Store voltage, temperature, limit and health from a block that was read."""
         family, block = self.family, reply.block
         before, self.conditions = self.conditions, words.conditions(family, reply.status)
         self.alerts += bool(set(self.conditions) - set(before))
@@ -229,7 +227,8 @@ class Device:
             went_off = (self.enabled or "torque" in self.rota) and not self.torque_on
             self.fault("torque", went_off, "its torque went off by itself")
             if went_off:
-                # No goals: on some servos they would switch it on, far from where it was.
+                # Send no more goals: some servos would switch torque on at a goal far from the
+                # position.
                 self.enabled = False
         if self._spans(block, "hardware_error"):
             self.hardware = words.hardware(family.decode(block, reply.data, "hardware_error"))
@@ -241,20 +240,20 @@ class Device:
 
     @property
     def is_refusing(self) -> bool:
-        """Whether goals are known not to arrive, or not to be taken."""
+        """True if goals are known not to arrive or to be rejected."""
         return self.enabled and (self.tripped or self._echoes["goal"].wrong >= MISMATCHES)
 
     @property
     def torque(self) -> float:
-        """Torque on the joint by the servo's own reckoning, were all its servos like this [N·m]."""
+        """Joint torque as the servo estimates it, if all its servos exert the same [N·m]."""
         if self.row.kind == "current":
             return self.units.sign * self.units.torque(self.current or 0)
         return self.units.sign * self.units.load(self.load)
 
     def set_voltage(self, volts: float, time: float) -> None:
-        """Follow the supply: a duty gives a torque in proportion to it.
+        """Update the conversions to the supply voltage: the torque of a duty is proportional to it.
 
-        A sag of a moment is borne, one that lasts is a fault.
+        A brief undervoltage is tolerated, a longer one is a fault.
         """
         self.voltage = volts
         if volts >= self.starved:
@@ -269,10 +268,10 @@ class Device:
             self.units = replace(self.units, voltage=volts)
 
     def _is_reachable(self, position: float, time: float) -> bool:
-        """Whether the joint can have come here since its last good reading.
+        """Return True if the joint can have reached a position since its last good reading.
 
-        The way it may have gone grows with the time, but not while readings come that it cannot
-        have reached: several of them in a row are a fault, and are never believed.
+        The allowed distance grows with time, but not while implausible readings arrive. Several of
+        these in a row are a fault and are never accepted.
         """
         if self.position is None or self._allowed == float("inf"):
             self._refused, self._allowed, self._last = 0, 0.0, time
@@ -296,7 +295,7 @@ class Device:
         return False
 
     def settle_dispute(self) -> None:
-        """Believe the next reading wherever it is: without torque the joint may be moved."""
+        """Accept any position next: without torque the joint may be moved by hand."""
         self._allowed = float("inf")
 
     def _spans(self, block: Block, name: str) -> bool:
@@ -307,7 +306,7 @@ class Device:
         return block.address <= register.address and register.address + register.size <= end
 
     def fault(self, key: str, is_wrong: bool, text: str) -> None:
-        """Note that something is wrong, or no longer."""
+        """Set or clear a fault."""
         if is_wrong:
             self.rota[key] = text
         else:
@@ -315,21 +314,21 @@ class Device:
 
     @property
     def doubted(self) -> bool:
-        """Whether goal or limit read other than written, and not for long enough to be sure."""
+        """True if goal or limit read back wrong, but not long enough for a fault."""
         return any(e.wrong > 0 and key not in self.rota for key, e in self._echoes.items())
 
     def sent(self, goal: int, limit: int) -> None:
-        """A packet with this goal and limit is on its way."""
+        """Record a packet that is sent with this goal and limit."""
         self.goal, self.limit = goal, limit
         self._writes += 1
 
     def _compare(
         self, key: str, found: int, written: int, time: float, words: tuple[str, str]
     ) -> None:
-        """Compare a register with what was written; silence is how a servo refuses a packet.
+        """Compare a register with the value written, since a servo rejects a packet silently.
 
-        Packets get lost too: a register that reads wrong is a fault once it has done so for as long
-        as a silent servo is waited for, and after different packets.
+        Packets also get lost, so a mismatch is a fault only after several packets and a minimum
+        time.
         """
         echo = self._echoes[key]
         if not self.enabled or found == written:
@@ -347,7 +346,7 @@ class Device:
         )
 
     def _unwrap(self, raw: int) -> tuple[int, float]:
-        """Turns and unwrapped count of a position register: nearest to the last, or in range."""
+        """Return turns and unwrapped count of a position register, nearest to the last position."""
         if self.seam is None:
             return 0, float(raw)
         near = self.position if self.position is not None else (self.low + self.high) / 2

@@ -1,4 +1,4 @@
-"""Torque on and off: sequences that keep the arm where it is, whatever fails on the way."""
+"""Torque on and off: sequences that keep the arm in place, also if a step fails."""
 
 from __future__ import annotations
 
@@ -23,25 +23,24 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Ports = Mapping[int, Port]
 
-#: A joint at rest that moves further than this while its torque comes on is switched off again
-#: [rad].
+#: A joint that moves farther than this during torque on is switched off again [rad].
 MOVED = 0.05
-#: A joint must be this near to where it is believed to be [rad].
+#: Largest distance between measured and expected position before torque on [rad].
 ELSEWHERE = 0.15
-#: How often goals are sent anew until they read back, and how far a joint without torque may drift
-#: from its goal before it gets a new one [rad].
+#: Tries to send goals until they read back; and drift of a joint without torque from its goal after
+#: which it gets a new one [rad].
 AIMS, DRIFTED = 5, 0.01
-#: How long a servo may take to come back from a reboot [s].
+#: Longest restart of a servo [s].
 REBOOT = 2.0
-#: What is looked at before torque goes on.
+#: Registers that are checked before torque on.
 _BEFORE = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
-#: How often torque off is sent where no answer comes, and how often that is tried.
+#: Number of torque-off packets sent if no answer comes, and number of tries.
 UNHEARD, UNHEARD_TRIES = 3, 30
 MAY_BE_ON = "torque may still be on: "
 
 
 def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, cap: Array) -> None:
-    """Limit, goal = present position, read-back, torque, a look; see `ServoBus.enable`."""
+    """Limit, goal = present position, read-back, torque on, verify; see `ServoBus.enable`."""
     before = {}
     for device in devices:
         before[id(device)] = _look(device, ports, goal)
@@ -52,7 +51,7 @@ def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, c
             if _tripped(device, before):
                 _set(device, ports, "watchdog", 0)
             _bound(device, ports, device.limit_register(float(limit[device.joint])))
-        # Fresh, and all in one go: an arm that nobody holds yet is on its way down.
+        # Read all positions now: an arm without torque may be sinking.
         here = {id(d): _image(d, ports, "position", "speed") for d in devices}
         orders: dict[int, Order] = {}
         packets: dict[Port, list[tuple[Device, int, int, int]]] = {}
@@ -64,7 +63,7 @@ def enable(devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, c
             order = Order(register, device.limit, device.units.speed_register(speed))
             orders[id(device)] = order
             packets.setdefault(ports[id(device)], []).append((device, *order))
-        # On some servos a goal is enough to switch torque on.
+        # On some servos a goal switches torque on.
         is_ordered = True
         for port, group in packets.items():
             port.write(group)
@@ -98,10 +97,10 @@ class Order(NamedTuple):
 
 
 def _bound(device: Device, ports: Ports, limit: int) -> None:
-    """Write the limit, and what else bounds torque and motion, and read all of it back.
+    """Write the limit and other registers that bound torque and motion, and read them back.
 
     Raises:
-        ServoError: A register reads other than written.
+        ServoError: A register did not read back as written.
     """
     wanted = {"limit": limit, **device.unbound}
     for name, value in wanted.items():
@@ -118,15 +117,15 @@ def _bound(device: Device, ports: Ports, limit: int) -> None:
 
 
 def _aim(device: Device, ports: Ports, order: Order, here: Image) -> Image:
-    """See that goal, limit and speed cap have arrived, and send them anew where they have not.
+    """Check that goal, limit and speed cap have arrived, and send them again if not.
 
-    Until torque is on, a joint that has moved since the goal was read gets a new one.
+    Until torque is on, a joint that has moved since its position was read gets a new goal.
 
     Returns:
-        Position and speed that the goal was made from.
+        Position and speed from which the goal was made.
 
     Raises:
-        ServoError: The registers still read other than written.
+        ServoError: The registers still differ from the values written.
     """
     wanted = order._asdict()
     wanted["speed_cap"] = wanted.pop("speed")
@@ -152,7 +151,7 @@ def _aim(device: Device, ports: Ports, order: Order, here: Image) -> Image:
 
 
 def _look(device: Device, ports: Ports, goal: Array) -> Image:
-    """The servo before anything is sent; refuses what must not be switched on."""
+    """Return the servo's state before anything is sent; raise if torque must not be switched on."""
     names = [name for name in _BEFORE if name in device.family.registers]
     image = _image(device, ports, *names)
     if device.hardware:
@@ -183,14 +182,14 @@ def _tripped(device: Device, before: Mapping[int, Image]) -> bool:
 
 
 def _stayed(device: Device, ports: Ports, before: Image) -> None:
-    """Look again: torque is on, and the joint is where it was, or where its fall was caught."""
+    """Check after torque on: torque is on, and the joint has not moved, or its fall was stopped."""
     image = _image(device, ports, "torque_enable", "position")
     if not image["torque_enable"]:
         raise ServoError(f"{device.name} did not switch its torque on; all are off again")
     moved = abs(image["position"] - before["position"]) * device.units.count
     passed = image.time - before.time
     fallen = 2.0 * abs(device.units.velocity(before["speed"])) * passed
-    # A soft servo must be pushed away from its goal to exert anything: at most by limit / k_p.
+    # A servo exerts torque only at a distance from its goal: at most limit / k_p.
     kp = device.spec.kp or device.units.stiffness(device.gain)
     sag = device.units.torque(device.limit) / kp
     if moved > MOVED + fallen + sag:
@@ -201,7 +200,7 @@ def _stayed(device: Device, ports: Ports, before: Image) -> None:
 
 
 def disable(devices: Sequence[Device], ports: Ports) -> None:
-    """Torque off; every servo is tried. Then what we wrote in RAM is as it was found."""
+    """Switch torque off for every servo, then restore the RAM registers that were written."""
     failed = {}
     for device in devices:
         problem = _try_off(device, ports)
@@ -215,7 +214,7 @@ def disable(devices: Sequence[Device], ports: Ports) -> None:
 
 
 def reboot(devices: Sequence[Device], ports: Ports) -> None:
-    """Restart servos and wait for them."""
+    """Restart servos and wait until they answer."""
     for device in devices:
         if device.family.status != "p2":
             raise ServoError(
@@ -235,7 +234,7 @@ def reboot(devices: Sequence[Device], ports: Ports) -> None:
 
 
 def _try_off(device: Device, ports: Ports) -> str | None:
-    """Torque off, registers handed back; what went wrong, None when torque is off."""
+    """Switch torque off and restore registers; return the error, or None if torque is off."""
     device.enabled = False
     device.settle_dispute()
     for key in ("torque", "limit", "goal"):
@@ -260,7 +259,7 @@ def _try_off(device: Device, ports: Ports) -> str | None:
 
 
 def _off_unheard(device: Device, ports: Ports) -> str:
-    """Send torque off where no answer can be had; says how often."""
+    """Send torque off without waiting for an answer; return a text with the number of packets."""
     register = device.family.registers["torque_enable"]
     guard, sent = ports[id(device)].guard, 0
     for _ in range(UNHEARD_TRIES):
@@ -277,7 +276,7 @@ def _off_unheard(device: Device, ports: Ports) -> str:
 
 
 def _hand_back(device: Device, ports: Ports) -> None:
-    """Write registers in RAM as they were found at open: other programs do not set them."""
+    """Restore RAM registers to their values at open, because other programs do not set them."""
     if not device.found:
         return
     image = _image(device, ports, *device.found)
@@ -288,7 +287,7 @@ def _hand_back(device: Device, ports: Ports) -> None:
 
 
 def _image(device: Device, ports: Ports, *names: str) -> Image:
-    """Registers of a servo, fresh."""
+    """Read registers of a servo now."""
     guard = ports[id(device)].guard
     guard.begin()
     image = read_image(guard, device, *names)
@@ -298,17 +297,17 @@ def _image(device: Device, ports: Ports, *names: str) -> Image:
 
 
 def _set(device: Device, ports: Ports, name: str, value: int) -> None:
-    """Write one register and see it acknowledged."""
+    """Write one register and wait for the acknowledgement."""
     register = device.family.registers[name]
     _send(device, ports, name, register.encode(value), f"{name} = {value}")
 
 
 def _send(device: Device, ports: Ports, first: str, data: bytes, what: str = "its goal") -> None:
-    """Write bytes from a register on and see them acknowledged.
+    """Write bytes from a register on and wait for the acknowledgement.
 
     Raises:
         BusError: The port is gone.
-        ServoError: The servo did not confirm, or refused.
+        ServoError: The servo did not confirm, or rejected the packet.
     """
     guard = ports[id(device)].guard
     guard.begin()

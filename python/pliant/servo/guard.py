@@ -1,15 +1,15 @@
-"""A guard around every transaction of one port.
+"""Guarded transactions on one port: timeouts, retries, and rejection of late replies.
 
-The protocols carry no sequence number, so a late answer to an earlier request looks like the answer
-to this one, but for its length. So the length is the number: a request that was not answered well
-*owes* an answer, and no other of that servo asks for as many bytes before one of another length
-has been answered. A servo answers in order and a line keeps it: that answer proves that nothing
-older can still come. Where there is a choice, the length is avoided for a second in any case,
-should something between host and servo not keep the order. What is owed for two seconds is given
-up: an arm without positions for so long is on its way down.
+The protocols carry no sequence number, so only its length distinguishes a late reply to an earlier
+request from the reply to this one. After a failed request, the servo has a missing reply. No other
+request to that servo uses the same length until a reply of another length has arrived: servos
+answer in order and the line keeps the order, so that reply proves that no older one can come. If
+there is a choice, the length is also avoided for one second, in case a device between host and
+servo reorders data. After two seconds a missing reply is given up, because an arm without positions
+for so long is being lowered.
 
-What is late still spoils the next answers. So after a failure the line is drained too, by pings to
-an id that nobody has, until it has been silent for as long as an answer may take.
+A late reply also corrupts the next one. So after a failure the line is drained: pings are sent to
+an unused id until the line has been silent for as long as a reply may take.
 """
 
 from __future__ import annotations
@@ -39,35 +39,35 @@ NOISY = (
     "noise (cable, ground, termination)"
 )
 
-#: Least window of silence, as a share of the patience: a host that was busy for a moment.
+#: Minimum silence of a drain, as a share of `patience`: tolerance for a busy host.
 SILENCE_SHARE = 0.2
-#: Outside of a cycle there is no hurry: so many times the patience, and so many tries. One that
-#: brings an answer to an earlier request is a try too.
+#: Outside of a cycle: factor of the timeout, and number of tries. A try that receives a late reply
+#: counts too.
 UNHURRIED, TRIES = 5.0, 6
-#: Longest drain outside of a cycle [s], and of those that follow one that failed: a line that an
-#: adapter's echo or noise never leaves silent must not hold anybody up.
+#: Longest drain outside of a cycle [s], and after a failed one: an adapter with echo or noise may
+#: never be silent.
 DRAIN, DRAIN_AGAIN = 0.5, 0.05
-#: Data bytes that a ping is answered with, and the most that any servo has at address 0 without a
-#: gap.
+#: Data bytes of a ping reply by protocol; and the number of bytes that every servo has from address
+#: 0 on without a gap.
 PING, FIRST = {"p1": 0, "p2": 3}, 12
-#: So many ids are tried for one that nobody has.
+#: Number of ids tried to find an unused one.
 ABSENT_TRIES = 8
-#: Which counter a failure counts in.
+#: Counter for each kind of failure.
 _COUNTED = {"timeout": "timeouts", "corrupt": "corrupt", "stale": "stale", "refused": "refused"}
 
 
 @dataclass
 class Counters:
-    """What has happened on one port since it was opened.
+    """Event counters of one port since it was opened.
 
     Attributes:
-        transactions: Requests sent, retries included, pings of drains not.
-        retries: Requests sent once more.
-        timeouts: No or no whole answer.
-        corrupt: Answers with a wrong checksum, frame or id.
-        stale: Answers that were not to the request they came after: kept out.
-        drains: How often the line had to be drained.
-        refused: Requests that a servo answered with a refusal.
+        transactions: Requests sent, with retries, without the pings of drains.
+        retries: Requests sent again.
+        timeouts: Missing or incomplete replies.
+        corrupt: Replies with a wrong checksum, frame or id.
+        stale: Late replies to earlier requests, rejected.
+        drains: Number of drains.
+        refused: Requests that a servo rejected.
     """
 
     transactions: int = 0
@@ -81,13 +81,13 @@ class Counters:
 
 @dataclass(frozen=True)
 class Reply:
-    """An answer of one servo.
+    """Reply of one servo.
 
     Attributes:
-        block: What was read.
+        block: Block that was read.
         data: Its bytes.
-        status: The error byte.
-        time: When the request was sent [s].
+        status: Error byte.
+        time: Time of the request [s].
     """
 
     block: Block
@@ -97,7 +97,7 @@ class Reply:
 
 
 class Guard:
-    """Transactions of one port with drain, one retry and counters.
+    """Transactions on one port, with drains, retries and counters.
 
     Args:
         transport: The port.
@@ -105,18 +105,18 @@ class Guard:
         baudrate: Bits per second.
         latency: The adapter's latency timer [s].
         cycle: Control period [s].
-        patience: Least time to wait for an answer [s].
-        absent: An id that no servo on the port has; drains listen behind it.
-        clock: The time by which it waits.
-        stamp: The time that replies carry; default the same.
+        patience: Minimum reply timeout [s].
+        absent: Unused id on the port, for drains.
+        clock: Clock for timeouts.
+        stamp: Clock of the time in replies; default: `clock`.
 
     Attributes:
-        counters: What has happened so far.
-        turn: Time of the slowest servo to begin its answer [s].
+        counters: Event counters.
+        turn: Longest response delay of the servos [s].
         latency: The adapter's latency timer [s].
-        held_back: Least time that an answer to a reading came later than the wire takes [s].
+        held_back: Shortest delay of a reply over the wire time [s].
         gone: Whether the port has vanished; every call then fails at once.
-        is_noisy: Whether the last drain without a budget never found the line silent.
+        is_noisy: Whether the last drain without a budget ended without silence.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class Guard:
         clock: Callable[[], float] = time.perf_counter,
         stamp: Callable[[], float] | None = None,
     ) -> None:
-        """Take over the port; nothing is sent yet."""
+        """Store the port; nothing is sent yet."""
         self.counters = Counters()
         self.turn = TURN
         self.gone = self.is_noisy = False
@@ -148,24 +148,24 @@ class Guard:
         self._silence = SILENCE_SHARE * patience + latency
 
     def begin(self, budget: float = float("inf")) -> None:
-        """Start a cycle: no retry and no drain goes on after `budget` [s] from now.
+        """Start a cycle: no retry and no drain runs later than `budget` [s] from now.
 
-        Without a budget there is no hurry: longer waits, and more tries.
+        Without a budget, timeouts are longer and there are more tries.
         """
         self._deadline = self._clock() + budget
 
     def read(self, id: int, *blocks: Block, again: bool = True) -> Reply:
-        """Read a block of one servo; after a failure drain and try once more.
+        """Read a block of one servo; after a failure, drain and retry.
 
         Args:
             id: The servo.
-            *blocks: What will do, of different lengths; the first is read whose length no answer
-                owed has.
-            again: Whether a failure is followed by a second try.
+            *blocks: Alternative blocks of different lengths; the first one whose length fits no
+                missing reply is read.
+            again: Whether to retry after a failure.
 
         Raises:
-            BusError: All tries failed, or there was no time for another; `late` where every length
-                is owed, until a reading of another length has been answered.
+            BusError: All tries failed, or there was no time for another; `late` if every length
+                fits a missing reply.
         """
 
         def once() -> Reply:
@@ -174,9 +174,9 @@ class Guard:
         return self._tried(once) if again else self._once(once)
 
     def sync_read(self, ids: Sequence[int], *blocks: Block) -> dict[int, Reply]:
-        """Read a block, as `read`, of several servos with one request; not tried twice.
+        """Read a block of several servos with one request, without a retry; blocks as in `read`.
 
-        It is all or nothing; after a failure ask them one by one.
+        If one reply is missing, all fail; then ask the servos one by one.
         """
 
         def once() -> dict[int, Reply]:
@@ -190,7 +190,7 @@ class Guard:
         return self._once(once)
 
     def write(self, id: int, address: int, data: bytes) -> int:
-        """Write bytes of one servo, return the status of the answer; tried twice."""
+        """Write bytes to one servo with a retry; return the status of the reply."""
 
         def once() -> int:
             self._start("write", 1, len(data))
@@ -199,25 +199,25 @@ class Guard:
         return self._tried(once)
 
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
-        """Write several servos with one packet; nobody answers, so only the port can fail."""
+        """Write several servos with one packet; it has no reply, so only the port can fail."""
 
         def once() -> None:
             self._start("sync_write", len(ids), len(data[0]))
             self._io.sync_write(ids, address, data)
 
-        # Nobody answers, so nothing stale can come of a line that is not silent.
+        # The packet has no reply, so the line need not be silent.
         self.check_port()
         self._counted(once)
 
     def ping(self, id: int) -> bool:
-        """Whether a servo answers; not tried twice."""
+        """Return True if a servo answers; no retry."""
 
         def once() -> bool:
             self._start("ping", 1, 0, hurry=True)
             before = self._clock()
             answered = self._io.ping(id)
             if not answered:
-                # Whoever was late, or two at once, may still be talking.
+                # A late servo, or two with the same id, may still be sending.
                 self._dirty = True
                 self._owed.add([id], PING[self._protocol], before)
             return answered
@@ -225,7 +225,7 @@ class Guard:
         return self._once(once)
 
     def reboot(self, id: int) -> None:
-        """Restart a servo; whether it answers before it goes is its own affair."""
+        """Restart a servo; its reply is optional and ignored."""
 
         def once() -> None:
             self._start("write", 1, 0)
@@ -237,9 +237,9 @@ class Guard:
         self._once(once)
 
     def find_absent(self, taken: Iterable[int], highest: int) -> None:
-        """Choose the highest id that is not taken and that nobody answers to, for drains.
+        """Find the highest unused id without an answer, for drains.
 
-        Where every id seems to answer, as on a line that echoes, the present one stays.
+        If every id seems to answer, as on a line with echo, the present one is kept.
         """
         free = (number for number in range(highest, -1, -1) if number not in set(taken))
         for _, number in zip(range(ABSENT_TRIES), free, strict=False):
@@ -262,10 +262,10 @@ class Guard:
             return self._checked(id, block, data, status, start)
 
     def _choose(self, ids: Sequence[int], blocks: Sequence[Block]) -> Block:
-        """The first block of a length that nobody owes.
+        """Return the first block whose length fits no missing reply.
 
         Raises:
-            BusError: All are owed still, and there is no time to find out more.
+            BusError: All lengths fit, and there is no time to settle them.
         """
         found = self._owed.choose(ids, blocks, self._clock())
         if found is not None:
@@ -277,7 +277,7 @@ class Guard:
         return blocks[0]
 
     def _settle(self, id: int) -> None:
-        """Read the first bytes of a servo, of a length that it does not owe."""
+        """Read the first bytes of a servo, with a length that fits no missing reply."""
         if barred := self._owed.barred(id):
             size = next((n for n in range(FIRST, 0, -1) if n not in barred), None)
             if size is None:
@@ -286,7 +286,7 @@ class Guard:
 
     @contextmanager
     def _owing(self, ids: Sequence[int], size: int) -> Iterator[None]:
-        """Inside, answers of this length are asked for; owed unless it ends well."""
+        """Return a context for a request; if it fails, its reply is recorded as missing."""
         before = self._clock()
         try:
             yield
@@ -296,7 +296,7 @@ class Guard:
         self._owed.settle(ids)
 
     def _checked(self, id: int, block: Block, data: bytes, status: int, start: float) -> Reply:
-        """An answer of the right length; any other was not to this request."""
+        """Return a reply of the right length; raise for another length, a late reply."""
         if len(data) == block.size:
             return Reply(block, data, status, start)
         if not data and status:
@@ -313,7 +313,7 @@ class Guard:
         )
 
     def _start(self, kind: Kind, servos: int, size: int, *, hurry: bool = False) -> float:
-        """Set the timeout for what comes, count it, and note the time."""
+        """Set the timeout of a request, count it, and return the time [s]."""
         wire = wire_time(
             self._protocol, kind, servos, size, baudrate=self._baudrate, turn=self.turn
         )
@@ -332,7 +332,7 @@ class Guard:
             self._timeout = timeout
 
     def _tried(self, call: Callable[[], T]) -> T:
-        """Call; after a failure that can pass, drain and call again if the budget allows."""
+        """Call; after a temporary failure, drain and call again if the budget allows."""
         left = TRIES if isinf(self._deadline) else 2
         while True:
             try:
@@ -350,11 +350,11 @@ class Guard:
                 self.counters.retries += 1
 
     def _late(self) -> bool:
-        """Whether an answer to one more request could come after the deadline."""
+        """Return True if the reply to one more request could come after the deadline."""
         return self._clock() + self._waited > self._deadline
 
     def _once(self, call: Callable[[], T]) -> T:
-        """One call on a silent line."""
+        """Drain the line if needed, then call once."""
         self.check_port()
         if self._dirty and not self._drain():
             if isinf(self._deadline):
@@ -363,7 +363,7 @@ class Guard:
         return self._counted(call)
 
     def check_port(self) -> None:
-        """See that the port is there.
+        """Check that the port is present.
 
         Raises:
             BusError: It has vanished.
@@ -372,7 +372,7 @@ class Guard:
             raise BusError("the port is gone: close it, plug it in and open it again", "gone")
 
     def _counted(self, call: Callable[[], T]) -> T:
-        """Call, and count what fails."""
+        """Call, and count failures."""
         try:
             return call()
         except BusError as error:
@@ -385,11 +385,11 @@ class Guard:
             raise
 
     def _drain(self) -> bool:
-        """Listen until the line has been silent for a whole answer; False when time ran out.
+        """Listen until the line has been silent for one reply time; return False on timeout.
 
-        A ping to an absent id reads whatever arrives: it comes back early when there was
-        something, and after its timeout when there was nothing. Without hurry it listens for as
-        long as an answer is waited for, and gives up after `DRAIN`.
+        A ping to an unused id reads all data that arrive: it returns early if there were any, and
+        after its timeout otherwise. Without a budget, the silence must last as long as a reply
+        timeout, and the drain ends after `DRAIN`.
         """
         self.counters.drains += 1
         unhurried = isinf(self._deadline)

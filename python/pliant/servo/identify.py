@@ -1,7 +1,6 @@
-"""What is asked of every servo at open, before anything is sent that could move it.
+"""Identification and checks of every servo at open, before anything is sent that could move it.
 
-Everything here reads. What it finds wrong it says with the remedy; only `pliant servos setup`
-writes EEPROM.
+This module only reads. Errors contain the remedy. Only `pliant servos setup` writes EEPROM.
 """
 
 from __future__ import annotations
@@ -22,28 +21,28 @@ if TYPE_CHECKING:
     from pliant.servo.guard import Guard, Reply
     from pliant.servo.port import Port
 
-#: Ids that are tried when one is missing, to say what is there instead.
+#: Number of low ids that are tried if one is missing, to name the servos that are present.
 NEARBY = 20
 OVERLOAD_BIT = 5
-#: Answers that are all later than this are held back by the adapter [s].
+#: Shortest reply delay that means that the adapter holds replies back [s].
 HELD_BACK = 0.008
 SPEED_UNIT_BIT = 2  # of Feetech's Phase: set for 1 step/s
 
 
 @dataclass(frozen=True)
 class Found:
-    """A servo as it introduced itself.
+    """Identification of one servo.
 
     Attributes:
         joint: Joint name.
         id: Id on the bus.
-        model: Model by the table.
+        model: Model name in the servo table.
         firmware: Firmware number; Feetech's as major + 256 · minor.
         voltage: Supply voltage [V].
         temperature: [°C].
         return_delay: Return delay [s].
-        torque_on: Whether its torque was on already.
-        notes: What is not wrong but worth knowing, in sentences with the remedy.
+        torque_on: Whether its torque was on at open.
+        notes: Remarks that are not errors, with the remedy.
     """
 
     joint: str
@@ -58,19 +57,19 @@ class Found:
 
 
 class Image:
-    """Registers of one servo as read at one time.
+    """Registers of one servo, read at one time.
 
     Attributes:
-        replies: The answers they came in.
+        replies: Replies that contain them.
     """
 
     def __init__(self, device: Device, *replies: Reply) -> None:
-        """Keep the blocks."""
+        """Store the replies."""
         self._family, self.replies = device.family, replies
 
     @property
     def time(self) -> float:
-        """When the first block was asked for [s]."""
+        """Time of the first request [s]."""
         return self.replies[0].time
 
     def __contains__(self, name: str) -> bool:
@@ -96,11 +95,11 @@ def read_image(guard: Guard, device: Device, *names: str) -> Image:
 
 
 def identify(port: Port) -> tuple[Found, ...]:
-    """Read every servo of a port, check it, and take over what its registers say.
+    """Read and check every servo of a port, and store the values of its registers.
 
     Raises:
-        ServoError: A servo is missing or another one, is set up in a way that cannot be driven, or
-            its supply does not fit. All that is wrong is said at once.
+        ServoError: A servo is missing or is another model, its settings do not allow control, or
+            its supply does not fit. The message lists all errors.
     """
     port.guard.begin()
     port.guard.find_absent({device.id for device in port.devices}, port.highest)
@@ -145,7 +144,7 @@ def identify(port: Port) -> tuple[Found, ...]:
 
 
 def _held_back(port: Port) -> str:
-    """Say that the adapter holds answers back, as its driver says or as was measured."""
+    """Describe an adapter that holds replies back, as its driver reports or as measured."""
     guard = port.guard
     if guard.held_back > HELD_BACK and guard.held_back > (port.latency or 0.0):
         port.latency = guard.latency = round(guard.held_back, 3)
@@ -163,7 +162,7 @@ def _held_back(port: Port) -> str:
 
 
 def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: bool) -> list[str]:
-    """Whose answers are none: two servos on one id, or, where it is everybody's, the line."""
+    """Describe corrupt replies: two servos with one id or, if all are corrupt, the line."""
     if all_of_them and len(broken) > 1:
         return [
             f"{port.path}: every answer is broken ({broken[0][1]}). An adapter that hears its own "
@@ -178,7 +177,7 @@ def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: b
 
 
 def _missing(port: Port, missing: list[Device]) -> str:
-    """Who does not answer, and who does."""
+    """Name the servos that do not answer, and the ids that do."""
     expected = {device.id for device in port.devices}
     gone = {device.id for device in missing}
     nearby = [i for i in range(NEARBY + 1) if i not in expected and port.guard.ping(i)]
@@ -197,7 +196,7 @@ def _missing(port: Port, missing: list[Device]) -> str:
 
 
 def _check(device: Device, image: Image) -> list[str]:
-    """Everything about one servo that forbids to drive it."""
+    """Return all errors of one servo that do not allow control."""
     row = device.row
     number = image["model"]
     if number != row.number:
@@ -225,10 +224,10 @@ def _check(device: Device, image: Image) -> list[str]:
 
 
 def _remember(device: Device, image: Image) -> None:
-    """Note what is handed back once torque is off, and what is set while we drive.
+    """Record the registers to restore after torque off, and those to set while driven.
 
-    Registers of a servo whose torque is on, or whose limit is 0, are those of a program that was
-    ended or of an overload: such a servo gets back what its power-up would have set.
+    If torque is on, or a limit is 0, the registers come from an ended program or an overload. Such
+    a servo gets the values that a power-up would set.
     """
     family = device.family
     device.unbound = {
@@ -243,14 +242,14 @@ def _remember(device: Device, image: Image) -> None:
 
 
 def _supply(device: Device, image: Image) -> tuple[float, float]:
-    """Lowest and highest supply [V]: the servo's limits, at most half a volt past the maker's."""
+    """Return lowest and highest supply [V]: the servo's limits, at most 0.5 V past the maker's."""
     lowest, highest = device.row.voltage
     low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
     return max(low, lowest - 0.5), min(high, highest + 0.5)
 
 
 def _check_mode(device: Device, image: Image) -> list[str]:
-    """Operating and drive modes that cannot be driven."""
+    """Return errors of operating mode and drive mode."""
     wrong = []
     family = device.family
     if family.status == "p2":
@@ -295,11 +294,11 @@ def _check_mode(device: Device, image: Image) -> list[str]:
 
 
 def _take(device: Device, image: Image) -> Found:
-    """Take over ceilings, limits and gain, and say what is worth knowing."""
+    """Store ceilings, limits and gain; return the identification with notes."""
     row, family = device.row, device.family
     device.ceiling = min(image[family.ceiling], device.units.full)
     if row.kind == "current" and image["pwm_limit"] < family.full_duty:
-        # The PWM bounds the torque too: at stall in proportion.
+        # The PWM limit bounds the torque too, in proportion at stall.
         most = image["pwm_limit"] / family.full_duty * device.units.usable(device.units.full)
         device.ceiling = min(device.ceiling, device.units.register(most))
     device.gain = image["gain"]

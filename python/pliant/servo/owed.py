@@ -1,6 +1,6 @@
-"""Answers that servos owe: what was asked for and did not come, or not well.
+"""Record of missing replies, so that a late one is never taken for a new one.
 
-The protocols carry no sequence number; an answer carries its length, and that is the number.
+The protocols carry no sequence number. The length of a reply serves as its identification.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
 
     from pliant.servo.models.row import Block
 
-#: A length is avoided for so long after an answer of it was missed, where there is a choice, and
-#: for so long where nothing has been answered since [s].
+#: Time for which the length of a missing reply is avoided if there is a choice; and time after
+#: which a reply is given up if nothing was answered since [s].
 MEMORY, GIVEN_UP = 1.0, 2.0
 
 
 @dataclass
 class Answer:
-    """One that is missing.
+    """A missing reply.
 
     Attributes:
-        size: Its data bytes.
-        time: When it was asked for [s].
-        settled: Whether a later request has been answered, so that it cannot come any more.
+        size: Number of data bytes.
+        time: Time of the request [s].
+        settled: Whether a later request was answered, so that this reply cannot arrive any more.
     """
 
     size: int
@@ -34,29 +34,29 @@ class Answer:
 
 
 class Owed:
-    """What the servos of one port owe, by id."""
+    """Missing replies of the servos on one port, by id."""
 
     def __init__(self) -> None:
-        """Nothing is owed."""
+        """Start without missing replies."""
         self._missing: dict[int, list[Answer]] = {}
 
     def add(self, ids: Iterable[int], size: int, time: float) -> None:
-        """Answers of this length, asked for then, may still come."""
+        """Record missing replies of this length, requested at `time` [s]."""
         for id in ids:
             self._missing.setdefault(id, []).append(Answer(size, time))
 
     def settle(self, ids: Iterable[int]) -> None:
-        """These servos have answered a request of a length that they did not owe."""
+        """Mark all missing replies of these servos as settled, after a reply of another length."""
         for id in ids if self._missing else ():
             for answer in self._missing.get(id, ()):
                 answer.settled = True
 
     def barred(self, id: int) -> set[int]:
-        """Lengths in which an answer of this servo may be one to an earlier request."""
+        """Return the lengths that a late reply of this servo may have."""
         return {answer.size for answer in self._missing.get(id, ()) if not answer.settled}
 
     def choose(self, ids: Sequence[int], blocks: Sequence[Block], now: float) -> Block | None:
-        """The first block of a length that nobody owes: not within memory, or not any more."""
+        """Return the first block whose length fits no missing reply, preferably no recent one."""
         if not self._missing:
             return blocks[0]
         for id in ids:

@@ -1,4 +1,4 @@
-"""All servos on one serial port: their readings and their one write packet per family."""
+"""All servos on one serial port: reads, and one write packet per servo family."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from pliant.servo.models.row import Protocol as Wire
     from pliant.servo.transport import Transport
 
-#: A servo that said nothing in so many cycles running is left alone for that many, so that one dead
-#: servo does not cost a timeout in each of them.
+#: A servo that is silent for this many cycles is skipped for `PROBE` cycles, so that a dead servo
+#: does not cost a timeout in every cycle.
 MISSES, PROBE = 3, 8
-#: A servo silent for longer may have restarted, with its torque off [s], or so many cycles.
+#: Silence after which a servo may have restarted, with its torque off: [s], and cycles.
 RESTART, RESTART_CYCLES = 0.1, 3.0
-#: Share of a cycle that a further request to all servos may take.
+#: Largest share of a cycle for one more request to all servos.
 ASK_ALL = 0.2
-#: One unit of the bus watchdog [s], its largest number, and how often setting it is tried.
+#: Unit of the bus watchdog [s], its largest value, and number of tries to set it.
 WATCHDOG_UNIT, MOST_WATCHDOG, ROUNDS = 0.02, 127, 4
 
 
@@ -39,14 +39,14 @@ class Port:
         devices: The servos on it.
         baudrate: Bits per second.
         cycle: Control period [s].
-        patience: Least time to wait for an answer [s].
+        patience: Minimum reply timeout [s].
         open_transport: ``(path, baudrate, protocol) -> Transport``.
-        clock: The time that readings carry.
+        clock: Clock of the readings.
 
     Attributes:
-        guard: All transactions go through it.
-        watchdog: Bus watchdog of the servos that have one [units of 20 ms]; 0 is off.
-        latency: The adapter's latency timer [s]; None where it has none.
+        guard: Guard of all transactions.
+        watchdog: Bus watchdog of the servos that have one [units of 20 ms]; 0: off.
+        latency: The adapter's latency timer [s]; None: no such timer.
     """
 
     def __init__(
@@ -91,11 +91,11 @@ class Port:
 
     @property
     def heard(self) -> list[Device]:
-        """Servos that are not left alone for their silence."""
+        """Servos that are not skipped for their silence."""
         return [device for device in self.devices if device.id not in self._silent]
 
     def can_ask_all(self) -> bool:
-        """Whether one request reads a byte of all servos, within a fifth of a cycle."""
+        """Return True if one request reads a byte of all servos within a fifth of a cycle."""
         family = self.devices[0].family
         if not family.sync_read or family.status != "p2" or self.guard.gone:
             return False
@@ -105,17 +105,17 @@ class Port:
         return wire + (self.latency or 0.0) < ASK_ALL * self._cycle
 
     def close(self) -> None:
-        """Let go of the port; the servos keep their last goal and limit."""
+        """Close the port; the servos hold their last goal and limit."""
         self._io.close()
 
     def read(self, budget: float) -> set[int]:
-        """Read all servos, id by id where one request for all fails.
+        """Read all servos with one request; if it fails, read them one by one.
 
         Args:
-            budget: Time after which nothing is tried again [s].
+            budget: Time after which there are no retries [s].
 
         Returns:
-            Ids whose reading was taken in.
+            Ids of the servos with an accepted reading.
 
         Raises:
             BusError: The port is gone.
@@ -141,10 +141,10 @@ class Port:
         return taken
 
     def _look(self, device: Device) -> bool:
-        """Read whether a servo's torque is on after a silence; False where it did not say.
+        """Read after a silence whether a servo's torque is on; return False without an answer.
 
-        One that has restarted gets no goals any more: on some they would switch its torque on. One
-        whose bus watchdog has tripped refuses them until that is cleared.
+        A servo that has restarted gets no goals any more, because on some models they would switch
+        torque on. A servo with a tripped watchdog rejects goals until the watchdog is cleared.
         """
         try:
             device.note(self.guard.read(device.id, device.family.block("torque_enable")))
@@ -157,7 +157,7 @@ class Port:
         return True
 
     def revive(self, devices: Iterable[Device]) -> None:
-        """Clear tripped watchdogs and arm them again; retry a failed write in the next cycle.
+        """Clear tripped watchdogs and arm them again; a failed write is retried in the next cycle.
 
         Raises:
             BusError: The port is gone.
@@ -175,13 +175,13 @@ class Port:
                 device.tripped = False
 
     def set_watchdog(self, seconds: float, budget: float) -> list[str]:
-        """Set the bus watchdog of the servos that have one, tripped or not.
+        """Set the bus watchdog of all servos that have one, tripped or not.
 
-        By packets that need no answer, so that a line that is silent for now costs little; then it
-        is read back.
+        The packets need no reply, so a temporarily silent line costs little time. The value is then
+        read back.
 
         Args:
-            seconds: Silence after which they stop; 0 is never.
+            seconds: Silence after which servos stop [s]; 0: never.
             budget: Time for each of `ROUNDS` tries [s].
 
         Returns:
@@ -212,13 +212,13 @@ class Port:
         return [device.name for device in left]
 
     def write(self, packets: Sequence[tuple[Device, int, int, int]]) -> None:
-        """Send goal, limit and speed cap registers, by sync writes for each kind of servo.
+        """Send goal, limit and speed cap registers with sync writes, one per kind of servo.
 
         Args:
             packets: Servo, goal, limit and speed cap.
 
         Raises:
-            BusError: The port is gone, or did not take the packet.
+            BusError: The port is gone, or rejected the packet.
         """
         for group in _groups(packets, lambda p: p[0].family.write):
             family = group[0][0].family
@@ -230,7 +230,7 @@ class Port:
                 device.sent(goal, limit)
 
     def _reads(self, device: Device, block: Block) -> bool:
-        """Take a block in; False where it did not come."""
+        """Read and store a block; return False without an answer."""
         try:
             device.note(self.guard.read(device.id, block, again=False))
         except BusError as error:
@@ -239,7 +239,7 @@ class Port:
         return True
 
     def _together(self, group: Sequence[Device]) -> dict[int, Reply]:
-        """One request for all; where it fails, one by one, with the culprit last."""
+        """Read all servos with one request; on failure one by one, the failed one last."""
         try:
             return self.guard.sync_read([device.id for device in group], *group[0].family.read)
         except BusError as error:
@@ -250,10 +250,10 @@ class Port:
     def _alone(
         self, group: Sequence[Device], *, last: int | None = None, again: bool = True
     ) -> dict[int, Reply]:
-        """Ask each servo by itself; who says nothing is left alone for a while.
+        """Read each servo by itself; a silent one is skipped for some cycles.
 
-        The one that was heard of the longest ago comes first, so that nobody is left over in every
-        cycle whose time runs out.
+        The servo with the oldest reading comes first, so that no servo misses every cycle that runs
+        out of time.
         """
         replies = {}
         missed = []
@@ -267,7 +267,7 @@ class Port:
                     missed.append(device.id)
             else:
                 replies[device.id] = reply
-        # Where the whole line is silent nobody is singled out.
+        # If the whole line is silent, do not count it against single servos.
         for number in missed if replies else ():
             self._misses[number] = self._misses.get(number, 0) + 1
             if self._misses[number] >= MISSES:
@@ -275,7 +275,7 @@ class Port:
         return replies
 
     def _probe(self) -> dict[int, Reply]:
-        """Ask one of the silent servos whose turn it is."""
+        """Read one of the silent servos, in turn."""
         for number in self._silent:
             self._silent[number] -= 1
         due = [device for device in self.devices if self._silent.get(device.id, 1) <= 0]
@@ -292,9 +292,9 @@ class Port:
 
 
 def latency_timer(path: str) -> float | None:
-    """Latency timer of an FTDI adapter [s], None for adapters without one (Linux).
+    """Return the latency timer of an FTDI adapter [s]; None for other adapters (Linux).
 
-    The driver holds short answers back for as long; 16 ms unless someone has set it to 1.
+    The driver holds short replies back for this time: 16 ms by default, 1 ms if configured.
     """
     name = Path(path).resolve().name
     file = Path("/sys/bus/usb-serial/devices") / name / "latency_timer"
@@ -305,7 +305,7 @@ def latency_timer(path: str) -> float | None:
 
 
 def _groups(items: Iterable, key: Callable) -> list[list]:  # type: ignore[type-arg]
-    """Items with equal keys together, in order of first appearance."""
+    """Group items by key, in order of first appearance."""
     found: dict[object, list] = {}  # type: ignore[type-arg]
     for item in items:
         found.setdefault(key(item), []).append(item)
@@ -313,6 +313,6 @@ def _groups(items: Iterable, key: Callable) -> list[list]:  # type: ignore[type-
 
 
 def _pass_on(error: BusError) -> None:
-    """Raise what no next servo can change."""
+    """Raise an error that also affects all other servos."""
     if error.reason == "gone":
         raise error

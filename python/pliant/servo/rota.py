@@ -1,4 +1,4 @@
-"""Slow data, a small read per cycle: voltage, temperature, faults, limits as they stand."""
+"""Slow data, one small read per cycle: voltage, temperature, faults and stored limits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def parts(family: Family) -> tuple[Block, ...]:
-    """What the rota reads of a servo, one block per step, latched faults first."""
+    """Return the slow blocks of a servo, one per step, latched faults first."""
     if family.status == "p2":
         alone = ("hardware_error", "torque_enable", "watchdog")
         return (
@@ -29,28 +29,28 @@ def parts(family: Family) -> tuple[Block, ...]:
 
 
 def echoes(family: Family) -> tuple[Block, ...]:
-    """Blocks that say which goal and limit a servo has: as many as packets bring them."""
+    """Return blocks with the goal and limit stored in a servo, as many as there are packets."""
     return tuple(
         family.block(*(name for name in names if name in {"goal", "limit"}))
         for names in family.write
     )
 
 
-#: Faults that are told at once, and not when the joint's turn comes.
+#: Faults that are reported at once, before the joint's turn.
 ALARMS = frozenset({"torque", "jump", "port"})
-#: Whether torque is on is asked of all servos at once in every so many-th step.
+#: Number of steps between two requests for the torque state of all servos.
 TORQUE_EVERY = 3
 
 
 class Rota:
-    """Goes round the servos of all joints, one block per step; alarms first.
+    """Cyclic schedule of slow reads over all servos, one block per step; alarms come first.
 
     Args:
         joints: Servos of each joint.
     """
 
     def __init__(self, joints: Sequence[Sequence[Device]]) -> None:
-        """Start with the first joint."""
+        """Start with the first servo."""
         self._joints = joints
         devices = [device for joint in joints for device in joint]
         self._steps = [(d, block) for d in devices for block in parts(d.family)]
@@ -60,11 +60,11 @@ class Rota:
         self._echo = self._count = 0
 
     def step(self, ports: Mapping[int, Port]) -> Health | None:
-        """Read one block, and say what is known of its joint.
+        """Read one block; return the slow data of its joint.
 
-        A servo whose last answer carried an alert it has not been asked about is read first, and so
-        is one with an urgent fault, and one whose goal or limit read other than written: a lost
-        packet and a servo that refuses look alike until the next.
+        Three kinds of servos are read first: those with a new alert, with an urgent fault, and with
+        a goal or limit that read back wrong, because only a second reading distinguishes a lost
+        packet from a servo that rejects it.
 
         Raises:
             BusError: The port is gone.
@@ -85,10 +85,10 @@ class Rota:
         return self._health(device.joint)
 
     def _look_at_torque(self, ports: Mapping[int, Port]) -> bool:
-        """Read with one request whether the torque of all servos of the next port is on.
+        """Read with one request whether torque is on, for all servos of the next port.
 
-        Only where such a request exists and takes little of a cycle: torque that went off is then
-        noticed within a few ticks.
+        This is done only if such a request exists and takes little of a cycle. A loss of torque is
+        then detected within a few ticks.
         """
         several = [port for port in dict.fromkeys(ports.values()) if port.can_ask_all()]
         if not several:
@@ -106,7 +106,7 @@ class Rota:
             return True
         for device in asked:
             device.note(replies[device.id])
-        # One that lost it is an alarm: it is read next, in this step.
+        # A servo that lost its torque raises an alarm: it is read next, in this step.
         return all(d.enabled for d in asked)
 
     def _choose(self) -> tuple[Device, Block]:

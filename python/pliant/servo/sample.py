@@ -1,4 +1,4 @@
-"""From the readings of servos to those of joints."""
+"""Conversion of servo readings to joint readings."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 
     from pliant.servo.device import Device
 
-#: Twins that disagree by more than this work against each other [rad].
+#: Difference between two servos of a joint from which on they work against each other [rad].
 TWINS_APART = 0.1
 
 
 def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
-    """Give the second servo of a joint the zero that its first one implies: the joint couples them.
+    """Set the zero of each second servo from the first one, because the joint couples them.
 
     Raises:
-        ServoError: The joint's range then crosses its seam.
+        ServoError: The joint's range then crosses the second servo's encoder seam.
     """
     for first, *secondaries in joints:
         for secondary in secondaries:
@@ -34,7 +34,7 @@ def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
 
 
 def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -> Sample:
-    """One reading of all joints.
+    """Return one reading of all joints.
 
     Args:
         joints: Servos of each joint, the first one first.

@@ -1,4 +1,4 @@
-"""Who is on a serial port: every baud rate, both framings, id by id. Reads only."""
+"""Scan of a serial port: every baud rate, both protocols, id by id. Reads only."""
 
 from __future__ import annotations
 
@@ -19,23 +19,22 @@ if TYPE_CHECKING:
     from pliant.servo.models.row import Protocol as Wire
     from pliant.servo.transport import Transport
 
-#: Speeds that servos are found at [bit/s], the usual ones first.
+#: Baud rates to try [bit/s], the most common first.
 BAUDRATES = (1_000_000, 57_600, 115_200, 500_000, 2_000_000, 3_000_000, 4_000_000)
-#: Ids that makers and builders use; a deep scan asks all.
+#: Ids that makers and builders use; a deep scan tries all.
 USUAL = range(41)
 ALL = range(253)
-#: Beyond the wire and the adapter, an id is waited for so long [s]: a servo's longest return delay,
-#: and a host that is busy elsewhere.
+#: Reply timeout in addition to wire and adapter [s]: the longest return delay of a servo, and a
+#: busy host.
 PATIENCE = 0.005
-#: How long an id is waited for where an answer may be late, and how long the line must be silent
-#: before it is asked: an adapter that holds answers back for 16 ms, and a busy host [s].
+#: Reply timeout if a reply may be late, and silence of the line before such a request [s]: an
+#: adapter that holds replies back for 16 ms, and a busy host.
 CAREFUL = 0.05
-#: So many ids before one with a late or broken answer are asked again.
+#: Number of ids before one with a late or broken reply that are asked again.
 BEFORE = 12
-#: An id that nobody has, to listen behind; how often it is listened, and how often an id is asked
-#: whose answer is broken.
+#: Unused id for listening; number of listens; and number of requests to an id with broken replies.
 NOBODY, LISTENS, TRIES = 252, 20, 3
-#: A servo's longest time to begin its answer [s]: the makers' default is 500 µs.
+#: Longest response delay of a servo [s]: the makers' default is 500 µs.
 SLOWEST_TURN = 0.0006
 TWO = (
     "broken answer: two servos on this id? Connect them one by one and give each its own with "
@@ -45,7 +44,7 @@ EVERYBODY = (
     "broken answers from every id: an adapter that hears its own requests or adds bytes when it "
     "turns the line round; noise; or another baud rate"
 )
-#: Where the model number stands: Dynamixel, Feetech.
+#: Address of the model number: Dynamixel, Feetech.
 MODEL_AT = {"p1": (0, 3), "p2": (0,)}
 
 
@@ -57,10 +56,10 @@ class Seen:
         port: Path of the port.
         baudrate: [bit/s]
         protocol: `p1` (Feetech too) or `p2`.
-        id: On the bus.
-        number: Model number; None where it could not be read.
-        models: Table rows with that number; Feetech's variants share one.
-        note: What is odd about it; empty otherwise.
+        id: Id on the bus.
+        number: Model number; None if it could not be read.
+        models: Table rows with this number; Feetech's variants share one.
+        note: Anomaly; empty otherwise.
     """
 
     port: str
@@ -87,13 +86,13 @@ def scan(
         baudrates: Speeds to try [bit/s].
         ids: Ids to try.
         transport: Opens the port: ``(path, baudrate, protocol) -> Transport``.
-        progress: Told what is tried next.
+        progress: Called with a text before each step.
 
     Returns:
-        Who answered.
+        Servos that answered.
 
     Raises:
-        ServoError: The port cannot be opened, or vanished, or is never silent.
+        ServoError: The port cannot be opened, has vanished, or is never silent.
         ImportError: The extra `servo` is missing.
     """
     asked = tuple(ids)
@@ -111,12 +110,11 @@ def scan(
 
 
 class _Asking:
-    """Ids asked one by one on an open port, with nobody's answer taken for another's.
+    """Requests to ids one by one on an open port; replies are never assigned to a wrong id.
 
-    Each id gets the time that an answer should take. As soon as anything comes back, also for an id
-    before, the line is listened to until it is silent, and the ids of the last moments are asked
-    again with time to spare. Where servos answer, silent ids are asked a second time: a host that
-    was busy elsewhere loses answers.
+    Each id gets the normal reply time. As soon as any data arrive, even late data of an earlier id,
+    the scan listens until the line is silent, and asks the last ids again with a longer timeout.
+    If any servo answers, silent ids are asked a second time, because a busy host loses replies.
     """
 
     def __init__(
@@ -128,7 +126,7 @@ class _Asking:
         self._careful = max(CAREFUL, 3.0 * self._quick)
 
     def ask_all(self, ids: Sequence[int]) -> list[Seen]:
-        """Who answers, in the order of the ids.
+        """Return the servos that answer, in the order of the ids.
 
         Raises:
             ServoError: The line is never silent.
@@ -153,7 +151,7 @@ class _Asking:
         return found
 
     def _stirs(self, number: int) -> bool:
-        """Whether anything comes back at all."""
+        """Return True if any data arrive after a request."""
         self._io.set_timeout(self._quick)
         try:
             self._io.read(number, MODEL_AT[self._protocol][0], 2)
@@ -165,9 +163,9 @@ class _Asking:
         return True
 
     def _ask(self, number: int) -> Seen | None:
-        """Whether somebody answers to an id, and who it is, with time to spare.
+        """Return the servo that answers to an id, with a longer timeout; None: no answer.
 
-        Read rather than pinged: to a ping, two servos that answer at once are as good as none.
+        It is read, not pinged: if two servos answer a ping at once, it looks like no answer.
         """
         for _ in range(TRIES):
             self._listen()
@@ -191,7 +189,7 @@ class _Asking:
         return Seen(self._port, self._baudrate, self._protocol, number, model, rows, note)
 
     def _listen(self) -> bool:
-        """Wait until the line is silent, but not for ever; say whether it is."""
+        """Wait until the line is silent, for a limited time; return True if it is."""
         self._io.set_timeout(self._careful)
         if self._is_silent:
             return True
@@ -208,13 +206,13 @@ class _Asking:
 
 
 def _pass_on(error: BusError) -> None:
-    """Raise what no next id can change."""
+    """Raise an error that also affects all other ids."""
     if error.reason == "gone":
         raise error
 
 
 def _model(io: Transport, protocol: Wire, id: int) -> tuple[int | None, tuple[str, ...]]:
-    """Model number and rows; a Feetech servo has its firmware where a Dynamixel has its model."""
+    """Return model number and table rows; Feetech has firmware where Dynamixel has the model."""
     number: int | None = None
     for address in MODEL_AT[protocol]:
         try:

@@ -1,7 +1,7 @@
-"""What a servo's EEPROM should say, what it says, and the way from one to the other.
+"""Setup of a servo's EEPROM: find the registers to change, write them, and restore them.
 
-The only place that writes EEPROM. Torque is off meanwhile, every register is read back, and what
-stood there before is returned, so that it can be put back.
+This is the only module that writes EEPROM. Torque is off meanwhile, every register is read back,
+and the former values are returned so that they can be restored.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pliant.servo.guard import Guard
     from pliant.servo.models import Family, ServoModel
 
-#: Registers that a set-up writes.
+#: Registers that a setup writes.
 SETS = (
     "return_level", "return_delay", "shutdown", "mode", "drive_mode", "shadow_id",
     "position_min", "position_max",
@@ -27,25 +27,25 @@ SETS = (
 OVERLOAD_BIT = 5
 #: Operating modes: current-based position, position.
 CURRENT_POSITION, POSITION = 5, 3
-#: Secondary ID that means none.
+#: Secondary ID that disables it.
 NO_SHADOW = 255
-#: Bits of the Drive Mode that are not wanted: follower, time-based profile, torque on by goal.
+#: Unwanted bits of the Drive Mode: follower, time-based profile, torque on by goal.
 UNWANTED = 0b1110
-#: Bit of the Drive Mode of Protocol 1.0 that makes a slave.
+#: Slave bit of the Drive Mode of Protocol 1.0.
 SLAVE = 0b10
 
 
 @dataclass(frozen=True)
 class Change:
-    """One register that should be another.
+    """Change of one register.
 
     Attributes:
         joint: Joint name.
         id: Servo id.
         register: Field name.
-        old, new: Its value, and what it should be.
-        why: In a sentence.
-        model: Servo model; empty where it is not known.
+        old, new: Present value, and value to write.
+        why: Reason, one sentence.
+        model: Servo model; empty if unknown.
     """
 
     joint: str
@@ -60,17 +60,17 @@ class Change:
 def changes(
     io: Guard, joint: str, id: int, row: ServoModel, *, overload: bool = True
 ) -> list[Change]:
-    """What should change on one servo.
+    """Return the changes that a setup needs on one servo.
 
     Args:
         io: Transactions of the open port.
-        joint: Its joint, for the words.
-        id: Its id.
-        row: Its model.
-        overload: Whether the overload bit of Shutdown is to be cleared.
+        joint: Joint name, for messages.
+        id: Servo id.
+        row: Servo model.
+        overload: Whether to clear the overload bit of Shutdown.
 
     Raises:
-        ServoError: It does not answer, or is another model.
+        ServoError: No answer, or another model.
     """
     _is(io, joint, id, row)
     wanted = _wanted(io, id, row, overload)
@@ -80,17 +80,17 @@ def changes(
 def restore(
     io: Guard, joint: str, id: int, row: ServoModel, former: Iterable[Change]
 ) -> list[Change]:
-    """What should change on one servo so that it is again as it was.
+    """Return the changes that restore one servo to its former values.
 
     Args:
         io: Transactions of the open port.
         joint: Its joint.
         id: Its id.
         row: Its model.
-        former: What was changed, also on other servos.
+        former: Changes that were made, also on other servos.
 
     Raises:
-        ServoError: It does not answer, or is another model.
+        ServoError: No answer, or another model.
     """
     own = [change for change in former if (change.joint, change.id) == (joint, id)]
     if not own:
@@ -101,7 +101,7 @@ def restore(
 
 
 def _is(io: Guard, joint: str, id: int, row: ServoModel) -> None:
-    """See that a servo is the model that the configuration says."""
+    """Check that a servo is of the configured model."""
     number = read(io, id, row.family, "model")
     if number != row.number:
         known = " or ".join(r.name for r in by_number(number)) or f"model number {number}"
@@ -111,7 +111,7 @@ def _is(io: Guard, joint: str, id: int, row: ServoModel) -> None:
 def _differing(
     io: Guard, joint: str, id: int, row: ServoModel, wanted: Mapping[str, tuple[int, str]]
 ) -> list[Change]:
-    """Those of the wanted values, with reasons, that the servo has not got."""
+    """Return a change for each register that differs from its wanted value."""
     out = []
     for register, (new, why) in wanted.items():
         old = read(io, id, row.family, register)
@@ -121,10 +121,10 @@ def _differing(
 
 
 def _wanted(io: Guard, id: int, row: ServoModel, overload: bool) -> dict[str, tuple[int, str]]:
-    """Values by register, and why."""
+    """Return wanted values and reasons by register."""
     family = row.family
     out: dict[str, tuple[int, str]] = {}
-    # First, so that what follows is acknowledged.
+    # First, so that the following writes are acknowledged.
     out["return_level"] = (1 if family.status == "feetech" else 2, "acknowledges writes")
     if family.status != "feetech":
         out["return_delay"] = (0, "answers at once: the loop is up to four times as fast")
@@ -154,7 +154,7 @@ def apply(io: Guard, family: Family, wanted: Sequence[Change]) -> None:
     """Write the changes of one servo: torque off, write, read back.
 
     Raises:
-        ServoError: Its torque is on, or a register did not take the value; those before it did.
+        ServoError: Torque is on, or a register did not take its value; earlier ones were written.
     """
     if not wanted:
         return
@@ -178,18 +178,18 @@ def apply(io: Guard, family: Family, wanted: Sequence[Change]) -> None:
 
 
 def rename(io: Guard, joint: str, row: ServoModel, old: int, new: int) -> None:
-    """Give the only servo that answers to an id another one.
+    """Change the id of the only servo that answers to `old`.
 
     Args:
         io: Transactions of the open port.
-        joint: The joint that the new id belongs to, for the words.
-        row: Its model.
-        old: The id it answers to.
-        new: The id it is to have.
+        joint: Joint of the new id, for messages.
+        row: Servo model.
+        old: Present id.
+        new: New id.
 
     Raises:
-        ServoError: It does not answer or is another model, its torque is on, the new id is taken,
-            or the servo did not take it.
+        ServoError: No answer, another model, torque is on, the new id is taken, or the servo did
+            not accept it.
     """
     check_rename(io, joint, row, old, new)
     family = row.family
@@ -203,10 +203,10 @@ def rename(io: Guard, joint: str, row: ServoModel, old: int, new: int) -> None:
 
 
 def check_rename(io: Guard, joint: str, row: ServoModel, old: int, new: int) -> None:
-    """See that `rename` can be done; writes nothing.
+    """Check the conditions of `rename`; nothing is written.
 
     Raises:
-        ServoError: As there.
+        ServoError: As `rename`.
     """
     _is(io, joint, old, row)
     if read(io, old, row.family, "torque_enable"):
@@ -219,7 +219,7 @@ def check_rename(io: Guard, joint: str, row: ServoModel, old: int, new: int) -> 
 
 
 def read(io: Guard, id: int, family: Family, name: str) -> int:
-    """Value of a register.
+    """Return the value of a register.
 
     Raises:
         ServoError: No answer.
@@ -233,7 +233,7 @@ def read(io: Guard, id: int, family: Family, name: str) -> int:
 
 
 def _write(io: Guard, id: int, family: Family, name: str, value: int) -> None:
-    """Write a register; whether it took the value is read back, as not every write is answered."""
+    """Write a register and read it back, because not every write is answered."""
     register = family.registers[name]
     try:
         io.write(id, register.address, register.encode(value))
@@ -243,6 +243,6 @@ def _write(io: Guard, id: int, family: Family, name: str, value: int) -> None:
 
 
 def _lock(io: Guard, id: int, family: Family, *, locked: bool) -> None:
-    """Feetech keeps EEPROM writes only while unlocked; Dynamixel's lock is its torque."""
+    """Lock or unlock EEPROM: Feetech by a register; on Dynamixel, torque locks it."""
     if "lock" in family.registers:
         _write(io, id, family, "lock", int(locked))

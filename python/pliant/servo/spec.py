@@ -1,4 +1,4 @@
-"""How a joint of the arm hangs on its servo."""
+"""Assignment of a servo to a joint: ids, signs, zero, gear and identified values."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ class ServoSpec:
         model: Servo model, as `pliant.servo.names()` lists them.
         id: Id on the bus.
         port: Serial port, e.g. ``/dev/ttyUSB0``.
-        sign: +1 where rising counts are rising angles, else -1.
-        zero: Count at q = 0, may be fractional; None for the middle of the servo's range.
+        sign: +1 if counts rise with the joint angle, else -1.
+        zero: Count at q = 0, may be fractional; None: the middle of the servo's range.
         gear: Turns of the servo per turn of the joint, above 0.
-        secondary: Id and sign of a second servo on the same joint; its zero is taken from the
-            first at open, as the joint couples them.
-        lower, upper: Software position limits [rad]; None for what the servo's own limits allow.
-        stall: Stall torque at the rated voltage instead of the table's [N·m].
-        torque_offset: Torque that the gears eat: ``torque = k · register - offset`` [N·m].
-        kp: Stiffness of the joint as identified instead of what the gain register says [N·m/rad].
-        friction, damping: Of the joint's gears as identified [N·m, N·m·s/rad].
-        calibration: LeRobot's file for this joint: the servo must still have it at open.
+        secondary: Id and sign of a second servo on the same joint. Its zero is found at open from
+            the first servo, because the joint couples them.
+        lower, upper: Software position limits [rad]; None: those of the servo.
+        stall: Stall torque at the rated voltage, overrides the table [N·m].
+        torque_offset: Torque loss in the gears: ``torque = k · register - offset`` [N·m].
+        kp: Identified joint stiffness, overrides that of the gain register [N·m/rad].
+        friction, damping: Identified values of the gears [N·m, N·m·s/rad].
+        calibration: LeRobot's calibration of this joint; checked against the servo at open.
 
     Raises:
-        ConfigError: A value is out of range or the model is not known.
+        ConfigError: A value is out of range, or the model is unknown.
     """
 
     name: str
@@ -96,7 +96,7 @@ class ServoSpec:
 
     @property
     def row(self) -> ServoModel:
-        """The servo's table."""
+        """Row of the model in the servo table."""
         return find(self.model)
 
     @property
@@ -107,7 +107,7 @@ class ServoSpec:
 
 
 def check_specs(given: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:
-    """Check what no single joint can: names and ids are unique, one protocol per port.
+    """Check conditions across joints: unique names and ids, one protocol per port.
 
     Raises:
         ConfigError: Names or ids repeat, or Dynamixel 1.0 and 2.0 share a port.

@@ -1,4 +1,4 @@
-"""Status and error bytes in sentences, and which of them mean that a request was refused."""
+"""Decoding of status and error bytes into sentences, and detection of rejected requests."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _P2 = {
     6: "a value above the servo's own limit",
     7: "a register that is read-only, or locked while torque is on",
 }
-#: Bits of the status byte that refuse; the others state a condition, and the request was done.
+#: Bits of the status byte that mean rejection; with the others the request was executed.
 _P1_REFUSALS = 1 << 1 | 1 << 3 | 1 << 4 | 1 << 6
 ALERT = 0x80
 
@@ -55,11 +55,11 @@ def _bits(value: int, texts: dict[int, str]) -> tuple[str, ...]:
 
 
 def conditions(family: Family, status: int) -> tuple[str, ...]:
-    """What a status byte says about the servo's health, in sentences.
+    """Return the health conditions in a status byte, one sentence each.
 
     Args:
         family: The servo's family.
-        status: Error byte of any answer.
+        status: Error byte of a reply.
     """
     if family.status == "feetech":
         return _bits(status, _FEETECH)
@@ -71,15 +71,15 @@ def conditions(family: Family, status: int) -> tuple[str, ...]:
 
 
 def hardware(value: int) -> tuple[str, ...]:
-    """Hardware Error Status of Protocol 2.0 in sentences."""
+    """Return the errors in the Hardware Error Status of Protocol 2.0, one sentence each."""
     return _bits(value, _HARDWARE)
 
 
 def refusal(family: Family, status: int) -> str | None:
-    """Why a request was refused, None where it was done.
+    """Return the reason for which a request was rejected; None: it was executed.
 
-    Feetech's bits are conditions only: what they come with was done. So are voltage, heat and
-    overload on Protocol 1.0.
+    Feetech's bits are conditions only, and the request was executed. The same holds for voltage,
+    temperature and overload in Protocol 1.0.
     """
     if family.status == "feetech":
         return None

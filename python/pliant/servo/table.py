@@ -29,20 +29,21 @@ def servos_of(
     voltage: float | None = None,
     gains: Sequence[int | None] | None = None,
 ) -> pliant.Servos:
-    """What the controller believes about servos of these models, one per joint.
+    """Return the servo parameters of these models, one entry per joint.
 
     Args:
         models: Servo models base to tip, as `pliant.servo.names()` lists them.
-        voltage: Supply voltage [V]; default each model's rated one.
-        gains: Gain registers; None where the maker's setting stands.
+        voltage: Supply voltage [V]; default: the rated voltage of each model.
+        gains: Gain registers; None: the maker's default.
 
     Returns:
-        Servos with k_p from the gain register, usable torque, friction, damping, count and no-load
-        speed from the tables. ``stiffness_known`` is False: the sources of k_p differ by up to two.
+        Servos with k_p from the gain register, and usable torque, friction, damping, count and
+        no-load speed from the tables. ``stiffness_known`` is False: sources for k_p differ by up to
+        a factor of two.
 
     Raises:
-        ConfigError: A model is not known, the voltage is outside its range, or the gains are not
-            one per model.
+        ConfigError: A model is unknown, the voltage is out of range, or the number of gains differs
+            from that of the models.
     """
     if isinstance(models, str):
         raise ConfigError(f"models is a list, one per joint: [{models!r}]")
@@ -70,19 +71,19 @@ def servos_of(
 
 
 def _bears(row: ServoModel, volts: float) -> bool:
-    """Whether a model takes this supply."""
+    """Return True if a model accepts this supply voltage."""
     low, high = row.voltage
     return low <= volts <= high
 
 
 def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]) -> pliant.Servos:
-    """Servos of joints at their present voltage, gains and ceilings.
+    """Return the servo parameters of joints at their present voltage, gains and ceilings.
 
-    What was identified on the arm (`ServoSpec.kp`, `friction`, `damping`) stands in place of the
-    table's; k_p counts as known where that is so for every joint.
+    Values identified on the arm (`ServoSpec.kp`, `friction`, `damping`) replace those of the table.
+    k_p counts as known if it was identified for every joint.
 
-    A chain that mixes duty and current limits is of kind `current`, with the back-EMF of its duty
-    joints, ``τ_stall / ω_0``, counted into their damping.
+    A chain with both duty and current limits is of kind `current`. The back-EMF of its duty joints,
+    ``τ_stall / ω_0``, is added to their damping.
 
     Args:
         units: Conversions of each joint.
@@ -91,7 +92,7 @@ def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]
     """
     torque = np.array([u.usable(c) for u, c in zip(units, ceilings, strict=True)])
     speed = np.array([unit.no_load_speed for unit in units])
-    # Friction and damping pass the gear like torque, damping and inertia once more with the speed.
+    # The gear scales friction and damping like torque; damping and inertia once more, by the speed.
     passes = np.array([unit.spec.gear * len(unit.spec.servos) for unit in units])
     gears = np.array([unit.spec.gear for unit in units])
     damping = np.array([unit.row.mechanics.damping for unit in units]) * passes * gears
@@ -116,5 +117,5 @@ def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]
 
 
 def _identified(table: Array, own: Sequence[float | None]) -> Array:
-    """The table's values, with those that were found on the arm in their place."""
+    """Return the table's values, replaced by identified ones if given."""
     return np.array([t if o is None else o for t, o in zip(table, own, strict=True)])

@@ -1,4 +1,4 @@
-"""The seam to the bus: eight calls, and rustypot's raw-address calls behind them.
+"""Interface to a serial port: eight calls, and their implementation with rustypot.
 
 Another transport (a vendor's SDK, a network bridge, a fake for tests) is any object with these
 methods; `ServoBus(..., transport=...)` takes a function that opens one.
@@ -22,70 +22,70 @@ class BusError(ServoError):
     """One transaction failed.
 
     Attributes:
-        reason: `timeout`: no or no whole answer; `corrupt`: an answer that is none; `stale`: an
-            answer to an earlier request; `refused`: the servo says it will not; `late`: nothing
-            was sent, as the cycle has no time left; `noisy`: nothing was sent, as the line is never
-            silent; `gone`: the port has vanished.
-        id: The servo whose answer failed, where that is known.
+        reason: `timeout`: no or an incomplete reply; `corrupt`: an invalid reply; `stale`: a reply
+            to an earlier request; `refused`: the servo rejected the request; `late`: nothing was
+            sent, the cycle has no time left; `noisy`: nothing was sent, the line is never silent;
+            `gone`: the port has vanished.
+        id: Servo whose reply failed, if known.
     """
 
     def __init__(self, message: str, reason: Reason, id: int | None = None) -> None:
-        """Say what failed, how, and where."""
+        """Store message, reason and servo id."""
         super().__init__(message)
         self.reason: Reason = reason
         self.id = id
 
 
 class Transport(Protocol):
-    """Requests and answers on one port; every call may raise `BusError`.
+    """Requests and replies on one port; every call may raise `BusError`.
 
-    Bytes go as they are in the control table. `status` is the error byte of the answer.
+    Bytes are those of the control table. `status` is the error byte of the reply.
     """
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
-        """Read bytes of one servo: (bytes, status)."""
+        """Read bytes of one servo; return (bytes, status)."""
 
     def write(self, id: int, address: int, data: bytes) -> int:
-        """Write bytes of one servo, return the status of its answer."""
+        """Write bytes to one servo; return the status of its reply."""
 
     def sync_read(self, ids: Sequence[int], address: int, size: int) -> list[tuple[bytes, int]]:
         """Read the same bytes of several servos with one request: all or nothing."""
 
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
-        """Write the same registers of several servos with one packet; nobody answers."""
+        """Write the same registers of several servos with one packet; it has no reply."""
 
     def ping(self, id: int) -> bool:
-        """Whether a servo answers."""
+        """Return True if a servo answers."""
 
     def reboot(self, id: int) -> None:
-        """Restart a servo, where the protocol can."""
+        """Restart a servo, if the protocol supports it."""
 
     def set_timeout(self, seconds: float) -> None:
-        """How long the next calls wait for an answer."""
+        """Set the reply timeout of the next calls [s]."""
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
 
 
 class RustypotTransport:
-    """rustypot's raw-address calls: one port, one protocol.
+    """Transport over rustypot's raw-address calls: one port, one protocol.
 
-    One raw controller serves Dynamixel Protocol 1.0 and Feetech together, whose framing is the
-    same; Protocol 2.0 needs a port of its own. The GIL is released while it waits.
+    One raw controller serves Dynamixel Protocol 1.0 and Feetech together, because their framing is
+    the same. Protocol 2.0 needs its own port. The GIL is released during waits.
 
     Args:
         port: Path of the serial port.
         baudrate: Bits per second.
         protocol: `p1` (with Feetech) or `p2`.
-        timeout: How long to wait for an answer [s].
+        timeout: Reply timeout [s].
 
     Raises:
         ImportError: The extra `servo` is missing.
-        ServoError: The port cannot be opened; the message says why and what to do.
+        ServoError: The port cannot be opened; the message has the cause and the remedy.
     """
 
     def __init__(self, port: str, baudrate: int, protocol: Wire, timeout: float = 0.02) -> None:
-        """Open the port, exclusively."""
+        """Open the port exclusively."""
         try:
             import rustypot
         except ImportError as error:
@@ -100,7 +100,7 @@ class RustypotTransport:
             raise ServoError(_cannot_open(port, str(error))) from error
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
-        """Read bytes of one servo: (bytes, status)."""
+        """Read bytes of one servo; return (bytes, status)."""
         try:
             values, status = self._io.read_raw_data_with_error(id, address, size)
         except RuntimeError as error:
@@ -108,7 +108,7 @@ class RustypotTransport:
         return bytes(values), int(status)
 
     def write(self, id: int, address: int, data: bytes) -> int:
-        """Write bytes of one servo, return the status of its answer."""
+        """Write bytes to one servo; return the status of its reply."""
         try:
             return int(self._io.write_raw_data_with_error(id, address, list(data)))
         except RuntimeError as error:
@@ -123,14 +123,14 @@ class RustypotTransport:
         return [(bytes(values), int(status)) for values, status in answers]
 
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
-        """Write the same registers of several servos with one packet; nobody answers."""
+        """Write the same registers of several servos with one packet; it has no reply."""
         try:
             self._io.sync_write_raw_data(list(ids), address, [list(item) for item in data])
         except RuntimeError as error:
             raise self._failed(error, None) from error
 
     def ping(self, id: int) -> bool:
-        """Whether a servo answers."""
+        """Return True if a servo answers."""
         try:
             return bool(self._io.ping(id))
         except RuntimeError as error:
@@ -144,15 +144,15 @@ class RustypotTransport:
             raise self._failed(error, id) from error
 
     def set_timeout(self, seconds: float) -> None:
-        """How long the next calls wait for an answer."""
+        """Set the reply timeout of the next calls [s]."""
         self._io.set_timeout(seconds)
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._io.close()
 
     def _failed(self, error: RuntimeError, id: int | None) -> BusError:
-        """What rustypot's text says: its errors reach Python in no other form."""
+        """Convert an error of rustypot by its text, the only information that reaches Python."""
         text = str(error)
         if text.startswith("motor "):
             number, _, text = text.removeprefix("motor ").partition(": ")
@@ -173,7 +173,7 @@ _BROKEN = ("checksum", "parsing", "incorrect id")
 
 
 def _cannot_open(port: str, text: str) -> str:
-    """Why a port cannot be opened, and what to do."""
+    """Return the reason why a port cannot be opened, and the remedy."""
     lower = text.lower()
     if "permission" in lower or "access is denied" in lower:
         return (
@@ -191,7 +191,7 @@ def _cannot_open(port: str, text: str) -> str:
 
 
 def serial_ports() -> tuple[str, ...]:
-    """Serial ports of this machine, by stable name where there is one (Linux and macOS)."""
+    """Return the serial ports of this machine, by stable name if there is one (Linux, macOS)."""
     from pathlib import Path
 
     found = sorted(str(p) for p in Path("/dev/serial/by-id").glob("*"))

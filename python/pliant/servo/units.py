@@ -1,10 +1,10 @@
-"""Between the numbers of a joint (rad, N·m, rad/s) and those of its servos.
+"""Conversion between joint units (rad, N·m, rad/s) and servo registers.
 
-One torque-limit model for all families. A duty limit bounds the PWM, hence the torque *at stall*:
-``register = full · (τ + τ_offset) / τ_stall(V)``; moving with the drive the motor gives less,
-pushed backwards it resists with more, by the back-EMF. A current limit bounds the current:
-``register = (τ + τ_offset) / k_t / A_per_count`` with the secant ``k_t = τ_stall / I_stall``.
-Both round down, so that no limit exceeds what was asked.
+One torque-limit model serves all families. A duty limit bounds the PWM, hence the torque *at
+stall*: ``register = full · (τ + τ_offset) / τ_stall(V)``. Because of the back-EMF, a motor that
+moves in the direction of its torque exerts less, and a motor that is pushed backwards exerts more.
+A current limit bounds the current: ``register = (τ + τ_offset) / k_t / A_per_count`` with the
+secant ``k_t = τ_stall / I_stall``. Both round down, so that no limit exceeds the requested one.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ RPM = 2.0 * pi / 60.0  # [rad/s]
 
 
 def at_voltage(table: tuple[tuple[float, float], ...], voltage: float) -> float:
-    """Value of a table ((V, value), ...) at a voltage.
+    """Return the value of a table ((V, value), ...) at a voltage.
 
-    Linear between the entries; outside them in proportion to the voltage, as stall torque and
-    no-load speed of a motor are.
+    Interpolation is linear between the entries. Outside, the value is proportional to the voltage,
+    as are stall torque and no-load speed of a motor.
     """
     for (v0, y0), (v1, y1) in pairwise(table):
         if v0 <= voltage <= v1:
@@ -42,10 +42,10 @@ class Units:
     """Conversions of one joint and one of its servos, at one supply voltage.
 
     Attributes:
-        spec: The joint.
+        spec: Joint and servo.
         voltage: Supply voltage [V].
         zero: Count of the servo at q = 0.
-        sign: +1 where its rising counts are rising angles, else -1.
+        sign: +1 if its counts rise with the joint angle, else -1.
     """
 
     spec: ServoSpec
@@ -55,7 +55,7 @@ class Units:
 
     @staticmethod
     def of(spec: ServoSpec, voltage: float | None = None) -> Units:
-        """Units of the first servo at a voltage, the rated one by default.
+        """Create the units of the first servo at a voltage, by default the rated one.
 
         Raises:
             ConfigError: The voltage is not above 0.
@@ -68,7 +68,7 @@ class Units:
 
     @cached_property
     def row(self) -> ServoModel:
-        """The servo's table."""
+        """Row of the model in the servo table."""
         return self.spec.row
 
     @cached_property
@@ -86,12 +86,12 @@ class Units:
 
     @cached_property
     def _share(self) -> float:
-        """Joint torque per torque of one servo: gear, and secondaries share the work."""
+        """Joint torque per torque of one servo: gear ratio times number of servos."""
         return self.spec.gear * len(self.spec.servos)
 
     @cached_property
     def no_load_speed(self) -> float:
-        """Joint speed without load [rad/s]."""
+        """Joint speed at no load [rad/s]."""
         return at_voltage(self.row.no_load, self.voltage) * RPM / self.spec.gear
 
     @cached_property
@@ -109,56 +109,56 @@ class Units:
         return self._stall / self.row.family.full_duty * self._share
 
     def torque(self, register: int) -> float:
-        """Joint torque of a limit register, or signed of a load or current register [N·m]."""
+        """Return the joint torque of a limit register [N·m]; signed for load and current."""
         size = abs(register) * self.torque_per_unit - self.spec.torque_offset
         return max(size, 0.0) * (1 if register >= 0 else -1)
 
     def register(self, torque: float, ceiling: int | None = None) -> int:
-        """Limit register of a joint torque: rounded down, within 0 and the ceiling.
+        """Return the limit register of a joint torque, rounded down, from 0 to the ceiling.
 
         Args:
             torque: Joint torque, at least 0 [N·m].
-            ceiling: Largest register value allowed; the model's by default.
+            ceiling: Largest register value allowed; default: the model's.
         """
         most = self.full if ceiling is None else min(ceiling, self.full)
         if torque <= 0.0:
             return 0
-        # A hair more than exact, so that what `torque` returned comes back as the same count.
+        # Add a rounding tolerance, so that a result of `torque` converts back to the same count.
         counts = (torque + self.spec.torque_offset) / self.torque_per_unit
         return max(0, min(floor(counts * (1.0 + 1e-12) + 1e-9), most))
 
     def load(self, register: int) -> float:
-        """Joint torque of a load register, positive toward rising counts [N·m]."""
+        """Return the joint torque of a load register, positive toward rising counts [N·m]."""
         share = register / self.row.family.full_load
         return share * self._stall * self._share
 
     def usable(self, ceiling: int) -> float:
-        """Joint torque at a ceiling, and never more than the motor has at stall [N·m]."""
+        """Return the joint torque at a ceiling, at most the stall torque [N·m]."""
         return min(self.torque(min(ceiling, self.full)), self._stall * self._share)
 
     def angle(self, counts: float) -> float:
-        """Joint angle of a position of the servo [rad]."""
+        """Return the joint angle of a servo position [rad]."""
         return self.sign * (counts - self.zero) * self.count
 
     def counts(self, angle: float) -> int:
-        """Position of the servo at a joint angle, rounded; not clamped."""
+        """Return the servo position at a joint angle, rounded, not clamped."""
         return round(self.zero + self.sign * angle / self.count)
 
     def velocity(self, register: int) -> float:
-        """Joint velocity of a speed register [rad/s]."""
+        """Return the joint velocity of a speed register [rad/s]."""
         return self.sign * register * self.row.speed_unit * RPM / self.spec.gear
 
     def speed_register(self, speed: float) -> int:
-        """Speed cap of a joint speed: at least 1, since 0 means no cap."""
+        """Return the speed cap register of a joint speed: at least 1, because 0 means no cap."""
         counts = abs(speed) * self.spec.gear / (self.row.speed_unit * RPM)
         return max(1, min(floor(counts), self.row.family.speed_max))
 
     def stiffness(self, gain: int) -> float:
-        """k_p of the joint from the gain register [N·m/rad].
+        """Return k_p of the joint from the gain register [N·m/rad].
 
-        ``k_p = τ_stall · (duty per radian of error)``. A current-limited servo in mode 5 turns
-        position error into current: P/128 current counts per position count. Start values: the
-        sources agree to a factor of two (docs/ports.md).
+        ``k_p = τ_stall · (duty per radian of error)``. A current-limited servo in mode 5 converts
+        position error into current: P/128 current counts per position count. These are initial
+        values: the sources agree within a factor of two (docs/ports.md).
         """
         row, gear = self.row, self.spec.gear
         if row.kind == "current":
