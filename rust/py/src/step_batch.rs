@@ -19,7 +19,7 @@ impl Words for Invalid {
     const WORDS: &'static [(&'static str, Self)] = &[("raise", Self::Refuse), ("nan", Self::Nan)];
 }
 
-/// What many arms carry from one batch step to the next.
+/// State of many arms between batch steps.
 #[pyclass(module = "pliant")]
 #[derive(Debug)]
 pub(crate) struct BatchState(CoreState);
