@@ -99,10 +99,10 @@ impl Abreast<'_> {
             velocity,
             gradient: plan.cost.gradient(q, rest, 1.0),
             integral,
-            scaled_rows: seen.rows, // the printed law asks for them alone
+            scaled_rows: seen.rows, // the published law uses unscaled rows only
             condition: &condition,
             damping: row_damping::<Columns<W, ABREAST>>(plan, &condition),
-            pacing: Pacing::none(), // its references have no speed
+            pacing: Pacing::none(), // stateless steps have no reference velocity
         };
         let (motion, budget) = printed(&given.tick(plan, settings, &seen, &wish));
         let solution = Solution::new(plan, &given, &seen, (motion, None));

@@ -127,7 +127,7 @@ impl<J: Lanes> Solution<J> {
     ) -> Self {
         let (kp, compliance) = (J::load(&plan.servos.kp), J::load(&plan.servos.compliance));
         let (mut force_lead, mut resistance) = (motion.force_lead, motion.feed_forward);
-        // Law `paper` has no wrench and no feed-forward.
+        // Both are zero under law `paper`.
         if plan.law.by_force() {
             let (lower, upper) = (J::load(&plan.lower), J::load(&plan.upper));
             force_lead = fade_beyond(force_lead, seen.q, lower, upper, plan.stop_slope);

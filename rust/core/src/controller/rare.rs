@@ -43,7 +43,7 @@ pub(super) struct Waiting<'a> {
     pub(super) base_from_task: &'a [[f64; 3]; 3],
     /// Deviation of each row, times its stiffness share [m, rad].
     pub(super) lag: &'a AxisVec,
-    /// How much the reference is held back, 0 to 1.
+    /// Degree to which the reference is held back, 0 to 1.
     pub(super) strain: f64,
     pub(super) dt: f64,
 }

@@ -53,7 +53,7 @@ pub(super) fn solve<J: Joints>(
         scaled = plan.scale_rows(seen.rows);
         &scaled
     } else {
-        seen.rows // nobody asks for the others
+        seen.rows // scaled rows are not used
     };
     let condition = condition(plan, scaled_rows, singular, memory.cold);
     let gradient = cost_gradient(plan, input, &memory.rest, seen, wish, scaled_rows, condition.mu_squared);

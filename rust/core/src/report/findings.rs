@@ -73,7 +73,7 @@ impl Controller {
     /// the cap.
     pub(super) fn stop_findings(&self, r: usize, near: [Near; 2], out: &mut Vec<Issue>) {
         if self.plan.law == Law::Paper {
-            return; // Without a cap there is no whole one.
+            return; // Law `paper` has no force cap to compare with.
         }
         let axis = self.plan.rows[r].axis;
         let name = AXIS_NAMES[axis];
@@ -143,7 +143,7 @@ impl Controller {
 
     pub(super) fn axis_findings(&self, r: usize, lack: [Worst; 2], rub: Worst, out: &mut Vec<Issue>) {
         if self.plan.law == Law::Paper {
-            return; // Budgets, not forces: what they hold is in the report.
+            return; // Law `paper` has budgets, not forces; see the report.
         }
         let row = &self.plan.rows[r];
         let (name, given, unit) = (AXIS_NAMES[row.axis], &self.settings().axes[row.axis], unit(row.axis));

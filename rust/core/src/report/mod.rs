@@ -48,7 +48,7 @@ pub struct PoseReport {
     /// Force at which the axis yields under the law, without friction: at a small and at a large deviation, d⁻/(1 − η)
     /// and d⁺/(1 − η), at most 0.15 m or 0.4 rad.
     pub gives_way: Vec<[[f64; 2]; 2]>,
-    /// Whether the axis is compliant toward (−, +).
+    /// Compliance of the axis toward (−, +).
     pub yields: Vec<[bool; 2]>,
     /// Dry friction of the joints along the axis, `Σ_i |J⁺_ij| τ_f,i`: added to the force of a push from rest.
     pub friction: Vec<f64>,
