@@ -67,7 +67,8 @@ impl Settings {
         settings
     }
 
-    /// Pulls a drawer open, or pushes it shut, along `axis`, with at most the force `pull` [N] (by default the arm's `firm`).
+    /// Pulls a drawer open, or pushes it shut, along `axis`, with at most the force `pull` [N] (default: the arm's
+    /// `firm`).
     ///
     /// The direction of a slide is seldom known exactly: the other translations follow it (η = 0.95, the largest that
     /// does not require a known `k_p`). Rotations hold, because a rotated drawer jams. At the end stop the force is at
@@ -83,8 +84,8 @@ impl Settings {
         Ok(settings)
     }
 
-    /// Presses on a surface along its normal `axis` with the force `press` [N] (by default the arm's `soft`) while the tool
-    /// moves along it.
+    /// Presses on a surface along its normal `axis` with the force `press` [N] (default: the arm's `soft`) while the
+    /// tool moves along it.
     ///
     /// Place the target behind the surface by at least `press` divided by the arm's stiffness, plus the unevenness of
     /// the surface; the force is then `press` at any height. Rotations about the other two axes yield, so that a flat

@@ -129,7 +129,8 @@ pub fn activation(
 /// Deviations [m or rad] of any sign: uses their absolute values.
 ///
 /// # Errors
-/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] unless `0 ≤ soft_until < firm_from`, all finite.
+/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] unless `0 ≤ soft_until < firm_from`, all
+/// finite.
 pub fn compliance(deviation: &[f64], soft_until: &[f64], firm_from: &[f64]) -> Result<Vec<f64>> {
     same_length("soft_until", soft_until.len(), deviation.len())?;
     same_length("firm_from", firm_from.len(), deviation.len())?;
@@ -149,7 +150,8 @@ pub fn compliance(deviation: &[f64], soft_until: &[f64], firm_from: &[f64]) -> R
 /// Does not require soft ≤ firm ≤ hold: that is a rule of the settings, not of the equation.
 ///
 /// # Errors
-/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] for c outside [0, 1] or a strength not finite.
+/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] for c outside [0, 1] or a strength not
+/// finite.
 pub fn holding_torque(c: &[f64], soft: &[f64], firm: &[f64], hold: &[f64], compliant: &[bool]) -> Result<Vec<f64>> {
     let lengths = [("soft", soft.len()), ("firm", firm.len()), ("hold", hold.len()), ("compliant", compliant.len())];
     for (name, length) in lengths {

@@ -100,7 +100,7 @@ pub(super) struct Motions<'a, R, const N: usize = MAX_JOINTS> {
 impl Chain {
     /// Computes the frames of all joints and of the tool at `q`.
     ///
-    /// `q` [rad or m]: `n` finite entries of at most [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND); the rest is 0.
+    /// `q` [rad or m]: `n` finite entries of at most [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND), then zeros.
     pub fn forward(&self, q: &JointVec, frames: &mut Frames) {
         self.forward_by::<Plain>(q, frames);
     }

@@ -73,7 +73,7 @@ impl Activation<EveryJoint> {
     }
 }
 
-/// (6), (7): `|J⁺ diag(Δx)|` and `|α N∇g|`, n × (k + 1): the shares of [`Activation`] before they are divided by their sums.
+/// (6), (7): `|J⁺ diag(Δx)|` and `|α N∇g|`, n × (k + 1): the shares of [`Activation`] before normalization.
 pub(crate) fn responsibility(
     pinv_transposed: &Rows,
     dx: &AxisVec,

@@ -79,7 +79,8 @@ impl Model {
     /// [`Controller::step`](crate::Controller::step) does this for tasks with translations.
     ///
     /// # Errors
-    /// As [`Pose::validate`]; [`Error::OutOfRange`] for a position farther from the first joint than 2 × [`Model::reach`] + 0.1 m.
+    /// As [`Pose::validate`]; [`Error::OutOfRange`] for a position farther from the first joint than 2 ×
+    /// [`Model::reach`] + 0.1 m.
     pub fn check_target(&self, target: &Pose) -> Result<()> {
         self.check_target_in("target", target, &Workspace::of(self))
     }
@@ -123,7 +124,8 @@ impl Model {
     /// [`Controller::step_joints`](crate::Controller::step_joints) does this.
     ///
     /// # Errors
-    /// [`Error::Shape`]; [`Error::OutOfRange`] for a joint beyond its limits by more than 0.2 rad, or a tenth of its travel.
+    /// [`Error::Shape`]; [`Error::OutOfRange`] for a joint beyond its limits by more than 0.2 rad, or a tenth of its
+    /// travel.
     pub fn check_joint_target(&self, q: &[f64]) -> Result<()> {
         let [least, most] = joint_targets(self);
         self.joints_between("q", q, &least, &most).map(|_| ())

@@ -115,7 +115,7 @@ macro_rules! numbers {
 
             #[inline(always)]
             fn part(values: &[f64]) -> Self {
-                // SAFETY: as above; each register is given what is left behind those before it, and reads no more.
+                // SAFETY: as above; each register reads only the numbers that the previous registers left.
                 Self(unsafe { [$({
                     let rest = values.get($i * $width..).unwrap_or_default();
                     first_of(rest.as_ptr(), rest.len())
