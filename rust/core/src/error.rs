@@ -1,30 +1,30 @@
-//! The one error type of the crate.
+//! Error type of the crate.
 //!
-//! Every variant carries the thing, the value, the bound and the alternatives, so that a caller can print the error
-//! alone and know what to do. The Python binding maps each variant to one exception class.
+//! Every variant carries the quantity, the value, the bound and the alternatives, so that the message alone tells the
+//! remedy. The Python binding maps each variant to one exception class.
 
 use std::fmt;
 
-/// What went wrong, and what would be right.
+/// Errors of this crate.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The robot description cannot be used.
+    /// The robot description is invalid.
     #[error("{source_name}{at}: {message}")]
     Urdf {
         /// Path of the file, or `<string>`.
         source_name: String,
-        /// Line and column where that is known.
+        /// Line and column, if known.
         at: Position,
-        /// What is wrong and how to mend it.
+        /// Cause and remedy.
         message: String,
     },
     /// A link or frame of that name does not exist.
     #[error("frame '{frame}' not found; frames of this robot: {}", available.join(", "))]
     FrameNotFound {
-        /// The name asked for.
+        /// The requested name.
         frame: String,
-        /// The names there are.
+        /// The existing names.
         available: Vec<String>,
     },
     /// A number lies outside its bounds.
@@ -34,7 +34,7 @@ pub enum Error {
         what: String,
         /// The value given.
         value: f64,
-        /// The bound and, where there is one, the remedy.
+        /// The bound and, if there is one, the remedy.
         bound: String,
     },
     /// An array has the wrong size.
@@ -44,32 +44,32 @@ pub enum Error {
         what: String,
         /// The shape given, e.g. `(6,)`.
         got: String,
-        /// The shape that fits, e.g. `(7,)`.
+        /// The expected shape, e.g. `(7,)`.
         expected: String,
     },
-    /// Settings, servos and model do not go together.
+    /// Settings, servos and model are inconsistent.
     #[error("{key}: {message}")]
     Config {
         /// The setting, e.g. `axes.y.adaptation`.
         key: String,
-        /// What is wrong and what would be right.
+        /// Cause and remedy.
         message: String,
     },
 }
 
-/// A number as a message says it: one that nobody means, such as 1e300, must not fill the screen with its digits.
+/// Formats a number for a message: an absurd value such as 1e300 is not printed with all its digits.
 struct Short(f64);
 
 impl fmt::Display for Short {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (value, size) = (self.0, self.0.abs());
-        // What is not finite has a name, and zero one digit.
+        // Infinities and NaN have a name, and zero has one digit.
         let plain = size == 0.0 || (1e-4..=1e6).contains(&size) || !size.is_finite();
         if plain { write!(f, "{value}") } else { write!(f, "{value:e}") }
     }
 }
 
-/// Line and column in a text, when known; counted from one.
+/// Line and column in a text, if known; counted from one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Position(pub Option<(u32, u32)>);
 
@@ -82,25 +82,25 @@ impl fmt::Display for Position {
     }
 }
 
-/// Result of everything in this crate that can fail.
+/// Result type of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
-    /// A [`Error::OutOfRange`].
+    /// Creates an [`Error::OutOfRange`].
     #[cold]
     #[inline(never)]
     pub(crate) fn out_of_range(what: impl Into<String>, value: f64, bound: impl Into<String>) -> Self {
         Self::OutOfRange { what: what.into(), value, bound: bound.into() }
     }
 
-    /// A [`Error::Shape`] of a one-dimensional argument.
+    /// Creates an [`Error::Shape`] for a one-dimensional argument.
     #[cold]
     #[inline(never)]
     pub(crate) fn length(what: impl Into<String>, got: usize, expected: usize) -> Self {
         Self::Shape { what: what.into(), got: format!("({got},)"), expected: format!("({expected},)") }
     }
 
-    /// A [`Error::Shape`] of rows (`N` × `size`) that stand one behind the other in `got` numbers.
+    /// Creates an [`Error::Shape`] for rows (`N` × `size`) stored contiguously in `got` numbers.
     #[cold]
     #[inline(never)]
     pub(crate) fn rows(what: impl Into<String>, got: usize, size: usize) -> Self {
@@ -108,14 +108,14 @@ impl Error {
         Self::Shape { what: what.into(), got: format!("({got},)"), expected }
     }
 
-    /// A [`Error::Config`].
+    /// Creates an [`Error::Config`].
     #[cold]
     #[inline(never)]
     pub(crate) fn config(key: impl Into<String>, message: impl Into<String>) -> Self {
         Self::Config { key: key.into(), message: message.into() }
     }
 
-    /// What is wrong in row `row` of a batch.
+    /// Adds the row `row` of a batch to the error.
     #[cold]
     #[inline(never)]
     pub(crate) fn in_row(self, batch: &str, row: usize) -> Self {

@@ -1,18 +1,19 @@
-//! Compliant task-space control for arms with back-drivable position servos: the core, free of Python.
+//! Compliant task-space control for arms with back-drivable position servos. This crate is independent of Python.
 //!
-//! Data moves one way, floor by floor:
+//! The control step passes data through these modules:
 //!
 //! * [`model`]: URDF text → immutable, validated robot;
 //! * [`kinematics`]: joint positions → pose, Jacobian, gravity;
 //! * [`task`]: poses → deviation, softness, strength per axis;
-//! * `law`: deviation and strength → what each joint exerts and where it goes;
-//! * `command`: motion and force → goals and torque limits that a servo may be sent;
-//! * [`controller`]: calls each floor once per tick;
-//! * [`batch`]: the same for many arms at once;
-//! * [`contact`]: commands and positions → what pushes at the tool, beside the steps.
+//! * `law`: deviation and strength → torque and motion of each joint;
+//! * `command`: motion and force → goals and torque limits for the servos;
+//! * [`controller`]: runs these stages once per step;
+//! * [`batch`]: steps of many arms at once;
+//! * [`contact`]: commands and positions → estimated contact wrench; not part of the step.
 //!
-//! [`settings`] and [`servos`] say what is asked and what is believed; a plan resolved from them, once, is what every floor
-//! reads. [`functions`] offers the mathematics for Jacobians of your own. [`error`] and [`pose`] are shared by all.
+//! [`settings`] and [`servos`] hold the user's requirements and the servo parameters; they are resolved once into a
+//! plan that all stages read. [`functions`] offers the equations for Jacobians from other libraries. [`error`] and
+//! [`pose`] are shared by all modules.
 //!
 //! ```
 //! use std::sync::Arc;
@@ -37,9 +38,9 @@
 //! # }
 //! ```
 //!
-//! Conventions: SI units; 6-vectors linear first; quaternions `wxyz` or `xyzw`, as the
-//! function's name says; poses `base_from_tool`; Jacobians are geometric,
-//! taken at the tool, in base axes unless said otherwise; gravity torques are those that *hold* the arm.
+//! Conventions: SI units; 6-vectors linear first; quaternions `wxyz` or `xyzw`, as in the function's name; poses
+//! `base_from_tool`; Jacobians are geometric, taken at the tool, in base axes unless stated otherwise; gravity torques
+//! are those that *hold* the arm.
 #![deny(unsafe_code)]
 
 pub mod batch;
@@ -67,7 +68,7 @@ mod words;
 
 pub use batch::{BatchCommand, BatchInput, BatchState, Invalid, Targets};
 pub use contact::{ContactEstimator, ContactInput, ContactOptions, WrenchEstimate};
-// Matrices and vectors of the public functions are of this version.
+// Version of the matrices and vectors in public functions.
 pub use nalgebra;
 
 pub use controller::{Carried, Command, Controller, Record, StepInput};
@@ -88,12 +89,12 @@ pub use settings::{
 };
 pub use task::axes::{Axis, Frame, OnDeviationLimit, Profile, Task, Yields};
 
-/// Most independent joints of a chain, and most joints between base and tip, mimic followers included.
+/// Maximum number of independent joints of a chain, and of joints between base and tip, mimic joints included.
 ///
-/// The control step keeps everything on the stack; seven joints are usual, sixteen are room enough.
+/// The control step keeps all data on the stack; seven joints are usual.
 pub const MAX_JOINTS: usize = 16;
 
-/// Most task axes: three translations and three rotations.
+/// Maximum number of task axes: three translations and three rotations.
 pub const MAX_AXES: usize = 6;
 
 /// One number per independent joint, chain order; entries beyond the chain's `n` are 0.

@@ -7,23 +7,24 @@ use crate::kinematics::spatial::{Mat3, cross, dot, sub};
 use crate::model::Workspace;
 use crate::number::{Arithmetic, Number, Plain};
 
-/// Largest joint coordinate that is taken for a real one.
+/// Largest plausible joint coordinate.
 ///
 /// Beyond it squares of differences lose the digits that control needs, so it is an input error.
 pub const COORDINATE_BOUND: f64 = 1e6;
 
-/// Farthest [m] that a pose may be along an axis: no arm reaches it, and what is beyond is mostly given in millimetres.
+/// Largest plausible position [m] along an axis: no arm reaches it; larger values are usually millimetres.
 pub const POSITION_BOUND: f64 = 100.0;
 
-/// Largest error of `RᵀR − I` (largest entry) that a rotation may have.
+/// Largest allowed absolute entry of `RᵀR − I`.
 pub const ROTATION_TOLERANCE: f64 = 1e-4;
 
-/// Sum of errors up to which all of them are below [`ROTATION_TOLERANCE`]: six times it at most is any of `RᵀR − I`.
+/// Fast-accept threshold: if the summed residuals are below it, every entry of `RᵀR − I` is within
+/// [`ROTATION_TOLERANCE`], since no entry exceeds six times the sum.
 pub(crate) const DOUBT: f64 = 0.1 * ROTATION_TOLERANCE;
 
 /// Pose of the tool in the base, `base_from_tool`: rotation matrix (row-major) and position [m].
 ///
-/// Of one configuration, or of as many as an `R` holds.
+/// For one configuration, or for as many as an `R` holds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose<R = f64> {
     /// Rotation matrix; `rotation[row][column]`.
@@ -33,14 +34,14 @@ pub struct Pose<R = f64> {
 }
 
 impl Pose {
-    /// No rotation, no translation.
+    /// Identity: no rotation, no translation.
     pub const IDENTITY: Self =
         Self { rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], position: [0.0; 3] };
 
-    /// From a homogeneous 4×4 matrix, row-major.
+    /// Creates a pose from a homogeneous 4×4 matrix, row-major.
     ///
     /// # Errors
-    /// As [`Pose::validate`]; also when the last row is not `0 0 0 1`.
+    /// As [`Pose::validate`]; also if the last row is not `0 0 0 1`.
     pub fn from_rows(m: &[[f64; 4]; 4]) -> Result<Self> {
         Self::from_rows_of("pose", m)
     }
@@ -64,7 +65,7 @@ impl Pose {
         Ok(pose)
     }
 
-    /// The homogeneous 4×4 matrix, row-major.
+    /// Returns the homogeneous 4×4 matrix, row-major.
     pub fn to_rows(&self) -> [[f64; 4]; 4] {
         let (r, p) = (&self.rotation, &self.position);
         [
@@ -75,10 +76,10 @@ impl Pose {
         ]
     }
 
-    /// Checks that the position is finite and within [`POSITION_BOUND`] and that the rotation is one.
+    /// Checks that the position is finite and within [`POSITION_BOUND`] and that the rotation matrix is valid.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] names the entry; [`Error::Config`] the rotation's fault.
+    /// [`Error::OutOfRange`] names the entry; [`Error::Config`] the defect of the rotation.
     pub fn validate(&self) -> Result<()> {
         self.check("pose")
     }
@@ -89,20 +90,20 @@ impl Pose {
         if self.doubt::<Plain>(&Workspace::ANY) <= DOUBT { Ok(()) } else { self.explain(name) }
     }
 
-    /// Whether [`Pose::check`] refuses this pose or it is outside `workspace`, asked of whatever numbers the machine has.
+    /// Returns true if [`Pose::check`] refuses this pose or if it is outside `workspace`; uses the fast check first.
     #[inline(always)]
     pub(crate) fn is_refused<A: Arithmetic<Real = f64>>(&self, workspace: &Workspace) -> bool {
         !(self.doubt::<A>(workspace) <= DOUBT) && self.is_wrong(workspace)
     }
 
-    /// [`Pose::is_refused`], exactly.
+    /// [`Pose::is_refused`] without the fast check.
     #[cold]
     #[inline(never)]
     fn is_wrong(&self, workspace: &Workspace) -> bool {
         workspace.excludes(&self.position) || self.explain("").is_err()
     }
 
-    /// What is wrong with a pose, if anything is.
+    /// Returns the error of an invalid pose.
     #[cold]
     #[inline(never)]
     fn explain(&self, name: &str) -> Result<()> {
@@ -135,7 +136,7 @@ impl Pose {
         ))
     }
 
-    /// As nalgebra's isometry.
+    /// Converts to nalgebra's isometry.
     pub fn to_isometry(&self) -> Isometry3<f64> {
         let r = &self.rotation;
         let m = Matrix3::new(r[0][0], r[0][1], r[0][2], r[1][0], r[1][1], r[1][2], r[2][0], r[2][1], r[2][2]);
@@ -143,7 +144,7 @@ impl Pose {
         Isometry3::from_parts(Translation3::from(Vector3::from(self.position)), rotation)
     }
 
-    /// From nalgebra's isometry.
+    /// Creates a pose from nalgebra's isometry.
     pub fn from_isometry(isometry: &Isometry3<f64>) -> Self {
         let m: Matrix4<f64> = isometry.to_homogeneous();
         Self {
@@ -158,9 +159,9 @@ impl Pose {
 }
 
 impl<R: Copy> Pose<R> {
-    /// Nearly always at most [`DOUBT`], and then a pose beyond doubt: one comparison in place of many.
+    /// Sum of residuals; a pose with a sum of at most [`DOUBT`] is valid: one comparison instead of many.
     ///
-    /// The third row of a rotation is the product of the other two, which have length 1 and stand at right angles.
+    /// The third row of a rotation is the cross product of the other two, which are orthonormal.
     #[inline(always)]
     fn doubt<A: Arithmetic<Real = R>>(&self, workspace: &Workspace) -> R
     where
@@ -176,7 +177,7 @@ impl<R: Copy> Pose<R> {
         A::fma(A::splat(workspace.doubt), far, lengths + angles)
     }
 
-    /// `fine` where this is a pose beyond doubt within `workspace`, 0 where [`Pose::is_refused`] is to be asked.
+    /// Returns `fine` if this pose passes the fast check within `workspace`, 0 if [`Pose::is_refused`] must decide.
     #[inline(always)]
     pub(crate) fn if_sure<A: Arithmetic<Real = R>>(&self, workspace: &Workspace, mut fine: R) -> R {
         let (nothing, radius) = (A::splat(0.0), workspace.radius);
@@ -192,7 +193,7 @@ impl<R: Copy> Pose<R> {
     }
 }
 
-/// Error of one entry of `RᵀR − I`.
+/// Returns the absolute value of one entry of `RᵀR − I`.
 #[inline(always)]
 fn orthogonality_error<A: Arithmetic>(r: &Mat3<A::Real>, i: usize, j: usize) -> A::Real {
     let product = dot::<A>(&[r[0][i], r[1][i], r[2][i]], &[r[0][j], r[1][j], r[2][j]]);

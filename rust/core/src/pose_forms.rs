@@ -6,14 +6,14 @@ use crate::error::{Error, Result};
 use crate::pose::Pose;
 use crate::task::deviation::{rotation_matrix, rotation_vector};
 
-/// How far the length of a quaternion may be from 1.
+/// Allowed difference of a quaternion's norm from 1.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
 
 impl Pose {
-    /// From a position [m] and a quaternion w, x, y, z, which is normalised.
+    /// Creates a pose from a position [m] and a quaternion w, x, y, z, which is normalised.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] for a quaternion whose length is not 1 within 1e-3; as [`Pose::validate`] for the position.
+    /// [`Error::OutOfRange`] for a quaternion whose norm is not 1 within 1e-3; as [`Pose::validate`] for the position.
     pub fn from_wxyz(position: [f64; 3], wxyz: [f64; 4]) -> Result<Self> {
         let [w, x, y, z] = wxyz;
         let quaternion = Quaternion::new(w, x, y, z);
@@ -25,7 +25,7 @@ impl Pose {
         Self::checked(position, &rotation)
     }
 
-    /// [`Pose::from_wxyz`] with the quaternion's w last: x, y, z, w, as ROS and SciPy have it.
+    /// [`Pose::from_wxyz`] with w last: x, y, z, w, the order of ROS and SciPy.
     ///
     /// # Errors
     /// As [`Pose::from_wxyz`].
@@ -34,7 +34,7 @@ impl Pose {
         Self::from_wxyz(position, [w, x, y, z])
     }
 
-    /// From a position [m] and a rotation vector [rad] (axis times angle).
+    /// Creates a pose from a position [m] and a rotation vector [rad] (axis times angle).
     ///
     /// # Errors
     /// As [`Pose::validate`].
@@ -44,7 +44,8 @@ impl Pose {
         Ok(pose)
     }
 
-    /// From a position [m] and roll, pitch, yaw [rad] about the fixed axes x, y, z, in this order, as in a URDF.
+    /// Creates a pose from a position [m] and roll, pitch, yaw [rad] about the fixed axes x, y, z, in this order, as in
+    /// a URDF.
     ///
     /// # Errors
     /// As [`Pose::validate`].
@@ -60,25 +61,25 @@ impl Pose {
         Ok(pose)
     }
 
-    /// The rotation as a quaternion w, x, y, z with w ≥ 0.
+    /// Returns the rotation as a quaternion w, x, y, z with w ≥ 0.
     pub fn wxyz(&self) -> [f64; 4] {
         let q = self.to_isometry().rotation;
         let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
         [q.w, q.i, q.j, q.k].map(|value| sign * value)
     }
 
-    /// The rotation as a quaternion x, y, z, w with w ≥ 0.
+    /// Returns the rotation as a quaternion x, y, z, w with w ≥ 0.
     pub fn xyzw(&self) -> [f64; 4] {
         let [w, x, y, z] = self.wxyz();
         [x, y, z, w]
     }
 
-    /// The rotation as a vector [rad] of length at most π.
+    /// Returns the rotation as a vector [rad] of norm at most π.
     pub fn rotation_vector(&self) -> [f64; 3] {
         rotation_vector(&self.rotation)
     }
 
-    /// Pose of the base in the tool.
+    /// Returns the pose of the base in the tool.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let (r, p) = (&self.rotation, &self.position);
@@ -87,7 +88,7 @@ impl Pose {
         Self { rotation: [column(0), column(1), column(2)], position: [back(0), back(1), back(2)] }
     }
 
-    /// `a_from_c` from `self` = `a_from_b` and `other` = `b_from_c`.
+    /// Returns `a_from_c` from `self` = `a_from_b` and `other` = `b_from_c`.
     #[must_use]
     pub fn compose(&self, other: &Self) -> Self {
         let r = &self.rotation;

@@ -1,35 +1,36 @@
-//! Settings for common jobs, to start from.
+//! Presets: settings for common tasks, as a starting point.
 
 use crate::error::{Error, Result};
 use crate::settings::{Law, NullSpace, PaperOptions, Settings, TorqueLimits, Tracking};
 use crate::task::axes::{AXIS_NAMES, Axis, Profile, Yields};
 
-/// η of axes that a person or a mechanism is to move.
+/// η of axes that a person or a mechanism moves.
 const ETA_SOFT: f64 = 0.9;
 
-/// η of a door: the handle leads, the target hardly pulls back.
+/// η of a door: the handle leads, and the target pulls back only weakly.
 const ETA_DOOR: f64 = 0.999;
 
-/// η of a plug: with more, friction on the way leads it past the mouth; with less, the walls push harder.
+/// η of a plug: with a larger value friction leads it past the hole, with a smaller one the walls push harder.
 const ETA_PLUG: f64 = 0.5;
 
-/// η of hand guiding: the largest that needs no proof of `k_p`.
+/// η of hand guiding: the largest that does not require a known `k_p`.
 const ETA_GUIDED: f64 = 0.95;
 
-/// α [1/s] where the arm is led far from its posture: a quarter of the default K_x.
+/// α [1/s] if the arm is led far from its posture: a quarter of the default K_x.
 const ALPHA_LOOSE: f64 = 1.0;
 
-/// d⁻, d⁺ [m] of an axis that exerts its arm's `firm` at any deviation: below the first millimetre no servo reaches it.
+/// d⁻, d⁺ [m] of an axis that exerts the arm's `firm` at any deviation: no servo reaches that force within the first
+/// millimetre.
 const FIRM_FROM: [f64; 2] = [0.001, 0.002];
 
-/// d⁻, d⁺ [m] over which a hand that takes the object overcomes the hold on it.
+/// d⁻, d⁺ [m] over which the strength falls when a person takes the object.
 const TAKEN: [f64; 2] = [0.01, 0.05];
 
 impl Settings {
-    /// Law `paper` as printed: no gravity model, and none of the limits that the paper does not have.
+    /// Law `paper` as published: no gravity model and no limits beyond those of the paper.
     ///
-    /// Strengths are budgets [N·m], soft 0.5, firm = hold = 10; no axis yields until one is told to. What remains of
-    /// limits is the paper's per-axis step and the model's joint speed.
+    /// Strengths are budgets [N·m], soft 0.5, firm = hold = 10; no axis yields by default. The remaining limits are the
+    /// paper's per-axis step and the model's joint speed.
     pub fn paper() -> Self {
         Self {
             law: Law::Paper,
@@ -42,35 +43,36 @@ impl Settings {
         }
     }
 
-    /// The named axes yield both ways with the arm's default strengths and η = 0.9; the others hold.
+    /// The named axes yield in both directions with the arm's default strengths and η = 0.9; the others hold.
     ///
     /// # Errors
-    /// [`Error::Config`] for a key that is not understood.
+    /// [`Error::Config`] for an invalid key.
     pub fn soft(axes: &str) -> Result<Self> {
         let mut settings = Self::default();
         settings.set_axes(axes, yielding(ETA_SOFT))?;
         Ok(settings)
     }
 
-    /// Nothing yields.
+    /// No axis yields.
     pub fn firm() -> Self {
         Self::default()
     }
 
     /// Opens and closes doors: lateral and yaw follow the handle (η = 0.999, accepted), the others hold.
     ///
-    /// The posture pulls a quarter as much as usual: a handle on its arc takes the arm far from where it started.
+    /// The posture task is a quarter as strong as usual: a handle on its arc takes the arm far from its start.
     pub fn door() -> Self {
         let mut settings = Self { null_space: loose(), accept_high_adaptation: true, ..Self::default() };
         (settings.axes[1], settings.axes[5]) = (yielding(ETA_DOOR), yielding(ETA_DOOR));
         settings
     }
 
-    /// Pulls a drawer open, or pushes it shut, along `axis`, with at most the force `pull` [N] (by default the arm's `firm`).
+    /// Pulls a drawer open, or pushes it shut, along `axis`, with at most the force `pull` [N] (default: the arm's
+    /// `firm`).
     ///
-    /// A slide is straight, but seldom where the target believes: the other translations follow it (η = 0.95, the largest
-    /// that needs no proof of `k_p`). Rotations hold, for a drawer that is turned binds. At the end stop the force is
-    /// `pull` and no more.
+    /// The direction of a slide is seldom known exactly: the other translations follow it (η = 0.95, the largest that
+    /// does not require a known `k_p`). Rotations hold, because a rotated drawer jams. At the end stop the force is at
+    /// most `pull`.
     ///
     /// # Errors
     /// [`Error::Config`] for an axis other than x, y, z, [`Error::OutOfRange`] for the force.
@@ -82,11 +84,12 @@ impl Settings {
         Ok(settings)
     }
 
-    /// Presses on a surface along its normal `axis` with the force `press` [N] (by default the arm's `soft`) while the tool
-    /// moves along it.
+    /// Presses on a surface along its normal `axis` with the force `press` [N] (default: the arm's `soft`) while the
+    /// tool moves along it.
     ///
-    /// The target lies behind the surface by at least `press` over the arm's stiffness there, plus its unevenness; then the
-    /// force is `press` whatever the height. Rotations about the other two axes give way, so that a flat tool lies flat.
+    /// Place the target behind the surface by at least `press` divided by the arm's stiffness, plus the unevenness of
+    /// the surface; the force is then `press` at any height. Rotations about the other two axes yield, so that a flat
+    /// tool stays flat on the surface.
     ///
     /// # Errors
     /// As [`Settings::drawer`].
@@ -102,11 +105,11 @@ impl Settings {
         Ok(settings)
     }
 
-    /// Presents an object and gives way to the hand that takes it.
+    /// Presents an object and yields to a person who takes it.
     ///
-    /// Translations resist with up to the arm's `firm` near the target, so that the weight of the object and a passing touch
-    /// move little, and with `soft` once a hand has drawn the object 0.05 m away. Rotations yield. Opening the gripper is
-    /// the caller's: when the deviation says that somebody pulls.
+    /// Near the target, translations resist with up to the arm's `firm`, so that the object's weight and an accidental
+    /// touch move little. Once a person has drawn the object 0.05 m away they resist with `soft`. Rotations yield. The
+    /// caller opens the gripper when the deviation shows a pull.
     pub fn hand_over() -> Self {
         let [near, far] = TAKEN;
         let taken = Axis { profile: Profile::Softening, soft_until: Some(near), firm_from: Some(far), ..yielding(0.0) };
@@ -114,15 +117,15 @@ impl Settings {
         Self { axes: [taken, taken, taken, turned, turned, turned], ..Self::default() }
     }
 
-    /// Puts a plug into a hole along `axis`, with a sign (`"-z"`), pushing with at most the force `push` [N] (by default the
-    /// arm's `firm`).
+    /// Inserts a plug into a hole along `axis`, with a sign (`"-z"`), pushing with at most the force `push` [N] (by
+    /// default the arm's `firm`).
     ///
-    /// The other translations and the rotations follow the hole by half (η = 0.5). Pulling out again may use all of `hold`.
+    /// The other translations and the rotations follow the hole by half (η = 0.5). Pulling out may use all of `hold`.
     ///
     /// # Errors
     /// As [`Settings::drawer`].
     pub fn plug(axis: &str, push: Option<f64>) -> Result<Self> {
-        // What resists the insertion pushes the tool the other way.
+        // The resistance to the insertion pushes the tool in the opposite direction.
         let (name, resists) = match axis.split_at_checked(1) {
             Some(("-", name)) => (name, Yields::Plus),
             Some(("+", name)) => (name, Yields::Minus),
@@ -134,7 +137,7 @@ impl Settings {
         Ok(settings)
     }
 
-    /// A hand leads the tool: all axes yield with η = 0.95, and the posture pulls a quarter as much as usual.
+    /// A person leads the tool: all axes yield with η = 0.95, and the posture task is a quarter as strong as usual.
     pub fn hand_guiding() -> Self {
         Self { axes: [yielding(ETA_GUIDED); 6], null_space: loose(), ..Self::default() }
     }
@@ -148,7 +151,7 @@ fn yielding(adaptation: f64) -> Axis {
     Axis { yields: Some(Yields::Both), adaptation, ..Axis::default() }
 }
 
-/// An axis that is as stiff as its servos up to one force, and gives way beyond it.
+/// An axis that is as stiff as its servos up to one force, and yields beyond it.
 fn capped(what: &str, most: Option<f64>, yields: Yields) -> Result<Axis> {
     let [soft_until, firm_from] = FIRM_FROM.map(Some);
     let axis = Axis { yields: Some(yields), soft_until, firm_from, ..Axis::default() };
@@ -162,7 +165,7 @@ fn strength(what: &str, value: f64) -> Result<[f64; 2]> {
     if value > 0.0 && value.is_finite() { Ok([value; 2]) } else { Err(Error::out_of_range(what, value, "(0, ∞)")) }
 }
 
-/// Index of one of x, y, z.
+/// Returns the index of x, y or z.
 fn translation(key: &str, name: &str) -> Result<usize> {
     AXIS_NAMES[..3].iter().position(|&known| known == name).ok_or_else(|| {
         Error::config(

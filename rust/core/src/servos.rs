@@ -1,25 +1,25 @@
-//! What the controller believes about the servos.
+//! Parameters of the servos.
 
 use crate::error::{Error, Result};
 use crate::{JointVec, MAX_JOINTS};
 
-/// Least size of what must be above zero, and most of anything: reciprocals and products stay finite.
+/// Smallest value of positive parameters, and largest value of all: keeps reciprocals and products finite.
 const LEAST: f64 = 1e-6;
 const MOST: f64 = 1e9;
 
-/// What a servo's torque limit really limits.
+/// Quantity that a servo's torque limit limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LimitType {
     /// Motor current, hence torque at any speed.
     #[default]
     Current,
-    /// PWM duty: the torque left falls with speed, so back-EMF acts as damping `torque / no_load_speed`.
+    /// PWM duty: the available torque falls with speed, so back-EMF acts as damping `torque / no_load_speed`.
     Pwm,
 }
 
 /// Position servos of the `n` joints of a chain, base → tip. Units: N·m, rad (N, m for prismatic joints).
 ///
-/// One entry per joint, or a single entry that holds for every joint.
+/// One entry per joint, or a single entry for all joints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Servos {
     /// Stiffness of the position loop, `k_p` [N·m/rad] > 0.
@@ -28,32 +28,32 @@ pub struct Servos {
     pub max_torque: Vec<f64>,
     /// Dry friction of gears and motor [N·m] ≥ 0.
     pub friction: Vec<f64>,
-    /// Dry friction in addition, per N·m that the joint carries [1] ≥ 0: of gears that rub more under load.
+    /// Additional dry friction per N·m of load torque [1] ≥ 0, for gears whose friction grows with the load.
     pub load_friction: Vec<f64>,
-    /// Dry friction in addition at rest [N·m] ≥ 0, gone in fast motion (Stribeck).
+    /// Additional static friction [N·m] ≥ 0, which vanishes in fast motion (Stribeck).
     pub stribeck: Vec<f64>,
-    /// The same per N·m that the joint carries [1] ≥ 0.
+    /// Additional static friction per N·m of load torque [1] ≥ 0.
     pub load_stribeck: Vec<f64>,
-    /// Speed at which a third of the friction at rest is left [rad/s] > 0.
+    /// Speed at which a third of the additional static friction is left [rad/s] > 0.
     pub stribeck_speed: Vec<f64>,
     /// Viscous damping of gears and back-EMF that acts outside the torque limit [N·m·s/rad] ≥ 0.
     pub damping: Vec<f64>,
     /// Damping of the servo's own loop, inside the torque limit [N·m·s/rad] ≥ 0.
     pub kv: Vec<f64>,
-    /// Rotor inertia seen at the joint [kg·m²] ≥ 0: of contacts, of descents and of simulators.
+    /// Rotor inertia at the joint [kg·m²] ≥ 0; used by the contact estimator, the descent and simulators.
     pub armature: Vec<f64>,
-    /// Encoder step [rad] ≥ 0; 0 when it does not matter.
+    /// Encoder step [rad] ≥ 0; 0 to neglect it.
     pub encoder_step: Vec<f64>,
-    /// What the limit register limits.
+    /// Quantity that the limit register limits.
     pub limit_type: LimitType,
     /// No-load speed [rad/s] > 0, required for [`LimitType::Pwm`].
     pub no_load_speed: Option<Vec<f64>>,
-    /// Whether `kp` is known within 10 %, by identification or measurement.
+    /// True if `kp` is known within 10 %, by identification or measurement.
     pub stiffness_known: bool,
 }
 
 impl Servos {
-    /// Servos with the given stiffness and usable torque; everything else zero.
+    /// Creates servos with the given stiffness and usable torque; everything else is zero.
     pub fn new(kp: Vec<f64>, max_torque: Vec<f64>) -> Self {
         Self {
             kp,
@@ -77,7 +77,7 @@ impl Servos {
     ///
     /// # Errors
     /// [`Error::OutOfRange`] names field, index and bound; [`Error::Config`] a missing no-load speed. Under
-    /// [`LimitType::Current`] one that is given is checked, and has no effect.
+    /// [`LimitType::Current`] a given no-load speed is checked but has no effect.
     pub fn validate(&self) -> Result<()> {
         for (name, values, low) in self.fields() {
             for (i, &value) in values.iter().enumerate() {
@@ -100,7 +100,7 @@ impl Servos {
         }
     }
 
-    /// The same servos with one entry for each of `n` joints.
+    /// Returns these servos with one entry for each of `n` joints.
     ///
     /// # Errors
     /// As [`Servos::validate`]; [`Error::Shape`] for a field with neither 1 nor `n` entries.
@@ -133,7 +133,7 @@ impl Servos {
         })
     }
 
-    /// Every list of numbers, with its name and the least that its numbers may be.
+    /// Returns every list of numbers, with its name and the smallest allowed value.
     fn fields(&self) -> Vec<(&'static str, &[f64], f64)> {
         let mut fields: Vec<(&'static str, &[f64], f64)> = vec![
             ("kp", &self.kp, LEAST),
@@ -155,27 +155,27 @@ impl Servos {
     }
 }
 
-/// The servos as the cycle needs them: one entry per joint, spare entries neutral.
+/// Servo parameters of the control step: one entry per joint, neutral values in the padding.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ServoArrays {
-    /// Whether `k_p` is known at all (`kp` is 1 where it is not).
+    /// True if `k_p` is known (otherwise `kp` is 1).
     pub(crate) has_kp: bool,
     pub(crate) kp: JointVec,
     /// 1/`kp`.
     pub(crate) compliance: JointVec,
     /// Mean of `kp`, k̄.
     pub(crate) kp_mean: f64,
-    /// Ceiling of the limits; ∞ where nothing is known.
+    /// Ceiling of the limits; ∞ if unknown.
     pub(crate) torque: JointVec,
     pub(crate) friction: JointVec,
-    /// Friction per torque carried, at rest in addition, the latter per torque carried, and 1/speed of its end.
+    /// Friction per load torque, additional static friction, the latter per load torque, and 1 / Stribeck speed.
     pub(crate) load_friction: JointVec,
     pub(crate) stribeck: JointVec,
     pub(crate) load_stribeck: JointVec,
     pub(crate) stribeck_slowness: JointVec,
-    /// All that resists motion in proportion to speed: gears, the servo's own damping, back-EMF.
+    /// Total viscous damping: gears, the servo's own damping, back-EMF.
     pub(crate) damping: JointVec,
-    /// The part of it that acts outside the torque limit: all but the servo's own.
+    /// Damping outside the torque limit: all but the servo's own.
     pub(crate) drag: JointVec,
     /// Rotor inertia at the joint [kg·m²].
     pub(crate) armature: JointVec,
@@ -183,17 +183,19 @@ pub(crate) struct ServoArrays {
 }
 
 impl ServoArrays {
-    /// Whether every joint's damping lets the stiff axes be three times as stiff as the servos, `d/k_p ≥ 0.04 s`.
+    /// Returns true if the damping of every joint allows the stiff axes three times the servos' stiffness, `d/k_p ≥
+    /// 0.04 s`.
     pub(crate) fn well_damped(&self, n: usize) -> bool {
         (0..n.min(MAX_JOINTS)).all(|i| self.damping[i] * self.compliance[i] >= 0.04)
     }
 
-    /// Dry friction of joint `i` at rest that carries `torque` [N·m].
+    /// Returns the static friction of joint `i` under the load `torque` [N·m].
     pub(crate) fn friction_at_rest(&self, i: usize, torque: f64) -> f64 {
         self.friction[i] + self.stribeck[i] + (self.load_friction[i] + self.load_stribeck[i]) * torque.abs()
     }
 
-    /// From servos that [`Servos::for_joints`] has spread; without servos from the effort limits of the model.
+    /// Creates the arrays from servos expanded by [`Servos::for_joints`]; without servos from the effort limits of the
+    /// model.
     pub(crate) fn new(n: usize, servos: Option<&Servos>, effort: &[Option<f64>]) -> Self {
         let mut arrays = Self {
             has_kp: servos.is_some(),

@@ -1,4 +1,4 @@
-//! What an arm can do on average over its joint space: scales from which defaults are made.
+//! Medians over the arm's joint space: scales for the defaults.
 
 use nalgebra::DMatrix;
 
@@ -14,13 +14,13 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// Number of poses.
 const POSES: u32 = 512;
 
-/// How many of them the time constants of the axes are taken from.
+/// Number of poses for the time constants of the axes.
 const PERIOD_POSES: usize = 64;
 
-/// What one arm with one set of servos was found to be able to do.
+/// Results of a survey of one arm with one set of servos.
 ///
-/// A survey takes milliseconds, longer than a tick may: a controller keeps it, so that a change of settings that asks the
-/// same again costs nothing.
+/// A survey takes milliseconds, longer than a step may. The controller caches it, so that a change of settings that
+/// needs the same results costs nothing.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Surveyed {
     sigma: Option<(Vec<usize>, Frame, f64, f64)>,
@@ -29,7 +29,7 @@ pub(crate) struct Surveyed {
 }
 
 impl Surveyed {
-    /// [`median_sigma`], kept for these axes, frame and length.
+    /// Returns [`median_sigma`], cached for these axes, frame and length.
     pub(crate) fn median_sigma(&mut self, model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
         if let Some((of, within, unit, sigma)) = &self.sigma
             && of == axes
@@ -43,7 +43,7 @@ impl Surveyed {
         sigma
     }
 
-    /// [`squared_periods`], kept for these axes, frame and servos.
+    /// Returns [`squared_periods`], cached for these axes, frame and servos.
     pub(crate) fn squared_periods(
         &mut self,
         model: &Model,
@@ -64,7 +64,7 @@ impl Surveyed {
         periods
     }
 
-    /// [`static_capacity`] with the model's own payload and gravity, kept for these torques.
+    /// Returns [`static_capacity`] with the model's own payload and gravity, cached for these torques.
     pub(crate) fn static_capacity(&mut self, model: &Model, usable: &JointVec) -> [f64; 2] {
         if let Some((of, capacity)) = &self.capacity
             && of.map(f64::to_bits) == usable.map(f64::to_bits)
@@ -78,8 +78,8 @@ impl Surveyed {
     }
 }
 
-/// Median over a few poses of `C_jj Λ_jj` [s²] of each task row, with `C = J K_p⁻¹ Jᵀ` and `Λ_jj = 1 / (J M⁻¹ Jᵀ)_jj`: the
-/// squared time constant of the axis on the servos' springs. Zero where nothing is known of the masses.
+/// Median over a few poses of `C_jj Λ_jj` [s²] of each task row, with `C = J K_p⁻¹ Jᵀ` and `Λ_jj = 1 / (J M⁻¹ Jᵀ)_jj`:
+/// the squared time constant of the axis on the servos' springs. Zero if the masses are unknown.
 fn squared_periods(model: &Model, servos: &ServoArrays, axes: &[usize], frame: &Frame) -> AxisVec {
     let (n, chain) = (model.n(), model.chain());
     let masses = chain.masses(model.payload());
@@ -110,10 +110,10 @@ pub(crate) fn poses(model: &Model) -> impl Iterator<Item = JointVec> + '_ {
     (1..=POSES).map(|index| halton::joints(model.lower(), model.upper(), index))
 }
 
-/// Median over the poses of the smallest singular value of the task rows, translations divided by `length`.
+/// Median over the poses of the smallest singular value of the task rows, with translations divided by `length`.
 ///
-/// Of the rows in base axes for a task in the tool's axes too: those of a full translation or rotation differ by a
-/// rotation only, which changes no singular value.
+/// Uses base axes also for a task in the tool's axes: rows of a full translation or rotation differ by a rotation only,
+/// which does not change the singular values.
 fn median_sigma(model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
     let n = model.n();
     median_over_rows(model, axes, frame, |rows| {
@@ -136,8 +136,8 @@ pub(crate) fn median_over_rows(model: &Model, axes: &[usize], frame: &Frame, of:
     median(&mut values)
 }
 
-/// Median static capacity of the arm: the push [N] and the twist [N·m] that its torques can answer, over the poses, the
-/// three base axes and both signs: `min_i (usable_i + s_i g_i) / |J_ji|`.
+/// Median static capacity of the arm: the force [N] and the torque [N·m] that its joint torques can hold, over the
+/// poses, the three base axes and both signs: `min_i (usable_i + s_i g_i) / |J_ji|`.
 fn static_capacity(model: &Model, usable: &JointVec, masses: &Masses, gravity: [f64; 3]) -> [f64; 2] {
     let mut frames = Frames::default();
     let mut world: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
@@ -159,10 +159,10 @@ fn static_capacity(model: &Model, usable: &JointVec, masses: &Masses, gravity: [
     [median(&mut forces), median(&mut moments)]
 }
 
-/// Refuses an arm that its servos cannot hold in a single one of the poses: a mass in grams, or a wrong table.
+/// Refuses an arm that its servos cannot hold in any of the poses: a mass in grams, or wrong servo data.
 pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &Masses, gravity: [f64; 3]) -> Result<()> {
     let (mut frames, mut holding) = (Frames::default(), [0.0; MAX_JOINTS]);
-    // The joint that lacks least, in the pose that asks least.
+    // Pose with the smallest maximum of torque / usable torque, and the joint with this maximum.
     let mut best = (f64::INFINITY, 0, 0.0);
     for q in poses(model) {
         model.chain().forward(&q, &mut frames);

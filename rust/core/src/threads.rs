@@ -1,4 +1,4 @@
-//! The threads that batches run on: as many as the process has cores, started with the first large batch.
+//! Thread pool for batches: as many threads as the process has cores, started with the first large batch.
 
 use std::mem;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,16 +7,17 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::{Error, Result};
 
-/// The pool, and the process that its threads live in.
+/// The pool, and the process of its threads.
 static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
-/// Runs `work` where `rayon`'s parallel iterators use every core; `RAYON_NUM_THREADS` says how many threads they are.
+/// Runs `work` in the pool, so that `rayon`'s parallel iterators use all cores; `RAYON_NUM_THREADS` sets the number of
+/// threads.
 ///
-/// A forked process (Python's `multiprocessing` makes such) inherits a pool without its threads and would wait for them
-/// forever: it gets one of its own.
+/// A forked process (for example of Python's `multiprocessing`) inherits the pool without its threads and would block
+/// forever: it gets a new pool.
 ///
 /// # Errors
-/// [`Error::Config`] where the system refuses to start a thread.
+/// [`Error::Config`] if the system refuses to start a thread.
 pub(crate) fn on_every_core<T: Send>(work: impl FnOnce() -> T + Send) -> Result<T> {
     Ok(pool()?.install(work))
 }
@@ -34,7 +35,7 @@ fn pool() -> Result<Arc<ThreadPool>> {
         let message = format!("no thread can be started ({cause}); set RAYON_NUM_THREADS to fewer");
         Error::config("threads", message)
     })?);
-    // A pool whose threads are in another process cannot be taken down.
+    // A pool whose threads are in another process cannot be dropped.
     mem::forget(slot.replace((process, Arc::clone(&pool))));
     Ok(pool)
 }

@@ -1,4 +1,4 @@
-//! Choices that have words: the same in Rust, Python, configurations and logs.
+//! Names of enum variants: identical in Rust, Python, configurations and logs.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,11 +9,11 @@ use crate::servos::LimitType;
 use crate::settings::{Follow, Law, LimitRule, Projector};
 use crate::task::axes::{OnDeviationLimit, Profile, Yields};
 
-/// Writes and reads a choice by its word; `$key` is the setting's name for the message.
+/// Implements conversion between an enum and its names; `$key` is the setting's name for the message.
 macro_rules! words {
     ($($choice:ident of $key:literal: $($word:literal is $variant:ident),+;)+) => { $(
         impl $choice {
-            /// Every choice, with its word.
+            /// All variants with their names.
             pub const WORDS: &'static [(&'static str, Self)] = &[$(($word, Self::$variant)),+];
         }
 
@@ -26,10 +26,10 @@ macro_rules! words {
         impl FromStr for $choice {
             type Err = Error;
 
-            /// The choice of that word.
+            /// Returns the variant of that name.
             ///
             /// # Errors
-            /// [`Error::Config`] with the words that there are.
+            /// [`Error::Config`] with the valid names.
             fn from_str(word: &str) -> Result<Self, Error> {
                 let found = Self::WORDS.iter().find(|(known, _)| *known == word);
                 found.map(|(_, choice)| *choice).ok_or_else(|| unknown($key, &[$($word),+], word))

@@ -1,4 +1,4 @@
-//! Arguments that are objects of ours: whoever gives something else is told how to get one.
+//! Arguments that are objects of this package; another type raises an error that says how to create one.
 
 use pyo3::PyClass;
 use pyo3::prelude::*;
@@ -38,7 +38,7 @@ pub(crate) fn controller(value: &Bound<'_, PyAny>) -> PyResult<Py<Controller>> {
     object("controller", "a Controller, e.g. Controller(model, settings)", value)
 }
 
-/// A text.
+/// Extracts a string.
 #[inline(never)]
 pub(crate) fn text(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
     value.extract().map_err(|_| wrong_type(name, expected, value))

@@ -1,4 +1,5 @@
-//! Arrays with one row per configuration: read in place where they are plain, copied otherwise, results into the caller's.
+//! Arrays with one row per configuration: plain arrays are read in place, others copied; results go into the caller's
+//! arrays.
 
 use pyo3::prelude::*;
 
@@ -6,7 +7,7 @@ use crate::convert::{Lent, rows, share_memory, writable, zeros};
 use crate::error::{shape, tuple, wrong_type};
 use crate::read::numbers;
 
-/// Rows (N, `part`) of a batch: the caller's memory if it is a plain array, a copy of anything else.
+/// Rows (N, `part`) of a batch: the caller's memory if it is a plain array, else a copy.
 pub(crate) struct Rows<'a, 'py> {
     pub(crate) count: usize,
     name: &'a str,
@@ -16,7 +17,7 @@ pub(crate) struct Rows<'a, 'py> {
 }
 
 impl<'a, 'py> Rows<'a, 'py> {
-    /// Of an array; copied where it shares memory with one of `outs`.
+    /// Reads an array; copies it if it shares memory with one of `outs`.
     pub(crate) fn read(
         name: &'a str,
         array: &'a Bound<'py, PyAny>,
@@ -35,7 +36,7 @@ impl<'a, 'py> Rows<'a, 'py> {
         }
     }
 
-    /// The numbers, for [`crate::convert::lend`].
+    /// Returns the numbers for [`crate::convert::lend`].
     pub(crate) fn lent(&self) -> Lent<'_, 'py> {
         match &self.copy {
             Some(copy) => Lent::Numbers(copy),
@@ -44,13 +45,13 @@ impl<'a, 'py> Rows<'a, 'py> {
     }
 }
 
-/// `(N, 4, 4)` and the like.
+/// Formats the expected shape, e.g. `(N, 4, 4)`.
 pub(crate) fn rows_of(part: &[usize]) -> String {
     let sizes: Vec<String> = std::iter::once("N".into()).chain(part.iter().map(ToString::to_string)).collect();
     format!("({})", sizes.join(", "))
 }
 
-/// The caller's array, or a new one, of (`count`, `part`).
+/// Returns the caller's array, or a new one, of shape (`count`, `part`).
 pub(crate) fn target<'py>(
     py: Python<'py>,
     name: &str,
@@ -66,12 +67,12 @@ pub(crate) fn target<'py>(
     }
 }
 
-/// Shape of `count` rows.
+/// Returns the shape of `count` rows.
 pub(crate) fn shape_of(count: usize, part: &[usize]) -> Vec<usize> {
     std::iter::once(count).chain(part.iter().copied()).collect()
 }
 
-/// Why an array cannot be written into.
+/// Returns the error for an array that cannot be written into.
 #[cold]
 pub(crate) fn unfit(name: &str, array: &Bound<'_, PyAny>, expected: &[usize]) -> PyErr {
     let got: Option<Vec<usize>> = array.getattr("shape").and_then(|shape| shape.extract()).ok();

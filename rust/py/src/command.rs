@@ -1,4 +1,4 @@
-//! `Command`, and the pool from which steps take theirs.
+//! `Command`, and the pool of commands that steps return.
 
 use pliant_core::Command as CoreCommand;
 use pyo3::prelude::*;
@@ -36,12 +36,12 @@ impl Command {
         }
     }
 
-    /// Of arrays that exist already.
+    /// Creates a command from existing arrays.
     pub(crate) fn of([goal, torque_limit, speed_limit]: [Py<PyAny>; 3]) -> Self {
         Self { goal, torque_limit, speed_limit }
     }
 
-    /// The arrays: goal, torque limit, speed_limit.
+    /// Returns the arrays: goal, torque limit, speed_limit.
     pub(crate) fn arrays(&self) -> [&Py<PyAny>; 3] {
         [&self.goal, &self.torque_limit, &self.speed_limit]
     }
@@ -50,13 +50,13 @@ impl Command {
         [(&self.goal, core.goal()), (&self.torque_limit, core.torque_limit()), (&self.speed_limit, core.speed_limit())]
     }
 
-    /// Fills the arrays if nobody else can see them and they are as they were made.
+    /// Fills the arrays if they have no other reference and are unmodified.
     #[inline]
     fn refill(&self, py: Python<'_>, core: &CoreCommand) -> bool {
         self.parts(core).into_iter().all(|(array, values)| overwrite(array.bind(py), values))
     }
 
-    /// A caller's command, if its arrays can take `n` numbers each.
+    /// Returns a caller's command if its arrays can hold `n` numbers each.
     #[inline]
     pub(crate) fn writable<'a, 'py>(out: &'a Bound<'py, PyAny>, n: usize) -> PyResult<&'a Bound<'py, Self>> {
         let out = out.cast::<Self>().map_err(|_| wrong_type("out", "a Command, as a step returns it", out))?;
@@ -70,7 +70,7 @@ impl Command {
         Ok(out)
     }
 
-    /// Fills the arrays of a caller's command, whoever holds them.
+    /// Fills the arrays of a caller's command, regardless of other references.
     pub(crate) fn fill(&self, py: Python<'_>, core: &CoreCommand) -> PyResult<()> {
         for (array, values) in self.parts(core) {
             if !write(array.bind(py), &[values.len()], values) {
@@ -86,21 +86,21 @@ fn unwritable(array: &Bound<'_, PyAny>, n: usize) -> PyErr {
     wrong_type("out", &format!("a command whose arrays are writable float64 of {n} in C order"), array)
 }
 
-/// Three commands, taken in turn and reused only when nobody else holds the command or one of its arrays.
+/// Three commands in rotation, each reused only if neither the command nor one of its arrays has another reference.
 ///
-/// A plain loop then allocates nothing, and a result that somebody keeps never changes. The count of references says
-/// who holds what only under the interpreter lock: the module declares that it needs it, and a Python that can do
-/// without gets a new command from every step.
+/// A plain loop then allocates nothing, and a stored result never changes. Reference counts are reliable only under the
+/// interpreter lock. The module declares that it needs the lock; a free-threaded Python gets a new command from every
+/// step.
 #[derive(Debug, Default)]
 pub(crate) struct Pool {
     slots: [Option<Py<Command>>; 3],
     next: usize,
-    /// How many commands were made.
+    /// Number of commands created.
     pub(crate) made: u64,
 }
 
 impl Pool {
-    /// A command with these numbers.
+    /// Returns a command with these numbers.
     #[inline]
     pub(crate) fn take(&mut self, py: Python<'_>, core: &CoreCommand) -> PyResult<Py<Command>> {
         let slot = &mut self.slots[self.next];

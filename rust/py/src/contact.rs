@@ -17,14 +17,14 @@ use crate::in_use;
 use crate::kinds::{Kind, Names};
 use crate::read::{given, joints, number, real, vector};
 
-/// Risk that is taken by name.
+/// Name with which a caller accepts thresholds below the uncertainty.
 const THRESHOLDS: &str = "thresholds";
 
 #[pyclass(module = "pliant", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct WrenchEstimate(CoreEstimate);
 
-/// Attributes from fields of the core's estimate.
+/// Defines attributes from fields of the core's estimate.
 macro_rules! attributes {
     (axes: $($axis:ident),*; joints: $($joint:ident),*; flags: $($flag:ident),*;) => {
         #[pymethods]
@@ -89,22 +89,22 @@ fn part(values: Option<&JointVec>, n: usize) -> Option<&[f64]> {
     values.map(|values| &values[..n])
 }
 
-/// What a share is, in a message.
+/// Expected value of a share, for messages.
 const SHARE: &str = "a number; a share of 2 % is 0.02";
 
-/// The axes of an axis key.
+/// Parses an axis key.
 fn keyed(axes: &Bound<'_, PyAny>) -> PyResult<[bool; MAX_AXES]> {
     parse_axes("axes", &arguments::text("axes", "an axis key such as 'xyz rpy'", axes)?).or_raise()
 }
 
-/// Goals and limits that were sent.
+/// Reads the goals and limits that were sent.
 fn pair(sent: &Bound<'_, PyAny>, n: usize) -> PyResult<[JointVec; 2]> {
     let (goal, limit): (Bound<'_, PyAny>, Bound<'_, PyAny>) =
         sent.extract().map_err(|_| wrong_type("sent", "a pair (goal, torque_limit)", sent))?;
     Ok([joints("goal", &goal, n)?, joints("torque_limit", &limit, n)?])
 }
 
-/// Numbers by axis key, e.g. `{"xyz": 8.0, "yaw": 1.0}`.
+/// Reads numbers by axis key, e.g. `{"xyz": 8.0, "yaw": 1.0}`.
 fn thresholds(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<[Option<f64>; 6]> {
     let mut out = [None; 6];
     let Some(value) = value else { return Ok(out) };

@@ -31,7 +31,7 @@ use crate::task::Axis;
 pub(crate) struct Controller {
     pub(crate) core: CoreController,
     n: usize,
-    /// Whether a target may be a position alone.
+    /// True if a target may be a position alone.
     position_only: bool,
     pool: Pool,
     model: Py<Model>,
@@ -40,7 +40,7 @@ pub(crate) struct Controller {
 }
 
 impl Controller {
-    /// Of parts that have been read; it goes on with what another one carried.
+    /// Creates a controller from parts that have been read; continues from a snapshot if there is one.
     pub(crate) fn made(
         py: Python<'_>,
         model: Py<Model>,
@@ -60,7 +60,7 @@ impl Controller {
         Ok(Self { core, n, position_only, pool: Pool::default(), model, settings, servos })
     }
 
-    /// Another one that has read, remembers and was told the same.
+    /// Returns a copy with the same settings, state and inputs.
     fn twin(&self, py: Python<'_>) -> Self {
         Self {
             core: self.core.clone(),
@@ -112,7 +112,7 @@ impl Controller {
         let target = pose("target", target, position_only)?;
         let mut extras = Extras::default();
         extras.read(n, dt, dq, twist, gradient)?;
-        // Last: reading the others may run code that makes another array of q.
+        // Last: reading the other arguments may run code that replaces the array of q.
         let mut position = [0.0; MAX_JOINTS];
         array_into("q", q, &[n], &mut position)?;
         let out = out.map(|out| Command::writable(out, n)).transpose()?;
@@ -308,7 +308,7 @@ impl Controller {
     }
 }
 
-/// The command in the caller's arrays, or in arrays of the pool.
+/// Returns the command in the caller's arrays, or in arrays of the pool.
 #[inline]
 fn hand_out(
     py: Python<'_>,
@@ -325,7 +325,7 @@ fn hand_out(
     }
 }
 
-/// Number of joints, and whether a target may be a position alone.
+/// Returns the number of joints, and whether a target may be a position alone.
 #[inline]
 fn sizes(controller: &Bound<'_, Controller>) -> PyResult<(usize, bool)> {
     let controller = shared(controller)?;

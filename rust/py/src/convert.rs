@@ -1,8 +1,8 @@
-//! NumPy arrays by their C structure: with [`crate::docs`] the only unsafe code of the binding.
+//! Access to NumPy arrays through their C structure: with [`crate::docs`] the only unsafe code of the binding.
 //!
-//! What is read and written here is checked first: exact type `numpy.ndarray`, native float64, aligned, C order, the
-//! shape asked for. Everything else is refused here and converted or explained by [`crate::read`]. The safe functions
-//! copy while they hold the interpreter lock; [`lend`] alone works on arrays in place without it.
+//! Every access first checks for the exact type `numpy.ndarray`, native float64, alignment, C order and the expected
+//! shape. Other objects are rejected here; [`crate::read`] converts them or raises an error. The safe functions copy
+//! while they hold the interpreter lock. Only [`lend`] works on arrays in place without it.
 #![expect(unsafe_code, reason = "NumPy's C structure is read directly: a checked borrow costs four times as much")]
 #![expect(clippy::cast_ptr_alignment, reason = "the flag ALIGNED of the array is checked before its data are cast")]
 
@@ -20,22 +20,22 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyTuple, PyType};
 
-/// `numpy.ndarray`, held so that its address stays what it is.
+/// The type `numpy.ndarray`; the reference keeps its address valid.
 static ARRAY_TYPE: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 
-/// What a plain array must be to be read here.
+/// Flags required for reading.
 const READABLE: i32 = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED;
 
-/// What it must be to be written here.
+/// Flags required for writing.
 const WRITABLE: i32 = READABLE | NPY_ARRAY_WRITEABLE;
 
-/// Byte order that NumPy writes for the machine's own: `=`, in a type that has a sign on some machines only.
+/// NumPy's code for native byte order, `=`; `c_char` is signed on some machines only.
 const NATIVE: std::ffi::c_char = 0x3d;
 
-/// Whether this Python may run without its interpreter lock: then no count of references says who holds what.
+/// True if this Python may run without an interpreter lock: reference counts are then not reliable.
 static FREE_THREADED: AtomicBool = AtomicBool::new(false);
 
-/// Looks `numpy.ndarray` up, once, and how this Python was built.
+/// Looks up `numpy.ndarray` and the build mode of this Python, once.
 pub(crate) fn initialise(py: Python<'_>) -> PyResult<()> {
     let version: String = py.import("sys")?.getattr("version")?.extract()?;
     FREE_THREADED.store(version.contains("free-threading"), Ordering::Relaxed);
@@ -44,7 +44,7 @@ pub(crate) fn initialise(py: Python<'_>) -> PyResult<()> {
     Ok(())
 }
 
-/// The structure of an exact `numpy.ndarray` of native float64.
+/// Returns the structure of an exact `numpy.ndarray` of native float64.
 #[inline]
 fn structure_of<'a>(array: &'a Bound<'_, PyAny>) -> Option<&'a PyArrayObject_fields> {
     let array_type = ARRAY_TYPE.get(array.py())?;
@@ -59,7 +59,7 @@ fn structure_of<'a>(array: &'a Bound<'_, PyAny>) -> Option<&'a PyArrayObject_fie
     (type_number == NPY_TYPES::NPY_DOUBLE as i32 && order == NATIVE).then_some(fields)
 }
 
-/// The structure of such an array with this shape and at least these flags.
+/// Returns the structure of such an array with this shape and at least these flags.
 #[inline]
 fn structure<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize], flags: i32) -> Option<&'a PyArrayObject_fields> {
     let fields = structure_of(array)?;
@@ -78,8 +78,8 @@ fn structure<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize], flags: i32) -> Op
 
 /// Copies `count` numbers.
 ///
-/// Those of an arm are so few that the call of a general copy takes longer than they do. In pairs, because processors hand
-/// on what has just been stored only to loads within one store.
+/// For the few numbers of an arm the call of a general copy takes longer than the copy. Copies pairs, because
+/// processors forward a recent store only to a load that lies within that store.
 ///
 /// # Safety
 /// `from` is valid for `count` reads and `to` for as many writes, and they do not overlap.
@@ -99,45 +99,46 @@ unsafe fn copy_numbers(from: *const f64, to: *mut f64, count: usize) {
     }
 }
 
-/// The numbers of a plain array of this shape in place; `None` for any other object.
+/// Returns the numbers of a plain array of this shape in place; `None` for any other object.
 ///
 /// # Safety
-/// While the slice is in use, the array keeps its memory and nobody writes to it: no Python code runs in this thread, and
-/// the caller writes to no array that may share this memory.
+/// While the slice is in use, the array must keep its memory and must not be written to: no Python code runs in this
+/// thread, and the caller writes to no array that may share this memory.
 #[inline]
 unsafe fn read<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a [f64]> {
     let fields = structure(array, shape, READABLE)?;
-    // SAFETY: the array is C-contiguous, aligned and holds as many float64 values; it stays so as the caller promises.
+    // SAFETY: the array is C-contiguous, aligned and holds as many float64 values; the caller promises that it stays
+    // so.
     Some(unsafe { std::slice::from_raw_parts(fields.data.cast::<f64>().cast_const(), shape.iter().product()) })
 }
 
-/// Copies the numbers of a plain array of this shape; `false` and nothing done for any other object.
+/// Copies the numbers of a plain array of this shape; returns `false` and does nothing for any other object.
 #[inline]
 pub(crate) fn copy(array: &Bound<'_, PyAny>, shape: &[usize], out: &mut [f64]) -> bool {
-    // SAFETY: the slice is read before anything else runs; `out` is Rust's memory.
+    // SAFETY: the slice is read before any other code runs; `out` is Rust's memory.
     let Some(values) = (unsafe { read(array, shape) }) else { return false };
     if out.len() < values.len() {
         return false;
     }
-    // SAFETY: `out` has room and is ours alone.
+    // SAFETY: `out` has room and is exclusively borrowed.
     unsafe { copy_numbers(values.as_ptr(), out.as_mut_ptr(), values.len()) };
     true
 }
 
-/// The first `N` numbers of a plain array of this shape, by value so that registers can keep them; `None` for any other
-/// object.
+/// Returns the first `N` numbers of a plain array of this shape, by value so that they can stay in registers; `None`
+/// for any other object.
 #[inline(always)]
 pub(crate) fn first_numbers<const N: usize>(array: &Bound<'_, PyAny>, shape: &[usize]) -> Option<[f64; N]> {
-    // SAFETY: the slice is copied before anything else runs.
+    // SAFETY: the slice is copied before any other code runs.
     unsafe { read(array, shape) }?.first_chunk().copied()
 }
 
-/// Whether [`write`] would write.
+/// Returns true if [`write`] accepts the array.
 pub(crate) fn writable(array: &Bound<'_, PyAny>, shape: &[usize]) -> bool {
     structure(array, shape, WRITABLE).is_some()
 }
 
-/// Writes numbers into a plain, writable array of this shape; `false` and nothing done for any other object.
+/// Writes numbers into a plain, writable array of this shape; returns `false` and does nothing for any other object.
 #[inline]
 pub(crate) fn write(array: &Bound<'_, PyAny>, shape: &[usize], values: &[f64]) -> bool {
     let Some(fields) = structure(array, shape, WRITABLE) else { return false };
@@ -150,7 +151,8 @@ pub(crate) fn write(array: &Bound<'_, PyAny>, shape: &[usize], values: &[f64]) -
     true
 }
 
-/// Writes the first `width` numbers of each row into a plain, writable matrix; `false` and nothing done for any other.
+/// Writes the first `width` numbers of each row into a plain, writable matrix; returns `false` and does nothing for any
+/// other object.
 #[inline]
 pub(crate) fn write_rows<const R: usize, const C: usize>(
     array: &Bound<'_, PyAny>,
@@ -167,7 +169,7 @@ pub(crate) fn write_rows<const R: usize, const C: usize>(
     true
 }
 
-/// Number of rows of shape `part` in a plain array; `None` for any other object.
+/// Returns the number of rows of shape `part` in a plain array; `None` for any other object.
 pub(crate) fn rows(array: &Bound<'_, PyAny>, part: &[usize]) -> Option<usize> {
     let fields = structure_of(array)?;
     if fields.flags & READABLE != READABLE || usize::try_from(fields.nd) != Ok(part.len() + 1) {
@@ -187,20 +189,20 @@ pub(crate) fn rows(array: &Bound<'_, PyAny>, part: &[usize]) -> Option<usize> {
     Some(rows)
 }
 
-/// Numbers for [`lend`]: a plain array by its name and shape, or Rust's own.
+/// Numbers for [`lend`]: a plain array with its name and shape, or memory of Rust.
 pub(crate) enum Lent<'a, 'py> {
     Array(&'a str, &'a Bound<'py, PyAny>, Vec<usize>),
     Numbers(&'a [f64]),
 }
 
-/// Runs `work` on the numbers of arrays in place, without the interpreter lock; `outs` are the arrays to write into, by
-/// name and shape.
+/// Runs `work` on the numbers of arrays in place, without the interpreter lock; `outs` are the output arrays, with name
+/// and shape.
 ///
-/// As with NumPy's own functions, Python threads must leave these arrays alone meanwhile: a write by one is a data race,
-/// a resize frees memory in use. Nothing here can see it.
+/// As with NumPy's own functions, Python threads must not use these arrays meanwhile: a write is a data race, and a
+/// resize frees memory in use. This cannot be checked here.
 ///
 /// # Errors
-/// `ValueError` where an array is not as it was when its argument was read, or one of `outs` shares memory with another.
+/// `ValueError` if an array changed after its argument was read, or if one of `outs` shares memory with another.
 pub(crate) fn lend<const I: usize, const O: usize, T: Send>(
     py: Python<'_>,
     inputs: &[Lent<'_, '_>; I],
@@ -212,16 +214,16 @@ pub(crate) fn lend<const I: usize, const O: usize, T: Send>(
     for (slot, input) in numbers.iter_mut().zip(inputs) {
         *slot = match input {
             Lent::Numbers(values) => values,
-            // SAFETY: `work` has no token of the interpreter, and no array to be written shares this memory.
+            // SAFETY: `work` has no interpreter token, and no output array shares this memory.
             Lent::Array(_, array, shape) => unsafe { read(array, shape) }.unwrap_or_default(),
         };
     }
-    // SAFETY: as above, and `outs` share no memory with each other.
+    // SAFETY: as above; `outs` share no memory with each other.
     let places = outs.map(|(_, array, shape)| unsafe { read_mut(array, shape) }.unwrap_or_default());
     Ok(py.detach(|| work(numbers, places)))
 }
 
-/// Checks that arrays are as they were when they were read, and that none of `outs` shares memory with another.
+/// Checks that arrays did not change after they were read, and that none of `outs` shares memory with another array.
 #[inline(never)]
 fn check_lent(inputs: &[Lent<'_, '_>], outs: &[(&str, &Bound<'_, PyAny>, &[usize])]) -> PyResult<()> {
     let changed =
@@ -249,10 +251,10 @@ fn check_lent(inputs: &[Lent<'_, '_>], outs: &[(&str, &Bound<'_, PyAny>, &[usize
     Ok(())
 }
 
-/// The numbers of a plain, writable array of this shape, to be written; `None` for any other object.
+/// Returns the numbers of a plain, writable array of this shape for writing; `None` for any other object.
 ///
 /// # Safety
-/// As [`read`], and no other slice in use is of the same memory.
+/// As [`read`]; in addition no other slice in use refers to the same memory.
 #[expect(clippy::mut_from_ref, reason = "the memory is the array's, not the reference's")]
 unsafe fn read_mut<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a mut [f64]> {
     let fields = structure(array, shape, WRITABLE)?;
@@ -260,7 +262,7 @@ unsafe fn read_mut<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&
     Some(unsafe { std::slice::from_raw_parts_mut(fields.data.cast::<f64>(), shape.iter().product()) })
 }
 
-/// Whether two plain arrays share memory.
+/// Returns true if two plain arrays share memory.
 pub(crate) fn share_memory(a: &Bound<'_, PyAny>, b: &Bound<'_, PyAny>) -> bool {
     match (memory(a), memory(b)) {
         (Some(a), Some(b)) => a.start < b.end && b.start < a.end,
@@ -268,7 +270,7 @@ pub(crate) fn share_memory(a: &Bound<'_, PyAny>, b: &Bound<'_, PyAny>) -> bool {
     }
 }
 
-/// Where the numbers of a plain array lie.
+/// Returns the address range of a plain array's numbers.
 fn memory(array: &Bound<'_, PyAny>) -> Option<std::ops::Range<usize>> {
     let fields = structure_of(array)?;
     let start = fields.data.addr();
@@ -280,9 +282,10 @@ fn memory(array: &Bound<'_, PyAny>) -> Option<std::ops::Range<usize>> {
     Some(start..start + size)
 }
 
-/// Writes numbers into a vector that nobody but one of our own objects can see; `false` and nothing done otherwise.
+/// Writes numbers into a vector without references from outside; else returns `false` and does nothing.
 ///
-/// Seen by others means: another reference (a view and a memoryview hold one), a weak reference, memory of someone else.
+/// References from outside are: another reference (a view and a memoryview hold one), a weak reference, or memory that
+/// the array does not own.
 #[inline]
 pub(crate) fn overwrite(array: &Bound<'_, PyAny>, values: &[f64]) -> bool {
     let Some(fields) = structure(array, &[values.len()], WRITABLE | NPY_ARRAY_OWNDATA) else { return false };
@@ -294,24 +297,24 @@ pub(crate) fn overwrite(array: &Bound<'_, PyAny>, values: &[f64]) -> bool {
     true
 }
 
-/// Whether the asking reference is the only one; never where Python may run without its interpreter lock.
+/// Returns true if the caller holds the only reference; always false if Python may run without its interpreter lock.
 #[inline]
 pub(crate) fn only_reference(object: &Bound<'_, PyAny>) -> bool {
-    // SAFETY: the pointer is that of a living object.
+    // SAFETY: the pointer is that of a live object.
     unsafe { Py_REFCNT(object.as_ptr()) == 1 && !FREE_THREADED.load(Ordering::Relaxed) }
 }
 
-/// A new array with these numbers, row by row.
+/// Creates an array with these numbers, row by row.
 #[inline(never)]
 pub(crate) fn new_array<'py>(py: Python<'py>, shape: &[usize], values: &[f64]) -> Bound<'py, PyAny> {
     let array = PyArrayDyn::<f64>::zeros(py, shape, false);
     let count: usize = shape.iter().product();
-    // SAFETY: the array is new, C-contiguous and has `count` entries; no more are copied than there are.
+    // SAFETY: the array is new, C-contiguous and has `count` entries; at most `count` are copied.
     unsafe { std::ptr::copy_nonoverlapping(values.as_ptr(), array.data(), count.min(values.len())) };
     array.into_any()
 }
 
-/// A new matrix of the first `width` numbers of each row.
+/// Creates a matrix of the first `width` numbers of each row.
 #[inline(never)]
 pub(crate) fn new_rows<'py, const R: usize, const C: usize>(
     py: Python<'py>,
@@ -323,7 +326,7 @@ pub(crate) fn new_rows<'py, const R: usize, const C: usize>(
     array
 }
 
-/// A new array of zeros, of any size: `MemoryError` where there is no room for it.
+/// Creates an array of zeros; `MemoryError` if it does not fit in memory.
 pub(crate) fn zeros<'py>(py: Python<'py>, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     py.import("numpy")?.call_method1("zeros", (PyTuple::new(py, shape)?,))
 }

@@ -1,9 +1,9 @@
-//! Docstrings of classes and members, out of the stub `python/pliant/_core.pyi`, the one place that has them.
+//! Docstrings of classes and members, taken from the stub `python/pliant/_core.pyi`, their single source.
 //!
-//! PyO3 makes docstrings of Rust comments, which would say everything a second time. But a class keeps the tables of
-//! methods and attributes that it was made of, and what `help()` shows it reads from there when asked; so the stub's
-//! texts, which `build.rs` read, are put into the tables when the module is loaded. Functions have no such table: they
-//! carry the attribute `#[doc = stub!(name)]`.
+//! PyO3 makes docstrings from Rust comments, which would duplicate the stub. A class keeps the tables of its methods
+//! and attributes, and `help()` reads the docstrings from there. Therefore the stub's texts, read by `build.rs`, are
+//! written into these tables when the module is loaded. Functions have no such table: they use the attribute `#[doc =
+//! stub!(name)]`.
 #![expect(
     unsafe_code,
     reason = "the tables are C arrays, which Python's C interface hands out and nothing else can reach"
@@ -17,13 +17,13 @@ use pyo3::types::PyType;
 
 include!(concat!(env!("OUT_DIR"), "/stub.rs"));
 
-/// A class, its docstring, its members and theirs.
+/// Name and docstring of a class, names and docstrings of its members.
 type Class = (&'static str, &'static str, &'static [(&'static str, &'static CStr)]);
 
-/// What separates a signature from the docstring in the text of a method.
+/// Separator between signature and docstring in the text of a method.
 const SEPARATOR: &str = "--\n\n";
 
-/// Gives every class of the module and its members their docstrings.
+/// Sets the docstrings of all classes of the module and of their members.
 pub(crate) fn attach(module: &Bound<'_, PyModule>) -> PyResult<()> {
     for (name, doc, members) in CLASSES {
         let class = module.getattr(*name)?.cast_into::<PyType>()?;
@@ -53,7 +53,7 @@ pub(crate) fn attach(module: &Bound<'_, PyModule>) -> PyResult<()> {
     Ok(())
 }
 
-/// An entry of a table of a class.
+/// Entry of a class's method or attribute table.
 trait Entry {
     fn name(&self) -> *const c_char;
 }
@@ -76,16 +76,17 @@ impl Entry for ffi::PyMemberDef {
     }
 }
 
-/// Changes the entries of one table of a class.
+/// Applies a function to the entries of one table of a class.
 fn each<T: Entry>(
     class: &Bound<'_, PyType>,
     slot: c_int,
     mut change: impl FnMut(&mut T) -> PyResult<()>,
 ) -> PyResult<()> {
-    // SAFETY: a class made from a specification, as PyO3 makes them, answers for every slot, with null for none.
+    // SAFETY: a class made from a specification, as PyO3 makes them, answers for every slot, with null for an empty
+    // one.
     let mut entry = unsafe { ffi::PyType_GetSlot(class.as_type_ptr(), slot) }.cast::<T>();
-    // SAFETY: such a table ends with a nameless entry. PyO3 gives it away on the heap and never looks at it again,
-    // fields lie within the class itself; Python's descriptors read it only under the interpreter lock, held here.
+    // SAFETY: such a table ends with a nameless entry. PyO3 leaks it on the heap and does not access it again; fields
+    // lie within the class itself. Python's descriptors read it only under the interpreter lock, held here.
     while let Some(found) = unsafe { entry.as_mut() }.filter(|found| !found.name().is_null()) {
         change(found)?;
         // SAFETY: the entry had a name, so another follows.
@@ -94,9 +95,9 @@ fn each<T: Entry>(
     Ok(())
 }
 
-/// A docstring behind the signature that PyO3 put before it.
+/// Returns a docstring after the signature that PyO3 wrote.
 fn with_signature(old: *const c_char, doc: &CStr) -> PyResult<CString> {
-    // SAFETY: PyO3's text of a method is a C string that is never freed; Python allows null for none.
+    // SAFETY: PyO3's text of a method is a C string that is never freed; null means no text.
     let old = if old.is_null() { c"" } else { unsafe { CStr::from_ptr(old) } }.to_string_lossy();
     let signature = old.split_once(SEPARATOR).map_or(String::new(), |(signature, _)| format!("{signature}{SEPARATOR}"));
     Ok(CString::new(signature + &doc.to_string_lossy())?)

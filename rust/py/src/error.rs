@@ -1,4 +1,4 @@
-//! The core's errors as Python exceptions: one class per cause, the facts as attributes.
+//! The core's errors as Python exceptions: one class per cause, details as attributes.
 
 use pliant_core::Error;
 use pyo3::exceptions::{PyException, PyLookupError, PyTimeoutError, PyTypeError, PyValueError};
@@ -17,7 +17,7 @@ struct Classes {
 
 static CLASSES: PyOnceLock<Classes> = PyOnceLock::new();
 
-/// Makes the classes and adds them to the module.
+/// Creates the classes and adds them to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();
     let class = |name: &str, bases: &[&Bound<'_, PyType>], facts: &[&str]| -> PyResult<Py<PyType>> {
@@ -48,7 +48,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     Ok(())
 }
 
-/// A core error as the exception of its class.
+/// Returns the exception for a core error.
 #[cold]
 #[inline(never)]
 fn raised(error: &Error) -> PyErr {
@@ -91,7 +91,7 @@ fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
             value.setattr("key", key)?;
             value
         }
-        // A cause that this binding does not know yet is still one of ours.
+        // Fallback for variants that this binding does not know yet.
         other => return Ok(PyValueError::new_err(other.to_string())),
     };
     Ok(PyErr::from_value(value))
@@ -99,7 +99,7 @@ fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
 
 /// Turns a core result into a Python one.
 pub(crate) trait OrRaise<T> {
-    /// The value, or the exception of the error's class.
+    /// Returns the value, or the exception of the error's class.
     fn or_raise(self) -> PyResult<T>;
 }
 
@@ -109,28 +109,28 @@ impl<T> OrRaise<T> for pliant_core::Result<T> {
     }
 }
 
-/// A `ConfigError`.
+/// Creates a `ConfigError`.
 #[cold]
 #[inline(never)]
 pub(crate) fn config(key: &str, message: impl Into<String>) -> PyErr {
     raised(&Error::Config { key: key.into(), message: message.into() })
 }
 
-/// A `ShapeError`.
+/// Creates a `ShapeError`.
 #[cold]
 #[inline(never)]
 pub(crate) fn shape(what: &str, got: &[usize], expected: impl Into<String>) -> PyErr {
     raised(&Error::Shape { what: what.into(), got: tuple(got), expected: expected.into() })
 }
 
-/// A `TypeError` that shows the value.
+/// Creates a `TypeError` that shows the value.
 #[cold]
 #[inline(never)]
 pub(crate) fn wrong_type(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyErr {
     PyTypeError::new_err(format!("{name} must be {expected}, got {}", shown(value)))
 }
 
-/// A value and its type, short enough for a message.
+/// Formats a value and its type, shortened for a message.
 #[cold]
 #[inline(never)]
 pub(crate) fn shown(value: &Bound<'_, PyAny>) -> String {
@@ -139,7 +139,7 @@ pub(crate) fn shown(value: &Bound<'_, PyAny>) -> String {
     if text.is_empty() || text.chars().count() > 60 { kind } else { format!("{text} ({kind})") }
 }
 
-/// A shape as Python prints it.
+/// Formats a shape as Python prints it.
 #[cold]
 #[inline(never)]
 pub(crate) fn tuple(shape: &[usize]) -> String {
@@ -149,7 +149,7 @@ pub(crate) fn tuple(shape: &[usize]) -> String {
     }
 }
 
-/// `; did you mean 'x'?` where one of the names is close, by Python's own difflib; else the `stop`.
+/// Returns `; did you mean 'x'?` if one of the names is similar, by Python's difflib; else `stop`.
 #[cold]
 #[inline(never)]
 pub(crate) fn suggestion(py: Python<'_>, word: &str, names: &[&str], stop: &str) -> String {

@@ -1,4 +1,4 @@
-//! What a step can be given beside positions and target.
+//! Optional arguments of a step.
 
 use pliant_core::{AxisVec, JointVec, StepInput};
 use pyo3::prelude::*;
@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use crate::error::wrong_type;
 use crate::read::{array_into, joints, number};
 
-/// What a time must be.
+/// Expected value of a time, for messages.
 pub(crate) const SECONDS: &str = "a number [s]";
 
 /// The optional arguments of a step as numbers.
@@ -19,7 +19,7 @@ pub(crate) struct Extras {
 }
 
 impl Extras {
-    /// Those that are given; read where they are kept, for mostly there are none to be moved about.
+    /// Reads the given arguments into `self`; reading in place avoids moving a mostly empty struct.
     #[inline]
     pub(crate) fn read(
         &mut self,

@@ -1,24 +1,25 @@
-//! Frozen, keyword-only value classes over a struct of the core: reading, showing, comparing, repr and pickle.
+//! Frozen, keyword-only value classes for structs of the core: read, display, compare, repr and pickle.
 
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyFloat, PyList, PyTuple};
 
 use crate::error::{config, suggestion};
 
-/// What a value class adds to the behaviour that [`fields!`](crate::fields::fields) gives it.
+/// Additions of a value class to the behaviour that [`fields!`](crate::fields::fields) defines.
 pub(crate) trait Special: Sized {
-    /// The class after a constructor or `replace` with `changes`; a group of settings records which fields were given.
+    /// Adjusts the object after a constructor or `replace` with `changes`; a group of settings records which fields
+    /// were given.
     fn after(self, _before: Option<&Self>, _changes: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         Ok(self)
     }
 
-    /// Where the field `name` is, if this class has none of that name.
+    /// Returns the location of the field `name` if this class has no field of that name.
     fn elsewhere(_name: &str) -> Option<String> {
         None
     }
 }
 
-/// A value class over a struct of the core, made by [`fields!`](crate::fields::fields).
+/// A value class for a struct of the core, defined by [`fields!`](crate::fields::fields).
 pub(crate) trait Fields: Special {
     /// The core's struct.
     type Core: Clone;
@@ -26,19 +27,19 @@ pub(crate) trait Fields: Special {
     /// Name of the class.
     const CLASS: &'static str;
 
-    /// What stands before a field's name in a message, where the name alone says too little.
+    /// Prefix of a field's name in a message, if the name alone is ambiguous.
     const OWNER: &'static str;
 
     /// Names of the fields, in order.
     const NAMES: &'static [&'static str];
 
-    /// Sets one field; `false` for a name that is none of [`Fields::NAMES`].
+    /// Sets one field; `false` for a name that is not in [`Fields::NAMES`].
     fn set(core: &mut Self::Core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<bool>;
 
-    /// The fields in which `core` differs from `base`, as plain Python values.
+    /// Returns the fields in which `core` differs from `base`, as plain Python values.
     fn changed<'py>(core: &Self::Core, base: &Self::Core, py: Python<'py>) -> PyResult<Bound<'py, PyDict>>;
 
-    /// The fields for which `given` is true, as plain Python values.
+    /// Returns the fields for which `given` is true, as plain Python values.
     fn chosen<'py>(core: &Self::Core, given: impl Fn(&str) -> bool, py: Python<'py>) -> PyResult<Bound<'py, PyDict>>;
 
     /// Copies the fields for which `given` is true.
@@ -47,7 +48,7 @@ pub(crate) trait Fields: Special {
     /// Wraps a core struct after validating it.
     fn validated(core: Self::Core) -> PyResult<Self>;
 
-    /// `base` with some fields replaced, validated.
+    /// Returns `base` with some fields replaced, validated.
     fn with(mut base: Self::Core, changes: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         for (key, value) in changes.into_iter().flatten() {
             let name: String = key.extract()?;
@@ -61,13 +62,13 @@ pub(crate) trait Fields: Special {
     }
 }
 
-/// `Class(name=value, …)` with the given fields.
+/// Formats `Class(name=value, …)` with the given fields.
 pub(crate) fn call_text(class: &str, fields: &Bound<'_, PyDict>) -> PyResult<String> {
     let parts = fields.iter().map(|(name, value)| Ok(format!("{name}={}", text(&value)?)));
     Ok(format!("{class}({})", parts.collect::<PyResult<Vec<_>>>()?.join(", ")))
 }
 
-/// As Python's repr, but infinity in a form that can be pasted.
+/// Python's repr, with infinity in a form that can be evaluated.
 pub(crate) fn text(value: &Bound<'_, PyAny>) -> PyResult<String> {
     if let Ok(number) = value.cast::<PyFloat>() {
         return Ok(match number.value() {
@@ -87,12 +88,12 @@ pub(crate) fn text(value: &Bound<'_, PyAny>) -> PyResult<String> {
     Ok(value.repr()?.to_string())
 }
 
-/// Whether two values differ.
+/// Returns true if two values differ.
 pub(crate) fn differ<T: PartialEq>(a: &T, b: &T) -> bool {
     a != b
 }
 
-/// Implements [`Fields`] and the Python methods that follow from it, and adds those in `methods`.
+/// Implements [`Fields`] and the standard Python methods, and adds those in `methods`.
 macro_rules! fields {
     (
         $class:ident($name:literal $(, $prefix:literal)?) of $core:ty {

@@ -1,4 +1,4 @@
-//! The mathematics on its own: the core's functions over NumPy arrays.
+//! Equations of the paper as functions over NumPy arrays.
 #![expect(non_snake_case, reason = "arguments carry the letters of the equations, as documented")]
 
 use nalgebra::DMatrix;
@@ -137,17 +137,17 @@ fn read(value: &Bound<'_, PyAny>, name: &str) -> PyResult<DMatrix<f64>> {
     Ok(DMatrix::from_row_slice(rows, columns, &values))
 }
 
-/// A matrix as an array.
+/// Converts a matrix to an array.
 pub(crate) fn table<'py>(py: Python<'py>, m: &DMatrix<f64>) -> Bound<'py, PyAny> {
     new_array(py, &[m.nrows(), m.ncols()], m.transpose().as_slice())
 }
 
-/// A vector, or a number as one of length 1.
+/// Reads a vector; a number counts as length 1.
 fn list(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
     number(value).map_or_else(|| vector(name, value), |one| Ok(vec![one]))
 }
 
-/// A vector of `k`, or a number for all.
+/// Reads a vector of `k`, or a number for all entries.
 fn spread(name: &str, value: &Bound<'_, PyAny>, k: usize) -> PyResult<Vec<f64>> {
     match number(value) {
         Some(one) => Ok(vec![one; k]),
@@ -155,7 +155,7 @@ fn spread(name: &str, value: &Bound<'_, PyAny>, k: usize) -> PyResult<Vec<f64>> 
     }
 }
 
-/// One flag per axis, or one for all.
+/// Reads one flag per axis, or one for all.
 fn flags(value: &Bound<'_, PyAny>, k: usize) -> PyResult<Vec<bool>> {
     if value.is_instance_of::<pyo3::types::PyString>() {
         return Err(config("compliant", format!("must be True, False or one of them per axis, got {}", shown(value))));
@@ -167,7 +167,7 @@ fn flags(value: &Bound<'_, PyAny>, k: usize) -> PyResult<Vec<bool>> {
     if all.len() == k { Ok(all) } else { Err(shape("compliant", &[all.len()], format!("({k},)"))) }
 }
 
-/// A float where a float was given, else an array.
+/// Returns a float if a float was given, else an array.
 fn like<'py>(given: &Bound<'py, PyAny>, values: &[f64]) -> PyResult<Bound<'py, PyAny>> {
     let py = given.py();
     match values {

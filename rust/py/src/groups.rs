@@ -1,7 +1,7 @@
 //! Groups of settings: `Tracking`, `NullSpace`, `Compensation`, `TorqueLimits`, `PaperOptions`.
 //!
-//! A group remembers which fields were given to its constructor. Given to `Settings`, to a preset or to `replace`, it
-//! changes these and leaves the others as they are.
+//! A group records which fields were given to its constructor. As an argument of `Settings`, a preset or `replace` it
+//! changes these fields only.
 
 use std::marker::PhantomData;
 
@@ -14,30 +14,30 @@ use crate::fields::{Fields, Special, fields};
 use crate::kinds::{AxisGains, Dampings, Flag, Gains, Joints, Kind, Number, Optional};
 use crate::words::Word;
 
-/// The fields of a group that were given, one bit each in the order of [`Fields::NAMES`].
+/// Bitmask of the fields given to a group, in the order of [`Fields::NAMES`].
 pub(crate) type Given = u32;
 
-/// Every field.
+/// All fields.
 const ALL: Given = Given::MAX;
 
-/// A class of settings that belong together.
+/// A class of related settings.
 pub(crate) trait Grouped: Fields
 where
     Self::Core: Default,
 {
-    /// Values and given fields, if `value` is of this class.
+    /// Returns values and given fields if `value` is of this class.
     fn of(value: &Bound<'_, PyAny>) -> Option<(Self::Core, Given)>;
 
-    /// An object of this class.
+    /// Creates an object of this class.
     fn object(core: Self::Core, given: Given, py: Python<'_>) -> PyResult<Bound<'_, PyAny>>;
 }
 
-/// Whether the field `name` is among those given.
+/// Returns true if the field `name` was given.
 fn has<G: Fields>(given: Given, name: &str) -> bool {
     G::NAMES.iter().position(|known| *known == name).is_some_and(|bit| given >> bit & 1 == 1)
 }
 
-/// The fields that `names` has.
+/// Returns the bitmask of the fields in `names`.
 fn bits<G: Fields>(names: Option<&Bound<'_, PyDict>>) -> PyResult<Given> {
     let Some(names) = names else { return Ok(0) };
     let mut given = 0;
@@ -88,7 +88,7 @@ macro_rules! group {
         #[derive(Debug, Clone)]
         pub(crate) struct $class(pub(crate) core::$class, Given);
 
-        // Fields that are not given count with their defaults.
+        // Compares values only: a field that was not given counts with its default.
         impl PartialEq for $class {
             fn eq(&self, other: &Self) -> bool {
                 self.0 == other.0
@@ -201,7 +201,7 @@ group! {
     }
 }
 
-/// Says which group has the field `name`.
+/// Returns the group that has the field `name`.
 pub(crate) fn owner(name: &str) -> Option<String> {
     let groups: [(&str, &str, &[&str]); 4] = [
         ("tracking", Tracking::CLASS, Tracking::NAMES),

@@ -1,17 +1,17 @@
-//! Borrows of our mutable objects: one that is in use is an error with a remedy, never a panic.
+//! Borrows of mutable objects: an object already in use raises an error with a remedy and never panics.
 
 use pyo3::PyClass;
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::pyclass::boolean_struct::False;
 
-/// To read from.
+/// Borrows for reading.
 #[inline]
 pub(crate) fn shared<'py, T: PyClass>(object: &Bound<'py, T>) -> PyResult<PyRef<'py, T>> {
     object.try_borrow().map_err(|_| in_use::<T>())
 }
 
-/// To change. Arguments are read before: reading them may run code that uses the same object.
+/// Borrows for writing. Read arguments first: reading may run code that uses the same object.
 #[inline]
 pub(crate) fn exclusive<'py, T: PyClass<Frozen = False>>(object: &Bound<'py, T>) -> PyResult<PyRefMut<'py, T>> {
     object.try_borrow_mut().map_err(|_| in_use::<T>())

@@ -1,4 +1,4 @@
-//! How a field of settings, axes, tasks and servos is read from Python and shown to it.
+//! Conversion of the fields of settings, axes, tasks and servos from and to Python.
 
 use std::marker::PhantomData;
 
@@ -11,48 +11,48 @@ use crate::convert::{freeze, new_array};
 use crate::error::{OrRaise, config, shape, shown};
 use crate::read::{matrix3, number, numbers};
 
-/// One kind of value on both sides of the boundary.
+/// One type of field value on both sides of the boundary.
 pub(crate) trait Kind {
     /// The core's type.
     type Core;
 
-    /// Reads what the user gave for the field `name`.
+    /// Reads the user's value of the field `name`.
     fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Self::Core>;
 
-    /// Changes `core` to what the user gave; a group of settings changes only the fields that were given to it.
+    /// Updates `core` with the user's value; a group of settings changes only its given fields.
     fn update(core: &mut Self::Core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
         *core = Self::read(name, value)?;
         Ok(())
     }
 
-    /// As numbers, strings, tuples and lists: what repr prints, and what pickle keeps.
+    /// Converts to numbers, strings, tuples and lists, for repr and pickle.
     fn plain<'py>(core: &Self::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>>;
 
-    /// As the attribute.
+    /// Converts to the value of the attribute.
     fn show<'py>(core: &Self::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         Self::plain(core, py)
     }
 }
 
-/// [`Kind::update`], one function for all fields of a kind.
+/// [`Kind::update`], compiled once for all fields of a kind.
 #[inline(never)]
 pub(crate) fn update<K: Kind>(core: &mut K::Core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
     K::update(core, name, value)
 }
 
-/// [`Kind::plain`], likewise.
+/// [`Kind::plain`], compiled once for all fields of a kind.
 #[inline(never)]
 pub(crate) fn plain<'py, K: Kind>(core: &K::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
     K::plain(core, py)
 }
 
-/// [`Kind::show`], likewise.
+/// [`Kind::show`], compiled once for all fields of a kind.
 #[inline(never)]
 pub(crate) fn show<'py, K: Kind>(core: &K::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
     K::show(core, py)
 }
 
-/// A `ConfigError` that says what the field `name` may be.
+/// Creates a `ConfigError` with the expected values of the field `name`.
 pub(crate) fn wrong(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyErr {
     config(name, format!("must be {expected}, got {}", shown(value)))
 }
@@ -163,7 +163,7 @@ impl Kind for Sides {
 /// `None` for no limit, a number for translations, or a pair: translations, rotations.
 pub(crate) struct Speeds;
 
-/// Rotation [rad] that goes with a translation of 1 m where only the latter is given, as in the defaults.
+/// Rotation limit [rad] per 1 m of translation limit if only the latter is given, as in the defaults.
 const RADIANS_PER_METRE: f64 = 4.0;
 
 impl Kind for Speeds {
@@ -239,7 +239,7 @@ impl Kind for AxisGains {
     }
 }
 
-/// `None`: from the arm; a number: λ; three: λ₀, σ₀, λ_max.
+/// `None`: derived from the arm; a number: λ; three numbers: λ₀, σ₀, λ_max.
 pub(crate) struct Dampings;
 
 impl Kind for Dampings {

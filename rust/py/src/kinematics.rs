@@ -10,7 +10,7 @@ use crate::error::{OrRaise, wrong_type};
 use crate::pose::matrix;
 use crate::read::joints;
 
-/// Joint positions, checked.
+/// Reads and checks joint positions.
 pub(crate) fn positions(core: &CoreModel, q: &Bound<'_, PyAny>) -> PyResult<JointVec> {
     let n = core.n();
     core.joint_vector(&joints("q", q, n)?[..n]).or_raise()
@@ -22,7 +22,7 @@ fn at(core: &CoreModel, q: &Bound<'_, PyAny>, reference: Reference, rows: &mut J
     core.kinematics_into(&joints("q", q, n)?[..n], reference, rows).or_raise()
 }
 
-/// Pose (4, 4) and Jacobian (6, n), new ones or into the caller's.
+/// Returns pose (4, 4) and Jacobian (6, n), new or in the caller's arrays.
 pub(crate) fn both<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -45,7 +45,7 @@ pub(crate) fn both<'py>(
     Ok(out.clone())
 }
 
-/// Two arrays to write into.
+/// Reads two output arrays.
 fn pair<'py>(out: &Bound<'py, PyAny>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
     match out.cast::<PyTuple>() {
         Ok(pair) if pair.len() == 2 => Ok((pair.get_item(0)?, pair.get_item(1)?)),
@@ -53,7 +53,7 @@ fn pair<'py>(out: &Bound<'py, PyAny>) -> PyResult<(Bound<'py, PyAny>, Bound<'py,
     }
 }
 
-/// Jacobian (6, n).
+/// Returns the Jacobian (6, n).
 pub(crate) fn jacobian<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -64,7 +64,7 @@ pub(crate) fn jacobian<'py>(
     Ok(new_rows(q.py(), core.n(), &rows))
 }
 
-/// Poses (N, 4, 4) and Jacobians (N, 6, n).
+/// Returns poses (N, 4, 4) and Jacobians (N, 6, n).
 pub(crate) fn both_batch<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -87,7 +87,7 @@ pub(crate) fn both_batch<'py>(
     Ok((poses, jacobians))
 }
 
-/// One array of (N, …) that the core fills while other Python threads run.
+/// Returns one array of (N, …), computed without the interpreter lock.
 fn one_batch<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -104,7 +104,7 @@ fn one_batch<'py>(
     Ok(array)
 }
 
-/// Poses (N, 4, 4).
+/// Returns poses (N, 4, 4).
 pub(crate) fn poses<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -113,7 +113,7 @@ pub(crate) fn poses<'py>(
     one_batch(core, q, out, &[4, 4], |q, to| core.kinematics_batch(q, Reference::WorldAligned, to, &mut []))
 }
 
-/// Jacobians (N, 6, n).
+/// Returns Jacobians (N, 6, n).
 pub(crate) fn jacobians<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -123,7 +123,7 @@ pub(crate) fn jacobians<'py>(
     one_batch(core, q, out, &[6, core.n()], |q, to| core.kinematics_batch(q, reference, &mut [], to))
 }
 
-/// Holding torques (N, n).
+/// Returns gravity torques (N, n).
 pub(crate) fn gravities<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,

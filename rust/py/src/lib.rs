@@ -35,8 +35,8 @@ mod words;
 
 /// The compiled part of `pliant`.
 ///
-/// Declares that it needs the interpreter lock: arrays are read by their structure, and reference counts say whether a
-/// command may be reused.
+/// Declares that it needs the interpreter lock: arrays are read through their C structure, and reference counts decide
+/// whether a command may be reused.
 #[pyo3::pymodule(gil_used = true)]
 mod _core {
     use pyo3::exceptions::PyRuntimeWarning;

@@ -27,9 +27,9 @@ use crate::words::Word;
 #[pyclass(module = "pliant", frozen)]
 pub(crate) struct Model {
     pub(crate) core: Arc<CoreModel>,
-    /// Spread to the chain's joints.
+    /// Expanded to the chain's joints.
     pub(crate) servos: Option<Py<Servos>>,
-    /// URDF text and keywords it was made from.
+    /// URDF text and keywords of the constructor.
     text: String,
     options: Option<Py<PyDict>>,
     links: PyOnceLock<Py<PyTuple>>,
@@ -44,7 +44,7 @@ impl Model {
         text: String,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
-        // Whoever changes what an option was made of later does not change what the model was made of.
+        // Deep copy: later mutation by the caller must not change what pickling reproduces.
         let options = match options {
             Some(given) => Some(py.import("copy")?.call_method1("deepcopy", (given,))?.cast_into::<PyDict>()?.unbind()),
             None => None,
@@ -346,14 +346,14 @@ fn axes_of(reference: Option<&Bound<'_, PyAny>>) -> PyResult<Reference> {
     reference.map_or(Ok(Reference::WorldAligned), |word| Word::<Reference>::read("reference", word))
 }
 
-/// A read-only vector.
+/// Creates a read-only vector.
 fn frozen<'py>(py: Python<'py>, values: &[f64]) -> PyResult<Bound<'py, PyAny>> {
     let array = new_array(py, &[values.len()], values);
     freeze(&array)?;
     Ok(array)
 }
 
-/// NaN where there is no value.
+/// Replaces `None` by NaN.
 fn present(values: &[Option<f64>]) -> Vec<f64> {
     values.iter().map(|value| value.unwrap_or(f64::NAN)).collect()
 }

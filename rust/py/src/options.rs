@@ -1,4 +1,4 @@
-//! `Payload`, and the keywords with which a model is read.
+//! `Payload`, and the keywords of `Model.from_urdf`.
 
 use std::collections::BTreeMap;
 
@@ -48,7 +48,7 @@ impl Payload {
     }
 }
 
-/// A `Payload`, or its mass and centre of mass.
+/// Reads a `Payload`, or its mass and centre of mass.
 fn payload(value: &Bound<'_, PyAny>) -> PyResult<CorePayload> {
     if let Ok(payload) = value.cast::<Payload>() {
         return Ok(payload.get().0);
@@ -59,7 +59,7 @@ fn payload(value: &Bound<'_, PyAny>) -> PyResult<CorePayload> {
     }
 }
 
-/// A mapping from names of joints; `read` is told the key under which a value is named.
+/// Reads a mapping from joint names; `read` gets the key for its messages.
 fn by_joint<T>(
     name: &str,
     value: &Bound<'_, PyAny>,
@@ -79,7 +79,7 @@ fn by_joint<T>(
 
 const KEYWORDS: [&str; 7] = ["base", "tip", "locked", "payload", "gravity", "limits", "servos"];
 
-/// What the keywords of `Model.from_urdf` say; `None` leaves the default.
+/// Reads the keywords of `Model.from_urdf`; `None` keeps the default.
 pub(crate) fn read(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<(ModelOptions, Option<CoreServos>)> {
     let (mut options, mut servos) = (ModelOptions::default(), None);
     for (name, value) in keywords.into_iter().flatten() {

@@ -1,4 +1,4 @@
-//! What a pickle holds of models and controllers, and how it is read.
+//! Pickling of models and controllers.
 
 use pliant_core::Carried;
 use pyo3::prelude::*;
@@ -18,10 +18,10 @@ pub(crate) type Reduced<'py> = (Bound<'py, PyAny>, Bound<'py, PyTuple>);
 /// Model, settings and servos of a controller.
 type Parts = (Py<Model>, Py<Settings>, Option<Py<Servos>>);
 
-/// The numbers of a [`Carried`]: payload, gravity, what it fades from, delay, captured stiffness, memory.
+/// The numbers of a [`Carried`]: payload, gravity, payload change, delay, captured stiffness, state.
 type Numbers<'py> = (Option<Payload>, [f64; 3], Option<[f64; 5]>, f64, Option<Vec<f64>>, Bound<'py, PyAny>);
 
-/// Puts what pickles call into the module, not among the names that it offers.
+/// Adds the functions that pickles call to the module, but not to its public names.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.setattr("_model", wrap_pyfunction!(model, module)?)?;
     module.setattr("_controller", wrap_pyfunction!(controller, module)?)
@@ -49,13 +49,13 @@ pub(crate) fn of_controller<'py>(py: Python<'py>, parts: Parts, carried: &Carrie
     Ok((function(py, "_controller")?, (model, settings, servos, numbers).into_pyobject(py)?))
 }
 
-/// A model from what [`of_model`] gave.
+/// Restores a model from the result of [`of_model`].
 #[pyfunction(name = "_model")]
 fn model(py: Python<'_>, text: &str, options: &Bound<'_, PyDict>) -> PyResult<Model> {
     Model::from_text(py, text, Some(options))
 }
 
-/// A controller from what [`of_controller`] gave.
+/// Restores a controller from the result of [`of_controller`].
 #[pyfunction(name = "_controller")]
 fn controller(
     py: Python<'_>,

@@ -93,7 +93,7 @@ impl Pose {
         dtype: Option<&Bound<'py, PyAny>>,
         copy: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        // Every call makes a new array, so any wish for a copy is met.
+        // Every call creates a new array, so `copy` needs no handling.
         let _ = copy;
         let array = matrix(py, &self.0);
         dtype.map_or(Ok(array.clone()), |dtype| array.call_method1("astype", (dtype,)))
@@ -115,7 +115,7 @@ fn quaternion_of(value: &Bound<'_, PyAny>) -> PyResult<[f64; 4]> {
     Ok(out)
 }
 
-/// A pose as a 4×4 array.
+/// Returns a pose as a 4×4 array.
 pub(crate) fn matrix<'py>(py: Python<'py>, pose: &CorePose) -> Bound<'py, PyAny> {
     new_array(py, &[4, 4], pose.to_rows().as_flattened())
 }

@@ -1,4 +1,4 @@
-//! Arguments that are arrays and poses: the plain ones by copying, everything else by NumPy or with an explanation.
+//! Array and pose arguments: plain arrays are copied, other objects are converted by NumPy or raise an error.
 
 use numpy::{PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pliant_core::{JointVec, MAX_JOINTS, Pose as CorePose};
@@ -10,14 +10,14 @@ use crate::convert;
 use crate::error::{OrRaise, shape, shown, wrong_type};
 use crate::pose::Pose;
 
-/// Attributes and methods under which libraries keep a homogeneous matrix.
+/// Attributes and methods with which libraries expose a homogeneous matrix.
 const ACCESSORS: [&str; 4] = ["homogeneous", "as_matrix", "matrix", "A"];
 
-/// Why a bare vector of seven numbers is no pose.
+/// Message for a vector of seven numbers as a pose.
 const SEVEN: &str = "(4, 4): seven numbers do not say whether w comes first or last; \
                      use pliant.Pose.from_wxyz(position, quaternion) or pliant.Pose.from_xyzw(position, quaternion)";
 
-/// Any array-like as shape and float64 values, row by row.
+/// Reads any array-like as shape and float64 values, row by row.
 pub(crate) fn numbers(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<usize>, Vec<f64>)> {
     let py = value.py();
     let numpy = py.import("numpy")?;
@@ -49,7 +49,7 @@ pub(crate) fn numbers(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<usi
     Ok((array.shape().to_vec(), array.readonly().as_slice()?.to_vec()))
 }
 
-/// An array of one shape into `out`.
+/// Reads an array of one shape into `out`.
 #[inline]
 pub(crate) fn array_into(name: &str, value: &Bound<'_, PyAny>, expected: &[usize], out: &mut [f64]) -> PyResult<()> {
     if convert::copy(value, expected, out) { Ok(()) } else { array_slowly(name, value, expected, out) }
@@ -67,7 +67,7 @@ fn array_slowly(name: &str, value: &Bound<'_, PyAny>, expected: &[usize], out: &
     Ok(())
 }
 
-/// One number per joint; entries beyond `n` are 0.
+/// Reads one number per joint; entries beyond `n` are 0.
 #[inline]
 pub(crate) fn joints(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult<JointVec> {
     let mut out = [0.0; MAX_JOINTS];
@@ -75,21 +75,21 @@ pub(crate) fn joints(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult
     Ok(out)
 }
 
-/// A vector of three.
+/// Reads a vector of three.
 pub(crate) fn vector3(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
     let mut out = [0.0; 3];
     array_into(name, value, &[3], &mut out)?;
     Ok(out)
 }
 
-/// A 3×3 matrix, row-major.
+/// Reads a 3×3 matrix, row-major.
 pub(crate) fn matrix3(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[[f64; 3]; 3]> {
     let mut m = [0.0; 9];
     array_into(name, value, &[3, 3], &mut m)?;
     Ok([[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]])
 }
 
-/// A matrix of any shape, or a vector as one row: rows, columns, values row by row.
+/// Reads a matrix of any shape, or a vector as one row; returns rows, columns, values row by row.
 pub(crate) fn matrix(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(usize, usize, Vec<f64>)> {
     let (got, values) = numbers(name, value)?;
     match got[..] {
@@ -98,7 +98,7 @@ pub(crate) fn matrix(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(usize, u
     }
 }
 
-/// A vector of any length.
+/// Reads a vector of any length.
 pub(crate) fn vector(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
     let (got, values) = numbers(name, value)?;
     match got[..] {
@@ -107,9 +107,9 @@ pub(crate) fn vector(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>>
     }
 }
 
-/// A pose: 4×4 array, `Pose`, any object with a 4×4 accessor, or, where `position_only`, a position (3,).
+/// Reads a pose: 4×4 array, `Pose`, any object with a 4×4 accessor, or, if `position_only`, a position (3,).
 ///
-/// Whether its rotation is one, the core checks. Inlined, or a step would wait for a copy of what was just written.
+/// The core checks that the rotation is valid. Inlined, to avoid a copy whose loads would stall on the recent stores.
 #[inline(always)]
 pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
     match convert::first_numbers(value, &[4, 4]) {
@@ -127,7 +127,7 @@ fn pose_slowly(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyR
     }
 }
 
-/// A `Pose`, or that of any object with a 4×4 accessor; `None` for what is to be read as an array.
+/// Reads a `Pose`, or the pose of any object with a 4×4 accessor; `None` for an object to be read as an array.
 pub(crate) fn pose_of_object(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Option<CorePose>> {
     if let Ok(pose) = value.cast::<Pose>() {
         return Ok(Some(pose.get().0));
@@ -166,20 +166,20 @@ fn from_numbers(name: &str, m: &[f64; 16]) -> PyResult<CorePose> {
     let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
     if m[12..].iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(value, wanted): (&f64, f64)| value.to_bits() != wanted.to_bits())
     {
-        // Another last row, or zeros with a sign: the core decides.
+        // Another last row, or signed zeros: the core checks it.
         return CorePose::from_rows_of(name, &[row(0), row(1), row(2), row(3)]).or_raise();
     }
     let rotation = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2]];
     Ok(CorePose { rotation: [rotation(0), rotation(1), rotation(2)], position: [m[3], m[7], m[11]] })
 }
 
-/// A number by the argument's name; `expected` says what it is and its unit.
+/// Reads a number; `expected` describes it and its unit in the message.
 #[inline(never)]
 pub(crate) fn real(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyResult<f64> {
     number(value).ok_or_else(|| wrong_type(name, expected, value))
 }
 
-/// Reads an option that was given in place of its default.
+/// Reads an option if it was given.
 pub(crate) fn given<'py, T>(
     slot: &mut T,
     value: Option<&Bound<'py, PyAny>>,
@@ -191,13 +191,13 @@ pub(crate) fn given<'py, T>(
     Ok(())
 }
 
-/// A whole number, 0 or more.
+/// Reads an integer ≥ 0.
 #[inline(never)]
 pub(crate) fn count(name: &str, value: &Bound<'_, PyAny>) -> PyResult<usize> {
     value.extract().map_err(|_| wrong_type(name, "a whole number, 0 or more", value))
 }
 
-/// A number; truth values are none, NumPy's neither.
+/// Reads a number; booleans, including NumPy's, are rejected.
 pub(crate) fn number(value: &Bound<'_, PyAny>) -> Option<f64> {
     if let Ok(float) = value.cast::<PyFloat>() {
         return Some(float.value());
@@ -214,7 +214,7 @@ pub(crate) fn number(value: &Bound<'_, PyAny>) -> Option<f64> {
     }
 }
 
-/// Whether this is a masked array, or a list of them: NumPy drops the mask and hands out what is under it.
+/// Returns true for a masked array or a list of them: NumPy would drop the mask and return the masked values.
 fn is_masked(value: &Bound<'_, PyAny>) -> PyResult<bool> {
     let masked = value.py().import("numpy.ma")?.getattr("MaskedArray")?;
     if value.is_instance(&masked)? {

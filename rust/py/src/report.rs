@@ -21,7 +21,7 @@ use crate::settings::Settings;
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct PoseReport(pub(crate) CoreReport);
 
-/// Attributes from fields of the core's report.
+/// Defines attributes from fields of the core's report.
 macro_rules! attributes {
     (vectors: $($vector:ident),*; pairs: $($pair:ident),*; flags: $($flag:ident),*; numbers: $($number:ident),*;) => {
         #[pymethods]
@@ -120,7 +120,7 @@ attributes! {
     numbers: sigma_min, condition, sigma_0, gain_factor, damping_factor;
 }
 
-/// Names of the joints that stop a push toward (−, +).
+/// Returns the names of the joints that stop a push toward (−, +).
 fn stop_joints(report: &CoreReport) -> Vec<(Option<&str>, Option<&str>)> {
     let name = |joint: Option<usize>| joint.map(|joint| report.joints[joint].as_str());
     report.stop_joint.iter().map(|&[minus, plus]| (name(minus), name(plus))).collect()
@@ -249,13 +249,13 @@ impl FeasibilityReport {
     }
 }
 
-/// What can be checked.
+/// Argument of a check.
 enum Checked {
     Pose(CorePose),
     Path(Vec<Vec<f64>>),
 }
 
-/// One posture (n) or several (N, n).
+/// Reads one posture (n) or several (N, n).
 pub(crate) fn path(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec<Vec<f64>>> {
     let (got, values) = numbers(name, value)?;
     postures(&got, &values, n).ok_or_else(|| shape(name, &got, format!("({n},) or (N, {n})")))
@@ -269,8 +269,8 @@ fn postures(got: &[usize], values: &[f64], n: usize) -> Option<Vec<Vec<f64>>> {
     }
 }
 
-/// What a step takes for a target (as an array a pose has 0 0 0 1 for its last row), or postures; three numbers are the
-/// posture of an arm of three joints.
+/// Reads a target as a step does (a pose array has 0 0 0 1 as its last row), or postures. Three numbers are the posture
+/// of an arm with three joints.
 fn checked(value: &Bound<'_, PyAny>, n: usize, position_only: bool) -> PyResult<Checked> {
     let name = "path_or_pose";
     if let Some(pose) = pose_of_object(name, value)? {
@@ -291,13 +291,13 @@ fn checked(value: &Bound<'_, PyAny>, n: usize, position_only: bool) -> PyResult<
         .ok_or_else(|| shape(name, &got, format!("(4, 4), {position}({n},) or (N, {n})")))
 }
 
-/// Where a search for a pose starts if nobody says: the middle of the joint ranges.
+/// Returns the default start of an IK search: the middle of the joint ranges.
 fn middle(model: &CoreModel) -> Vec<f64> {
     let ranges = model.lower().iter().zip(model.upper());
     ranges.map(|(&low, &high)| if low.is_finite() && high.is_finite() { 0.5 * (low + high) } else { 0.0 }).collect()
 }
 
-/// [`CoreController::check`] or [`CoreController::check_pose`], by what is given.
+/// Calls [`CoreController::check`] or [`CoreController::check_pose`], depending on the argument.
 pub(crate) fn check_with(
     core: &CoreController,
     position_only: bool,

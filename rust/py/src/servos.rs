@@ -16,7 +16,7 @@ pub(crate) struct Servos(pub(crate) CoreServos);
 impl Special for Servos {}
 
 impl Servos {
-    /// Spreads single numbers to the longest list.
+    /// Expands single numbers to the length of the longest list.
     fn check(core: &CoreServos) -> PyResult<Self> {
         for (name, values) in [("kp", &core.kp), ("max_torque", &core.max_torque)] {
             if values.is_empty() {
@@ -88,7 +88,7 @@ fields! {
             Self::with(CoreServos::new(Vec::new(), Vec::new()), fields)
         }
 
-        // The tables are Python's, and so is what reads them.
+        // The servo tables are Python code, and so is their reader.
         #[staticmethod]
         #[pyo3(signature = (models, *, voltage=None, gains=None))]
         fn of<'py>(

@@ -38,10 +38,10 @@ impl Settings {
         Self::changed(&self.0, &CoreSettings::default(), py)
     }
 
-    /// A preset with some fields replaced; axes that are not named, and fields of a group that are not given, keep what
-    /// the preset says.
+    /// Creates a preset with some fields replaced. Other axes, and fields of a group that are not given, keep the
+    /// preset's values.
     ///
-    /// Most presets speak of axes that a smaller task need not have; `named` are those that it must.
+    /// Most presets set axes that a smaller task need not contain; the axes `named` must be in the task.
     fn preset(mut core: CoreSettings, named: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let Some(overrides) = overrides else { return Self::check(&core) };
         let rest = overrides.copy()?;
@@ -61,7 +61,7 @@ impl Settings {
         Self::with(core, Some(&rest))
     }
 
-    /// A preset whose axis `named` yields and yet has to push, which under law `impedance` takes a spring.
+    /// Creates a preset whose axis `named` yields and also pushes, which under law `impedance` requires a spring.
     fn driven(core: CoreSettings, named: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let settings = Self::preset(core, named, overrides)?;
         let mut driven = settings.0.axes.iter().zip(parse_axes("axis", named).or_raise()?);
@@ -203,7 +203,7 @@ fields! {
     }
 }
 
-/// The axis that a preset works along.
+/// Reads the working axis of a preset.
 fn along(axis: Option<&Bound<'_, PyAny>>, default: &str) -> PyResult<String> {
     axis.map_or_else(
         || Ok(default.to_owned()),
@@ -211,7 +211,7 @@ fn along(axis: Option<&Bound<'_, PyAny>>, default: &str) -> PyResult<String> {
     )
 }
 
-/// The force of a preset, where one is given.
+/// Reads the force of a preset, if given.
 fn newtons(name: &str, force: Option<&Bound<'_, PyAny>>) -> PyResult<Option<f64>> {
     force.map(|force| real(name, "a number [N]", force)).transpose()
 }

@@ -58,7 +58,7 @@ impl IkResult {
     }
 }
 
-/// Searches, with the keywords of [`IkOptions`].
+/// Runs the search with the keywords of [`IkOptions`].
 pub(crate) fn search(
     model: &Model,
     target: &Bound<'_, PyAny>,

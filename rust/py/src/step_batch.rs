@@ -19,18 +19,18 @@ impl Words for Invalid {
     const WORDS: &'static [(&'static str, Self)] = &[("raise", Self::Refuse), ("nan", Self::Nan)];
 }
 
-/// What many arms carry from one batch step to the next.
+/// State of many arms between batch steps.
 #[pyclass(module = "pliant")]
 #[derive(Debug)]
 pub(crate) struct BatchState(CoreState);
 
 impl BatchState {
-    /// What a caller gave as one.
+    /// Reads the argument `state`.
     pub(crate) fn given<'a, 'py>(state: &'a Bound<'py, PyAny>) -> PyResult<&'a Bound<'py, Self>> {
         state.cast().map_err(|_| wrong_type("state", "a BatchState, as batch_state(N) makes one", state))
     }
 
-    /// Of arms of which nothing is known yet.
+    /// Creates the state of arms that have not started.
     pub(crate) fn of(n: usize, count: usize) -> PyResult<Self> {
         CoreState::new(n, count).or_raise().map(Self)
     }
@@ -80,7 +80,7 @@ impl BatchState {
         if !one && got != [indices.len(), n] {
             return Err(shape("Q", &got, format!("({}, {n}), or ({n},) for all", indices.len())));
         }
-        // Checked before any arm is changed.
+        // Check before any arm is changed.
         let mut tried = CoreState::new(n, 1).or_raise()?;
         values.chunks_exact(n).try_for_each(|q| tried.reset(0, Some(q))).or_raise()?;
         let mut state = exclusive(slf)?;
@@ -96,11 +96,11 @@ impl BatchState {
     }
 }
 
-/// Which of `count` arms an index of NumPy's means: a number, numbers, a slice, or a mask.
+/// Resolves a NumPy index over `count` arms: a number, numbers, a slice, or a mask.
 fn picked(py: Python<'_>, count: usize, indices: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<usize>> {
     let Some(indices) = indices else { return Ok((0..count).collect()) };
     let numpy = py.import("numpy")?;
-    // An empty list would be an array of floats, which is no index.
+    // An empty list would become an array of floats, which is not a valid index.
     let empty = indices.len().is_ok_and(|length| length == 0);
     if empty {
         return Ok(Vec::new());
@@ -116,10 +116,10 @@ fn picked(py: Python<'_>, count: usize, indices: Option<&Bound<'_, PyAny>>) -> P
     numpy.call_method("array", (found,), Some(&options))?.call_method0("tolist")?.extract()
 }
 
-/// The arguments of one call beside Q and the state.
+/// Arguments of one call besides Q and the state.
 pub(crate) struct BatchCall<'a, 'py> {
     pub(crate) targets: &'a Bound<'py, PyAny>,
-    /// Whether a target may be a position alone.
+    /// True if a target may be a position alone.
     pub(crate) position_only: bool,
     pub(crate) dt: Option<f64>,
     pub(crate) dq: Option<&'a Bound<'py, PyAny>>,
@@ -127,7 +127,7 @@ pub(crate) struct BatchCall<'a, 'py> {
     pub(crate) out: Option<&'a Bound<'py, PyAny>>,
 }
 
-/// Targets as the core takes them, in the caller's memory or in ours.
+/// Targets for the core, in the caller's memory or in a copy.
 enum Wanted<'a, 'py> {
     One(CorePose),
     Poses(Rows<'a, 'py>),
@@ -135,7 +135,7 @@ enum Wanted<'a, 'py> {
 }
 
 impl<'py> BatchCall<'_, 'py> {
-    /// Steps the arms while other Python threads run.
+    /// Steps the arms without the interpreter lock.
     pub(crate) fn run(
         &self,
         py: Python<'_>,
@@ -195,7 +195,7 @@ impl<'py> BatchCall<'_, 'py> {
         let plain = parts.iter().find_map(|part| rows(targets, part).map(|count| (count, *part)));
         let (got, part) = match plain {
             Some(found) => found,
-            // Neither one pose nor an array of many: what it is, NumPy says.
+            // Neither one pose nor an array of many: let NumPy convert it.
             None => match numbers(name, targets) {
                 Ok((got, _)) if fits(&got).is_some() => (got[0], *fits(&got).unwrap_or(&parts[0])),
                 Ok((got, _)) if !matches!(got[..], [4, 4] | [3 | 7]) => {
@@ -215,7 +215,7 @@ impl<'py> BatchCall<'_, 'py> {
     }
 }
 
-/// The arrays of a command, or three arrays, to write into.
+/// Reads the arrays of a command, or three arrays, as outputs.
 fn arrays_of<'py>(out: &Bound<'py, PyAny>) -> PyResult<[Bound<'py, PyAny>; 3]> {
     if let Ok(command) = out.cast::<Command>() {
         return Ok(command.get().arrays().map(|array| array.bind(out.py()).clone()));

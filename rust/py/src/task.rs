@@ -156,7 +156,7 @@ impl Kind for AxesField {
     }
 }
 
-/// `axes` with those replaced that the mapping names.
+/// Returns `axes` with the axes of the mapping replaced.
 pub(crate) fn merged(
     name: &str,
     value: &Bound<'_, PyAny>,

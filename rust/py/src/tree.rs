@@ -1,4 +1,4 @@
-//! `Link`, `Joint`, `Inertial`, `Mimic`: the whole robot, for simulators.
+//! `Link`, `Joint`, `Inertial`, `Mimic`: the complete robot tree, for simulators.
 
 use pliant_core::model::{self, JointKind};
 use pyo3::prelude::*;

@@ -1,4 +1,4 @@
-//! Fields that are a choice of words.
+//! Fields with named choices.
 
 use std::marker::PhantomData;
 
@@ -11,12 +11,12 @@ use pyo3::types::PyString;
 use crate::error::{config, shown, suggestion};
 use crate::kinds::Kind;
 
-/// A choice of words.
+/// A choice by name.
 pub(crate) struct Word<E>(PhantomData<E>);
 
-/// An enum whose variants are words.
+/// An enum whose variants have names.
 pub(crate) trait Words: Copy + PartialEq + 'static {
-    /// The words.
+    /// Names of the variants.
     const WORDS: &'static [(&'static str, Self)];
 }
 
@@ -40,7 +40,7 @@ impl<E: Words> Kind for Word<E> {
     }
 }
 
-/// Choices whose words stand in the core.
+/// Implements [`Words`] for enums whose names are defined in the core.
 macro_rules! words_of_core {
     ($($choice:ty),*) => {
         $(impl Words for $choice {

@@ -1,6 +1,6 @@
-//! Steps without a memory, several arms side by side: the staircase over numbers that hold one of each arm.
+//! Stateless steps of several arms at once: each SIMD lane holds one arm.
 //!
-//! What few arms meet (an input that cannot be used, a joint at its limit) is left to single steps.
+//! Rare cases (an invalid input, a joint at its limit) are left to single steps.
 
 use crate::batch::{BatchInput, Targets};
 use crate::command::goal::register_speed;
@@ -19,7 +19,7 @@ use crate::task::deviation::pose_error_by;
 use crate::task::wish::Wish;
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Rows of one piece of a batch.
+/// One chunk of the rows of a batch.
 pub(super) struct Abreast<'a> {
     pub(super) controller: &'a Controller,
     pub(super) input: &'a BatchInput<'a>,
@@ -29,11 +29,11 @@ pub(super) struct Abreast<'a> {
     pub(super) outs: [&'a mut [f64]; 3],
 }
 
-/// Jacobians, whose memory the arms of a piece share one after another; the columns behind the last joint stay 0.
+/// Jacobians; the arms of a chunk share their memory one after another. The columns after the last joint stay 0.
 type Jacobians<W> = [[W; MAX_JOINTS]; MAX_AXES];
 
 impl Controller {
-    /// Whether arms can be stepped side by side.
+    /// Returns true if the settings and the arm allow interleaved steps.
     pub(super) fn goes_abreast(&self) -> bool {
         let plan = &self.plan;
         plan.n <= ABREAST && is_printed(plan) && plan.deviation_limits.is_empty() && plan.max_host_loss_force.is_none()
@@ -62,7 +62,7 @@ impl Kernel for Abreast<'_> {
 }
 
 impl Abreast<'_> {
-    /// Steps as many rows as a register holds, from `from` on; 0 for those that are left to single steps, else 1.
+    /// Steps one register of rows, beginning at `from`; returns 0 for rows that are left to single steps, else 1.
     #[inline(always)]
     fn rows<W: Many>(&mut self, n: usize, from: usize, jacobians: &mut Jacobians<W>) -> W {
         let Controller { plan, settings, model, masses, gravity, .. } = self.controller;
@@ -99,10 +99,10 @@ impl Abreast<'_> {
             velocity,
             gradient: plan.cost.gradient(q, rest, 1.0),
             integral,
-            scaled_rows: seen.rows, // the printed law asks for them alone
+            scaled_rows: seen.rows, // the published law uses unscaled rows only
             condition: &condition,
             damping: row_damping::<Columns<W, ABREAST>>(plan, &condition),
-            pacing: Pacing::none(), // its references have no speed
+            pacing: Pacing::none(), // stateless steps have no reference velocity
         };
         let (motion, budget) = printed(&given.tick(plan, settings, &seen, &wish));
         let solution = Solution::new(plan, &given, &seen, (motion, None));
@@ -130,7 +130,7 @@ impl Abreast<'_> {
         sure
     }
 
-    /// Poses toward which the arms from `row` on go; `sure` becomes 0 where they may be none.
+    /// Loads the targets of the arms beginning at `row`; sets `sure` to 0 for targets that may be invalid.
     #[inline(always)]
     fn targets<W: Many>(&self, row: usize, sure: &mut W) -> Pose<W> {
         let (nothing, one) = (W::splat(0.0), W::splat(1.0));
@@ -168,7 +168,7 @@ impl Abreast<'_> {
     }
 }
 
-/// A number as a step reads it.
+/// Flushes a negligibly small position to 0, as a single step does.
 #[inline(always)]
 fn without_negligible<W: Many>(value: W) -> W {
     W::if_less(W::abs(value), W::splat(NEGLIGIBLE), W::splat(0.0), value)

@@ -1,11 +1,12 @@
-//! How a batch's input is made.
+//! Constructor of a batch's input.
 
 use super::{BatchInput, Invalid, Targets};
 
 impl<'a> BatchInput<'a> {
-    /// Of measured joint positions `q` (`N` × n, row by row) [rad] and where the arms are to go; nothing else given.
+    /// Creates the input from measured joint positions `q` (`N` × n, row by row) [rad] and targets, without optional
+    /// values.
     ///
-    /// Lengths are checked by the step.
+    /// The step checks the lengths.
     pub fn new(q: &'a [f64], targets: Targets<'a>) -> Self {
         Self { q, targets, dt: None, dq: None, invalid: Invalid::default() }
     }

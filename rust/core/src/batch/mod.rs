@@ -1,4 +1,4 @@
-//! Many arms at once: each row walks the staircase of the controller, pieces of them on every core.
+//! Steps of many arms at once, in chunks on all cores.
 
 mod abreast;
 mod input;
@@ -20,13 +20,13 @@ use abreast::Abreast;
 
 pub use state::BatchState;
 
-/// Arms that a thread takes at once, one bit each; so many are done by the caller's thread.
+/// Arms per chunk, one bit each in a mask. A batch of this size runs on the caller's thread.
 const PIECE: usize = 64;
 
-/// Poses (`N`) toward which the arms are to go.
+/// Targets (`N`) of the arms.
 #[derive(Debug, Clone, Copy)]
 pub enum Targets<'a> {
-    /// The same for all.
+    /// One target for all arms.
     One(&'a Pose),
     /// Homogeneous matrices (`N` × 4 × 4), row-major.
     Poses(&'a [f64]),
@@ -34,13 +34,13 @@ pub enum Targets<'a> {
     Positions(&'a [f64]),
 }
 
-/// What becomes of an arm whose positions, target or velocity cannot be used.
+/// Handling of an arm whose positions, target or velocity are invalid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Invalid {
-    /// No arm is stepped: an error names the first such row.
+    /// Step no arm; the error names the first such row.
     #[default]
     Refuse,
-    /// Its command is NaN and its memory stays; the others are stepped.
+    /// Its command is NaN and its state is unchanged; the others are stepped.
     Nan,
 }
 
@@ -49,41 +49,41 @@ pub enum Invalid {
 pub struct BatchInput<'a> {
     /// Measured joint positions (`N` × n) [rad].
     pub q: &'a [f64],
-    /// Where to.
+    /// Targets.
     pub targets: Targets<'a>,
     /// Time since the last step [s]; `None`: 1 / rate.
     pub dt: Option<f64>,
     /// Joint velocities (`N` × n) [rad/s] in place of the filtered ones.
     pub dq: Option<&'a [f64]>,
-    /// What becomes of a row that cannot be used.
+    /// Handling of invalid rows.
     pub invalid: Invalid,
 }
 
-/// Commands of `N` arms, to be written: as [`Command`](crate::Command), one row (n) an arm.
+/// Output of `N` arms: as [`Command`](crate::Command), one row (n) per arm.
 #[derive(Debug)]
 pub struct BatchCommand<'a> {
     /// Goals of the position servos [rad].
     pub goal: &'a mut [f64],
     /// Torque limits [N·m].
     pub torque_limit: &'a mut [f64],
-    /// Speeds for servos' speed registers [rad/s].
+    /// Speeds for the servos' profile velocity registers [rad/s].
     pub velocity: &'a mut [f64],
 }
 
 impl Controller {
-    /// One control step of `N` arms; the controller's own memory and record stay as they are.
+    /// Runs one control step of `N` arms; the controller's own state and record do not change.
     ///
-    /// With a `state` each row is what a controller of its own would do, bit for bit. Without one there is no memory: each
-    /// row is the first step of a controller that has just been reset to its q, with `goal_slew` and `max_tool_speed`
-    /// without bounds. Where the law is the printed one (damping, projector and inverse of the paper) and the arm has at
-    /// most seven joints, as many arms as a register holds are then stepped side by side: the same up to rounding, below
-    /// 1e-11 of a row's largest number at λ ≥ 0.02.
+    /// With a `state` each row is bit-identical to the result of a separate controller. Without `state` each row is the
+    /// first step of a controller that was just reset to its q, with unbounded `goal_slew` and `max_tool_speed`. If the
+    /// law is the published one (damping, projector and inverse of the paper) and the arm has at most seven joints,
+    /// such steps are interleaved, one arm per SIMD lane. They equal single steps up to rounding, below 1e-11 of a
+    /// row's largest number at λ ≥ 0.02.
     ///
     /// # Errors
-    /// [`Error::Shape`] where lengths do not fit together; [`Error::Config`] for positions as targets of a task with rotations.
-    /// With [`Invalid::Refuse`] the error of [`Controller::step`] for the first row that cannot be used; then `state` is as
-    /// before and `out` may hold anything. Only what no look at the inputs can tell, a command that comes out not finite, is
-    /// found underway: that arm's state is as before, while others have taken their step.
+    /// [`Error::Shape`] for inconsistent lengths; [`Error::Config`] for positions as targets of a task with rotations.
+    /// With [`Invalid::Refuse`] the error of [`Controller::step`] for the first invalid row; `state` is then unchanged
+    /// and `out` is undefined. A command that is not finite is found only during the step: the state of that arm is
+    /// then unchanged, while other arms have been stepped.
     ///
     /// ```
     /// # use pliant_core::{BatchCommand, BatchInput, BatchState, Controller, Model, ModelOptions, Servos, Settings, Targets};
@@ -151,7 +151,7 @@ impl Controller {
         }
     }
 
-    /// Whether every row can be used, before anything is changed.
+    /// Checks all rows before anything is changed.
     fn check_rows(&self, input: &BatchInput<'_>, rows: &[f64]) -> Result<()> {
         let (n, first) = (self.model().n(), First::default());
         let check = |(index, rows): (usize, &[f64])| {
@@ -175,7 +175,7 @@ impl Controller {
         first.result()
     }
 
-    /// Steps every arm.
+    /// Steps all arms.
     fn rows(
         &self,
         input: &BatchInput<'_>,
@@ -240,11 +240,11 @@ impl Controller {
         first.result()
     }
 
-    /// Steps one arm; its memory is `kept` only where that went well.
+    /// Steps one arm; writes its state to `kept` only on success.
     fn row(&mut self, input: &BatchInput<'_>, row: usize, kept: Option<&mut [f64]>, changed: bool) -> Result<()> {
         let (n, one) = (self.model().n(), input.row(self, row)?);
         match kept.as_deref() {
-            // The reference that moves to the target starts where it does not matter: there is no bound on its speed.
+            // The governor's start is irrelevant here: its speed is unbounded.
             None if self.plan.deviation_limits.is_empty() => self.memory = Memory::at(&one.q, one.target, true),
             None => self.memory = Memory::new(),
             Some(kept) => match Kept::of(kept, n) {
@@ -279,7 +279,7 @@ impl Row<'_> {
 }
 
 impl<'a> BatchInput<'a> {
-    /// Input of arm `row`, checked.
+    /// Reads and checks the input of arm `row`.
     fn row(&self, controller: &Controller, row: usize) -> Result<Row<'a>> {
         let n = controller.model().n();
         let q = controller.positions("q", &self.q[row * n..][..n]).map_err(|error| error.in_row("Q", row))?;
@@ -311,7 +311,7 @@ impl<'a> BatchInput<'a> {
     }
 }
 
-/// The first row that went wrong, whichever thread found it.
+/// Error of the first failed row, from any thread.
 #[derive(Default)]
 struct First(Mutex<Option<(usize, Error)>>);
 

@@ -1,4 +1,4 @@
-//! What many arms carry from one batch step to the next.
+//! State of many arms between batch steps.
 
 use crate::controller::kept::{Kept, width};
 use crate::error::{Error, Result};
@@ -6,23 +6,23 @@ use crate::pose::COORDINATE_BOUND;
 use crate::settings::Settings;
 use crate::{Controller, MAX_JOINTS};
 
-/// Memories of many arms, for [`Controller::step_batch`]: `8 (52 + 7 n)` bytes each.
+/// State of many arms for [`Controller::step_batch`]: `8 (52 + 7 n)` bytes each.
 ///
-/// Belongs to whoever steps the arms, not to a controller: any controller of arms with as many joints can go on with it.
-/// An arm of which nothing is known yet resets to the positions of its next step.
+/// Independent of the controller: any controller of arms with the same number of joints can continue with it. An arm
+/// that was never stepped resets to the positions of its next step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BatchState {
     n: usize,
     pub(super) rows: Vec<f64>,
-    /// Settings of the last step: with others, singular vectors must be found anew.
+    /// Settings of the last step: if they change, the singular vectors are computed from scratch.
     pub(super) settings: Option<Box<Settings>>,
 }
 
 impl BatchState {
-    /// Of `count` arms of `n` joints, about which nothing is known yet.
+    /// Creates the state of `count` arms of `n` joints, none of them started.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] for a number of joints that no arm has, or for more arms than memory can hold.
+    /// [`Error::OutOfRange`] for an invalid number of joints, or for more arms than memory can hold.
     pub fn new(n: usize, count: usize) -> Result<Self> {
         if n == 0 || n > MAX_JOINTS {
             return Err(Error::out_of_range("joints", n as f64, format!("1 to {MAX_JOINTS}")));
@@ -36,10 +36,10 @@ impl BatchState {
         Ok(Self { n, rows, settings: None })
     }
 
-    /// From what [`BatchState::numbers`] gave.
+    /// Creates the state from the result of [`BatchState::numbers`].
     ///
     /// # Errors
-    /// As [`BatchState::new`]; [`Error::Shape`] where the numbers are not those of whole arms of `n` joints.
+    /// As [`BatchState::new`]; [`Error::Shape`] if the length is not a multiple of one arm's length.
     pub fn from_numbers(n: usize, numbers: Vec<f64>) -> Result<Self> {
         let empty = Self::new(n, 0)?;
         if !numbers.len().is_multiple_of(width(n)) {
@@ -48,7 +48,7 @@ impl BatchState {
         Ok(Self { rows: numbers, ..empty })
     }
 
-    /// All that is kept, to be stored and read by the same version of this crate.
+    /// Returns the whole state, to be stored and read by the same version of this crate.
     pub fn numbers(&self) -> &[f64] {
         &self.rows
     }
@@ -63,15 +63,15 @@ impl BatchState {
         self.rows.len() / width(self.n)
     }
 
-    /// Whether there are no arms.
+    /// Returns true if there are no arms.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
 
-    /// Forgets what was, of arm `index`: its next step starts from `q` (`n`) [rad], or from its own positions.
+    /// Resets arm `index`: its next step starts from `q` (`n`) [rad], or from its measured positions.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] where there is no such arm or `q` is not finite, [`Error::Shape`] for a wrong length of `q`.
+    /// [`Error::OutOfRange`] if `index` is too large or `q` is not finite, [`Error::Shape`] for a wrong length of `q`.
     pub fn reset(&mut self, index: usize, q: Option<&[f64]>) -> Result<()> {
         if let Some(q) = q {
             if q.len() != self.n {
@@ -87,7 +87,7 @@ impl BatchState {
         Ok(())
     }
 
-    /// Rows of `count` arms of this controller.
+    /// Returns the rows of `count` arms of this controller.
     pub(super) fn rows_of(&mut self, controller: &Controller, count: usize) -> Result<&mut [f64]> {
         let (n, got) = (controller.model().n(), self.len());
         if self.n != n || got != count {

@@ -5,10 +5,10 @@ use crate::number::{Arithmetic, Lanes, Scalar};
 
 /// Factors in [0, 1], one per part, so that `|base + Σ f_p part_p| ≤ bound` for every joint.
 ///
-/// Parts give way in their order: the second is scaled only when the first, gone altogether, was not enough.
+/// The parts are reduced in order: the second is scaled only if dropping the first is not enough.
 #[inline(always)]
 pub(crate) fn scale_to_fit<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
-    // Nearly always everything fits: that is found out without a branch per joint.
+    // Fast path without a branch per joint: nearly always everything fits.
     let mut all = base;
     for part in parts {
         all = all + part;
@@ -19,8 +19,8 @@ pub(crate) fn scale_to_fit<J: Lanes, const P: usize>(base: J, parts: [J; P], bou
 #[inline(always)]
 fn shrink<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
     let (zero, one) = (J::splat(0.0), J::splat(1.0));
-    // A part that moves a joint by no more than rounding cannot mend it and must not vanish for it; nor may it for a sum
-    // that the part before has brought to the bound up to rounding.
+    // Ignore a part that moves a joint by no more than rounding error: scaling it does not help. Ignore as well an
+    // excess of the sum that is only rounding error after the previous part was scaled to the bound.
     let rounding = bound * J::splat(1e-9);
     let mut factors = [J::One::splat(1.0); P];
     for p in 0..P {
@@ -43,13 +43,13 @@ fn shrink<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar
     factors
 }
 
-/// How far beyond its position limit [rad] a joint still pushes outward, where the delay lets it fade that fast.
+/// Distance beyond a position limit [rad] over which an outward lead fades to zero, if the delay allows that slope.
 const STOP_WIDTH: f64 = 0.02;
 
-/// A `lead` [rad] that serves a force, of joints at `q`: what points out of the limits shrinks once q is beyond them.
+/// Fades the outward part of a `lead` [rad] that exerts a force, for joints at `q` beyond their limits.
 ///
-/// It may pass the limit, for a joint at its stop could not exert a torque otherwise; but nothing is to push the joint
-/// itself farther out. `slope` is by how much it shrinks per rad at most: a stop stiffer than that rings with the delay.
+/// The goal may exceed the limit, otherwise a joint at its stop could exert no torque. But it must not push the joint
+/// itself farther out. `slope` is the largest reduction per rad: a stiffer stop rings with the delay.
 #[inline(always)]
 pub(crate) fn fade_beyond<J: Lanes>(lead: J, q: J, lower: J, upper: J, slope: f64) -> J {
     let zero = J::splat(0.0);
@@ -59,26 +59,26 @@ pub(crate) fn fade_beyond<J: Lanes>(lead: J, q: J, lower: J, upper: J, slope: f6
     J::copy_sign(J::at_least(faded, zero), lead)
 }
 
-/// Joints that have met a position limit.
+/// Joints that have reached a position limit.
 #[derive(Clone, Copy)]
 pub(crate) struct Locks<J> {
-    /// 1 for those, 0 for the others.
+    /// 1 for locked joints, 0 for the others.
     pub(crate) locked: J,
-    /// Lead that brings each of them onto its limit [rad].
+    /// Lead that brings each locked joint to its limit [rad].
     pub(crate) lead: J,
 }
 
 impl<J: Lanes> Locks<J> {
-    /// None.
+    /// No locked joints.
     #[inline(always)]
     pub(crate) fn none() -> Self {
         Self { locked: J::splat(0.0), lead: J::splat(0.0) }
     }
 
-    /// Adds the joints whose `goal` lies beyond a limit; says whether there were any.
+    /// Adds the joints whose `goal` exceeds a limit; returns true if there were any.
     ///
-    /// A locked joint keeps the lead it still has and the others take over what it cannot do, so that the rest of the task
-    /// stays right; it is not unlocked within a tick.
+    /// A locked joint keeps the lead to its limit, and the others make the missing motion, so that the rest of the task
+    /// stays correct. It is not unlocked within a step.
     #[inline(always)]
     pub(crate) fn add(&mut self, goal: J, without_lead: J, lower: J, upper: J) -> bool {
         let (zero, one) = (J::splat(0.0), J::splat(1.0));
@@ -93,26 +93,26 @@ impl<J: Lanes> Locks<J> {
         true
     }
 
-    /// `value` for locked joints, `other` for the rest.
+    /// Selects `value` for locked joints, `other` for the rest.
     #[inline(always)]
     pub(crate) fn either(&self, value: J, other: J) -> J {
         J::if_less(J::splat(0.0), self.locked, value, other)
     }
 }
 
-/// Goals of the servos, and what of them carries the weight [rad].
+/// Goals of the servos, and their part that carries gravity [rad].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Goals<J> {
     pub(crate) goal: J,
     pub(crate) weight: J,
 }
 
-/// Moves the goals from `before` toward `to` by at most `step` [rad] each, all by the same share of what is left, and
-/// their weight toward that of `to`, each by itself and first; and says that share.
+/// Moves the goals from `before` toward `to` by at most `step` [rad] each, all by the same share of the remaining
+/// distance; returns that share. Moves their gravity parts toward those of `to` first, each joint independently.
 ///
-/// Joints that went each as far as they may would take the tool off its path, and faster than its target moves: one that
-/// has farthest to go holds the others up. What carries the arm waits for nobody.
-/// A goal that is not a number stays one, so that the step can refuse to send it.
+/// Independent joint speeds would take the tool off its path, and move it faster than its target. Therefore the joint
+/// with the longest distance slows the others. The gravity part does not wait for other joints. A NaN goal stays NaN,
+/// so that the step can refuse to send it.
 #[inline(always)]
 pub(crate) fn slew<J: Lanes>(before: Goals<J>, to: Goals<J>, step: f64) -> (Goals<J>, Scalar<J>) {
     let step = J::splat(step);
@@ -127,12 +127,12 @@ pub(crate) fn slew<J: Lanes>(before: Goals<J>, to: Goals<J>, step: f64) -> (Goal
     (Goals { goal: before.goal + lift + J::spread(share) * motion, weight: before.weight + lift }, share)
 }
 
-/// Joint speeds [rad/s] for the servos' own profiles: what keeps the tool within its `[linear, angular]` speed by one joint
-/// alone, but no less than the goals' own `slew` [rad/s], nor more than the `joint` may turn.
+/// Joint speeds [rad/s] for the servos' own profiles: the speed at which one joint alone keeps the tool within its
+/// `[linear, angular]` speed, but at least the goals' own `slew` [rad/s] and at most the `joint` speed limit.
 ///
-/// Joints that work against each other turn faster than the tool's speed says. A profile slower than the goals falls behind
-/// them, and the servo pulls with a lead that nobody asked for, on soft axes too.
-/// `world` is the Jacobian in base axes.
+/// Joints that work against each other turn faster than the tool's speed suggests. A profile slower than the goals lags
+/// behind them, and the servo then pulls with an unintended lead, on soft axes too. `world` is the Jacobian in base
+/// axes.
 #[inline(always)]
 pub(crate) fn register_speed<J: Lanes>(world: &[J; MAX_AXES], tool: [f64; 2], slew: f64, joint: J) -> J {
     let mut out = J::splat(f64::INFINITY);
@@ -187,7 +187,7 @@ mod tests {
         }
     }
 
-    /// Goals and weights after a slew by at most `step`.
+    /// Returns goals and gravity parts after a slew by at most `step`.
     fn slewed(goal: [f64; 2], weight: [f64; 2], to: [f64; 2], new: [f64; 2], step: f64) -> [[f64; 2]; 2] {
         let goals = |goal: &[f64], weight: &[f64]| Goals { goal: vector(goal), weight: vector(weight) };
         let (out, _) = slew(goals(&goal, &weight), goals(&to, &new), step);
@@ -205,7 +205,7 @@ mod tests {
         assert!(near(goal, [0.6, 0.175]), "a twentieth of the way, for both: {goal:?}");
         let [goal, _] = slewed([0.5, 0.2], none, [2.5, -0.3], none, f64::INFINITY);
         assert!(near(goal, [2.5, -0.3]));
-        // The first joint takes up its weight; the second moves on with what is left to neither.
+        // The first joint takes up its gravity part; the second moves by the remaining share, which is zero for both.
         let [goal, weight] = slewed(none, none, [0.3, 0.02], [0.3, 0.0], 0.1);
         assert!(near(weight, [0.1, 0.0]) && near(goal, [0.1, 0.02]), "{goal:?} {weight:?}");
         let [goal, weight] = slewed([0.1, 0.0], [0.1, 0.0], [0.35, 0.02], [0.15, 0.0], 0.1);

@@ -1,4 +1,4 @@
-//! What a hand meets once the host has died: the servos keep their last goals and limits.
+//! Force on a hand after a loss of the host: the servos keep their last goals and limits.
 
 use crate::command::statics::yield_forces;
 use crate::kinematics::{Frames, Masses};
@@ -7,27 +7,27 @@ use crate::number::{Arithmetic, Plain};
 use crate::plan::Plan;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// How far a hand is followed [m, rad], and how fast it goes [m/s, rad/s].
+/// Distance over which a hand is simulated [m, rad], and its speed [m/s, rad/s].
 pub(crate) const TRAVEL: [f64; 2] = [0.15, 0.4];
 const SPEED: [f64; 2] = [0.025, 0.067];
 
-/// Steps on that way, most steps in all, and the longest of one joint [rad or m].
+/// Steps on that path, maximum number of steps, and the longest step of one joint [rad or m].
 const STEPS: f64 = 50.0;
 const MOST_STEPS: usize = 120;
 const LONGEST: f64 = 0.04;
 
-/// Lever of the joint that gives way, on an arm of 0.71 m [m] or about a rotation, below which it follows no hand: at its
-/// dead centre.
+/// Lever of the yielding joint, on an arm of 0.71 m [m] or about a rotation, below which it counts as at its dead
+/// centre and does not follow the hand.
 const DEAD_CENTRE: f64 = 0.015;
 
-/// Most steps in which an arm comes to rest by itself, and the turn below which it has [rad or m].
+/// Maximum number of steps to equilibrium, and the rotation below which it is reached [rad or m].
 const MOST_SETTLING: usize = 40;
 const SETTLED: f64 = 1e-4;
 
-/// Most steps to the force between rest and giving way; two or three are enough.
+/// Maximum number of Newton steps to the force between rest and yielding; two or three are usual.
 const MOST_NEWTON: usize = 20;
 
-/// An arm whose goals and limits stay as they are.
+/// An arm whose goals and limits stay constant.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct HostLoss<'a> {
     pub(crate) chain: &'a Chain,
@@ -38,29 +38,30 @@ pub(crate) struct HostLoss<'a> {
     pub(crate) q: &'a JointVec,
     pub(crate) goal: &'a JointVec,
     pub(crate) limit: &'a JointVec,
-    /// Dry friction at rest [N·m].
+    /// Static dry friction [N·m].
     pub(crate) friction: &'a JointVec,
 }
 
-/// The most that a hand meets on its way.
+/// Largest force on a hand along its path.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Met {
-    /// From servos, gears and weight [N, N·m].
+    /// Force from servos, gears and gravity [N, N·m].
     pub(crate) force: f64,
-    /// Whether the way ends before the hand does: what could give way is at a position limit or at its dead centre.
+    /// True if the path ends before the hand does: the joints that could yield are at a position limit or at their dead
+    /// centre.
     pub(crate) walled: bool,
 }
 
-/// The arm at one place of the way.
+/// The arm at one point of the path.
 struct Place {
     lever: JointVec,
     holding: JointVec,
-    /// Torque of the servos beside what holds the arm [N·m].
+    /// Torque of the servos minus the gravity torque [N·m].
     pull: JointVec,
 }
 
 impl HostLoss<'_> {
-    /// Where the arm comes to rest by itself: whoever leaned on it has let go, what was on its way has arrived.
+    /// Returns the equilibrium of the arm without a hand and with all goals reached.
     pub(crate) fn settled(&self) -> JointVec {
         let (n, mut q) = (self.plan.n, *self.q);
         if !self.plan.servos.has_kp {
@@ -80,14 +81,14 @@ impl HostLoss<'_> {
         q
     }
 
-    /// The largest force along one task axis, toward `sign`, of a hand that comes to the arm at `rest` and leaves all other
-    /// axes free.
+    /// Returns the largest force along one task axis, toward `sign`, on a hand that pushes the arm at `rest` and leaves
+    /// all other axes free.
     ///
-    /// Each joint is a spring to its goal, slips at its limit, and rubs. Pushed with F, joint i gets `F a_i`; the arm
-    /// follows in small steps, each with the least F that makes the tool go on: springs are stretched until one joint's
-    /// limit, friction and weight are overcome, `F = (L_i + τ_f,i + s_i g_i)/|a_i| + d_i v/a_i²`, from where that joint turns
-    /// alone until another one is weaker. A joint at its position limit gives way no farther; it turns back from there where
-    /// the way takes the push to its other side.
+    /// Each joint is a spring to its goal that slips at its torque limit and has friction. Under a push F joint i gets
+    /// the torque `F a_i`. The arm follows in small steps, each with the smallest F that moves the tool. First the
+    /// springs stretch, until the limit, friction and gravity torque of one joint are overcome, `F = (L_i + τ_f,i + s_i
+    /// g_i)/|a_i| + d_i v/a_i²`. From there that joint turns alone until another joint is weaker. A joint at its
+    /// position limit yields no farther; it turns back if the push changes its side along the path.
     pub(crate) fn largest(&self, rest: &JointVec, row: usize, sign: f64) -> Met {
         let n = self.plan.n;
         let kind = usize::from(self.plan.rows[row].axis >= 3);
@@ -112,7 +113,7 @@ impl HostLoss<'_> {
                 }
             }
             if most.is_infinite() || place.lever[weakest].abs() * self.plan.row_scale[row] < DEAD_CENTRE {
-                // An arm that tips over its dead centre by its own weight is no wall.
+                // An arm that tips over its dead centre by its own weight does not block.
                 let met = force.max(0.0);
                 return Met { force: met, walled: most > met };
             }
@@ -132,13 +133,14 @@ impl HostLoss<'_> {
         Met { force, walled: false }
     }
 
-    /// The least force, at most `most`, that moves the tool by `step` by stretching the joints' springs, and how they turn.
+    /// Returns the smallest force, at most `most`, that moves the tool by `step` by stretching the joints' springs, and
+    /// the joint displacements.
     fn spring(&self, q: &JointVec, place: &Place, most: f64, step: f64) -> (f64, JointVec) {
         let n = self.plan.n;
         if !self.plan.servos.has_kp {
             return (most, [0.0; MAX_JOINTS]);
         }
-        // How the joints turn under a force, how far that moves the tool, and by how much more per newton.
+        // Joint displacements under a force, the tool displacement, and its derivative with respect to the force.
         let stretch = |force: f64| {
             let (mut turn, mut moved, mut slope) = ([0.0; MAX_JOINTS], 0.0, 0.0);
             for i in 0..n {
@@ -158,7 +160,7 @@ impl HostLoss<'_> {
         if moved < step {
             return (most, turn);
         }
-        // Piecewise linear and never falling: Newton's steps, kept between bounds.
+        // Piecewise linear and non-decreasing: Newton steps, kept between bounds.
         let (mut low, mut high, mut force) = (most - 2.0 * most.abs() - 1.0, most, most);
         for _ in 0..MOST_NEWTON {
             if moved < step {
@@ -176,7 +178,7 @@ impl HostLoss<'_> {
         (force, turn)
     }
 
-    /// Whether joint i stands at its position limit and is pushed farther, toward the sign of `push`.
+    /// Returns true if joint i is at its position limit and is pushed outward; `push` gives the sign.
     fn stops(&self, q: &JointVec, i: usize, push: f64) -> bool {
         if push < 0.0 { q[i] <= self.plan.lower[i] } else { q[i] >= self.plan.upper[i] }
     }
@@ -189,7 +191,7 @@ impl HostLoss<'_> {
         Place { lever: lever.map(|a| sign * a), holding, pull }
     }
 
-    /// What holds the arm at `q`, and what its servos exert beside that [N·m].
+    /// Returns the gravity torques at `q`, and the servo torques minus these [N·m].
     fn torques(&self, q: &JointVec) -> (Frames, [JointVec; 2]) {
         let (mut frames, mut holding, mut pull) = (Frames::default(), [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         self.chain.forward(q, &mut frames);
@@ -201,7 +203,8 @@ impl HostLoss<'_> {
         (frames, [holding, pull])
     }
 
-    /// `q` after a turn, no joint by more than the longest step; one beyond its limits may stay there.
+    /// Returns `q` after a displacement, no joint by more than the longest step; a joint beyond its limits may stay
+    /// there.
     fn turned(&self, q: &JointVec, turn: &JointVec) -> JointVec {
         let longest = turn.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
         let (share, mut next) = ((LONGEST / longest).min(1.0), *q);

@@ -1,19 +1,19 @@
-//! The integrating goal of stiff axes, leashed to what the limits can use.
+//! The integrating goal of stiff axes, with anti-windup.
 
 use crate::law::inverse::{Factor, damped, load_rows, times, transpose_times, weighted_gram};
 use crate::number::{Arithmetic, EveryJoint, Lanes, Plain};
 use crate::plan::Plan;
 use crate::{AxisVec, JointVec, Rows};
 
-/// Lead [rad] that may be stored where nothing is known of the servos.
+/// Lead [rad] that may be stored without known servos.
 const LEAD_UNKNOWN: f64 = 0.3;
 
-/// What one tick adds to the stored lead.
+/// Addition of one step to the stored lead.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Addition<'a> {
     /// Lead of the stiff axes and of the null space [rad].
     pub(crate) lead: &'a JointVec,
-    /// Share of it that is stored: rate × dt.
+    /// Share of the lead that is stored: rate × dt.
     pub(crate) share: f64,
     /// Gravity in the limits, with its factor [N·m].
     pub(crate) gravity: &'a JointVec,
@@ -26,8 +26,8 @@ pub(crate) struct Addition<'a> {
 }
 
 impl Addition<'_> {
-    /// Adds to `stored` [rad] and takes out again what would act on soft axes: on those nothing is stored. Where strengths
-    /// are forces it also takes out what exceeds the strength of the stiff axes.
+    /// Adds to `stored` [rad] and removes the part that would act on soft axes: these store nothing. If strengths are
+    /// forces, also removes the part that exceeds the strength of the stiff axes.
     pub(crate) fn store(&self, stored: &mut JointVec, plan: &Plan) {
         let (k, n, servos) = (plan.k, plan.n, &plan.servos);
         for i in 0..n {
@@ -40,7 +40,7 @@ impl Addition<'_> {
         if !by_force && self.softness.iter().all(|&w| w <= 0.0) {
             return;
         }
-        // The wrench that the stored lead exerts, W = (C + λ²/k̄)⁻¹ J z, less what may stay of it.
+        // Wrench that the stored lead exerts, W = (C + λ²/k̄)⁻¹ J z, minus the part that may stay.
         let (rows, compliance) = (load_rows(self.rows), EveryJoint::load(&servos.compliance));
         let c = damped(weighted_gram(&rows, compliance), &self.damping.map(|squared| squared / servos.kp_mean));
         let mut wrench = Factor::new::<Plain>(&c).solve::<Plain>(&times(&rows, EveryJoint::load(stored)));

@@ -3,16 +3,16 @@
 use crate::number::{Joints, Lanes};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// What the limits are made from; all torques in N·m, one per joint.
+/// Terms of the torque limits; all in N·m, one per joint.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Load<J> {
-    /// Torques that hold the arm.
+    /// Gravity torques.
     pub(crate) gravity: J,
     /// Feed-forward of friction and damping.
     pub(crate) feed_forward: J,
     /// Torque of the task, `JᵀW′`.
     pub(crate) task: J,
-    /// Torque of everything else the goal contains: `K_p (null + q̂ − q)`.
+    /// Torque of all other parts of the goal: `K_p (null + q̂ − q)`.
     pub(crate) offset: J,
     /// Factor s_g on gravity.
     pub(crate) gravity_scale: f64,
@@ -21,14 +21,14 @@ pub(crate) struct Load<J> {
 }
 
 impl<J: Lanes> Load<J> {
-    /// Line 12: what the law wants at this tick, at least gravity, plus a margin.
+    /// Line 12: torque that the law demands in this step, at least gravity, plus a margin.
     #[inline(always)]
     pub(crate) fn demand(&self) -> J {
         let wanted = self.gravity + self.task + self.feed_forward + self.offset;
         J::at_least(J::abs(wanted), J::splat(self.gravity_scale) * J::abs(self.gravity)) + self.margin
     }
 
-    /// (11) with gravity: the budgets of law `paper` on top of what holds the arm.
+    /// (11) with gravity: the budgets of law `paper` plus the gravity torques.
     #[inline(always)]
     pub(crate) fn budget(&self, budget: J) -> J {
         J::fma(J::splat(self.gravity_scale), J::abs(self.gravity), budget)
@@ -36,7 +36,7 @@ impl<J: Lanes> Load<J> {
 }
 
 impl<J: Joints> Load<J> {
-    /// The sum over all axes of what each may ask for: `s_g |g| + Σ_j |J_ji| most_j + null_i + |ff|`.
+    /// Sum over all axes of their largest demands: `s_g |g| + Σ_j |J_ji| most_j + null_i + |ff|`.
     #[cold]
     #[inline(never)]
     pub(crate) fn sum(&self, rows: &Rows, most: &AxisVec, null: &JointVec) -> JointVec {
@@ -51,14 +51,14 @@ impl<J: Joints> Load<J> {
     }
 }
 
-/// Floor, ceiling, and a slew that lets limits fall at once but rise within the stiffening time.
+/// Applies minimum, ceiling and slew: limits fall at once and rise within the stiffening time.
 #[inline(always)]
 pub(crate) fn finish<J: Lanes>(wanted: J, before: Option<J>, floor: J, ceiling: J, rise: J) -> J {
     let mut limit = J::at_most(wanted, ceiling);
     if let Some(before) = before {
         limit = J::at_most(limit, before + rise);
     }
-    // The floor comes last: one that was raised holds at once.
+    // Apply the minimum last: a raised minimum takes effect at once.
     J::at_most(J::at_least(limit, floor), ceiling)
 }
 

@@ -1,4 +1,4 @@
-//! From motion and force to what the servos get: lines 11 and 12 of the control step.
+//! From motion and force to the servo command: lines 11 and 12 of the control step.
 
 pub(crate) mod goal;
 pub(crate) mod host_loss;

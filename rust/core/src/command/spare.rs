@@ -1,15 +1,15 @@
-//! Limits that spare a hand if the host dies: `max_host_loss_force`.
+//! Torque limits that bound the force on a hand if the host dies: `max_host_loss_force`.
 
 use crate::JointVec;
 use crate::MAX_JOINTS;
 use crate::command::host_loss::HostLoss;
 
-/// Halvings of the share that is taken back.
+/// Bisection steps for the share of the limits that is removed.
 const HALVINGS: u32 = 6;
 
 impl HostLoss<'_> {
-    /// The most that a hand meets along any translation of the task, what stops and a stretched arm give apart [N]; and
-    /// along which row, toward which side. Ends early beyond `enough`.
+    /// Returns the largest force on a hand along any translation of the task [N], without position limits and a
+    /// stretched arm, its row and its side. Stops early above `enough`.
     pub(crate) fn worst(&self, enough: f64) -> (f64, usize, f64) {
         let (rest, mut worst) = (self.settled(), (f64::NEG_INFINITY, 0, 1.0));
         for row in (0..self.plan.k).filter(|&row| self.plan.rows[row].axis < 3) {
@@ -26,8 +26,8 @@ impl HostLoss<'_> {
         worst
     }
 
-    /// The limits with which a hand meets at most `most` [N]: first without part of the `margin`, then with less of what
-    /// they have beyond `base`, which holds the arm [N·m]; `base` where that is not enough.
+    /// Returns the limits with which the force on a hand is at most `most` [N]: first removes part of the `margin`,
+    /// then part of the excess over `base`, the gravity torques [N·m]. Returns `base` if that is not enough.
     pub(crate) fn spared(&self, most: f64, base: &JointVec, margin: &JointVec) -> JointVec {
         let keeps = |limit: &JointVec| HostLoss { limit, ..*self }.worst(most).0 <= most;
         if keeps(self.limit) {

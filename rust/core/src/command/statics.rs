@@ -1,14 +1,14 @@
-//! What limits hold in one pose: pure forces through the transposed Jacobian.
+//! Static forces that torque limits hold in one pose, from the transposed Jacobian.
 
 use crate::{JointVec, MAX_JOINTS};
 
-/// Lever, as a share of the longest, below which a joint does not feel a push.
+/// Lever, relative to the longest, below which a push does not load a joint.
 const NO_LEVER: f64 = 1e-9;
 
-/// The push along `a = Jᵀd` under which each joint gives way: `(L_i + s_i g_i) / |a_i|`, `s_i = sign(a_i)`.
+/// The push along `a = Jᵀd` at which each joint yields: `(L_i + s_i g_i) / |a_i|`, `s_i = sign(a_i)`.
 ///
-/// Servo i gives `g_i − F a_i`, which may not fall below `−L_i` where the push turns it forward. ∞ for a joint that does not
-/// feel the push.
+/// Servo i exerts `g_i − F a_i`, which may not fall below `−L_i` if the push turns it forward. ∞ for a joint that the
+/// push does not load.
 #[inline]
 pub(crate) fn yield_forces(a: &JointVec, limit: &JointVec, gravity: &JointVec, n: usize) -> JointVec {
     let longest = a.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
@@ -21,10 +21,10 @@ pub(crate) fn yield_forces(a: &JointVec, limit: &JointVec, gravity: &JointVec, n
     out
 }
 
-/// The largest static force that limits hold against a push along `sign · d`: `min_i (L_i + s_i g_i) / |a_i|`.
+/// The largest static force that the limits hold against a push along `sign · d`: `min_i (L_i + s_i g_i) / |a_i|`.
 ///
-/// Exact for a pure force at this pose, up to friction. Negative: the arm cannot hold itself. ∞ where no joint feels the
-/// push.
+/// Exact for a pure force at this pose, up to friction. Negative if the arm cannot hold itself. ∞ if the push loads no
+/// joint.
 #[inline]
 pub(crate) fn static_force(a: &JointVec, sign: f64, limit: &JointVec, gravity: &JointVec, n: usize) -> f64 {
     let forces = yield_forces(&a.map(|lever| sign * lever), limit, gravity, n);
@@ -41,7 +41,7 @@ mod tests {
         out
     }
 
-    /// The same by search: the largest F for which every servo that the push loads stays within its limit.
+    /// Reference implementation by search: the largest F for which each loaded servo stays within its limit.
     fn searched(a: &JointVec, sign: f64, limit: &JointVec, gravity: &JointVec, n: usize) -> f64 {
         let holds = |force: f64| {
             (0..n).all(|i| {
@@ -70,9 +70,9 @@ mod tests {
                 let weakest = (0..7).find(|&i| forces[i] <= force).unwrap();
                 let expected = searched(&a, sign, &limit, &gravity, 7);
                 assert!((force - expected).abs() < 1e-9 * (1.0 + expected.abs()), "{force} {expected}");
-                // One that gives way is at its limit exactly.
+                // The joint that yields is exactly at its limit.
                 assert!(((gravity[weakest] - force * sign * a[weakest]).abs() - limit[weakest].abs()).abs() < 1e-9);
-                // Turning axis and side around is the same push.
+                // Reversing both axis and side gives the same push.
                 let mirrored = static_force(&a.map(|x| -x), -sign, &limit, &gravity, 7);
                 assert!((force - mirrored).abs() < 1e-12);
             }

@@ -1,19 +1,19 @@
-//! Touch and stop: two thresholds per axis, with hysteresis and a shortest time.
+//! Touch and stop events: two thresholds per axis, with hysteresis and a minimum time.
 
 use crate::{AxisVec, MAX_AXES};
 
-/// One kind of event on every axis.
+/// One kind of event for all axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Events {
-    /// Thresholds [N, N·m]; ∞ where there is none.
+    /// Thresholds [N, N·m]; ∞ for no threshold.
     thresholds: AxisVec,
-    /// Share by which a force must fall below its threshold.
+    /// Hysteresis as a share of the threshold.
     hysteresis: f64,
-    /// How long a change must last [s].
+    /// Minimum duration of a change [s].
     min_time: f64,
-    /// Share of the uncertainty to which a threshold below it is raised.
+    /// Factor on the uncertainty, the lower bound of the thresholds.
     guard: f64,
-    /// For how long each axis has contradicted its state [s].
+    /// Duration for which the force of each axis has contradicted its state [s].
     against: AxisVec,
     on: [bool; MAX_AXES],
 }
@@ -28,16 +28,17 @@ impl Events {
         (self.against, self.on) = ([f64::NEG_INFINITY; MAX_AXES], [false; MAX_AXES]);
     }
 
-    /// Which events are on after `dt` [s] with this force and uncertainty.
+    /// Updates the events after `dt` [s] with this force and uncertainty.
     ///
-    /// An event begins once the force has been above `max(threshold, guard · uncertainty)` for the shortest time, the first
-    /// reading not counted, and ends once it has been below `(1 − hysteresis)` times that for as long.
+    /// An event begins once the force has been above `max(threshold, guard · uncertainty)` for the minimum time, not
+    /// counting the first reading. It ends once the force has been below `(1 − hysteresis)` times that for the same
+    /// time.
     pub(super) fn update(&mut self, force: &AxisVec, uncertainty: &AxisVec, dt: f64) -> [bool; MAX_AXES] {
         for axis in 0..MAX_AXES {
             let threshold = self.thresholds[axis].max(self.guard * uncertainty[axis]);
             let size = force[axis].abs();
             let contradicts = if self.on[axis] { size < (1.0 - self.hysteresis) * threshold } else { size > threshold };
-            // The first reading beyond a threshold has lasted for no time yet.
+            // The first reading beyond a threshold has a duration of zero.
             self.against[axis] = if contradicts { self.against[axis].max(-dt) + dt } else { -dt };
             if contradicts && self.against[axis] >= self.min_time - 1e-9 {
                 self.on[axis] = !self.on[axis];

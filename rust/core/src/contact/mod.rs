@@ -1,8 +1,8 @@
-//! What pushes at the tool, felt through position servos: estimate, bound and events.
+//! Contact estimation with position servos: wrench at the tool, error bound and events.
 //!
-//! The servos' torques follow from goals, limits and positions; what they exert beyond gravity, friction and acceleration,
-//! the surroundings must exert too: `JᵀF = g + M q̈ + τ_f tanh(v/v₀) + d v − clip(k_p (goal − q) − k_v v, ±limit)`.
-//! Beside the controller's steps, in none of them.
+//! The servos' torques follow from goals, limits and positions. The part beyond gravity, friction and acceleration is
+//! caused by the surroundings: `JᵀF = g + M q̈ + τ_f tanh(v/v₀) + d v − clip(k_p (goal − q) − k_v v, ±limit)`. The
+//! estimate runs beside the controller's steps and does not change them.
 
 mod events;
 mod options;
@@ -21,54 +21,55 @@ pub use options::ContactOptions;
 use events::Events;
 use residual::{Errors, Joints};
 
-/// Ticks for which commands are remembered: a goal acts T_d after the reading it was made from.
+/// Number of stored commands: a goal acts T_d after the reading from which it was computed.
 const HISTORY: usize = 64;
 
-/// What is measured beside positions.
+/// Optional measurements besides positions.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ContactInput<'a> {
     /// Time since the last reading [s]; `None`: 1 / rate of the controller's settings.
     pub dt: Option<f64>,
     /// Joint velocity (n) [rad/s] in place of the filtered one.
     pub dq: Option<&'a [f64]>,
-    /// Torques (n) that the servos say they exert [N·m], in place of those from lead and limit.
+    /// Measured torques (n) of the servos [N·m], instead of those computed from lead and limit.
     pub load: Option<&'a [f64]>,
     /// Currents (n) of the motors [A]; needs [`ContactOptions::torque_constant`].
     pub current: Option<&'a [f64]>,
-    /// Goals [rad] and limits [N·m] (n) that the servos were sent last, where they are not the controller's last command.
+    /// Goals [rad] and limits [N·m] (n) last sent to the servos, if they differ from the controller's last command.
     pub sent: Option<[&'a [f64]; 2]>,
 }
 
-/// What pushes at the tool, and how sure that is.
+/// Estimated wrench at the tool, and its uncertainty.
 ///
-/// Forces [N] and torques [N·m] of the surroundings on the tool, taken at the tool: a push toward + is positive.
+/// Forces [N] and torques [N·m] of the surroundings on the tool, at the tool point: a push toward + is positive.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WrenchEstimate {
     /// Number of joints.
     pub n: usize,
-    /// Along the axes of the task frame; 0 along axes that are not looked at.
+    /// Wrench along the axes of the task frame; 0 along axes that are not estimated.
     pub force: AxisVec,
-    /// `|force − truth|` is at most this, if the options tell the truth about the arm; ∞ along axes not looked at.
+    /// Bound on the error of `force`, valid if the options describe the arm correctly; ∞ along axes that are not
+    /// estimated.
     pub uncertainty: AxisVec,
-    /// The same in base axes.
+    /// `force` in base axes.
     pub force_base: AxisVec,
-    /// The same in base axes.
+    /// `uncertainty` in base axes.
     pub uncertainty_base: AxisVec,
-    /// What the surroundings add to each joint [N·m], filtered.
+    /// Torque of the surroundings on each joint [N·m], filtered.
     pub torque_residual: JointVec,
-    /// How far that can be off [N·m]; an unknown payload is counted in `uncertainty` alone.
+    /// Bound on the error of `torque_residual` [N·m], without the unknown payload, which only `uncertainty` includes.
     pub torque_uncertainty: JointVec,
-    /// Largest of |residual| / uncertainty over the joints: above 1 something pushes, wherever it does.
+    /// Largest |residual| / uncertainty over the joints. A value above 1 proves a contact anywhere on the arm.
     pub residual_ratio: f64,
-    /// Torque of each servo [N·m], from lead and limit or as measured.
+    /// Torque of each servo [N·m], computed from lead and limit or measured.
     pub torque: JointVec,
     /// Joint velocity [rad/s] that the estimate used.
     pub velocity: JointVec,
-    /// Joints whose servo is at its limit: their torque is the limit.
+    /// Joints whose servo is at its torque limit.
     pub saturated: [bool; MAX_JOINTS],
-    /// Axes that are touched.
+    /// Axes with a touch event.
     pub touch: [bool; MAX_AXES],
-    /// Axes whose force asks for a stop.
+    /// Axes with a stop event.
     pub stop: [bool; MAX_AXES],
 }
 
@@ -92,22 +93,22 @@ impl WrenchEstimate {
     }
 }
 
-/// A goal and a limit that the servos have or will get.
+/// A goal and a limit that were or will be sent to the servos.
 #[derive(Debug, Clone, Copy)]
 struct Sent {
     goal: JointVec,
     limit: JointVec,
 }
 
-/// What a tare has seen.
+/// State of the tare.
 #[derive(Debug, Clone, Copy)]
 struct Tare {
-    /// Residual then [N·m].
+    /// Residual at the tare [N·m].
     residual: JointVec,
-    /// Torques of servos and gravity then [N·m]: their errors count from there.
+    /// Servo and gravity torques at the tare [N·m]; errors proportional to them count from there.
     given: JointVec,
     gravity: JointVec,
-    /// What friction may have hidden in it.
+    /// Bound on the friction torque contained in the tare.
     hidden: JointVec,
     /// Torques per mass at the tool [N·m/kg].
     payload: JointVec,
@@ -127,30 +128,31 @@ impl Tare {
 #[derive(Debug, Clone, Copy)]
 struct Memory {
     filter: VelocityFilter,
-    /// Reading before this one [rad], and velocity behind the low-pass of the residual [rad/s].
+    /// Previous reading [rad], and low-passed velocity [rad/s].
     before: JointVec,
     slow: JointVec,
-    /// `g − τ`, as late as the velocities; residual without acceleration behind the low-pass; with it [N·m].
+    /// `g − τ`, delayed like the velocities; low-passed residual without acceleration; with acceleration [N·m].
     held: JointVec,
     low_passed: JointVec,
     residual: JointVec,
     uncertainty: JointVec,
-    /// Whether the filter has seen a reading.
+    /// True after the first reading.
     started: bool,
-    /// Whether residual and uncertainty hold anything.
+    /// True if residual and uncertainty are valid.
     warm: bool,
     sent: [Sent; HISTORY],
-    /// Entry of the newest command, and how many there are.
+    /// Index of the newest command, and number of commands.
     newest: usize,
     count: usize,
     touch: Events,
     stop: Events,
     estimate: WrenchEstimate,
-    /// What a tare now would remember.
+    /// Tare that the present reading would give.
     here: Tare,
 }
 
-/// Feels contacts of one arm; call [`update`](ContactEstimator::update) once per tick, before the controller's step.
+/// Contact estimator of one arm; call [`update`](ContactEstimator::update) once per cycle, before the controller's
+/// step.
 ///
 /// ```
 /// # use pliant_core::{ContactEstimator, ContactInput, ContactOptions, Controller, Model, ModelOptions, Servos, Settings, StepInput};
@@ -176,7 +178,7 @@ struct Memory {
 pub struct ContactEstimator {
     options: ContactOptions,
     joints: Joints,
-    /// Indices of the axes looked at.
+    /// Indices of the estimated axes.
     axes: Vec<usize>,
     most: AxisVec,
     errors: Errors,
@@ -187,11 +189,11 @@ pub struct ContactEstimator {
 }
 
 impl ContactEstimator {
-    /// For the arm, the task frame and the servos of a controller.
+    /// Creates an estimator for the arm, the task frame and the servos of a controller.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`], [`Error::Config`] or [`Error::Shape`] naming the option: a value out of range, no servos, more
-    /// axes than joints, or a threshold below what the arm can tell from a touch.
+    /// [`Error::OutOfRange`], [`Error::Config`] or [`Error::Shape`] naming the option: a value out of range, no servos,
+    /// more axes than joints, or a threshold too low to distinguish from friction.
     pub fn new(controller: &Controller, options: ContactOptions) -> Result<Self> {
         let n = controller.model().n();
         options.validate(n)?;
@@ -258,12 +260,12 @@ impl ContactEstimator {
         Ok(contact)
     }
 
-    /// The options in force.
+    /// The current options.
     pub const fn options(&self) -> &ContactOptions {
         &self.options
     }
 
-    /// Names of the axes looked at.
+    /// Names of the estimated axes.
     pub fn axes(&self) -> Vec<&'static str> {
         self.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect()
     }
@@ -273,12 +275,12 @@ impl ContactEstimator {
         &self.memory.estimate
     }
 
-    /// Whether a tare is in force.
+    /// Returns true while a tare is set.
     pub const fn is_tared(&self) -> bool {
         self.tared
     }
 
-    /// Forgets velocity, filter, commands and events; a tare stays.
+    /// Clears velocity, filter, commands and events; keeps the tare.
     pub fn reset(&mut self) {
         let memory = &mut self.memory;
         (memory.started, memory.warm, memory.count) = (false, false, 0);
@@ -287,9 +289,10 @@ impl ContactEstimator {
         memory.estimate = WrenchEstimate::empty(self.joints.n);
     }
 
-    /// Takes the present residual for zero: what is felt from now on is the change.
+    /// Takes the present residual as zero: later estimates are relative to it.
     ///
-    /// Errors of k_p and gravity count from here only; what dry friction may have hidden in the tare counts in addition.
+    /// Errors of k_p and gravity then count relative to the tare. Dry friction that the tare may contain is added to
+    /// the uncertainty.
     ///
     /// # Errors
     /// [`Error::Config`] before the first reading.
@@ -301,12 +304,13 @@ impl ContactEstimator {
         Ok(())
     }
 
-    /// Undoes a tare.
+    /// Removes the tare.
     pub const fn clear_tare(&mut self) {
         (self.tare, self.tared) = (Tare::NONE, false);
     }
 
-    /// How long a change takes from the joints to an event [s]: the controller's delay, the low-pass, the shortest time.
+    /// Returns the time from a change at the joints to an event [s]: the controller's delay, the low-pass, the minimum
+    /// time.
     pub fn latency(&self, controller: &Controller) -> f64 {
         controller.delay() + self.options.filter + self.options.min_time
     }

@@ -1,51 +1,50 @@
-//! What is asked of a contact estimate, and how well the arm is known.
+//! Options of the contact estimator, including the accuracy of the arm's model.
 
 use crate::error::{Error, Result};
 use crate::task::axes::AXIS_NAMES;
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Longest filter and shortest time of an event [s].
+/// Upper bound for filter and minimum event time [s].
 const LONGEST: f64 = 10.0;
 
-/// Largest force and torque that are taken for real ones [N, N·m].
+/// Largest plausible force and torque [N, N·m].
 const FORCE_BOUND: f64 = 1e6;
 
-/// How a contact is felt. Shares are of the quantity's own size: 0.3 is 30 %.
+/// Options of a [`ContactEstimator`](crate::ContactEstimator). Shares are relative to the quantity itself: 0.3 is 30 %.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ContactOptions {
-    /// Axes of the task frame along which the surroundings can push; along the others nothing is taken to push. `None`:
-    /// all six where the arm has six joints or more, else those of the task.
+    /// Axes of the task frame to estimate; the wrench along the others is assumed zero. `None`: all six if the arm has
+    /// at least six joints, else those of the task.
     pub axes: Option<[bool; MAX_AXES]>,
-    /// Time constant of the low-pass on the joints' residual torques [s]; 0 for none.
+    /// Time constant of the low-pass on the joints' residual torques [s]; 0 for no filter.
     pub filter: f64,
-    /// How wrong friction and damping may be, as a share.
+    /// Relative error of friction and damping.
     pub friction_error: f64,
-    /// How wrong `k_p` and the torque limits may be, as a share; `None`: 0.1 where `stiffness_known`, else 0.25.
+    /// Relative error of `k_p` and the torque limits; `None`: 0.1 if `stiffness_known`, else 0.25.
     pub kp_error: Option<f64>,
-    /// How wrong the gravity torques may be, as a share.
+    /// Relative error of the gravity torques.
     pub gravity_error: f64,
-    /// Mass at the tool that may be there unknown [kg].
+    /// Possible unknown mass at the tool [kg].
     pub payload_error: f64,
-    /// How wrong the acceleration torques of the point masses may be, as a share.
+    /// Relative error of the acceleration torques of the point masses.
     pub inertia_error: f64,
-    /// How wrong a measured load or current may be, as a share.
+    /// Relative error of a measured load or current.
     pub load_error: f64,
-    /// Torque of the motors, gears included, per current [N·m/A]; needed where a current is given.
+    /// Torque of the motors, gears included, per current [N·m/A]; needed if a current is given.
     pub torque_constant: Option<Vec<f64>>,
-    /// Largest force [N] and torque [N·m] that the surroundings can be thought to exert: what is not observable is
-    /// uncertain by that much.
+    /// Largest plausible force [N] and torque [N·m] of the surroundings: the uncertainty of unobservable axes.
     pub most: [f64; 2],
-    /// Force [N] ([N·m]) that counts as a touch, per axis.
+    /// Threshold of a touch [N] ([N·m]), per axis.
     pub touch: [Option<f64>; MAX_AXES],
-    /// Force [N] ([N·m]) at which to stop, per axis.
+    /// Threshold of a stop [N] ([N·m]), per axis.
     pub stop: [Option<f64>; MAX_AXES],
-    /// Share of its threshold by which a force must fall to end an event.
+    /// Hysteresis: share of its threshold by which a force must fall to end an event.
     pub hysteresis: f64,
-    /// Time [s] for which a threshold must be passed before an event begins or ends.
+    /// Minimum time [s] beyond a threshold before an event begins or ends.
     pub min_time: f64,
-    /// Share of the uncertainty that a force must exceed to count, whatever the threshold: at 1 an event is proven.
+    /// Factor on the uncertainty; a force below the product never counts. At 1 every event is proven.
     pub guard: f64,
-    /// Whether thresholds below the uncertainty are taken as they are, without a guard.
+    /// Accepts thresholds below the uncertainty, without a guard.
     pub accept_thresholds: bool,
 }
 
@@ -119,7 +118,7 @@ impl ContactOptions {
         self.check_constants(n)
     }
 
-    /// Share of the uncertainty that guards the thresholds.
+    /// Factor on the uncertainty that is the lower bound of the thresholds.
     pub(super) const fn guard(&self) -> f64 {
         if self.accept_thresholds { 0.0 } else { self.guard }
     }

@@ -1,24 +1,24 @@
-//! What the joints feel beside what is known, and how wrong that can be.
+//! Residual torques of the joints and their error bounds.
 
 use crate::error::Result;
 use crate::kinematics::JointMatrix;
 use crate::servos::{ServoArrays, Servos};
 use crate::{JointVec, MAX_JOINTS};
 
-/// Least uncertainty of a joint's torque, as a share of the usable one: nothing is known better.
+/// Smallest uncertainty of a joint's torque, as a share of the usable torque.
 const LEAST: f64 = 1e-4;
 
-/// The servos as an estimate needs them, spare entries neutral.
+/// Servo parameters of the estimator, neutral values in the padding.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Joints {
     pub(super) n: usize,
     pub(super) kp: JointVec,
     pub(super) kv: JointVec,
-    /// What friction goes by.
+    /// Friction parameters.
     pub(super) servos: ServoArrays,
-    /// Damping of gears and back-EMF, outside the limit.
+    /// Damping of gears and back-EMF, not subject to the torque limit.
     pub(super) gears: JointVec,
-    /// Part of that which a measured load has in it already: the back-EMF of duty-limited servos.
+    /// Part of `gears` that a measured load already includes: the back-EMF of duty-limited servos.
     pub(super) back_emf: JointVec,
     pub(super) armature: JointVec,
     pub(super) count: JointVec,
@@ -47,14 +47,14 @@ impl Joints {
         };
         let own = spread(&servos.damping);
         for i in 0..out.n {
-            // The controller's sum is gears, the servo's own damping and back-EMF.
+            // The controller's damping is the sum of gears, the servo's own damping and back-EMF.
             out.gears[i] = arrays.damping[i] - out.kv[i];
             out.back_emf[i] = out.gears[i] - own[i];
         }
         Ok(out)
     }
 
-    /// Torque of each servo [N·m], `clip(k_p (goal − q) − k_v v, ±limit)`, and whether the limit cut it.
+    /// Returns the torque of each servo [N·m], `clip(k_p (goal − q) − k_v v, ±limit)`, and whether it is at the limit.
     #[inline]
     pub(super) fn given(
         &self,
@@ -74,17 +74,17 @@ impl Joints {
     }
 }
 
-/// How wrong the parts of a residual may be.
+/// Relative errors of the parts of a residual.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Errors {
-    /// Shares of friction and damping, of the servos' torque, of gravity, of acceleration.
+    /// Errors of friction and damping, of the servos' torque, of gravity, of acceleration.
     pub(super) friction: f64,
     pub(super) given: f64,
     pub(super) gravity: f64,
     pub(super) inertia: f64,
 }
 
-/// One tick of all joints.
+/// Torque balance of all joints at one reading.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Balance<'a> {
     pub(super) joints: &'a Joints,
@@ -93,31 +93,31 @@ pub(super) struct Balance<'a> {
     pub(super) measured: bool,
     pub(super) saturated: &'a [bool; MAX_JOINTS],
     pub(super) gravity: &'a JointVec,
-    /// Mass matrix of the links [kg·m²]; rotors come on top.
+    /// Mass matrix of the links [kg·m²]; rotor inertia is added.
     pub(super) mass: &'a JointMatrix,
-    /// Filtered velocity, and how far it can be off [rad/s].
+    /// Filtered velocity, and its error bound [rad/s].
     pub(super) velocity: &'a JointVec,
     pub(super) velocity_error: &'a JointVec,
-    /// Acceleration behind the low-pass [rad/s²].
+    /// Low-passed acceleration [rad/s²].
     pub(super) acceleration: &'a JointVec,
     pub(super) noise: &'a Noise,
-    /// v₀ of the feed-forward [rad/s]: speed over which dry friction changes its side.
+    /// v₀ of the feed-forward [rad/s]: speed scale of the sign change of dry friction.
     pub(super) friction_speed: f64,
 }
 
-/// Standard deviations of what encoder counts do; independent from joint to joint.
+/// Standard deviations caused by encoder quantization; independent between joints.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Noise {
-    /// Of the mean reading behind the low-pass [rad].
+    /// Low-passed mean reading [rad].
     pub(super) reading: JointVec,
-    /// Of the velocity [rad/s].
+    /// Velocity [rad/s].
     pub(super) velocity: JointVec,
-    /// Of the acceleration [rad/s²].
+    /// Acceleration [rad/s²].
     pub(super) acceleration: JointVec,
 }
 
 impl Balance<'_> {
-    /// `g − τ` but for the servos' own damping [N·m]: what positions say.
+    /// `g − τ` without the servos' own damping [N·m]: the part that depends on positions.
     #[inline]
     pub(super) fn held(&self) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
@@ -127,7 +127,7 @@ impl Balance<'_> {
         out
     }
 
-    /// `τ_f tanh(v/v₀) + d v` with the servos' own damping [N·m]: what velocities say.
+    /// `τ_f tanh(v/v₀) + d v` with the servos' own damping [N·m]: the part that depends on velocities.
     #[inline]
     pub(super) fn resisted(&self) -> JointVec {
         let (joints, v) = (self.joints, self.velocity);
@@ -152,10 +152,10 @@ impl Balance<'_> {
         out
     }
 
-    /// What friction, damping, velocity and acceleration leave open [N·m].
+    /// Returns the uncertainty from friction, damping, velocity and acceleration [N·m].
     ///
-    /// Dry friction of a joint that may be at rest is anywhere within ±τ_f (1 + share); of one that surely moves only
-    /// its share is open.
+    /// Dry friction of a joint that may be at rest lies anywhere within ±τ_f (1 + share). Of a joint that certainly
+    /// moves only its share is uncertain.
     #[inline]
     pub(super) fn resistance_error(&self, errors: &Errors) -> JointVec {
         let (joints, accelerating) = (self.joints, self.accelerating());
@@ -173,7 +173,7 @@ impl Balance<'_> {
         out
     }
 
-    /// Noise that is each joint's own: through the lead, and through damping [N·m].
+    /// Returns the noise that is independent per joint: through the lead, and through damping [N·m].
     #[inline]
     pub(super) fn own_noise(&self) -> JointVec {
         let (joints, noise) = (self.joints, self.noise);
@@ -186,7 +186,7 @@ impl Balance<'_> {
         out
     }
 
-    /// Noise that one joint's acceleration brings into all: column j is `M_j σ_j` [N·m].
+    /// Returns the noise that the acceleration of one joint causes in all joints: column j is `M_j σ_j` [N·m].
     #[inline]
     pub(super) fn shared_noise(&self) -> JointMatrix {
         let mut out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
@@ -199,7 +199,7 @@ impl Balance<'_> {
         out
     }
 
-    /// Dry friction at this speed under this torque [N·m]: that of the feed-forward.
+    /// Returns the dry friction at this speed and torque [N·m], by the model of the feed-forward.
     #[inline]
     fn friction(&self, i: usize) -> f64 {
         let servos = &self.joints.servos;
@@ -209,7 +209,7 @@ impl Balance<'_> {
         servos.friction[i] + at_rest * servos.stribeck[i] + loaded * self.given[i].abs()
     }
 
-    /// The servo's own damping where it is known to act inside the torque [N·m·s/rad].
+    /// Returns the servo's own damping if it is known to be part of the torque [N·m·s/rad].
     #[inline]
     fn own_damping(&self, i: usize) -> f64 {
         if self.measured || self.saturated[i] { 0.0 } else { self.joints.kv[i] }

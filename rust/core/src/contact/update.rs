@@ -1,4 +1,4 @@
-//! One reading: residual, low-pass, wrench, events; and what an arm at rest can tell.
+//! Update with one reading: residual, low-pass, wrench, events; and the uncertainty of an arm at rest.
 
 use super::residual::{Balance, Errors, Noise};
 use super::wrench::Estimator;
@@ -13,51 +13,51 @@ use crate::pose::COORDINATE_BOUND;
 use crate::task::axes::AXIS_NAMES;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows, survey};
 
-/// Largest torque or current that is taken for a real one.
+/// Largest plausible torque or current.
 const LOAD_BOUND: f64 = 1e6;
 
-/// Standard deviation of a reading that is rounded to counts and flickers by one of them half the time [counts].
+/// Standard deviation [counts] of a reading that is rounded to counts and toggles by one count half of the time.
 const READING_NOISE: f64 = 0.76;
 
-/// Standard deviations that count as the worst of noise.
+/// Number of standard deviations taken as the noise bound.
 const SIGMAS: f64 = 3.0;
 
-/// Every how many of the survey's poses the uncertainty is looked at.
+/// Stride over the survey's poses at which the uncertainty is evaluated.
 const EVERY: usize = 8;
 
-/// The arm at one reading.
+/// State of the arm at one reading.
 struct Seen {
-    /// Rows of the axes looked at, in the task frame.
+    /// Rows of the estimated axes, in the task frame.
     rows: Rows,
     base_from_task: [[f64; 3]; 3],
     gravity: JointVec,
-    /// Torques that hold a mass at the tool [N·m/kg].
+    /// Gravity torques of a mass at the tool [N·m/kg].
     payload: JointVec,
     frames: Frames,
 }
 
-/// How the joints move.
+/// Motion of the joints.
 #[derive(Default)]
 struct Motion {
-    /// Position in the middle between the last two readings: what the servos' mean torque goes by.
+    /// Mean of the last two positions, which corresponds to the servos' mean torque.
     middle: JointVec,
     velocity: JointVec,
     velocity_error: JointVec,
-    /// Behind the low-pass of the residual.
+    /// Low-passed like the residual.
     acceleration: JointVec,
     noise: Noise,
 }
 
 impl ContactEstimator {
-    /// Takes one reading `q` (n) [rad]: before the controller's step of the same tick, so that the servos still follow
-    /// its last command.
+    /// Processes one reading `q` (n) [rad]. Call it before the controller's step of the same cycle, while the servos
+    /// still follow its last command.
     ///
-    /// Allocates nothing. Until a command that was in force is known, and no load is given, nothing is felt: force 0,
-    /// uncertainty ∞.
+    /// Allocates nothing. Without a given load, and until the command at the time of the reading is known, the force is
+    /// 0 and the uncertainty ∞.
     ///
     /// # Errors
-    /// [`Error::Shape`] or [`Error::OutOfRange`] for an input that cannot be used, [`Error::Config`] for a current without
-    /// torque constants; the estimate is then as before.
+    /// [`Error::Shape`] or [`Error::OutOfRange`] for an invalid input, [`Error::Config`] for a current without torque
+    /// constants; the estimate is then unchanged.
     pub fn update(&mut self, controller: &Controller, q: &[f64], input: &ContactInput<'_>) -> Result<&WrenchEstimate> {
         if self.joints.n != controller.model().n() {
             return Err(Error::Shape {
@@ -111,19 +111,19 @@ impl ContactEstimator {
         let resistance = balance.resistance_error(&errors);
         let (own, moving) = (balance.held(), balance.resisted());
         let open = self.open(&errors, &resistance, &torque, &seen.gravity);
-        // Velocities lag behind positions: what does not depend on them waits, so that all parts speak of one instant.
+        // Velocities lag behind positions: delay the terms without velocity, so that all terms refer to the same time.
         let wait =
             if memory.warm && dq.is_none() { dt / (controller.settings().tracking.velocity_filter + dt) } else { 1.0 };
         let share = if memory.warm { dt / (self.options.filter + dt) } else { 1.0 };
         for i in 0..self.joints.n {
             memory.held[i] += wait * (own[i] - memory.held[i]);
             memory.low_passed[i] += share * (memory.held[i] + moving[i] - memory.low_passed[i]);
-            // What moved before the first reading is not known: all that the servos have, until the filters forget it.
+            // Until the filters have settled, bound the residual by the full servo torque.
             let before = memory.uncertainty[i];
             memory.uncertainty[i] =
                 if memory.warm { before + share * (open[i] - before) } else { open[i] + self.joints.usable[i] };
         }
-        // The low-pass of an acceleration is the velocity less its own low-pass: nothing is differentiated twice.
+        // The low-pass of an acceleration is the velocity minus its own low-pass: no second differentiation.
         let accelerating = balance.accelerating();
         (0..self.joints.n).for_each(|i| memory.residual[i] = memory.low_passed[i] + accelerating[i]);
         memory.warm = true;
@@ -146,8 +146,8 @@ impl ContactEstimator {
         Ok(&self.memory.estimate)
     }
 
-    /// How far an estimate can be off for the arm at rest in `q` (n) [rad], holding its own weight: (6,) [N, N·m], task
-    /// frame; ∞ along axes that are not looked at.
+    /// Returns the error bound of an estimate for the arm at rest in `q` (n) [rad], holding its own weight: (6,) [N,
+    /// N·m], task frame; ∞ along axes that are not estimated.
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::OutOfRange`] for `q`.
@@ -156,7 +156,7 @@ impl ContactEstimator {
         Ok(self.at_rest(controller, &q))
     }
 
-    /// The median of [`ContactEstimator::uncertainty_at`] over poses all over the arm's joint space.
+    /// Returns the median of [`ContactEstimator::uncertainty_at`] over poses in the whole joint space.
     pub fn typical_uncertainty(&self, controller: &Controller) -> AxisVec {
         let found: Vec<AxisVec> =
             survey::poses(controller.model()).step_by(EVERY).map(|q| self.at_rest(controller, &q)).collect();
@@ -167,7 +167,7 @@ impl ContactEstimator {
         out
     }
 
-    /// Refuses thresholds that this arm cannot tell from its own friction in the median of some poses.
+    /// Refuses thresholds that are below the uncertainty in the median pose.
     pub(super) fn check_thresholds(&self, controller: &Controller) -> Result<()> {
         let (options, asked) = (&self.options, |thresholds: &[Option<f64>]| thresholds.iter().any(Option::is_some));
         if options.accept_thresholds || !(asked(&options.touch) || asked(&options.stop)) {
@@ -183,7 +183,7 @@ impl ContactEstimator {
                 }
                 let least = options.guard() * typical[axis];
                 if value < least {
-                    // Rounded up: the number that is said is enough when it is typed.
+                    // Round up, so that the printed number passes the check when the user types it.
                     let least = (1e3 * least).ceil() / 1e3;
                     let unit = if axis < 3 { "N" } else { "N·m" };
                     return Err(Error::out_of_range(
@@ -222,7 +222,7 @@ impl ContactEstimator {
         self.wrench(&seen, &zero, &open, &balance).uncertainty
     }
 
-    /// Torques from a measured load or current.
+    /// Returns torques from a measured load or current.
     fn measured(&self, controller: &Controller, input: &ContactInput<'_>) -> Result<Option<JointVec>> {
         if let Some(load) = input.load {
             return controller.joints("load [N·m]", load, LOAD_BOUND).map(Some);
@@ -239,7 +239,7 @@ impl ContactEstimator {
         Ok(Some(load))
     }
 
-    /// How the joints move, by readings alone unless `dq` is given.
+    /// Returns the motion of the joints, from readings unless `dq` is given.
     fn motion(
         &self,
         controller: &Controller,
@@ -269,7 +269,8 @@ impl ContactEstimator {
             if dq.is_none() {
                 let count = self.joints.count[i];
                 motion.velocity_error[i] = count / (filter + dt) + filter * motion.acceleration[i].abs();
-                // Differences of noisy readings behind one pole; within the play of a count nothing moves.
+                // Differences of noisy readings after a one-pole filter; the backlash of one count suppresses toggling
+                // at rest.
                 let toggling = READING_NOISE * count * share / dt * (2.0 / (2.0 - share)).sqrt();
                 motion.noise.velocity[i] = toggling.min(velocity[i].abs());
                 motion.noise.acceleration[i] = motion.noise.velocity[i] / span;
@@ -279,7 +280,7 @@ impl ContactEstimator {
         motion
     }
 
-    /// Noise of the mean of two readings behind the low-pass [rad].
+    /// Returns the noise of the low-passed mean of two readings [rad].
     fn reading_noise(&self, dt: f64) -> JointVec {
         let share = dt / (self.options.filter + dt);
         let passed = READING_NOISE * (0.5 * (share / (2.0 - share)).max(0.0)).sqrt();
@@ -304,7 +305,8 @@ impl ContactEstimator {
         Seen { rows, base_from_task, gravity, payload, frames }
     }
 
-    /// What is open of a residual beside the tool's load [N·m]; the errors that a tare took out count from there.
+    /// Returns the uncertainty of a residual without the tool's load [N·m]; errors that a tare removed count from the
+    /// tare.
     fn open(&self, errors: &Errors, resistance: &JointVec, torque: &JointVec, gravity: &JointVec) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..self.joints.n {
@@ -315,7 +317,7 @@ impl ContactEstimator {
         out
     }
 
-    /// The wrench of a residual, less the tare, in task and base axes.
+    /// Computes the wrench from a residual minus the tare, in task and base axes.
     fn wrench(
         &self,
         seen: &Seen,
@@ -329,7 +331,7 @@ impl ContactEstimator {
             felt[i] = residual[i] - self.tare.residual[i];
             payload[i] = self.options.payload_error * (seen.payload[i] - self.tare.payload[i]);
         }
-        // Errors that stay add up at their worst, noise by its squares, three standard deviations of it.
+        // Constant errors add up linearly (worst case), noise by squares (three standard deviations).
         let (own, shared) = (balance.own_noise(), balance.shared_noise());
         let mut total = *uncertainty;
         for i in 0..n {
@@ -338,7 +340,7 @@ impl ContactEstimator {
         let estimator = Estimator::new(&seen.rows, &total, &self.most, k, n);
         let (force, mut bound) = (estimator.apply(&felt), estimator.bound(uncertainty));
         bound.iter_mut().zip(estimator.noise(&own, &shared)).for_each(|(bound, noise)| *bound += SIGMAS * noise);
-        // The load's error is one number for all joints: it does not add up joint by joint.
+        // The payload error is one number for all joints, so its effect is not summed joint by joint.
         bound.iter_mut().zip(estimator.apply(&payload)).for_each(|(bound, load)| *bound += load.abs());
         let residual_ratio = (0..n).fold(0.0_f64, |most, i| most.max((felt[i].abs() - payload[i].abs()) / total[i]));
         let mut out = WrenchEstimate {
@@ -366,7 +368,7 @@ impl ContactEstimator {
 }
 
 impl Memory {
-    /// The command that the servos followed when a reading was taken that is in hand now, `None` if it is not known.
+    /// Returns the command that the servos followed when the current reading was taken, `None` if unknown.
     fn in_force(&self, delay: f64, dt: f64) -> Option<Sent> {
         let mut ago = 0;
         let mut passed = 0.5 * dt;
@@ -378,7 +380,7 @@ impl Memory {
     }
 }
 
-/// The newest command, `None` before the first.
+/// Returns the newest command, `None` before the first.
 fn sent(controller: &Controller, input: &ContactInput<'_>) -> Result<Option<Sent>> {
     if let Some([goal, limit]) = input.sent {
         let goal = controller.joints("goal", goal, COORDINATE_BOUND)?;

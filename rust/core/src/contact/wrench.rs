@@ -1,4 +1,4 @@
-//! From residual joint torques to a wrench and its bound.
+//! Wrench and error bound from residual joint torques.
 
 use crate::kinematics::JointMatrix;
 use crate::law::inverse::{factor_of, load_rows, rows_array};
@@ -10,14 +10,14 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 pub(super) struct Estimator {
     /// `G = (J W Jᵀ + P⁻¹)⁻¹ J W` with `W = diag(1/u²)`, `P = diag(most²)`: k × n.
     gain: Rows,
-    /// `|G Jᵀ − I| most`: what the estimator itself leaves out, all of `most` where nothing is observable.
+    /// `|G Jᵀ − I| most`: bias of the estimator itself, equal to `most` along unobservable axes.
     blind: AxisVec,
     k: usize,
     n: usize,
 }
 
 impl Estimator {
-    /// For `k` rows of `n` joints; every entry of `uncertainty` and `most` is positive.
+    /// Creates the estimator for `k` rows of `n` joints; all entries of `uncertainty` and `most` are positive.
     #[inline]
     pub(super) fn new(rows: &Rows, uncertainty: &JointVec, most: &AxisVec, k: usize, n: usize) -> Self {
         let (k, n) = (k.min(MAX_AXES), n.min(MAX_JOINTS));
@@ -34,7 +34,7 @@ impl Estimator {
         let gain = rows_array(&factor.weighted_rows(&rows, weight));
         let mut blind = [0.0; MAX_AXES];
         for c in 0..k {
-            // G Jᵀ − I = −(J W Jᵀ + P⁻¹)⁻¹ P⁻¹, without the cancellation.
+            // G Jᵀ − I = −(J W Jᵀ + P⁻¹)⁻¹ P⁻¹, without cancellation.
             let mut own = [0.0; MAX_AXES];
             own[c] = prior[c];
             let column = factor.solve::<Plain>(&own);
@@ -57,7 +57,7 @@ impl Estimator {
         out
     }
 
-    /// Standard deviations of `G ε`: `own` noise of each joint, and `shared` of column j in all joints.
+    /// Returns the standard deviations of `G ε`: `own` noise of each joint, and column j of `shared` in all joints.
     #[inline]
     pub(super) fn noise(&self, own: &JointVec, shared: &JointMatrix) -> AxisVec {
         let mut out = [0.0; MAX_AXES];
@@ -74,7 +74,7 @@ impl Estimator {
         out
     }
 
-    /// `|G| u + |G Jᵀ − I| most`: how far off the estimate can be.
+    /// `|G| u + |G Jᵀ − I| most`: bound on the error of the estimate.
     #[inline]
     pub(super) fn bound(&self, uncertainty: &JointVec) -> AxisVec {
         let mut out = self.blind;

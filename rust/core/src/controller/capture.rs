@@ -1,15 +1,15 @@
-//! The gravity offset, taken from an arm that is held still.
+//! Capture of the gravity offset from an arm that is held still.
 
 use crate::controller::Controller;
 use crate::error::{Error, Result};
 use crate::pose::COORDINATE_BOUND;
 
 impl Controller {
-    /// Takes the gravity offset from an arm that has been held still by an integrating goal.
+    /// Captures the gravity offset of an arm that an integrating goal holds still.
     ///
-    /// `k_g,i = g_i / lead_i` with `lead = goal − q`, where |g_i| exceeds three times what friction and what one encoder count
-    /// of the lead can hide, within 0.3…3 × the believed `k_p`; elsewhere the believed one. Serves the gravity offset only.
-    /// Returns k_g [N·m/rad].
+    /// Uses `k_g,i = g_i / lead_i` with `lead = goal − q` where |g_i| exceeds three times the torque that friction and
+    /// one encoder count of the lead can hide, within 0.3…3 × the configured `k_p`. Uses the configured `k_p` for the
+    /// other joints. The result serves the gravity offset only. Returns k_g [N·m/rad].
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::OutOfRange`] for `q` or `goal`; [`Error::Config`] without `k_p`.
@@ -28,7 +28,7 @@ impl Controller {
                 captured[i] = compliance.clamp(believed / 3.0, believed / 0.3);
             }
         }
-        // What the integrating goal holds of this offset must not count twice.
+        // Subtract the share of this offset that the integrating goal holds, so that it does not count twice.
         if self.settings.gravity_use().in_goal() {
             for i in 0..self.plan.n {
                 let more = holding[i] * (captured[i] - self.plan.gravity_compliance[i]);

@@ -1,4 +1,4 @@
-//! What a controller was told and remembers, so that one made elsewhere can go on in its place.
+//! Snapshot of a controller: its inputs and its state, to continue in another process.
 
 use std::sync::Arc;
 
@@ -10,25 +10,25 @@ use crate::pose::COORDINATE_BOUND;
 use crate::servos::Servos;
 use crate::settings::Settings;
 
-/// What a controller has beside model, settings and servos, to be read by the same version of this crate.
+/// Snapshot of a controller without model, settings and servos. Valid for the same version of this crate only.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Carried {
-    /// Payload in force.
+    /// Current payload.
     pub payload: Option<Payload>,
-    /// Gravity vector in force [m/s²], base axes.
+    /// Current gravity vector [m/s²], base axes.
     pub gravity: [f64; 3],
-    /// While another payload comes into force: mass [kg] and first moment (3) [kg·m] before it, time since then [s].
+    /// During a payload change: previous mass [kg] and first moment (3) [kg·m], time since the change [s].
     pub fading: Option<[f64; 5]>,
-    /// Delay T_d in force [s].
+    /// Current delay T_d [s].
     pub delay: f64,
-    /// 1/k_g (n) [rad/(N·m)] where the gravity offset was captured.
+    /// 1/k_g (n) [rad/(N·m)] if the gravity offset was captured.
     pub captured: Option<Vec<f64>>,
-    /// Memory between steps; empty before the first one and without a reset.
+    /// State between steps; empty before the first step if there was no reset.
     pub memory: Vec<f64>,
 }
 
 impl Controller {
-    /// What [`Controller::resumed`] needs of this one.
+    /// Returns a snapshot for [`Controller::resumed`].
     pub fn carried(&self) -> Carried {
         let n = self.plan.n;
         let mut memory = vec![0.0; if self.memory.started { width(n) } else { 0 }];
@@ -43,14 +43,14 @@ impl Controller {
         }
     }
 
-    /// A controller whose next step is, to the last bit where both run on the same instructions, that of the one that `carried`
-    /// is from.
+    /// Creates a controller from a snapshot. If both run on the same instructions, its next step is bit-identical to
+    /// that of the original.
     ///
-    /// What can be read of the last step is not carried.
+    /// The diagnostics of the last step are not part of the snapshot.
     ///
     /// # Errors
-    /// As [`Controller::new`], but for servos that cannot hold the arm, and [`Controller::set_delay`]; [`Error::Shape`] for what
-    /// another arm carried, [`Error::OutOfRange`] for what none can have.
+    /// As [`Controller::new`], without the check that the servos can hold the arm, and as [`Controller::set_delay`];
+    /// [`Error::Shape`] for a snapshot of an arm of another size, [`Error::OutOfRange`] for impossible values.
     pub fn resumed(model: Arc<Model>, settings: Settings, servos: Option<Servos>, carried: &Carried) -> Result<Self> {
         let n = model.n();
         let captured = carried.captured.as_deref();
@@ -65,7 +65,8 @@ impl Controller {
         if let Some(payload) = &carried.payload {
             payload.validate()?;
         }
-        // Whether the servos hold it was asked when it was set, with settings and gravity of that time.
+        // No check whether the servos can hold the payload: `set_payload` made it with the settings and gravity of that
+        // time.
         controller.payload = carried.payload;
         controller.masses = controller.model.chain().masses(carried.payload.as_ref());
         controller.gravity = carried.gravity;

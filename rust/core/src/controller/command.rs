@@ -1,10 +1,10 @@
-//! What a step hands out.
+//! Output of a step.
 
 use std::fmt;
 
 use crate::{JointVec, MAX_JOINTS};
 
-/// What the servos get: one entry per joint.
+/// Command to the servos: one entry per joint.
 #[derive(Clone, Copy, PartialEq)]
 pub struct Command {
     pub(super) n: usize,
@@ -24,14 +24,14 @@ impl Command {
         &self.torque_limit[..self.n.min(MAX_JOINTS)]
     }
 
-    /// Speed for a servo's speed register (n) [rad/s]: the most that keeps the tool within its speed by this joint alone; ∞
-    /// where neither tool nor joint has a speed limit.
+    /// Speed for a servo's profile velocity register (n) [rad/s]: the largest with which this joint alone keeps the
+    /// tool within its speed limit; ∞ if neither tool nor joint has a speed limit.
     pub fn speed_limit(&self) -> &[f64] {
         &self.speed_limit[..self.n.min(MAX_JOINTS)]
     }
 }
 
-/// The arm's own joints: the spare ones are nobody's business.
+/// Prints the arm's own joints only, without the padding.
 impl fmt::Debug for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Command")

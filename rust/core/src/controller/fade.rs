@@ -1,25 +1,25 @@
-//! Another payload while the arm is controlled: it comes into force little by little.
+//! Ramp from one payload to another while the arm is controlled.
 
 use crate::controller::Controller;
 use crate::kinematics::Masses;
 use crate::model::Payload;
 
-/// Time [s] until another payload is in force. One that is told too early, too late or wrongly moves the arm by what it is
-/// wrong; this is how long it takes to.
+/// Ramp time [s] after a payload change, so that a wrong or mistimed payload moves the arm gradually.
 const FADE: f64 = 0.5;
 
-/// From one payload to another.
+/// Ramp from one payload to another.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Fade {
-    /// What was in force when the other was told.
+    /// Mass and first moment at the time of the change.
     from: Carries,
-    /// Time since then [s].
+    /// Time since the change [s].
     since: f64,
-    /// What steps reckon with meanwhile.
+    /// Current masses during the ramp.
     pub(super) masses: Masses,
 }
 
-/// Mass [kg] and first moment [kg·m] of a payload, tool frame: of two payloads they may be mixed.
+/// Mass [kg] and first moment [kg·m] of a payload, tool frame. They are linear in the payload, so two can be
+/// interpolated.
 pub(super) type Carries = [f64; 4];
 
 fn carries(payload: Option<&Payload>) -> Carries {
@@ -27,7 +27,7 @@ fn carries(payload: Option<&Payload>) -> Carries {
 }
 
 impl Controller {
-    /// What the steps reckon with.
+    /// Returns the masses that the steps use at present.
     pub(super) fn masses_in_force(&self) -> &Masses {
         match &self.fade {
             Some(fade) => &fade.masses,
@@ -35,19 +35,19 @@ impl Controller {
         }
     }
 
-    /// Takes another payload, whose masses these are: at once where nothing is controlled yet.
+    /// Sets another payload with these masses; without a ramp if no step has run yet.
     pub(super) fn take(&mut self, payload: Option<Payload>, masses: &Masses) {
         let (from, before) = (self.in_force(), *self.masses_in_force());
         (self.payload, self.masses) = (payload, *masses);
         self.fade = self.memory.started.then_some(Fade { from, since: 0.0, masses: before });
     }
 
-    /// A copy in which the last payload is in force.
+    /// Returns a copy in which the ramp has ended.
     pub(crate) fn settled(&self) -> Self {
         Self { fade: None, ..self.clone() }
     }
 
-    /// The payload that the steps reckon with.
+    /// Returns mass and first moment that the steps use at present.
     fn in_force(&self) -> Carries {
         let to = carries(self.payload.as_ref());
         match &self.fade {
@@ -59,7 +59,7 @@ impl Controller {
         }
     }
 
-    /// After a step of `dt` [s]: what the next one reckons with.
+    /// Advances the ramp by `dt` [s] after a step.
     #[cold]
     #[inline(never)]
     pub(super) fn fade_on(&mut self, dt: f64) {
@@ -77,12 +77,13 @@ impl Controller {
         }
     }
 
-    /// What [`Controller::resume_fade`] takes: what was in force, and the time since [s].
+    /// Returns the state of the ramp for [`Controller::resume_fade`]: mass and first moment at its start, time since
+    /// [s].
     pub(super) fn fading(&self) -> Option<[f64; 5]> {
         self.fade.map(|Fade { from: [mass, x, y, z], since, .. }| [mass, x, y, z, since])
     }
 
-    /// Goes on where another controller was with [`Controller::fading`].
+    /// Resumes the ramp of another controller from its [`Controller::fading`].
     pub(super) fn resume_fade(&mut self, [mass, x, y, z, since]: [f64; 5]) {
         self.fade = Some(Fade { from: [mass, x, y, z], since, masses: self.masses });
         self.fade_on(0.0);

@@ -1,4 +1,4 @@
-//! What a tick of one arm and of several side by side have in common: each floor of the staircase, called once.
+//! Stages of a step that the step of one arm and the step of several interleaved arms share.
 
 use crate::MAX_AXES;
 use crate::command::goal::fade_beyond;
@@ -14,15 +14,15 @@ use crate::settings::{Law, Settings};
 use crate::task;
 use crate::task::wish::Wish;
 
-/// Lead [rad] allowed under law `paper` where nothing is known of the servos.
+/// Largest lead [rad] under law `paper` without known servos.
 const LEAD_UNKNOWN: f64 = 0.3;
 
-/// Line 2: the arm at the predicted positions.
+/// Line 2: state of the arm at the predicted positions.
 #[derive(Clone, Copy)]
 pub(crate) struct Seen<'a, J: Lanes> {
     /// q̂ [rad].
     pub(crate) q: J,
-    /// Pose of the tool, Jacobian, torques that hold the arm.
+    /// Pose of the tool, Jacobian, gravity torques.
     pub(crate) view: &'a View<J>,
     pub(crate) base_from_task: [[Scalar<J>; 3]; 3],
     /// Jacobian rows of the task's axes, in the task frame (k × n).
@@ -50,14 +50,14 @@ impl<'a, J: Lanes> Seen<'a, J> {
     }
 }
 
-/// What a tick starts from beside the arm's pose.
+/// Inputs of the law besides the arm's state.
 #[derive(Clone, Copy)]
 pub(crate) struct Given<'a, J: Lanes> {
     /// Filtered velocity [rad/s].
     pub(crate) velocity: J,
     /// Gradient of the null-space cost.
     pub(crate) gradient: J,
-    /// Lead that the integrating goal has stored [rad].
+    /// Lead stored by the integrating goal [rad].
     pub(crate) integral: J,
     /// Task rows with translations divided by the arm's length.
     pub(crate) scaled_rows: &'a [J; MAX_AXES],
@@ -67,17 +67,17 @@ pub(crate) struct Given<'a, J: Lanes> {
     pub(crate) pacing: Pacing<J::Axes>,
 }
 
-/// What the law came to.
+/// Result of the law.
 #[derive(Clone, Copy)]
 pub(crate) struct Solution<J: Lanes> {
     pub(crate) motion: Motion<J>,
-    /// τ^q of (11) [N·m], only where the law makes its limits from it.
+    /// τ^q of (11) [N·m]; `None` under laws whose torque limits do not use it.
     pub(crate) budget: Option<J>,
-    /// Goals before the slew that move the arm [rad]: to be within the position limits.
+    /// Part of the goals that moves the arm, before the slew [rad]; it stays within the position limits.
     pub(crate) moving: J,
-    /// What exerts a force and may point beyond them [rad].
+    /// Part of the goals that exerts a force; it may exceed the position limits [rad].
     pub(crate) beside: J,
-    /// What of the goals carries the weight [rad].
+    /// Part of the goals that carries gravity [rad].
     pub(crate) weight: J,
     pub(crate) feed_forward: J,
 }
@@ -89,7 +89,7 @@ pub(crate) fn row_damping<J: Lanes>(plan: &Plan, condition: &Condition<Scalar<J>
 }
 
 impl<'a, J: Lanes> Given<'a, J> {
-    /// What the law is given.
+    /// Returns the input of the law.
     #[inline(always)]
     pub(crate) fn tick(
         &self,
@@ -117,7 +117,7 @@ impl<'a, J: Lanes> Given<'a, J> {
 }
 
 impl<J: Lanes> Solution<J> {
-    /// Lines 7 to 11 from what the law came to, as if no joint had a position limit.
+    /// Lines 7 to 11 from the law's result, as if no joint had a position limit.
     #[inline(always)]
     pub(crate) fn new(
         plan: &Plan,
@@ -127,7 +127,7 @@ impl<J: Lanes> Solution<J> {
     ) -> Self {
         let (kp, compliance) = (J::load(&plan.servos.kp), J::load(&plan.servos.compliance));
         let (mut force_lead, mut resistance) = (motion.force_lead, motion.feed_forward);
-        // Law `paper` has neither.
+        // Both are zero under law `paper`.
         if plan.law.by_force() {
             let (lower, upper) = (J::load(&plan.lower), J::load(&plan.upper));
             force_lead = fade_beyond(force_lead, seen.q, lower, upper, plan.stop_slope);
@@ -144,7 +144,8 @@ impl<J: Lanes> Solution<J> {
         }
     }
 
-    /// What line 12 makes the limits from under the rule of demand, given measured positions and the stored lead [rad].
+    /// Returns the terms from which line 12 computes the limits under the rule of demand, for measured positions and
+    /// the stored lead [rad].
     #[inline(always)]
     pub(crate) fn load(
         &self,
@@ -157,7 +158,7 @@ impl<J: Lanes> Solution<J> {
         let motion = &self.motion;
         let wrench = motion.wrench.whole();
         let pull = transpose_times(seen.rows, &wrench.axes());
-        // The null space, and what a position limit has taken of the joint's part of the wrench.
+        // Null-space part, and the joint's part of the wrench that a position limit removed.
         let lead = J::fnma(J::load(&plan.servos.compliance), pull, motion.lead + motion.force_lead + motion.null);
         let ahead = seen.q - q;
         Load {
@@ -170,7 +171,7 @@ impl<J: Lanes> Solution<J> {
         }
     }
 
-    /// Goals before the slew [rad], given the limits: under law `paper` they lead no farther than these can use.
+    /// Returns the goals before the slew [rad]. Under law `paper` they lead no farther than the limits can use.
     #[inline(always)]
     pub(crate) fn goal(&self, plan: &Plan, settings: &Settings, limit: J) -> J {
         let mut goal = self.moving + self.beside;
@@ -184,7 +185,7 @@ impl<J: Lanes> Solution<J> {
     }
 }
 
-/// What of line 10 is fed forward; law `paper` does not ask.
+/// Returns the part of line 10 that is fed forward; not used by law `paper`.
 #[inline(always)]
 fn fed<J: Lanes>(settings: &Settings, gamma: Scalar<J>) -> Fed<Scalar<J>> {
     let share = |of: f64| gamma * J::One::splat(of);
@@ -195,7 +196,7 @@ fn fed<J: Lanes>(settings: &Settings, gamma: Scalar<J>) -> Fed<Scalar<J>> {
     }
 }
 
-/// How far the goals may lead under law `paper` [rad]: what the limit can use and a little more.
+/// Returns the largest lead of the goals under law `paper` [rad]: slightly more than the torque limit can use.
 #[inline(always)]
 fn lead_limit<J: Lanes>(plan: &Plan, settings: &Settings, limit: J) -> J {
     match settings.paper_options.lead_limit {

@@ -1,4 +1,4 @@
-//! What a step is given, checked: the cycle behind it trusts.
+//! Validation of a step's inputs; the code after it does not check again.
 
 use crate::controller::{Controller, StepInput};
 use crate::error::{Error, Result};
@@ -8,13 +8,13 @@ use crate::plan::Plan;
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{AxisVec, JointVec, MAX_JOINTS};
 
-/// Shortest time [s] that is divided by: two readings of one instant must not make infinite speeds.
+/// Shortest time [s] used as a divisor: two readings of one instant must not give infinite speeds.
 const SHORTEST_PERIOD: f64 = 1e-6;
 
-/// Longest time between two steps [s], that of the lowest rate: what is longer is mostly told in milliseconds.
+/// Longest time between two steps [s], that of the lowest rate. A larger value is usually given in milliseconds.
 const LONGEST_PERIOD: f64 = 1.0;
 
-/// A step's input, read and checked; what was not given is `None`.
+/// Validated input of a step; `None` for optional inputs that are absent.
 #[derive(Default)]
 pub(super) struct Input {
     pub(super) dt: f64,
@@ -25,12 +25,12 @@ pub(super) struct Input {
 }
 
 impl Controller {
-    /// Whether a step could use this.
+    /// Checks the input of a step.
     pub(crate) fn check_input(&self, input: &StepInput<'_>) -> Result<()> {
         self.read(input, &mut Input::default())
     }
 
-    /// Reads into `out`, which a step mostly leaves nearly empty: that is not moved about.
+    /// Reads the input into `out`. An out-parameter avoids a copy of the large, usually almost empty struct.
     #[inline]
     pub(super) fn read(&self, input: &StepInput<'_>, out: &mut Input) -> Result<()> {
         out.dt = period(input.dt.unwrap_or(1.0 / self.settings.rate))?;
@@ -55,18 +55,18 @@ impl Controller {
         self.model.joints_between(what, values, least, most)
     }
 
-    /// Whether a tool pose may be a target of this task.
+    /// Checks that a tool pose can be a target of this task.
     pub(crate) fn check_target(&self, what: &str, target: &Pose) -> Result<()> {
         self.model.check_target_in(what, target, &self.plan.workspace)
     }
 
-    /// Reads joint positions that are a target.
+    /// Reads target joint positions.
     pub(crate) fn joint_target(&self, what: &str, values: &[f64]) -> Result<JointVec> {
         let [least, most] = &self.plan.joint_targets;
         self.model.joints_between(what, values, least, most)
     }
 
-    /// Why a step refused these positions and this target.
+    /// Returns the reason why a step refused these positions and this target.
     #[cold]
     pub(super) fn refusal(&self, q: &[f64], target: &Pose) -> Error {
         match self.positions("q", q).map(|_| ()).and_then(|()| self.check_target("target", target)) {
@@ -94,7 +94,7 @@ impl Controller {
     }
 }
 
-/// Reads the time [s] since the last step or reading: no shorter than can be divided by.
+/// Reads the time [s] since the last step or reading, at least the shortest divisor.
 #[inline]
 pub(crate) fn period(dt: f64) -> Result<f64> {
     if dt > 0.0 && dt <= LONGEST_PERIOD { Ok(dt.max(SHORTEST_PERIOD)) } else { Err(no_period(dt)) }
@@ -107,7 +107,7 @@ fn no_period(dt: f64) -> Error {
     Error::out_of_range("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]{hint}"))
 }
 
-/// Whether positions may be those of a real arm, as [`Controller::positions`] has it.
+/// Returns true if positions are plausible for a real arm, by the bounds of [`Controller::positions`].
 #[inline(always)]
 pub(super) fn readable<J: Lanes>(plan: &Plan, q: J) -> bool {
     let (nothing, one) = (J::splat(0.0), J::splat(1.0));
@@ -115,7 +115,7 @@ pub(super) fn readable<J: Lanes>(plan: &Plan, q: J) -> bool {
     !nothing.any_less(J::if_less(J::load(&plan.readable[0]), q, below, one))
 }
 
-/// Positions that are next to nothing as 0.
+/// Flushes negligibly small positions to 0.
 #[inline(always)]
 pub(super) fn without_negligible<J: Lanes>(q: J) -> J {
     J::if_less(J::abs(q), J::splat(NEGLIGIBLE), J::splat(0.0), q)

@@ -1,9 +1,9 @@
-//! A controller's memory as a row of numbers: what a batch keeps of each of its arms.
+//! A controller's state as a row of numbers: the format of a batch for each of its arms.
 
 use crate::controller::memory::Memory;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// Numbers that an arm of `n` joints takes.
+/// Length of the row of an arm of `n` joints.
 pub(crate) const fn width(n: usize) -> usize {
     2 + 7 * n + 3 * MAX_AXES + 2 * POSE + MAX_AXES + 2
 }
@@ -11,32 +11,32 @@ pub(crate) const fn width(n: usize) -> usize {
 /// Rotation matrix and position.
 const POSE: usize = 12;
 
-/// What is true of a memory; the sum is its first number. An arm of which nothing is true takes the positions of its next
-/// step for its reset.
+/// Status flags; their sum is element 0 of the row. 0: not started, the positions of the next step become the reset
+/// positions.
 #[derive(Clone, Copy)]
 enum Flag {
     Started = 1,
     Cold = 2,
     Limited = 4,
-    /// To be reset to the goals that are kept, before the next step.
+    /// Reset to the stored goals before the next step.
     Waiting = 8,
 }
 
-/// How an arm stands whose memory is kept.
+/// Status of an arm whose state is in a row.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Kept<'a> {
-    /// Nothing yet.
+    /// Not started.
     New,
-    /// To be reset to these positions first.
+    /// Reset to these positions before the next step.
     Waiting(&'a [f64]),
-    /// After a step.
+    /// At least one step has run.
     Running,
 }
 
-/// Every number of a memory but the flags, slice by slice: the same walk keeps and reads.
+/// Visits all fields of the state except the flags, slice by slice, in the same order for writing and reading.
 #[inline(always)]
 fn walk(memory: &mut Memory, limit: &mut JointVec, n: usize, mut visit: impl FnMut(&mut [f64])) {
-    // Every field by name: a new one must be kept too.
+    // Exhaustive destructuring: a new field must be stored too.
     let Memory { filter, gamma, goal, weight, singular, governor, rest, integral, started: _, cold: _, limit: _ } =
         memory;
     visit(&mut goal[..n]);
@@ -56,7 +56,7 @@ fn walk(memory: &mut Memory, limit: &mut JointVec, n: usize, mut visit: impl FnM
 }
 
 impl Memory {
-    /// Into `row`, [`width`] long.
+    /// Writes the state into `row`, which is [`width`] long.
     pub(crate) fn keep(&mut self, n: usize, row: &mut [f64]) {
         let (mut limit, n) = (self.limit.unwrap_or([0.0; MAX_JOINTS]), n.min(MAX_JOINTS));
         let all = [(self.started, Flag::Started), (self.cold, Flag::Cold), (self.limit.is_some(), Flag::Limited)];
@@ -71,7 +71,7 @@ impl Memory {
         });
     }
 
-    /// From `row` of an arm that is [`Kept::Running`].
+    /// Reads the state from `row`, whose status is [`Kept::Running`].
     pub(crate) fn recall(&mut self, n: usize, row: &[f64]) {
         let (Some((&flags, mut rest)), n) = (row.split_first(), n.min(MAX_JOINTS)) else { return };
         let mut limit = [0.0; MAX_JOINTS];
@@ -94,7 +94,7 @@ impl Flag {
 }
 
 impl<'a> Kept<'a> {
-    /// Of a row of an arm of `n` joints.
+    /// Returns the status of a row of an arm of `n` joints.
     pub(crate) fn of(row: &'a [f64], n: usize) -> Self {
         match row.split_first() {
             Some((&flags, rest)) if Flag::Waiting.is_in(flags) => Self::Waiting(&rest[..n.min(rest.len())]),
@@ -103,7 +103,7 @@ impl<'a> Kept<'a> {
         }
     }
 
-    /// Makes `row` that of an arm which starts anew: from `q`, or from the positions of its next step.
+    /// Resets `row`: to `q`, or to the positions of its next step.
     pub(crate) fn renew(row: &mut [f64], q: Option<&[f64]>) {
         row.fill(0.0);
         if let (Some(q), Some((first, rest))) = (q, row.split_first_mut()) {

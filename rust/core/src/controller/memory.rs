@@ -1,4 +1,4 @@
-//! What a controller carries from one step to the next.
+//! State of a controller between steps.
 
 use crate::law::feedforward::VelocityFilter;
 use crate::law::singular::SingularValues;
@@ -6,27 +6,27 @@ use crate::pose::Pose;
 use crate::task::governor::Governor;
 use crate::{JointVec, MAX_JOINTS};
 
-/// State between steps; small enough to be copied, so that a step that fails leaves it untouched.
+/// State between steps; small enough to be copied, so that a failed step leaves it unchanged.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Memory {
-    /// Whether a reset or a step has happened.
+    /// True after the first reset or step.
     pub(crate) started: bool,
     pub(crate) filter: VelocityFilter,
     /// γ of the last step.
     pub(crate) gamma: f64,
     /// Last goals: start of the slew.
     pub(crate) goal: JointVec,
-    /// What of them carries the weight [rad].
+    /// Part of the goals that carries gravity [rad].
     pub(crate) weight: JointVec,
     /// Last limits; `None` before the first, which is not slewed.
     pub(crate) limit: Option<JointVec>,
     pub(crate) singular: SingularValues,
-    /// Whether the singular vectors must be found anew.
+    /// True if the singular vectors must be computed from scratch.
     pub(crate) cold: bool,
     pub(crate) governor: Governor,
-    /// q at reset.
+    /// q at reset: the default rest posture.
     pub(crate) rest: JointVec,
-    /// Lead that the integrating goal has stored [rad].
+    /// Lead stored by the integrating goal [rad].
     pub(crate) integral: JointVec,
 }
 
@@ -35,7 +35,7 @@ impl Memory {
         Self::at(&[0.0; MAX_JOINTS], Pose::IDENTITY, false)
     }
 
-    /// At rest in `q`, the tool in `tool`.
+    /// State at rest in `q`, with the tool pose `tool`.
     pub(crate) fn at(q: &JointVec, tool: Pose, started: bool) -> Self {
         Self {
             started,

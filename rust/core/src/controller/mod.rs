@@ -1,4 +1,4 @@
-//! The control step: the staircase that calls each floor once and has no formula of its own.
+//! The controller: construction, settings and read-outs of the control step.
 
 mod capture;
 mod carried;
@@ -44,7 +44,7 @@ pub struct StepInput<'a> {
     pub dq: Option<&'a [f64]>,
     /// Velocity of the target (6,) [m/s, rad/s], base axes.
     pub twist: Option<&'a [f64; 6]>,
-    /// Gradient of an own null-space cost, added to the others.
+    /// Gradient of a user's null-space cost, added to the others.
     pub gradient: Option<&'a [f64]>,
     /// Rest posture of this step [rad].
     pub posture: Option<&'a [f64]>,
@@ -60,10 +60,10 @@ pub struct Controller {
     pub(crate) plan: Plan,
     pub(crate) masses: Masses,
     payload: Option<Payload>,
-    /// While another payload comes into force.
+    /// `Some` during a payload change.
     fade: Option<Fade>,
     pub(crate) gravity: [f64; 3],
-    /// 1/k_g where gravity was captured.
+    /// 1/k_g if gravity was captured.
     captured: Option<JointVec>,
     delay: f64,
     pub(crate) memory: Memory,
@@ -84,7 +84,7 @@ impl Controller {
         Ok(controller)
     }
 
-    /// Servos that are to know the weight can hold it.
+    /// Checks that servos which compensate gravity can hold the arm.
     fn check_holding(&self, known: GravityUse, masses: &Masses) -> Result<()> {
         match known {
             GravityUse::Off => Ok(()),
@@ -92,7 +92,8 @@ impl Controller {
         }
     }
 
-    /// [`Controller::new`], with the gravity offset 1/k_g (n) of one that captured it; not asked is whether the servos hold it.
+    /// As [`Controller::new`], with a captured gravity offset 1/k_g (n); does not check that the servos can hold the
+    /// arm.
     #[inline(never)]
     fn made(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
         let mut surveyed = Surveyed::default();
@@ -122,7 +123,7 @@ impl Controller {
         Ok(controller)
     }
 
-    /// A rest posture is one that the joints could be read in.
+    /// Checks that the rest posture is a plausible joint position.
     fn check_posture(&self, settings: &Settings) -> Result<()> {
         settings
             .null_space
@@ -136,12 +137,12 @@ impl Controller {
         &self.model
     }
 
-    /// The settings in force.
+    /// The current settings.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// The servos, where given.
+    /// The servos, if given.
     pub fn servos(&self) -> Option<&Servos> {
         self.servos.as_ref()
     }
@@ -151,18 +152,18 @@ impl Controller {
         self.plan.k
     }
 
-    /// Soft, firm and hold of each task axis with every default filled in; pairs are (pushed toward −, toward +).
+    /// Returns soft, firm and hold of each task axis, defaults filled in; pairs are (pushed toward −, toward +).
     pub fn strengths(&self) -> Vec<([f64; 2], [f64; 2], f64)> {
         self.plan.rows.iter().take(self.plan.k).map(|row| (row.soft, row.firm, row.hold)).collect()
     }
 
-    /// Stiffness [N/m, N·m/rad] and damping [N·s/m, N·m·s/rad] of each task axis with every default filled in, pairs as
-    /// in [`Controller::strengths`]; zero but under law `impedance`.
+    /// Returns stiffness [N/m, N·m/rad] and damping [N·s/m, N·m·s/rad] of each task axis, defaults filled in, pairs as
+    /// in [`Controller::strengths`]. All are zero except under law `impedance`.
     pub fn impedances(&self) -> Vec<([f64; 2], [f64; 2])> {
         self.plan.rows.iter().take(self.plan.k).map(|row| (row.stiffness, row.viscosity)).collect()
     }
 
-    /// Damping in force: λ₀, σ₀, λ_max.
+    /// Damping parameters: λ₀, σ₀, λ_max.
     pub fn damping(&self) -> [f64; 3] {
         let damping = self.plan.damping;
         [damping.lambda_0, damping.sigma_0, damping.lambda_max]
@@ -180,22 +181,22 @@ impl Controller {
         record
     }
 
-    /// Smallest and largest singular value of the last step's task rows, translations divided by the arm's length.
+    /// Smallest and largest singular value of the last step's task rows, with translations divided by the arm's length.
     pub fn sigma(&self) -> [f64; 2] {
         self.record.sigma(&self.plan)
     }
 
-    /// The instructions that steps run on.
+    /// The instruction set that steps run on.
     pub fn instructions(&self) -> Instructions {
         self.instructions
     }
 
-    /// Takes other instructions than [`Instructions::chosen`] did; results change by rounding.
+    /// Sets an instruction set other than that of [`Instructions::chosen`]; results differ by rounding.
     pub fn set_instructions(&mut self, instructions: Instructions) {
         self.instructions = instructions;
     }
 
-    /// The last command; `None` before the first step since the controller was made or reset.
+    /// The last command; `None` before the first step after construction or reset.
     pub fn last_command(&self) -> Option<&Command> {
         self.memory.limit.map(|_| &self.command)
     }
@@ -220,22 +221,22 @@ impl Controller {
         self.record.singular_values(&self.plan)
     }
 
-    /// Forgets velocity, slew and γ, and takes `q` as start of goals and, unless set, as rest posture.
+    /// Clears velocity, slew and γ. Takes `q` as start of the goals and, unless the settings give one, as rest posture.
     ///
     /// A captured gravity offset stays.
     ///
     /// # Errors
-    /// [`Error::Shape`] or [`Error::OutOfRange`] for `q`; the controller is then as before.
+    /// [`Error::Shape`] or [`Error::OutOfRange`] for `q`; the controller is then unchanged.
     pub fn reset(&mut self, q: &[f64]) -> Result<()> {
         let q = self.positions("q", q)?;
         self.restart(&q);
         Ok(())
     }
 
-    /// Takes new settings while running: goals go on from where they are, within their slew.
+    /// Replaces the settings while running: goals continue from their present values, within their slew.
     ///
     /// # Errors
-    /// As [`Controller::new`]; the controller is then as before.
+    /// As [`Controller::new`]; the controller is then unchanged.
     pub fn update(&mut self, settings: Settings) -> Result<()> {
         let mut plan =
             Plan::new(&self.model, &settings, self.servos.as_ref(), self.captured.is_some(), &mut self.surveyed)?;
@@ -246,7 +247,7 @@ impl Controller {
         if let Some(compliance) = self.captured {
             plan.gravity_compliance = compliance;
         }
-        // A measured delay stays, unless these settings believe in another one than the last.
+        // Keep a measured delay unless the new settings have another delay than the old ones.
         if settings.delay.to_bits() != self.settings.delay.to_bits() {
             self.delay = settings.delay;
         }
@@ -257,7 +258,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Gives up what memory holds of other settings.
+    /// Resets the parts of the state that depend on the previous settings.
     pub(crate) fn adapt_memory(&mut self) {
         if self.settings.tracking.integrate <= 0.0 {
             self.memory.integral = [0.0; MAX_JOINTS];
@@ -266,20 +267,20 @@ impl Controller {
         self.memory.cold = true;
     }
 
-    /// Takes all bounds on how fast goals and the tool's target may move.
+    /// Removes all rate limits of the goals and of the tool's target.
     pub(crate) fn forget_bounds(&mut self) {
         self.settings.tracking.goal_slew = f64::INFINITY;
         self.settings.max_tool_speed = [f64::INFINITY; 2];
     }
 
-    /// Takes another payload: mass [kg] and centre of mass in the tool frame [m]; `None` for none.
+    /// Sets the payload: mass [kg] and centre of mass in the tool frame [m]; `None` for no payload.
     ///
-    /// Before the first step at once; in an arm that is controlled within half a second, so that one that is told too
-    /// early, too late or wrongly does not make it jump.
+    /// Takes effect at once before the first step, otherwise over half a second, so that a wrong or mistimed payload
+    /// does not make the arm jump.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] for a negative or non-finite value, and, where the weight is used, for a load that the servos cannot
-    /// hold in any pose.
+    /// [`Error::OutOfRange`] for a negative or non-finite value and, if gravity is compensated, for a load that the
+    /// servos cannot hold in any pose.
     pub fn set_payload(&mut self, payload: Option<&Payload>) -> Result<()> {
         if let Some(payload) = payload {
             payload.validate()?;
@@ -290,7 +291,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Takes another gravity vector [m/s²] in base axes: for a base that tilts.
+    /// Sets the gravity vector [m/s²] in base axes, for a base that tilts.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] for a component beyond ±100 m/s².
@@ -304,9 +305,9 @@ impl Controller {
         Ok(())
     }
 
-    /// Takes the measured delay T_d [s] from reading to arrival of the goal.
+    /// Sets the measured delay T_d [s] from reading to arrival of the goal.
     ///
-    /// Where the stiff axes' gain is too high for it, the gain is derated (see [`Controller::gain_factor`]).
+    /// If the stiff axes' gain is too high for this delay, the gain is reduced (see [`Controller::gain_factor`]).
     ///
     /// # Errors
     /// [`Error::OutOfRange`] outside [0, 0.5].
@@ -324,13 +325,13 @@ impl Controller {
         self.delay
     }
 
-    /// Factor ≤ 1 on K_x that the delay demands; under law `impedance` the one on the stiffness at the last step, which
-    /// the pose demands too.
+    /// Factor ≤ 1 on K_x that the delay requires. Under law `impedance`, factor on the stiffness at the last step,
+    /// which also depends on the pose.
     pub fn gain_factor(&self) -> f64 {
         if self.plan.law == Law::Impedance { self.record.gain_factor } else { self.plan.kx_derating }
     }
 
-    /// Factor ≤ 1 on the damping of law `impedance` that delay and pose demanded at the last step.
+    /// Factor ≤ 1 on the damping of law `impedance` that delay and pose required at the last step.
     pub fn damping_factor(&self) -> f64 {
         if self.plan.law == Law::Impedance {
             crate::law::impedance::damping_factor(&self.plan, &self.record.rows)
@@ -339,13 +340,13 @@ impl Controller {
         }
     }
 
-    /// One control step toward a pose of the tool.
+    /// Runs one control step toward a pose of the tool.
     ///
-    /// Allocates nothing. With the first step the controller resets to `q`.
+    /// Allocates nothing. The first step resets the controller to `q`.
     ///
     /// # Errors
-    /// [`Error::Shape`], [`Error::OutOfRange`] or [`Error::Config`] for an input that cannot be used; the controller and its
-    /// last command are then as before.
+    /// [`Error::Shape`], [`Error::OutOfRange`] or [`Error::Config`] for an invalid input; the controller and its last
+    /// command are then unchanged.
     ///
     /// ```
     /// # use pliant_core::{Controller, Model, ModelOptions, Servos, Settings, StepInput};
@@ -369,7 +370,8 @@ impl Controller {
         self.advance(q, target, input)
     }
 
-    /// One control step toward joint positions: the target is their pose, the rest posture they themselves.
+    /// Runs one control step toward joint positions. The target pose is their forward kinematics; the rest posture is
+    /// the joint positions.
     ///
     /// # Errors
     /// As [`Controller::step`].
@@ -380,7 +382,7 @@ impl Controller {
         self.advance(q, &frames.tool, &StepInput { posture: Some(q_target), ..*input })
     }
 
-    /// Torques that hold the arm at `q` with the present payload and gravity vector [N·m].
+    /// Returns the gravity torques at `q` with the present payload and gravity vector [N·m].
     fn holding_torques(&self, q: &JointVec) -> JointVec {
         let mut frames = Frames::default();
         let mut holding = [0.0; MAX_JOINTS];

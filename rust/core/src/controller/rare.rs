@@ -1,4 +1,4 @@
-//! What few steps do: kept out of the others, and compiled once for all instructions.
+//! Rare parts of a step: kept out of the hot code, and compiled once for all instruction sets.
 
 use crate::command::host_loss::HostLoss;
 use crate::command::limits::Load;
@@ -13,7 +13,7 @@ use crate::task::deviation_limit::{Kept, Pushed};
 use crate::task::governor::Governor;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Bounds the deviation of stiff axes by moving the reference; its speed along these axes is then spent.
+/// Bounds the deviation of stiff axes by moving the reference, and sets its velocity along these axes to zero.
 #[cold]
 #[inline(never)]
 pub(super) fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, governor: &mut Governor) -> Option<Kept> {
@@ -26,30 +26,30 @@ pub(super) fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, governor: &mut G
     Some(kept)
 }
 
-/// Share of what the stiff axes want that they must lack before a reference waits altogether.
+/// Missing share of the stiff axes' wrench at which the reference stops completely.
 const STRAINED: f64 = 0.2;
 
-/// How much a reference waits for an arm that can do this `share` of what its stiff axes want, 0 to 1.
+/// Returns how much the reference is held back, 0 to 1, if the arm can exert this `share` of its stiff axes' wrench.
 #[inline(always)]
 pub(super) fn strain(share: f64) -> f64 {
     ((1.0 - share) / STRAINED).min(1.0)
 }
 
-/// A reference that runs ahead of an arm whose stiff axes exert what they may.
+/// Holds back a reference that runs ahead of an arm whose stiff axes are at their limits.
 pub(super) struct Waiting<'a> {
     pub(super) plan: &'a Plan,
-    /// Most of the tool, linear and angular: speed [m/s, rad/s] and acceleration [m/s², rad/s²].
+    /// Bounds of the tool, linear and angular: speed [m/s, rad/s] and acceleration [m/s², rad/s²].
     pub(super) bounds: [[f64; 2]; 2],
     pub(super) base_from_task: &'a [[f64; 3]; 3],
-    /// Deviation of each row as far as it is stiff [m, rad].
+    /// Deviation of each row, times its stiffness share [m, rad].
     pub(super) lag: &'a AxisVec,
-    /// How much the reference waits, 0 to 1.
+    /// Degree to which the reference is held back, 0 to 1.
     pub(super) strain: f64,
     pub(super) dt: f64,
 }
 
 impl Waiting<'_> {
-    /// Takes back what the reference has gained on the arm since `before`.
+    /// Takes back the lead over the arm that the reference has gained since `before`.
     #[cold]
     #[inline(never)]
     pub(super) fn of(&self, before: &Pose, governor: &mut Governor) {
@@ -62,8 +62,8 @@ impl Waiting<'_> {
 }
 
 impl Cycle<'_> {
-    /// The limits with which a hand meets at most `most` [N] should the host die now, given positions, goals and limits, what holds the
-    /// arm and what of that is in the limits.
+    /// Returns the torque limits with which the arm pushes a hand with at most `most` [N] if the host dies now, from
+    /// positions, goals, limits, gravity torques and their part in the limits.
     #[cold]
     #[inline(never)]
     pub(super) fn spare(
@@ -95,7 +95,7 @@ impl Cycle<'_> {
     }
 }
 
-/// What the sum rule is made from; a rule that few choose.
+/// Inputs of the sum rule, which few settings use.
 pub(super) struct Asked {
     pub(super) rows: Rows,
     pub(super) gradient: JointVec,

@@ -1,4 +1,4 @@
-//! Every intermediate of the last step.
+//! Diagnostics: all intermediates of the last step.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -28,11 +28,11 @@ pub struct Record {
     pub softness: AxisVec,
     /// Compliance c ∈ [0, 1] of (8).
     pub compliance: AxisVec,
-    /// Strength in force, `w F + (1 − w) hold`: holding torque τ^x of (9) under law `paper`, else cap [N, N·m].
+    /// Current strength, `w F + (1 − w) hold`: holding torque τ^x of (9) under law `paper`, else cap [N, N·m].
     pub axis_strength: AxisVec,
     /// Wrench W on the target [N, N·m] (not under law `paper`).
     pub wrench: AxisVec,
-    /// Torques that hold the arm at q̂ [N·m]; where a step has no use for them they are found when the record is asked for.
+    /// Gravity torques at q̂ [N·m]; computed on request if the step does not use them.
     pub gravity: JointVec,
     /// Feed-forward of friction and damping [N·m].
     pub feed_forward: JointVec,
@@ -40,26 +40,27 @@ pub struct Record {
     pub gradient: JointVec,
     /// Task rows (k × n) in the task frame.
     pub rows: Rows,
-    /// Smallest and largest singular value of the task rows, translations divided by the arm's length; where a step
-    /// needs neither, they are found when asked for: [`Controller::sigma`](crate::Controller::sigma).
+    /// Smallest and largest singular value of the task rows, with translations divided by the arm's length; `None` if
+    /// the step uses neither: then [`Controller::sigma`](crate::Controller::sigma) computes them.
     pub(crate) followed_sigma: Option<[f64; 2]>,
     /// Damping λ.
     pub damping: f64,
-    /// γ: how much of feed-forward and prediction is used.
+    /// γ: factor on feed-forward and prediction.
     pub gamma: f64,
-    /// Factors by which null-space, soft and stiff part were scaled to torque ceilings and speed limits.
+    /// Factors by which null-space, soft and stiff part were scaled to satisfy torque ceilings and speed limits.
     pub factors: [f64; 3],
-    /// Factor ≤ 1 on the gain of the stiff axes: on K_x what the delay demands, on the stiffness of law `impedance` what
-    /// delay and pose do.
+    /// Factor ≤ 1 on the gain of the stiff axes: on K_x, required by the delay; under law `impedance` on the stiffness,
+    /// required by delay and pose.
     pub gain_factor: f64,
-    /// Joints whose limit is at the ceiling, found when the record is asked for; `factors` say how far the motion had to be
-    /// scaled for them.
+    /// Joints whose torque limit is at the ceiling, computed on request. `factors` give the scaling of the motion that
+    /// this required.
     pub saturated: [bool; MAX_JOINTS],
-    /// Joints at a position limit that left the inverse kinematics.
+    /// Joints at a position limit, removed from the inverse kinematics.
     pub locked: [bool; MAX_JOINTS],
-    /// Task axes at which the target met its deviation limit.
+    /// Task axes at their deviation limit.
     pub deviation_limited: [bool; MAX_AXES],
-    /// The target as far as the tool's speed and the deviation limits let it: what the deviation is taken from.
+    /// The reference pose: the target after the tool's speed limit and the deviation limits. The deviation is taken
+    /// from it.
     pub reference: Pose,
 }
 
@@ -91,7 +92,7 @@ impl Record {
         }
     }
 
-    /// Smallest and largest singular value of the scaled task rows.
+    /// Returns the smallest and largest singular value of the scaled task rows.
     pub(crate) fn sigma(&self, plan: &Plan) -> [f64; 2] {
         self.followed_sigma.unwrap_or_else(|| {
             let all = self.singular_values(plan);
@@ -104,7 +105,7 @@ impl Record {
         pseudo_inverse(&self.rows, &plan.inverse_weight, &squared)
     }
 
-    /// N as the settings have it.
+    /// Returns N as the settings define it.
     fn projector(&self, plan: &Plan) -> JointSquare {
         let size = (plan.k, plan.n);
         match plan.projector {
@@ -121,7 +122,7 @@ impl Record {
         }
     }
 
-    /// A of (10) over all joints, locked ones too.
+    /// Returns A of (10) over all joints, including locked ones.
     pub(crate) fn shares(&self, plan: &Plan) -> Activation<EveryJoint> {
         let null = if plan.k < plan.n {
             let projector = self.projector(plan);

@@ -1,4 +1,4 @@
-//! Lines 7 to 11: the law, and what the other joints take over where one meets a position limit.
+//! Lines 7 to 11: the law, and the redistribution of motion to the other joints at position limits.
 
 use crate::command::goal::Locks;
 use crate::controller::floors::{Given, Seen, Solution, row_damping};
@@ -17,24 +17,24 @@ use crate::settings::Settings;
 use crate::task::wish::Wish;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Iterations that find the extreme singular vectors from nothing, and that follow them from tick to tick.
+/// Iterations for the extreme singular vectors: from scratch, and per step when tracked.
 const ITERATIONS: (usize, usize) = (30, 1);
 
-/// What of a solution one arm alone has.
+/// Solution with the quantities that only the step of a single arm has.
 #[derive(Clone, Copy)]
 pub(super) struct Solved<J: Joints> {
     pub(super) solution: Solution<J>,
     pub(super) gradient: J,
     /// λ².
     pub(super) damping: f64,
-    /// γ: how much of feed-forward and prediction is used.
+    /// γ: factor on feed-forward and prediction.
     pub(super) gamma: f64,
     /// λ² of each row.
     pub(super) row_damping: J::Axes,
     pub(super) locked: [bool; MAX_JOINTS],
 }
 
-/// Solves for the goals; `singular` is followed where anybody asks for it.
+/// Solves for the goals; updates `singular` if the settings need it.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "everything that the lines before came to")]
 pub(super) fn solve<J: Joints>(
@@ -53,7 +53,7 @@ pub(super) fn solve<J: Joints>(
         scaled = plan.scale_rows(seen.rows);
         &scaled
     } else {
-        seen.rows // nobody asks for the others
+        seen.rows // scaled rows are not used
     };
     let condition = condition(plan, scaled_rows, singular, memory.cold);
     let gradient = cost_gradient(plan, input, &memory.rest, seen, wish, scaled_rows, condition.mu_squared);
@@ -82,13 +82,14 @@ pub(super) fn solve<J: Joints>(
     solved
 }
 
-/// What calls this is rare: its branch is laid out behind all others.
+/// Marks its caller's branch as cold, so that the compiler places it behind the others.
 #[cold]
 #[inline(never)]
 fn rare() {}
 
 impl<J: Joints> Solution<J> {
-    /// Locks the joints that would move beyond their position limits until none is left to lock; 1 for those, 0 for the others.
+    /// Locks the joints that would exceed their position limits until no other joint does. Returns 1 for locked joints,
+    /// 0 for the others.
     #[inline(always)]
     fn hold(&mut self, plan: &Plan, settings: &Settings, seen: &Seen<'_, J>, wish: &Wish<J::Axes>, integral: J) -> J {
         let motion = &mut self.motion;
@@ -133,7 +134,7 @@ pub(super) fn without_locked(rows: &Rows, locked: &[bool; MAX_JOINTS]) -> Rows {
     free
 }
 
-/// Line 7: follows σ, sets γ, says λ².
+/// Line 7: updates σ, sets γ, returns λ².
 #[inline(always)]
 fn condition<J: Joints>(plan: &Plan, scaled: &[J; MAX_AXES], values: &mut SingularValues, cold: bool) -> Condition {
     let limits = plan.damping;
@@ -156,7 +157,8 @@ fn condition<J: Joints>(plan: &Plan, scaled: &[J; MAX_AXES], values: &mut Singul
     }
 }
 
-/// `JᵀJ`, for fewer joints than axes: it has the same singular values and no zero among them by construction.
+/// Returns `JᵀJ`, for fewer joints than axes: it has the same nonzero singular values, without the zeros that `JJᵀ`
+/// always has.
 #[cold]
 #[inline(never)]
 fn joint_gram(scaled: &Rows) -> Square {
@@ -169,7 +171,7 @@ fn joint_gram(scaled: &Rows) -> Square {
     gram
 }
 
-/// Gradient of the null-space cost, all its parts; `rest` is the posture where nobody gives another.
+/// Returns the gradient of the null-space cost, all parts; `rest` is the default posture.
 #[inline(always)]
 fn cost_gradient<J: Joints>(
     plan: &Plan,

@@ -1,4 +1,4 @@
-//! One tick, from reading to command.
+//! One control step, from reading to command.
 
 use crate::command::goal::{Goals, register_speed, slew};
 use crate::command::integral::Addition;
@@ -27,15 +27,16 @@ use crate::task::governor::Governor;
 use crate::task::wish::Wish;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// Longest time [s] for which a slew or the integrating goal is advanced at once: a stalled host must not lunge.
+/// Longest time [s] by which one step advances a slew or the integrating goal: after a stall of the host the arm must
+/// not lunge.
 const LONGEST_SLEW: f64 = 0.1;
 
 /// Reference pose of the tool in this step, and the error to it.
 struct Aim<W> {
     reference: Pose,
-    /// Deviation, one number per task row.
+    /// Deviation, one value per task row.
     deviation: W,
-    /// Which of x, y, z, roll, pitch, yaw met its deviation limit.
+    /// Which of x, y, z, roll, pitch, yaw is at its deviation limit.
     limited: [bool; MAX_AXES],
 }
 
@@ -47,7 +48,7 @@ impl Controller {
         self.fade = None;
     }
 
-    /// A step from positions as they come: it looks itself whether they can be, and the target with them.
+    /// Runs a step; validates positions and target.
     pub(crate) fn advance(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
         if q.len() != self.plan.n {
             return Err(Error::length("q", q.len(), self.plan.n));
@@ -68,7 +69,7 @@ impl Controller {
         Err(self.refusal(q, target))
     }
 
-    /// The first step, which resets.
+    /// Runs the first step, which resets the controller.
     #[cold]
     fn start(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
         let before = self.memory;
@@ -102,7 +103,7 @@ impl Controller {
     }
 }
 
-/// One tick's work: what it reads, and what it changes.
+/// Context of one step: its inputs and the state that it changes.
 pub(super) struct Cycle<'a> {
     pub(super) plan: &'a Plan,
     pub(super) settings: &'a Settings,
@@ -120,8 +121,7 @@ pub(super) struct Cycle<'a> {
 }
 
 impl Kernel for Cycle<'_> {
-    /// Whether positions and target can be used and the command be sent: memory, record and command are the last tick's where
-    /// not.
+    /// False if positions, target or command are invalid: state, record and command are then those of the last step.
     type Output = bool;
 
     #[inline(always)]
@@ -131,7 +131,7 @@ impl Kernel for Cycle<'_> {
 }
 
 impl Cycle<'_> {
-    /// [`Cycle::tick`] of an arm with more joints than one has lanes, the same for all instructions.
+    /// [`Cycle::tick`] for an arm with more joints than one register row holds, compiled once for all instruction sets.
     #[inline(never)]
     fn tick_of_many(&mut self) -> bool {
         self.tick::<EveryJoint>()
@@ -162,7 +162,7 @@ impl Cycle<'_> {
             let (tool, base_from_task) = (seen.view.tool, seen.base_from_task);
             let pushed = Pushed { tool: &tool, base_from_task: &base_from_task, before: &self.memory.governor.pose() };
             if let Some(kept) = limit_deviation(plan, &pushed, &mut governor) {
-                // One that only waits where it was leaves the deviation as it is, to the last bit.
+                // A reference that stays where it was leaves the deviation bit-identical.
                 let still = kept.reference == aim.reference;
                 let deviation = if still { aim.deviation } else { plan.of_rows(&kept.error) };
                 aim = Aim { reference: kept.reference, deviation, limited: kept.met };
@@ -201,7 +201,7 @@ impl Cycle<'_> {
             let spared = self.spare(most, at, [&holding, &in_limit], seen.base_from_task);
             limit = J::load(&spared);
         }
-        // Neither an infinity nor what is not a number is less than infinity.
+        // Reject a command with an infinite or NaN entry: `x < ∞` is false for both.
         let (endless, nothing) = (J::splat(f64::INFINITY), J::splat(0.0));
         let size = J::abs(goal) + J::abs(limit);
         if nothing.any_less(J::if_less(size, endless, nothing, endless)) {
@@ -213,7 +213,7 @@ impl Cycle<'_> {
             (self.memory.singular, self.memory.cold) = (singular, false);
         }
         self.memory.governor = governor;
-        // A deviation that a limit keeps up is not to be worked off.
+        // Do not integrate a deviation that a limit maintains.
         if settings.tracking.integrate > 0.0 && !aim.limited.contains(&true) {
             self.integrate(dt, &seen, &wish, &solved);
         }
@@ -228,7 +228,7 @@ impl Cycle<'_> {
         true
     }
 
-    /// What the stiff axes and the null space add to the stored lead.
+    /// Adds the lead of stiff axes and null space to the stored lead.
     #[inline(always)]
     fn integrate<J: Joints>(&mut self, dt: f64, seen: &Seen<'_, J>, wish: &Wish<J::Axes>, solved: &Solved<J>) {
         let (solution, locked) = (&solved.solution, &solved.locked);
@@ -257,7 +257,7 @@ impl Cycle<'_> {
         self.memory.filter.after(q, encoder_step, self.settings.tracking.velocity_filter, self.input.dt)
     }
 
-    /// Line 1: the positions at which the goal will arrive.
+    /// Line 1: predicted positions at the arrival of the goal.
     #[inline(always)]
     fn predict<J: Joints>(&self, q: J, filtered: &Filtered<J>) -> J {
         if !self.plan.law.by_force() {
@@ -267,7 +267,7 @@ impl Cycle<'_> {
         J::fma(J::splat(ahead), filtered.velocity, q)
     }
 
-    /// What gives the tool the speed and the acceleration of its reference.
+    /// Returns the terms that give the tool the velocity and acceleration of its reference.
     #[inline(always)]
     fn pacing<J: Joints>(
         &self,
@@ -291,7 +291,7 @@ impl Cycle<'_> {
         Pacing { displacement, velocity: speed }
     }
 
-    /// Line 12 before floor, ceiling and slew, or (11).
+    /// Line 12 before minimum, ceiling and slew, or (11).
     #[inline(always)]
     fn wanted_limits<J: Joints>(
         &self,
@@ -322,7 +322,7 @@ impl Cycle<'_> {
         }
     }
 
-    /// Everything that a tick came to.
+    /// Records the intermediates of the step.
     #[inline(always)]
     fn note<J: Joints>(
         &mut self,

@@ -1,4 +1,4 @@
-//! From matrices of any size to the bounded arrays of the kernels, checked.
+//! Checked conversion of matrices of any size to the fixed-size arrays of the kernels.
 
 use nalgebra::DMatrix;
 
@@ -6,17 +6,17 @@ use crate::error::{Error, Result};
 use crate::law::nullspace::JointSquare;
 use crate::{MAX_AXES, MAX_JOINTS, Rows};
 
-/// [`Error::OutOfRange`] unless `ok`.
+/// Returns [`Error::OutOfRange`] unless `ok`.
 pub(super) fn check(what: impl Into<String>, value: f64, ok: bool, bound: &str) -> Result<()> {
     if ok { Ok(()) } else { Err(Error::out_of_range(what, value, bound)) }
 }
 
-/// A list has as many entries as it should.
+/// Checks the length of a list.
 pub(super) fn same_length(what: &str, got: usize, expected: usize) -> Result<()> {
     if got == expected { Ok(()) } else { Err(Error::length(what, got, expected)) }
 }
 
-/// Every entry is a number.
+/// Checks that every entry is finite.
 pub(super) fn finite(what: &str, m: &DMatrix<f64>) -> Result<()> {
     for (i, row) in m.row_iter().enumerate() {
         for (j, value) in row.iter().enumerate() {
@@ -26,12 +26,12 @@ pub(super) fn finite(what: &str, m: &DMatrix<f64>) -> Result<()> {
     Ok(())
 }
 
-/// `A B`. The operator would bring nalgebra's kernels for large matrices along, for each instruction set.
+/// `A B`. The operator of nalgebra would instantiate its kernels for large matrices, for each instruction set.
 pub(super) fn product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(a.nrows(), b.ncols(), |i, j| (0..a.ncols()).map(|k| a[(i, k)] * b[(k, j)]).sum())
 }
 
-/// A list of `size` finite numbers, padded with zeros.
+/// Converts a list of `size` finite numbers, padded with zeros.
 pub(super) fn array<const N: usize>(what: &str, values: &[f64], size: usize) -> Result<[f64; N]> {
     same_length(what, values.len(), size)?;
     let mut out = [0.0; N];
@@ -42,7 +42,7 @@ pub(super) fn array<const N: usize>(what: &str, values: &[f64], size: usize) -> 
     Ok(out)
 }
 
-/// At most six finite rows over at most sixteen joints: rows, k, n.
+/// Converts at most six finite rows over at most sixteen joints; returns rows, k, n.
 pub(super) fn task_rows(what: &str, m: &DMatrix<f64>) -> Result<(Rows, usize, usize)> {
     let (k, n) = m.shape();
     if k == 0 || k > MAX_AXES || n == 0 || n > MAX_JOINTS {
@@ -57,7 +57,7 @@ pub(super) fn task_rows(what: &str, m: &DMatrix<f64>) -> Result<(Rows, usize, us
     Ok((rows, k, n))
 }
 
-/// The rows of a transposed pseudo-inverse (n × k): rows, k, n.
+/// Converts a transposed pseudo-inverse (n × k) to rows; returns rows, k, n.
 pub(super) fn inverse_rows(pseudo_inverse: &DMatrix<f64>) -> Result<(Rows, usize, usize)> {
     let (n, k) = pseudo_inverse.shape();
     task_rows("J_pinv", &pseudo_inverse.transpose()).map_err(|error| match error {
@@ -69,7 +69,7 @@ pub(super) fn inverse_rows(pseudo_inverse: &DMatrix<f64>) -> Result<(Rows, usize
     })
 }
 
-/// A finite n × n matrix.
+/// Converts a finite n × n matrix.
 pub(super) fn square(what: &str, m: &DMatrix<f64>, n: usize) -> Result<JointSquare> {
     if m.shape() != (n, n) {
         let got = format!("({}, {})", m.nrows(), m.ncols());

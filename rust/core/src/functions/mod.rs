@@ -1,7 +1,7 @@
-//! The mathematics on its own, for people with their own kinematics.
+//! The paper's equations as functions, for use with other kinematics.
 //!
-//! Equation numbers are the paper's. Matrices are nalgebra's: `J` is k × n with at most six rows, one per task axis, and
-//! at most sixteen columns, one per joint; `J⁺` is n × k. Nothing here knows of a robot or keeps anything.
+//! Equation numbers are the paper's. Matrices are nalgebra's: `J` is k × n with at most six rows, one per task axis,
+//! and at most sixteen columns, one per joint; `J⁺` is n × k. The functions are stateless and independent of a robot.
 //!
 //! ```
 //! use pliant_core::nalgebra::DMatrix;
@@ -34,15 +34,15 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
 use arrays::{array, check, finite, inverse_rows, product, same_length, square, task_rows};
 
-/// λ² as a share of tr(JJᵀ) below which JJᵀ + λ²I has lost λ to rounding.
+/// λ² as a share of tr(JJᵀ) below which rounding removes λ from JJᵀ + λ²I.
 const LOST_DAMPING: f64 = 1e-9;
 
 /// Damped pseudo-inverse of (3), `J⁺ = Jᵀ (J Jᵀ + λ²I)⁻¹`, n × k.
 ///
-/// `damping` is λ, not squared. 0 gives the Moore–Penrose inverse, of rank-deficient matrices too.
+/// `damping` is λ, not squared. 0 gives the Moore–Penrose inverse, also of rank-deficient matrices.
 ///
 /// # Errors
-/// [`Error::Shape`] beyond six rows or sixteen columns, [`Error::OutOfRange`] for an entry that is not finite or λ < 0.
+/// [`Error::Shape`] above six rows or sixteen columns, [`Error::OutOfRange`] for an entry that is not finite or λ < 0.
 pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DMatrix<f64>> {
     let (rows, k, n) = task_rows("J", jacobian)?;
     check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
@@ -60,8 +60,8 @@ pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DM
 
 /// Null-space projector of `J`, n × n.
 ///
-/// `Exact` is the orthogonal projector `I − Jᵀ (J Jᵀ + μ²I)⁻¹ J`, with μ = 0 but close to singular `J`, where it is faded;
-/// `damping` has no part in it. `Paper` is the printed `I − J⁺J` with J⁺ damped by λ = `damping`.
+/// `Exact` is the orthogonal projector `I − Jᵀ (J Jᵀ + μ²I)⁻¹ J`, with μ = 0 except near singular `J`, where it is
+/// faded; `damping` is not used. `Paper` is the published `I − J⁺J` with J⁺ damped by λ = `damping`.
 ///
 /// # Errors
 /// As [`damped_pseudo_inverse`].
@@ -82,7 +82,7 @@ pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Project
 /// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|`, and `|α N∇g|` as the last column.
 ///
 /// # Errors
-/// [`Error::Shape`] where sizes do not go together, [`Error::OutOfRange`] for an entry that is not finite.
+/// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite.
 pub fn responsibility(
     pseudo_inverse: &DMatrix<f64>,
     dx: &[f64],
@@ -101,8 +101,8 @@ pub fn responsibility(
 
 /// Activation matrix A of (10), n × (k + 1): the columns of `|J⁺|` divided by their sums, the null-space column last.
 ///
-/// The size of Δx cancels out of (6) and (10). The last column is `|N∇g|` so normalised, blended into the row norms of `N`
-/// where it vanishes or no gradient is given, and zero without redundancy.
+/// The size of Δx cancels out of (6) and (10). The last column is `|N∇g|`, normalised in the same way, blended into the
+/// row norms of `N` if it vanishes or no gradient is given, and zero without redundancy.
 ///
 /// # Errors
 /// As [`responsibility`].
@@ -114,7 +114,7 @@ pub fn activation(
     let (transposed, k, n) = inverse_rows(pseudo_inverse)?;
     let projector = square("N", projector, n)?;
     let gradient: JointVec = gradient.map_or(Ok([0.0; MAX_JOINTS]), |gradient| array("gradient", gradient, n))?;
-    // With as many axes as joints N is rounding error: there is nothing to share out.
+    // With as many axes as joints N is only rounding error, so the column is zero.
     let null = if k < n {
         let motion = EveryJoint::load(&activation::product(&projector, &gradient));
         activation::null_column(motion, &projector)
@@ -126,10 +126,11 @@ pub fn activation(
 
 /// Compliance c of (8), one entry per axis: 1 below `soft_until`, 0 above `firm_from`, linear between.
 ///
-/// Deviations [m or rad] of any sign: their absolute values count.
+/// Deviations [m or rad] of any sign: uses their absolute values.
 ///
 /// # Errors
-/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] unless `0 ≤ soft_until < firm_from`, all finite.
+/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] unless `0 ≤ soft_until < firm_from`, all
+/// finite.
 pub fn compliance(deviation: &[f64], soft_until: &[f64], firm_from: &[f64]) -> Result<Vec<f64>> {
     same_length("soft_until", soft_until.len(), deviation.len())?;
     same_length("firm_from", firm_from.len(), deviation.len())?;
@@ -144,12 +145,13 @@ pub fn compliance(deviation: &[f64], soft_until: &[f64], firm_from: &[f64]) -> R
         .collect()
 }
 
-/// Holding torque τ^x of (9), one entry per axis: `c soft + (1 − c) firm` where the axis is compliant, else `hold`.
+/// Holding torque τ^x of (9), one entry per axis: `c soft + (1 − c) firm` if the axis is compliant, else `hold`.
 ///
-/// Does not ask for soft ≤ firm ≤ hold: that is a matter of settings, not of the equation.
+/// Does not require soft ≤ firm ≤ hold: that is a rule of the settings, not of the equation.
 ///
 /// # Errors
-/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] for c outside [0, 1] or a strength not finite.
+/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] for c outside [0, 1] or a strength not
+/// finite.
 pub fn holding_torque(c: &[f64], soft: &[f64], firm: &[f64], hold: &[f64], compliant: &[bool]) -> Result<Vec<f64>> {
     let lengths = [("soft", soft.len()), ("firm", firm.len()), ("hold", hold.len()), ("compliant", compliant.len())];
     for (name, length) in lengths {
@@ -169,7 +171,7 @@ pub fn holding_torque(c: &[f64], soft: &[f64], firm: &[f64], hold: &[f64], compl
 /// Joint torque limits of (11), `τ^q = A τ^x` [N·m]: one strength per column of A, that of the null space last.
 ///
 /// # Errors
-/// [`Error::Shape`] where sizes do not go together, [`Error::OutOfRange`] for an entry that is not finite.
+/// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite.
 pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Result<DVector<f64>> {
     let (n, columns) = activation.shape();
     if columns == 0 || columns > MAX_AXES + 1 || n == 0 || n > MAX_JOINTS {

@@ -1,4 +1,4 @@
-//! Many configurations at once: as many in every number as a register holds, pieces of them on every core.
+//! Kinematics of many configurations: one per SIMD lane, in chunks on all cores.
 
 use rayon::prelude::*;
 
@@ -13,16 +13,16 @@ use crate::pose::COORDINATE_BOUND;
 use crate::threads::on_every_core;
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Configurations that a thread takes at once; fewer are done by the caller's thread.
+/// Configurations per chunk; a smaller batch runs on the caller's thread.
 const PIECE: usize = 4096;
 
 impl Model {
-    /// Poses (`N` × 4 × 4, row-major) and Jacobians (`N` × 6 × n) of `N` configurations (`N` × n); either may be empty, and
-    /// is then not made.
+    /// Computes poses (`N` × 4 × 4, row-major) and Jacobians (`N` × 6 × n) of `N` configurations (`N` × n); an empty
+    /// output is skipped.
     ///
     /// # Errors
-    /// As [`Model::forward_kinematics`], with the row of the first bad configuration; [`Error::Shape`] where lengths do
-    /// not fit together. The results are then meaningless.
+    /// As [`Model::forward_kinematics`], with the row of the first invalid configuration; [`Error::Shape`] for
+    /// inconsistent lengths. The outputs are then undefined.
     pub fn kinematics_batch(
         &self,
         q: &[f64],
@@ -37,14 +37,14 @@ impl Model {
         let chain = self.chain();
         let past_the_caches = size_of_val(poses) + size_of_val(jacobians) >= PAST_THE_CACHES;
         self.pieces(q, [(poses, pose), (jacobians, jacobian)], |q, [poses, jacobians]| {
-            // Outside of the kernel: a closure within it would be compiled for the plainest machine.
+            // Outside of the kernel: a closure within it would be compiled for the baseline instruction set.
             streaming(past_the_caches, |past| {
                 Instructions::chosen().run(PosePiece { chain, q, reference, past, poses, jacobians });
             });
         })
     }
 
-    /// Torques (`N` × n) [N·m or N] that hold the arm and its payload at `N` configurations (`N` × n).
+    /// Computes the gravity torques (`N` × n) [N·m or N] of the arm and its payload at `N` configurations (`N` × n).
     ///
     /// # Errors
     /// As [`Model::kinematics_batch`].
@@ -61,7 +61,7 @@ impl Model {
         if q.len().is_multiple_of(self.n()) { Ok(q.len() / self.n()) } else { Err(Error::rows("Q", q.len(), self.n())) }
     }
 
-    /// Checks and works through all configurations, piece by piece, each with its part of the results.
+    /// Checks and processes all configurations chunk by chunk, each with its part of the outputs.
     fn pieces(
         &self,
         q: &[f64],
@@ -70,7 +70,7 @@ impl Model {
     ) -> Result<()> {
         let n = self.n();
         let piece = |(q, outs): (&[f64], [&mut [f64]; 2])| {
-            // Before the numbers leave the cache again.
+            // Check while the numbers are still in the cache.
             let fine = q.iter().fold(true, |fine, value| fine & (value.abs() <= COORDINATE_BOUND));
             if fine {
                 work(q, outs);
@@ -106,13 +106,13 @@ fn check(what: &str, values: &[f64], expected: usize) -> Result<()> {
     if values.len() == expected { Ok(()) } else { Err(Error::length(what, values.len(), expected)) }
 }
 
-/// One number per joint, or entry of a pose, from the rows of `values`, each `size` long; anything behind the last. Where
-/// there are fewer rows than configurations, the last one again.
+/// Loads one number per joint, or entry of a pose, from the rows of `values`, each `size` long; undefined values after
+/// the last. If there are fewer rows than lanes, repeats the last row.
 #[inline(always)]
 pub(crate) fn gather<A: Many>(values: &[f64], size: usize) -> [A; MAX_JOINTS] {
     let last;
     let mut rows = values;
-    // Registers are filled whole: behind the end of a row with the next one.
+    // Full registers are loaded, which may read past the end of a row into the next.
     if values.len() < A::COUNT * size + LANES {
         last = last_rows(values, size);
         rows = &last;
@@ -129,7 +129,7 @@ pub(crate) fn gather<A: Many>(values: &[f64], size: usize) -> [A; MAX_JOINTS] {
     out
 }
 
-/// The last rows, and the very last one again and again.
+/// Copies the last rows and repeats the very last one.
 #[cold]
 #[inline(never)]
 fn last_rows(values: &[f64], size: usize) -> [f64; LANES * MAX_JOINTS + LANES] {
@@ -140,10 +140,10 @@ fn last_rows(values: &[f64], size: usize) -> [f64; LANES * MAX_JOINTS + LANES] {
     out
 }
 
-/// The first `size` numbers of as many configurations as a register holds into the first rows of `out`, each `size` long;
-/// `numbers` come in whole eights.
+/// Stores the first `size` numbers of one configuration per lane into the first rows of `out`, each `size` long;
+/// `numbers` is padded to a multiple of eight.
 ///
-/// Behind these rows `out` may be overwritten: whoever goes on writes the next rows there.
+/// Values of `out` after these rows may be overwritten: the caller writes the next rows there.
 #[inline(always)]
 pub(crate) fn scatter<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
     if out.len() >= A::COUNT * size + LANES {
@@ -156,11 +156,11 @@ pub(crate) fn scatter<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
     }
 }
 
-/// [`scatter`] where there is room for eight numbers more.
+/// [`scatter`] with room for eight more numbers after the end.
 #[inline(always)]
 fn put<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
     let (eights, mut from) = (numbers.as_chunks::<LANES>().0, size.div_ceil(LANES));
-    // From behind: what hangs over the end of a row is the place of the next one's beginning.
+    // Back to front: an 8-wide store may overrun into the next row, whose start is written afterwards.
     while from > 0 {
         from -= 1;
         if let (Some(eight), Some(rows)) = (eights.get(from), out.get_mut(LANES * from..)) {
@@ -169,7 +169,7 @@ fn put<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
     }
 }
 
-/// Copies the first of `rows`, past the caches where there is too much for them.
+/// Copies the first of `rows`; uses non-temporal stores if the output exceeds the caches.
 #[inline(always)]
 fn write<'a>(rows: &[f64], out: &'a mut [f64], past: Option<&Stream<'a>>) {
     let rows = &rows[..out.len()];
@@ -179,11 +179,11 @@ fn write<'a>(rows: &[f64], out: &'a mut [f64], past: Option<&Stream<'a>>) {
     }
 }
 
-/// Configurations whose results are put together in a cache before they go to memory in one piece, a multiple of what any
-/// register holds: six rows of many Jacobians at once are too many places to write to.
+/// Configurations whose results are collected in a cache before they go to memory in one block; a multiple of every
+/// register's lanes. Writing six rows of many Jacobians at once would be too many write streams.
 const STAGED: usize = 8;
 
-/// Poses and Jacobians of a piece.
+/// Poses and Jacobians of a chunk.
 struct PosePiece<'a, 'out> {
     chain: &'a Chain,
     q: &'a [f64],
@@ -245,7 +245,7 @@ impl Kernel for PosePiece<'_, '_> {
     }
 }
 
-/// Holding torques of a piece.
+/// Gravity torques of a chunk.
 struct GravityPiece<'a> {
     chain: &'a Chain,
     masses: &'a Masses,

@@ -1,4 +1,4 @@
-//! Joint positions → frames of all joints and of the tool.
+//! Forward kinematics: joint positions → frames of all joints and of the tool.
 
 use super::spatial::{Mat3, Vec3, multiply, splat, splat_matrix};
 use crate::model::Chain;
@@ -6,10 +6,11 @@ use crate::number::{Arithmetic, Joints, Plain, Real, Three, Triple, sin_cos};
 use crate::pose::Pose;
 use crate::{JointVec, MAX_JOINTS};
 
-/// Where every moving joint and the tool are, in the base; scratch of the hot path.
+/// Frames of all moving joints and of the tool in the base; scratch of the control step.
 ///
-/// The first joints are those between base and tip, base first. Behind them stand joints beside the path that follow a
-/// coordinate of the chain (the other finger of a gripper): they carry mass but move no tool. Entries beyond are 0.
+/// The first joints are those between base and tip, base first. After them come joints beside the path that follow a
+/// coordinate of the chain (the other finger of a gripper): they carry mass but do not move the tool. Further entries
+/// are 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frames<R = f64> {
     /// Unit axis of each joint.
@@ -23,7 +24,7 @@ pub struct Frames<R = f64> {
 }
 
 impl<R: Copy> Frames<R> {
-    /// The same number everywhere.
+    /// Fills all entries with one number.
     pub(crate) fn filled(value: R) -> Self {
         let three = [value; 3];
         Self {
@@ -41,9 +42,9 @@ impl Default for Frames {
     }
 }
 
-/// What is done with the frame of each joint on the way to the tool.
+/// Visitor of the joint frames on the path to the tool.
 pub(super) trait Visitor<T> {
-    /// The frame after joint `k`: axes, which are the columns of its rotation, and origin.
+    /// Called with the frame after joint `k`: its axes, the columns of the rotation, and its origin.
     fn joint(&mut self, k: usize, axes: &[T; 3], origin: T);
 }
 
@@ -56,26 +57,26 @@ impl<A: Arithmetic> Visitor<Three<A>> for Frames<A::Real> {
     }
 }
 
-/// Of nothing but the tool.
+/// Visits no joint frames, for the tool pose alone.
 impl<T> Visitor<T> for () {
     #[inline(always)]
     fn joint(&mut self, _: usize, _: &[T; 3], _: T) {}
 }
 
-/// The rotation whose columns are these axes.
+/// Returns the rotation with these axes as columns.
 #[inline(always)]
 fn matrix<T: Triple>([x, y, z]: &[T; 3]) -> Mat3<Real<T>> {
     let (x, y, z) = (x.numbers(), y.numbers(), z.numbers());
     [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]
 }
 
-/// The columns of a rotation.
+/// Returns the columns of a rotation.
 #[inline(always)]
 fn columns<T: Triple>(m: &Mat3<Real<T>>) -> [T; 3] {
     [T::of([m[0][0], m[1][0], m[2][0]]), T::of([m[0][1], m[1][1], m[2][1]]), T::of([m[0][2], m[1][2], m[2][2]])]
 }
 
-/// Sine and cosine of a joint's angle, and its travel.
+/// Sine and cosine of a joint's angle, and its displacement.
 #[derive(Clone, Copy)]
 struct Motion<R> {
     sine: R,
@@ -83,28 +84,28 @@ struct Motion<R> {
     slide: R,
 }
 
-/// What a coordinate `q` makes of joints whose angle and travel are `[per q, offset]`.
+/// Motion of a joint with coordinate `q`, whose angle and displacement are `[per q, offset]`.
 #[inline(always)]
 fn motion<A: Arithmetic>(q: A::Real, angle: [A::Real; 2], slide: [A::Real; 2]) -> Motion<A::Real> {
     let (sine, cosine) = sin_cos::<A>(A::fma(angle[0], q, angle[1]));
     Motion { sine, cosine, slide: A::fma(slide[0], q, slide[1]) }
 }
 
-/// Motions of up to `N` joints: of one configuration already known.
+/// Motions of up to `N` joints; for a single configuration they are precomputed.
 pub(super) struct Motions<'a, R, const N: usize = MAX_JOINTS> {
     q: &'a [R; MAX_JOINTS],
     all: [[R; N]; 3],
 }
 
 impl Chain {
-    /// Frames of all joints and of the tool at `q`.
+    /// Computes the frames of all joints and of the tool at `q`.
     ///
-    /// `q` [rad or m]: `n` finite entries of at most [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND); the rest is 0.
+    /// `q` [rad or m]: `n` finite entries of at most [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND), then zeros.
     pub fn forward(&self, q: &JointVec, frames: &mut Frames) {
         self.forward_by::<Plain>(q, frames);
     }
 
-    /// [`Chain::forward`] of one configuration or of several.
+    /// [`Chain::forward`] for one configuration or several.
     #[inline(always)]
     pub(crate) fn forward_by<A: Arithmetic>(&self, q: &[A::Real; MAX_JOINTS], frames: &mut Frames<A::Real>) {
         let motions = self.motions::<A>(q, self.total);
@@ -122,7 +123,7 @@ impl Chain {
         }
     }
 
-    /// Motions of the first `count` joints at `q`.
+    /// Returns the motions of the first `count` joints at `q`.
     #[inline(always)]
     pub(super) fn motions<'a, A: Arithmetic>(
         &self,
@@ -130,7 +131,7 @@ impl Chain {
         count: usize,
     ) -> Motions<'a, A::Real> {
         let mut all = [[A::splat(0.0); MAX_JOINTS]; 3];
-        // What is vector code by itself is not stored.
+        // Values that are already SIMD vectors are not stored.
         if !A::WIDE {
             for k in 0..count.min(MAX_JOINTS) {
                 let Motion { sine, cosine, slide } = self.motion::<A>(k, q);
@@ -140,7 +141,7 @@ impl Chain {
         Motions { q, all }
     }
 
-    /// Motions at `q` of joints that each have a coordinate of their own, side by side.
+    /// Returns the motions at `q` of joints that each have their own coordinate, one joint per lane.
     #[inline(always)]
     pub(super) fn motions_abreast<'a, J: Joints, const N: usize>(&self, q: &'a JointVec) -> Motions<'a, f64, N> {
         let (angle, slide) = ([&self.angle_per_q, &self.angle_offset], [&self.slide_per_q, &self.slide_offset]);
@@ -158,7 +159,7 @@ impl Chain {
         )
     }
 
-    /// From the base to the tool, whose pose is returned.
+    /// Runs the forward pass from the base to the tool and returns the tool pose.
     #[inline(always)]
     pub(super) fn walk<T: Triple, const N: usize>(
         &self,
@@ -180,10 +181,10 @@ impl Chain {
         Pose { rotation: matrix(&rotation), position: place(&axes, &self.tool.position, origin).numbers() }
     }
 
-    /// From the frame before joint `k` to the frame after it: `T(offset) · Rx(tilt) · Rz(angle) · T(slide z)`.
+    /// Advances from the frame before joint `k` to the frame after it: `T(offset) · Rx(tilt) · Rz(angle) · T(slide z)`.
     ///
-    /// Any rotation is `Rz · Rx · Rz`. The last turn is added to the joint's angle and the first one is part of the frame
-    /// before, whose own angle takes it in; so two turns in a plane are left.
+    /// Any rotation is `Rz · Rx · Rz`. The last rotation is added to the joint's angle. The first one is merged into
+    /// the previous frame, whose joint angle includes it. So two planar rotations remain.
     #[inline(always)]
     fn advance<T: Triple, const N: usize>(
         &self,
@@ -200,7 +201,8 @@ impl Chain {
         };
         let (st, ct) = (T::One::splat(self.tilt[k].0), T::One::splat(self.tilt[k].1));
         let (tilted, axis) = (y.times(ct).plus(st, z), z.times(ct).minus(st, y));
-        // What waits for the tilt comes last: a chain is as slow as what each joint waits for.
+        // The tilted axis is ready last, so it enters in the last multiply-add: this dependency chain is the latency
+        // per joint.
         let axes = [x.times(c).plus(s, tilted), x.times(-s).plus(c, tilted), axis];
         let mut origin = place(&[x, y, z], &self.offset[k], origin);
         if self.slides[k] {
@@ -210,7 +212,7 @@ impl Chain {
     }
 }
 
-/// A point given in a frame.
+/// Transforms a point from a frame into the base.
 #[inline(always)]
 pub(super) fn place<T: Triple>(axes: &[T; 3], point: &Vec3, origin: T) -> T {
     let [x, y, z] = splat::<T::One>(point);

@@ -1,4 +1,4 @@
-//! Joint torques that hold the arm against gravity.
+//! Gravity torques of the arm.
 
 use super::forward::Frames;
 use super::spatial::{Vec3, add, cross, dot, place, scale, splat, sub};
@@ -6,10 +6,10 @@ use crate::model::{Chain, Payload};
 use crate::number::{Arithmetic, Plain};
 use crate::{JointVec, MAX_JOINTS};
 
-/// Mass [kg] and first moment (mass times centre of mass [kg·m]) of the rigid group that each joint carries.
+/// Mass [kg] and first moment (mass times centre of mass [kg·m]) of the rigid group of links that each joint carries.
 ///
-/// In the frame after the joint, see [`Frames::rotation`]; the group of the last joint before the tool includes the
-/// payload.
+/// Expressed in the frame after the joint, see [`Frames::rotation`]; the group of the last joint before the tool
+/// includes the payload.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Masses {
     /// Mass of each group [kg].
@@ -19,7 +19,7 @@ pub struct Masses {
 }
 
 impl Chain {
-    /// Masses of all groups with this payload at the tool, in place of any other payload.
+    /// Returns the masses of all groups with this payload at the tool, which replaces any other payload.
     pub fn masses(&self, payload: Option<&Payload>) -> Masses {
         let mut masses = Masses { mass: self.mass, moment: self.moment };
         if let (Some(payload), Some(last)) = (payload, self.path.checked_sub(1)) {
@@ -32,10 +32,10 @@ impl Chain {
         masses
     }
 
-    /// Torques [N·m, N for prismatic joints] that hold the arm at rest; `g` [m/s²] in the base.
+    /// Computes the torques [N·m, N for prismatic joints] that hold the arm at rest; `g` [m/s²] in the base.
     ///
-    /// The gradient of the potential energy `−Σ mᵢ g·cᵢ`: walking from the tips inwards, each joint sees the mass `M`
-    /// and the first moment `S` of all that it carries: `τ = −g·(z × (S − M o))`, for a prismatic joint `−M g·z`.
+    /// Gradient of the potential energy `−Σ mᵢ g·cᵢ`. From the tips inward, with the mass `M` and the first moment `S`
+    /// of everything that a joint carries: `τ = −g·(z × (S − M o))`, for a prismatic joint `−M g·z`.
     pub fn gravity(&self, frames: &Frames, masses: &Masses, g: [f64; 3], out: &mut JointVec) {
         self.gravity_by::<Plain>(frames, masses, &g, out);
     }
@@ -61,7 +61,7 @@ impl Chain {
             }
             return;
         }
-        // What joints beside the path hang on each joint.
+        // Masses of the joints beside the path, per joint that carries them.
         let mut sides = [nothing; MAX_JOINTS];
         for k in (self.path..self.total.min(MAX_JOINTS)).rev() {
             let load = self.hold::<A>(k, frames, masses, &g, &sides[k], out);
@@ -74,7 +74,7 @@ impl Chain {
         }
     }
 
-    /// Adds what joint `k` must hold, given what hangs on its group; what then hangs on the joint before.
+    /// Computes the torque of joint `k` from the masses beyond its group; returns the masses beyond the joint before.
     #[inline(always)]
     fn hold<A: Arithmetic>(
         &self,
@@ -87,7 +87,7 @@ impl Chain {
     ) -> Load<A::Real> {
         let (axis, origin) = (&frames.axis[k], &frames.origin[k]);
         let carried = place::<A>(&frames.rotation[k], &splat::<A>(&masses.moment[k]), &beyond.moment);
-        // S − M o, where M o of the joint's own group cancels.
+        // S − M o; M o of the joint's own group cancels.
         let arm = sub::<A>(&carried, &scale::<A>(A::splat(beyond.mass), origin));
         let torque = dot::<A>(&arm, &cross::<A>(g, axis));
         let slot = &mut out[self.driver[k] & (MAX_JOINTS - 1)];

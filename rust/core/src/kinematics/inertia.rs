@@ -1,4 +1,4 @@
-//! Mass matrix of the arm, rigid groups taken as point masses.
+//! Mass matrix of the arm, with rigid groups as point masses.
 
 use super::forward::Frames;
 use super::gravity::Masses;
@@ -10,7 +10,7 @@ use crate::{JointVec, MAX_JOINTS};
 /// Symmetric matrix over the independent joints.
 pub(crate) type JointMatrix = [JointVec; MAX_JOINTS];
 
-/// Everything beyond a joint, in base axes and about the base's origin.
+/// Masses beyond a joint, in base axes and about the base's origin.
 #[derive(Clone, Copy)]
 struct Beyond {
     /// Σ m [kg].
@@ -33,7 +33,8 @@ impl Beyond {
         }
     }
 
-    /// Momentum, and its moment about the base's origin, of everything turning about an axis through `o` at 1 rad/s.
+    /// Momentum and angular momentum about the base's origin for a rotation of all masses about an axis through `o` at
+    /// 1 rad/s.
     #[inline]
     fn turning(&self, axis: &Vec3, o: &Vec3) -> (Vec3, Vec3) {
         // Σ m z × (c − o), and Σ m c × (z × (c − o)) with c × (z × c) = (c·c) z − c (c·z).
@@ -43,7 +44,7 @@ impl Beyond {
         (momentum, sub::<Plain>(&own, &cross::<Plain>(&self.first, &cross::<Plain>(axis, o))))
     }
 
-    /// The same of everything moving along an axis at 1 m/s.
+    /// Momentum and angular momentum for a translation of all masses along an axis at 1 m/s.
     #[inline]
     fn sliding(&self, axis: &Vec3) -> (Vec3, Vec3) {
         (axis.map(|z| self.mass * z), cross::<Plain>(&self.first, axis))
@@ -51,10 +52,11 @@ impl Beyond {
 }
 
 impl Chain {
-    /// Mass matrix [kg·m²; kg for prismatic joints] `Σ_k m_k J_kᵀ J_k`, every rigid group a point mass at its centre.
+    /// Computes the mass matrix [kg·m²; kg for prismatic joints] `Σ_k m_k J_kᵀ J_k`, with each rigid group as a point
+    /// mass at its centre of mass.
     ///
-    /// Right to the groups' own moments of inertia, which [`Masses`] do not hold, and without the rotors. Groups beside
-    /// the path ride on the path.
+    /// Without the groups' own moments of inertia, which [`Masses`] does not contain, and without the rotors. Groups
+    /// beside the path count as fixed to the path.
     pub(crate) fn mass_matrix(&self, frames: &Frames, masses: &Masses, out: &mut JointMatrix) {
         *out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
         let (path, total) = (self.path.min(MAX_JOINTS), self.total.min(MAX_JOINTS));
@@ -102,7 +104,7 @@ mod tests {
     use super::*;
     use crate::model::{Model, ModelOptions};
 
-    /// `M = Σ m J_cᵀ J_c` with Jacobians of the centres by differences.
+    /// Reference: `M = Σ m J_cᵀ J_c` with Jacobians of the centres of mass by finite differences.
     #[test]
     fn the_matrix_is_what_moving_centres_of_mass_say() {
         let urdf = include_str!("../../robots/arm7.urdf");

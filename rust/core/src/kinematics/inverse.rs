@@ -1,8 +1,9 @@
-//! Pose → joint positions: a convenience beside the control step, with an honest status.
+//! Inverse kinematics: pose → joint positions; not used by the control step.
 //!
-//! Damped least squares, `dq = Jᵀ (J Jᵀ + μ I)⁻¹ e` with `μ = ½|e|² + ε`: far from the target the damping keeps steps
-//! sound at singular poses, near it the method is Newton's (Sugihara, T-RO 2011). A joint at its limit and pushed outward
-//! leaves the solve, so that the others do what is left. A search that stalls starts again from a few fixed points.
+//! Damped least squares, `dq = Jᵀ (J Jᵀ + μ I)⁻¹ e` with `μ = ½|e|² + ε`: far from the target the damping bounds the
+//! steps at singular poses, near it the method is Newton's (Sugihara, T-RO 2011). A joint at its limit that is pushed
+//! outward leaves the solve, so that the others make the remaining motion. A search that stalls restarts from a few
+//! fixed seeds.
 
 use std::fmt;
 
@@ -15,18 +16,18 @@ use crate::model::Model;
 use crate::pose::Pose;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// How hard and how closely to search.
+/// Options of the search.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IkOptions {
-    /// Axes of the base (x y z, then rotations about them) that must match; the others are free.
+    /// Axes of the base (x y z, then rotations about them) that must match the target; the others are free.
     pub axes: [bool; 6],
     /// Position error to reach [m].
     pub position_tolerance: f64,
     /// Rotation error to reach [rad].
     pub rotation_tolerance: f64,
-    /// Most iterations from one start.
+    /// Maximum number of iterations per start.
     pub max_iterations: usize,
-    /// Starts after `q0`, each from another fixed point inside the limits.
+    /// Number of restarts after `q0`, each from a fixed seed inside the limits.
     pub restarts: usize,
 }
 
@@ -36,24 +37,24 @@ impl Default for IkOptions {
     }
 }
 
-/// Why a search ended.
+/// Reason for the end of a search.
 #[derive(Debug, Clone, PartialEq)]
 pub enum IkReason {
     /// Both errors are within tolerance.
     Converged,
     /// The target is farther from the first joint than the arm is long [m].
     OutOfReach {
-        /// From the first joint's origin to the target.
+        /// Distance from the first joint's origin to the target.
         distance: f64,
         /// The arm's length, [`Model::reach`].
         reach: f64,
     },
     /// The closest pose found has joints at their limits.
     JointLimit {
-        /// Their names.
+        /// Names of these joints.
         joints: Vec<String>,
     },
-    /// The closest pose found is a local minimum, or iterations ran out.
+    /// The closest pose found is a local minimum, or the iterations ran out.
     Stalled,
 }
 
@@ -70,32 +71,32 @@ impl fmt::Display for IkReason {
     }
 }
 
-/// The closest joint positions that were found, and how close they are.
+/// The closest joint positions found, and their errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IkResult {
     /// Joint positions (`n`) [rad or m], inside the limits.
     pub q: Vec<f64>,
-    /// Whether both errors are within tolerance.
+    /// True if both errors are within tolerance.
     pub converged: bool,
-    /// Iterations in all.
+    /// Total number of iterations.
     pub iterations: usize,
-    /// Distance to the target over the axes asked for [m].
+    /// Distance to the target over the selected axes [m].
     pub position_error: f64,
-    /// Angle to the target over the axes asked for [rad].
+    /// Angle to the target over the selected axes [rad].
     pub rotation_error: f64,
-    /// Why the search ended.
+    /// Reason for the end of the search.
     pub reason: IkReason,
 }
 
 impl Model {
-    /// Joint positions that bring the tool to `target`, searched from `q0` (`n`) [rad or m].
+    /// Searches joint positions that bring the tool to `target`, starting from `q0` (`n`) [rad or m].
     ///
-    /// The result lies inside the position limits; `q0` is moved there first. Continuous joints are not wrapped. Same
-    /// input, same result. Not converging is not an error: read `converged` and `reason`.
+    /// The result lies inside the position limits; `q0` is clamped to them first. Continuous joints are not wrapped.
+    /// Deterministic. A search that does not converge is not an error: see `converged` and `reason`.
     ///
     /// # Errors
-    /// [`Error::Shape`] and [`Error::OutOfRange`] for `q0`; as [`Pose::validate`] for `target`; [`Error::Config`] for options
-    /// that cannot be met.
+    /// [`Error::Shape`] and [`Error::OutOfRange`] for `q0`; as [`Pose::validate`] for `target`; [`Error::Config`] for
+    /// invalid options.
     ///
     /// ```
     /// # use pliant_core::{IkOptions, Model, ModelOptions};
@@ -169,7 +170,7 @@ struct Search<'a> {
     options: &'a IkOptions,
 }
 
-/// Where one descent ended.
+/// Result of one descent.
 struct Found {
     q: JointVec,
     error: Vector6<f64>,
@@ -190,10 +191,10 @@ impl Found {
     }
 }
 
-/// Largest step of one joint in one iteration [rad or m]: a linear model says nothing beyond.
+/// Largest step of one joint in one iteration [rad or m], the range of the linear model.
 const LARGEST_STEP: f64 = 0.5;
 
-/// Iterations without progress by a tenth after which a descent is given up.
+/// Number of iterations without a 10 % improvement after which a descent stops.
 const PATIENCE: usize = 20;
 
 impl Search<'_> {
@@ -227,7 +228,7 @@ impl Search<'_> {
         found
     }
 
-    /// Deviation from the target on the axes asked for; 0 on the others.
+    /// Deviation from the target on the selected axes; 0 on the others.
     fn error(&self, tool: &Pose) -> Vector6<f64> {
         let rotation = (self.target_rotation * quaternion(tool).inverse()).scaled_axis();
         let (p, d) = (&tool.position, &self.target.position);
@@ -235,7 +236,7 @@ impl Search<'_> {
         Vector6::from_fn(|i, _| if self.options.axes[i] { error[i] } else { 0.0 })
     }
 
-    /// One damped step; joints at a limit and pushed outward stay. `None`: nothing moves any more.
+    /// Returns one damped step; joints at a limit that are pushed outward stay. `None` if nothing moves.
     fn step(&self, q: &JointVec, rows: &Rows, error: &Vector6<f64>) -> Option<JointVec> {
         let n = self.model.n().min(MAX_JOINTS);
         let mut free = [true; MAX_JOINTS];
@@ -283,7 +284,7 @@ impl Search<'_> {
         q
     }
 
-    /// The `index`-th Halton point of the joint ranges; continuous joints within ±π.
+    /// Returns the `index`-th Halton point of the joint ranges; continuous joints within ±π.
     fn fixed_point(&self, index: usize) -> JointVec {
         halton::joints(self.model.lower(), self.model.upper(), u32::try_from(index).unwrap_or(u32::MAX))
     }

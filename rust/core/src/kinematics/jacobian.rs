@@ -1,4 +1,4 @@
-//! Frames → geometric Jacobian.
+//! Geometric Jacobian from frames.
 
 use super::forward::{Frames, Visitor};
 use super::spatial::{Mat3, Vec3, cross, rotate_back, sub};
@@ -7,7 +7,7 @@ use crate::number::{Arithmetic, Plain, Three, Triple};
 use crate::pose::Pose;
 use crate::{MAX_AXES, MAX_JOINTS, Rows};
 
-/// Rows over the joints while the tool is not reached yet: axes in the angular ones, origins in the linear ones.
+/// Rows over the joints before the tool is known: axes in the angular rows, origins in the linear rows.
 struct Levers<'a, R>(&'a mut [[R; MAX_JOINTS]; MAX_AXES]);
 
 impl<A: Arithmetic> Visitor<Three<A>> for Levers<'_, A::Real> {
@@ -22,15 +22,16 @@ impl<A: Arithmetic> Visitor<Three<A>> for Levers<'_, A::Real> {
 }
 
 impl Chain {
-    /// Geometric Jacobian at the tool, base axes, linear rows first [m/rad, rad/rad; m/m, rad/m for prismatic joints].
+    /// Computes the geometric Jacobian at the tool, base axes, linear rows first [m/rad, rad/rad; m/m, rad/m for
+    /// prismatic joints].
     ///
-    /// A revolute joint at `o` with axis `z` moves the tool at `p` with `[z × (p − o); z]`, a prismatic one with
-    /// `[z; 0]`. A joint that follows another adds its multiplier times that into its driver's column.
+    /// A revolute joint at `o` with axis `z` moves the tool at `p` with `[z × (p − o); z]`, a prismatic joint with `[z;
+    /// 0]`. A mimic joint adds its column, times its multiplier, to the column of its driver.
     pub fn jacobian(&self, frames: &Frames, rows: &mut Rows) {
         self.jacobian_by::<Plain>(frames, rows);
     }
 
-    /// [`Chain::jacobian`] of one configuration or several.
+    /// [`Chain::jacobian`] for one configuration or several.
     #[inline(always)]
     pub(crate) fn jacobian_by<A: Arithmetic>(
         &self,
@@ -55,7 +56,7 @@ impl Chain {
         }
     }
 
-    /// Pose of the tool and Jacobian; of `rows` the columns below `n` are written.
+    /// Computes tool pose and Jacobian; writes the columns of `rows` below `n`.
     #[inline(always)]
     pub(crate) fn kinematics_by<A: Arithmetic>(
         &self,
@@ -76,7 +77,7 @@ impl Chain {
     }
 }
 
-/// The linear rows of joint `k` from its origin `o`, which they hold, and its axis `z`: `z × (p − o)`.
+/// Replaces the origin `o` of joint `k` in the linear rows by `z × (p − o)` with its axis `z`.
 #[inline(always)]
 fn pull<A: Arithmetic>(k: usize, tool: &Vec3<A::Real>, rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES]) {
     let axis = [rows[3][k], rows[4][k], rows[5][k]];
@@ -86,7 +87,7 @@ fn pull<A: Arithmetic>(k: usize, tool: &Vec3<A::Real>, rows: &mut [[A::Real; MAX
     }
 }
 
-/// Turns rows in base axes into the axes of the tool.
+/// Rotates rows from base axes into the axes of the tool.
 #[inline(always)]
 pub(super) fn turn_to_tool<A: Arithmetic>(
     tool: &Mat3<A::Real>,

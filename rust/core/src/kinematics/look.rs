@@ -1,4 +1,5 @@
-//! Tool, Jacobian and holding torques at once, for the control step: what follows from the frames is done joints side by side.
+//! Fused evaluation of tool pose, Jacobian and gravity torques for the control step; after the frames, one joint per
+//! SIMD lane.
 
 use super::forward::{Frames, Visitor, place};
 use super::gravity::Masses;
@@ -9,22 +10,22 @@ use crate::number::{Arithmetic, Cell, Joints, Kept, LANES, Lanes, Scalar, Triple
 use crate::pose::Pose;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// What a control step sees of the arm.
+/// Tool pose, Jacobian and gravity torques at one configuration per lane.
 #[derive(Clone, Copy)]
 pub(crate) struct View<J: Lanes> {
     /// `base_from_tool`.
     pub(crate) tool: Pose<Scalar<J>>,
     /// Jacobian in base axes (6 × n).
     pub(crate) world: [J; MAX_AXES],
-    /// Torques that hold the arm [N·m].
+    /// Gravity torques [N·m].
     pub(crate) holding: J,
 }
 
-/// Memory that a look at the arm works in; nothing of it outlives the look.
+/// Scratch memory of an evaluation; nothing in it is used afterwards.
 #[derive(Debug, Clone)]
 pub(crate) struct LookScratch {
     cells: Cells,
-    /// First moment of each group's own mass about the base; then what its joint has to hold.
+    /// First moment of each group's own mass about the base; then the first moment that its joint carries.
     moments: [Cell; MAX_JOINTS],
     frames: Frames,
     world: Rows,
@@ -44,7 +45,7 @@ impl LookScratch {
     }
 }
 
-/// A vector of each joint, base axes; zeros where there is no joint.
+/// One vector per joint, base axes; zeros in the padding.
 #[derive(Debug, Clone)]
 struct Cells<const N: usize = MAX_JOINTS> {
     origin: [Cell; N],
@@ -58,7 +59,7 @@ impl<const N: usize> Cells<N> {
         Self { origin: zero, axis: zero }
     }
 
-    /// Axes, and what turning about them does to the tool.
+    /// Returns the axes, and the tool motion from a rotation about them.
     #[inline(always)]
     fn jacobian<J: Joints>(&self, tool: &Pose) -> ([J; 3], [J; MAX_AXES]) {
         let (origin, axis) = (J::components(&self.origin), J::components(&self.axis));
@@ -75,7 +76,7 @@ impl<T: Kept, const N: usize> Visitor<T> for Cells<N> {
     }
 }
 
-/// The same with masses.
+/// The frame visitor with masses.
 struct Heavy<'a> {
     cells: &'a mut Cells,
     moments: &'a mut [Cell; MAX_JOINTS],
@@ -91,7 +92,8 @@ impl<T: Kept> Visitor<T> for Heavy<'_> {
 }
 
 impl Chain {
-    /// Tool, Jacobian and, where `heavy`, holding torques of several configurations; `rows` are 0 behind the last joint.
+    /// Computes tool pose, Jacobian and, if `heavy`, gravity torques of several configurations; `rows` are 0 after the
+    /// last joint.
     #[inline(always)]
     pub(crate) fn look_abreast<J: Lanes>(
         &self,
@@ -113,7 +115,7 @@ impl Chain {
             self.kinematics_by::<J::One>(q, rows)
         };
         let [a, b, c, d, e, f] = rows;
-        // Made in its place: it is too large to be moved there.
+        // Built in place: too large to be moved.
         View {
             tool,
             world: [
@@ -128,7 +130,8 @@ impl Chain {
         }
     }
 
-    /// Tool, Jacobian and holding torques at `q`, these of masses under `g` [m/s²] in the base: 0 where nobody asks for them.
+    /// Computes tool pose and Jacobian at `q`, and the gravity torques of masses under `g` [m/s²] in the base; these
+    /// are 0 if `weight` is `None`.
     #[inline(always)]
     pub(crate) fn look<J: Joints>(&self, q: J, weight: Option<(&Masses, &Vec3)>, scratch: &mut LookScratch) -> View<J> {
         let (q, nothing) = (q.array(), J::splat(0.0));
@@ -149,12 +152,13 @@ impl Chain {
             return View { tool, world, holding: nothing };
         };
         let tool = self.walk::<J::Triple, _>(&motions, &mut Heavy { cells, moments, masses });
-        // S − M o of [`Chain::gravity`], where M o of the joint's own group cancels; S and M are what hangs beyond it.
+        // S − M o of [`Chain::gravity`]; M o of the joint's own group cancels. S and M are those of the groups beyond
+        // it.
         let (mut beyond, mut mass) = (J::Triple::constant(&[0.0; 3]), 0.0);
         for k in (0..self.path.min(MAX_JOINTS)).rev() {
             let (own, origin) = (J::Triple::kept(&moments[k]), J::Triple::kept(&cells.origin[k]));
             own.minus(mass, origin).plus(1.0, beyond).keep(&mut moments[k]);
-            // What does not wait for the joint before comes first.
+            // Terms that do not depend on the previous joint come first, to shorten the dependency chain.
             beyond = own.plus(masses.mass[k], origin).plus(1.0, beyond);
             mass += masses.mass[k];
         }
@@ -163,7 +167,7 @@ impl Chain {
         View { tool, world, holding }
     }
 
-    /// Tool and Jacobian at `q`, where each coordinate turns a joint of its own.
+    /// Computes tool pose and Jacobian at `q` of an arm in which each coordinate drives one joint.
     #[inline(always)]
     pub(super) fn see<J: Joints>(&self, q: &JointVec, rows: &mut Rows) -> Pose {
         let mut cells = Cells::<LANES>::new();

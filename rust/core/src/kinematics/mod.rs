@@ -1,4 +1,4 @@
-//! Joint positions → pose, Jacobian, gravity; and back.
+//! Kinematics: pose, Jacobian and gravity torques from joint positions; inverse kinematics.
 
 use nalgebra::{DVector, Matrix6xX};
 
@@ -23,7 +23,7 @@ pub(crate) use inertia::JointMatrix;
 pub use inverse::{IkOptions, IkReason, IkResult};
 pub(crate) use look::{LookScratch, View};
 
-/// Axes of a Jacobian's rows; its reference point is the tool in both.
+/// Axes of a Jacobian's rows; the reference point is the tool in both cases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Reference {
     /// Axes of the base.
@@ -34,17 +34,17 @@ pub enum Reference {
 }
 
 impl Model {
-    /// `base_from_tool` at `q` (`n`) [rad or m].
+    /// Returns `base_from_tool` at `q` (`n`) [rad or m].
     ///
     /// # Errors
-    /// [`Error::Shape`] for a wrong length, [`Error::OutOfRange`] for an entry that is not finite or beyond 1e6. Position
-    /// limits are not enforced: a real arm may stand a little outside of them.
+    /// [`Error::Shape`] for a wrong length, [`Error::OutOfRange`] for an entry that is not finite or beyond 1e6.
+    /// Position limits are not enforced: a real arm may be slightly outside of them.
     pub fn forward_kinematics(&self, q: &[f64]) -> Result<Pose> {
         let q = self.joint_vector(q)?;
         Ok(Instructions::chosen().run_single(Forward { chain: self.chain(), q: &q }))
     }
 
-    /// Geometric Jacobian (6×n) at the tool, linear rows first.
+    /// Returns the geometric Jacobian (6×n) at the tool, linear rows first.
     ///
     /// # Errors
     /// As [`Model::forward_kinematics`].
@@ -52,7 +52,7 @@ impl Model {
         Ok(self.kinematics(q, reference)?.1)
     }
 
-    /// Pose and Jacobian (6×n) in one pass.
+    /// Returns pose and Jacobian (6×n) in one pass.
     ///
     /// # Errors
     /// As [`Model::forward_kinematics`].
@@ -62,7 +62,8 @@ impl Model {
         Ok((pose, Matrix6xX::from_fn(self.n(), |i, j| rows[i][j])))
     }
 
-    /// Pose, and the Jacobian's rows into an array of the caller's: nothing is allocated. Columns beyond `n` are scratch.
+    /// Returns the pose and writes the Jacobian's rows into the caller's array; allocates nothing. Columns after `n`
+    /// are undefined.
     ///
     /// # Errors
     /// As [`Model::forward_kinematics`].
@@ -71,7 +72,7 @@ impl Model {
         Ok(Instructions::chosen().run_single(Kinematics { chain: self.chain(), q: &q, reference, rows }))
     }
 
-    /// Torques (`n`) [N·m or N] that hold the arm and its payload at rest at `q`.
+    /// Returns the torques (`n`) [N·m or N] that hold the arm and its payload at rest at `q`.
     ///
     /// # Errors
     /// As [`Model::forward_kinematics`].
@@ -87,7 +88,7 @@ impl Model {
         Ok(DVector::from_fn(self.n(), |i, _| torque[i]))
     }
 
-    /// Checks joint positions and pads them to the size of the hot path.
+    /// Checks joint positions and pads them to the fixed array size of the control step.
     ///
     /// # Errors
     /// As [`Model::forward_kinematics`].
@@ -108,7 +109,7 @@ impl Model {
 }
 
 impl Chain {
-    /// Whether each coordinate turns a joint of its own, and no more than one register holds.
+    /// Returns true if each coordinate drives one joint and the joints fit in one register row.
     const fn is_narrow(&self) -> bool {
         self.simple && self.n <= LANES
     }
@@ -134,7 +135,7 @@ impl Kernel for Forward<'_> {
     }
 }
 
-/// Holding torques at one configuration.
+/// Gravity torques at one configuration.
 struct Statics<'a> {
     chain: &'a Chain,
     masses: &'a Masses,

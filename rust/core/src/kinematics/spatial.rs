@@ -1,4 +1,4 @@
-//! Small fixed-size algebra of the hot path: 3-vectors and 3×3 matrices of one configuration or several.
+//! 3-vector and 3×3 matrix algebra of the control step, for one configuration or several.
 
 use crate::number::Arithmetic;
 
@@ -72,13 +72,13 @@ pub(crate) fn multiply_back<A: Arithmetic>(a: &Mat3<A::Real>, b: &Mat3<A::Real>)
     [rotate::<A>(b, &a[0]), rotate::<A>(b, &a[1]), rotate::<A>(b, &a[2])]
 }
 
-/// The same vector in every configuration.
+/// Copies a vector to every configuration.
 #[inline(always)]
 pub(crate) fn splat<A: Arithmetic>(v: &Vec3) -> Vec3<A::Real> {
     [A::splat(v[0]), A::splat(v[1]), A::splat(v[2])]
 }
 
-/// The same matrix in every configuration.
+/// Copies a matrix to every configuration.
 #[inline(always)]
 pub(crate) fn splat_matrix<A: Arithmetic>(m: &Mat3) -> Mat3<A::Real> {
     [splat::<A>(&m[0]), splat::<A>(&m[1]), splat::<A>(&m[2])]

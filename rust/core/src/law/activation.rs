@@ -7,7 +7,7 @@ use crate::law::nullspace::JointSquare;
 use crate::number::{Arithmetic, Axes, EveryJoint, Lanes};
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
-/// Least sum that shares are divided by: one over it is still finite times any strength, and an axis whose joints move the
+/// Smallest sum that shares are divided by. Its inverse times any strength is finite. An axis whose joints move the
 /// tool by less gets no torque.
 const LEAST_SUM: f64 = 1e-100;
 
@@ -19,7 +19,7 @@ const GRADIENT_THRESHOLD: f64 = 1e-3;
 pub(crate) struct Activation<J: Lanes> {
     /// Shares before they are divided by their sums.
     sizes: [J; MAX_AXES],
-    /// One over the sum of each row.
+    /// Inverse of the sum of each row.
     per_sum: J::Axes,
     null: J,
 }
@@ -51,29 +51,29 @@ impl<J: Lanes> Activation<J> {
 }
 
 impl Activation<EveryJoint> {
-    /// From the shares themselves.
+    /// Creates the matrix from shares in memory.
     pub(crate) fn of(task: &Rows, null: &JointVec) -> Self {
         Self { sizes: load_rows(task), per_sum: <EveryJoint as Lanes>::Axes::splat(1.0), null: EveryJoint::load(null) }
     }
 
-    /// Shares of one task axis.
+    /// Returns the shares of one task axis.
     pub(crate) fn row(&self, axis: usize) -> JointVec {
         (self.sizes[axis] * EveryJoint::splat(self.per_sum.axes()[axis])).array()
     }
 
-    /// Shares in the null-space motion.
+    /// Returns the shares in the null-space motion.
     pub(crate) fn null(&self) -> JointVec {
         self.null.array()
     }
 
-    /// As an n × (k + 1) matrix, the null-space column last.
+    /// Returns the n × (k + 1) matrix, the null-space column last.
     pub(crate) fn matrix(&self, k: usize, n: usize) -> DMatrix<f64> {
         let columns: Vec<JointVec> = (0..k).map(|axis| self.row(axis)).chain([self.null()]).collect();
         DMatrix::from_fn(n, k + 1, |i, r| columns[r][i])
     }
 }
 
-/// (6), (7): `|J⁺ diag(Δx)|` and `|α N∇g|`, n × (k + 1): the shares of [`Activation`] before they are divided by their sums.
+/// (6), (7): `|J⁺ diag(Δx)|` and `|α N∇g|`, n × (k + 1): the shares of [`Activation`] before normalization.
 pub(crate) fn responsibility(
     pinv_transposed: &Rows,
     dx: &AxisVec,
@@ -86,10 +86,10 @@ pub(crate) fn responsibility(
     })
 }
 
-/// Shares of the joints in the null-space motion `N∇g`: its sizes, blended into the lengths of the rows of `N` where it
-/// vanishes.
+/// Shares of the joints in the null-space motion `N∇g`: absolute values, blended into the row lengths of `N` where the
+/// motion vanishes.
 ///
-/// `projector` is asked only there.
+/// `projector` is evaluated only there.
 #[inline(always)]
 pub(crate) fn null_column<J: Lanes>(motion: J, projector: &impl RowLengths<J>) -> J {
     let sizes = J::abs(motion);
@@ -105,7 +105,8 @@ pub(crate) fn null_column<J: Lanes>(motion: J, projector: &impl RowLengths<J>) -
     sizes * J::spread(blend / moved) + lengths * J::spread((one - blend) / still)
 }
 
-/// A matrix over the joints whose rows have lengths. No closure: it would be compiled for the plainest machine.
+/// A matrix over the joints with row lengths. A trait, because a closure would be compiled for the baseline instruction
+/// set.
 pub(crate) trait RowLengths<J> {
     /// Length of each row.
     fn row_lengths(&self) -> J;

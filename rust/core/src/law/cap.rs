@@ -6,10 +6,10 @@ use crate::law::{Motion, Tick};
 use crate::number::{Axes, AxisScalar, Lanes};
 use crate::settings::Follow;
 
-/// One tick of one task, rows of the task's axes.
+/// Input of the law for one step, with the rows of the task's axes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Demand<'a, W: Axes> {
-    /// `C = J K_p⁻¹ Jᵀ`: how far the servos let each axis go per unit of force.
+    /// `C = J K_p⁻¹ Jᵀ`: compliance of each axis on the servos' stiffness.
     pub(crate) compliance: &'a Square<AxisScalar<W>>,
     /// `λ²/k̄` of each row, in its units.
     pub(crate) damping: W,
@@ -24,7 +24,7 @@ pub(crate) struct Demand<'a, W: Axes> {
 }
 
 impl<W: Axes> Demand<'_, W> {
-    /// The wrench that the servos are to exert.
+    /// Returns the wrench that the servos shall exert.
     #[inline(always)]
     pub(crate) fn wrench(&self, follow: Follow) -> Wrench<W> {
         match follow {
@@ -33,7 +33,7 @@ impl<W: Axes> Demand<'_, W> {
         }
     }
 
-    /// `w clip(s / C, ±F)`: what a soft axis exerts, whatever else is constrained.
+    /// `w clip(s / C, ±F)`: force of a soft axis, independent of all other constraints.
     #[inline(always)]
     fn soft_force(&self) -> W {
         let own = W::at_least(diagonal(self.compliance), W::splat(f64::MIN_POSITIVE));
@@ -42,8 +42,8 @@ impl<W: Axes> Demand<'_, W> {
 
     /// `(C + diag(C_jj w / (1 − w)) + λ²/k̄)⁻¹ s` over the rows with w < 1.
     ///
-    /// Solved in `y = W / √(1 − w)`: the added diagonal then stays finite and a row at w = 1 drops out by itself, so
-    /// that softness may change over without a branch.
+    /// Solved in `y = W / √(1 − w)`: the added diagonal then stays finite and a row at w = 1 drops out, so that
+    /// softness changes without a branch.
     #[inline(always)]
     pub(crate) fn stiff_force(&self) -> W {
         let root = W::sqrt(W::at_least(W::splat(1.0) - self.softness, W::splat(0.0)));
@@ -71,7 +71,7 @@ impl<W: Axes> Demand<'_, W> {
     }
 }
 
-/// Goals' lead of law `cap`: the wrench through the joints, scaled to torque ceilings and speed limits.
+/// Lead of the goals under law `cap`: the wrench mapped to the joints, scaled to torque ceilings and speed limits.
 #[inline(always)]
 pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
     let plan = tick.plan;

@@ -1,8 +1,8 @@
-//! The posture lets go of an arm that a push leads against a position limit.
+//! Fades out the posture task of the null space when a push leads a joint toward its position limit.
 //!
-//! A joint at its stop leaves the push to the others, and their way along the axis is then another one: through the null
-//! space, away from the posture. A posture that insists is felt along the axis, in guided motion with several times the cap.
-//! Without a push it stays: it is what leads a joint away from its stop, as out of the pose in which an arm was folded up.
+//! With a joint at its stop, the other joints follow the push through the null space, away from the posture. A full
+//! posture task would then be felt along the axis, in guided motion as several times the cap. Without a push the
+//! posture task stays: it leads joints away from their stops, for example out of a folded pose.
 
 use crate::JointVec;
 use crate::law::inverse::axes;
@@ -11,22 +11,24 @@ use crate::plan::Plan;
 use crate::task::compliance::unit;
 use crate::task::wish::Wish;
 
-/// Room [rad] below which the posture lets go, at most; and as a share of the joint's range, for short ones.
+/// Distance to the limit [rad] below which the posture task fades: upper bound, and share of the joint's range for
+/// short ranges.
 const ROOM: (f64, f64) = (0.05, 0.05);
 
-/// Where the posture itself is nearer, it lets go from there on, over no less than this share of that.
+/// If the posture itself is nearer to the limit, the fade begins at its distance, at least at this share of the
+/// distance above.
 const LEAST: f64 = 0.4;
 
-/// Share of that way after which it has let go altogether.
+/// Share of that distance after which the posture task is zero.
 const GONE: f64 = 0.5;
 
-/// Room [rad or m] of each joint below which [`posture_share`] is not one.
+/// Distance to the limit [rad or m] of each joint below which [`posture_share`] is less than one.
 pub(crate) fn clearance(lower: &JointVec, upper: &JointVec) -> JointVec {
     std::array::from_fn(|i| ROOM.0.min(ROOM.1 * (upper[i] - lower[i])))
 }
 
-/// How much of the posture is held at `q`: 1 clear of all position limits, at `rest`, or without a push; down to 0 where a
-/// push has led a joint to its limit.
+/// Returns the factor on the posture task at `q`: 1 away from all position limits, at `rest`, or without a push; down
+/// to 0 where a push has led a joint to its limit.
 #[inline(always)]
 pub(crate) fn posture_share<J: Joints>(plan: &Plan, q: J, rest: J, wish: &Wish<J::Axes>) -> f64 {
     let (lower, upper, clear) = (J::load(&plan.lower), J::load(&plan.upper), J::load(&plan.clearance));
@@ -38,8 +40,8 @@ pub(crate) fn posture_share<J: Joints>(plan: &Plan, q: J, rest: J, wish: &Wish<J
     if missing > 0.0 { 1.0 - missing.min(1.0) * pushed(plan, wish) } else { 1.0 }
 }
 
-/// Whether a push is felt, from 0 to 1: 1 where an axis that yields is twice the deviation away at which its compliance
-/// begins to fall, 0 below that deviation.
+/// Returns how far the arm is pushed, 0 to 1: 0 below the deviation at which the compliance of a yielding axis begins
+/// to fall, 1 at twice that deviation.
 #[inline(always)]
 fn pushed<W: Axes<One: Arithmetic<Real = f64>>>(plan: &Plan, wish: &Wish<W>) -> f64 {
     let slope = W::constant(&plan.lanes.push_slope);
@@ -47,8 +49,8 @@ fn pushed<W: Axes<One: Arithmetic<Real = f64>>>(plan: &Plan, wish: &Wish<W>) -> 
     axes(felt).into_iter().fold(0.0, f64::max)
 }
 
-/// Share of the posture that a stop takes away over whose distance `room` is left: none from where the posture itself is,
-/// so that nothing changes `at_rest`.
+/// Returns the share of the posture task that a stop at distance `room` removes: zero at the distance `at_rest` of the
+/// posture itself, so that the fade changes nothing there.
 #[inline(always)]
 fn gone<J: Joints>(room: J, at_rest: J, clear: J) -> J {
     let width = J::at_most(J::at_least(at_rest, J::splat(LEAST) * clear), clear);

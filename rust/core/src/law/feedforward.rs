@@ -1,19 +1,19 @@
-//! Velocity, prediction over the known delay, and what the joints themselves resist: lines 1 and 10.
+//! Velocity filter, prediction over the known delay, and friction feed-forward: lines 1 and 10.
 
 use crate::number::{Joints, Lanes, NEGLIGIBLE, Scalar, tanh};
 use crate::servos::ServoArrays;
 use crate::{JointVec, MAX_JOINTS};
 
-/// Largest speed [m/s, rad/s] that is taken for a real one.
+/// Largest plausible speed [m/s, rad/s].
 pub(crate) const SPEED_BOUND: f64 = 1e3;
 
-/// Joint velocity from measured positions: differences behind one encoder count of play, then a one-pole filter.
+/// Joint velocity from measured positions: backlash operator of one encoder count, differences, one-pole filter.
 ///
-/// The play acts on this path only. Without it one toggling count is a velocity of `count / (T_f + dt)`, and once that
-/// exceeds v₀ the friction feed-forward chatters at full size.
+/// The backlash acts on this path only. Without it one toggling count is a velocity of `count / (T_f + dt)`. If that
+/// exceeds v₀, the friction feed-forward chatters at full size.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VelocityFilter {
-    /// Position behind the play [rad].
+    /// Output of the backlash operator [rad].
     pub(crate) held: JointVec,
     /// Filtered velocity [rad/s].
     pub(crate) velocity: JointVec,
@@ -25,20 +25,20 @@ impl VelocityFilter {
         Self { held: *q, velocity: [0.0; MAX_JOINTS] }
     }
 
-    /// One reading `q` after `dt` [s] later; `count` is the play on each side, `time_constant` T_f [s].
+    /// Filters one reading `q`, `dt` [s] after the last; `count` is the backlash on each side, `time_constant` T_f [s].
     #[inline(always)]
     pub(crate) fn after<J: Lanes>(&self, q: J, count: J, time_constant: f64, dt: f64) -> Filtered<J> {
         let (share, per_second) = (J::splat(dt / (time_constant + dt)), J::splat(1.0 / dt));
         let (before, velocity) = (J::load(&self.held), J::load(&self.velocity));
         let held = J::at_most(J::at_least(before, q - count), q + count);
-        // Nothing turns faster: a vanishing dt must not make an infinity that the filter would keep.
+        // No joint is faster: with a tiny dt the filter must not store an infinity.
         let raw = J::clip((held - before) * per_second, J::splat(SPEED_BOUND));
         let velocity = J::fma(share, raw - velocity, velocity);
         let nothing = J::splat(0.0);
         Filtered { held, velocity: J::if_less(J::abs(velocity), J::splat(NEGLIGIBLE), nothing, velocity) }
     }
 
-    /// Goes on from there.
+    /// Stores the new state.
     #[inline(always)]
     pub(crate) fn keep<J: Joints>(&mut self, filtered: Filtered<J>) {
         filtered.held.store(&mut self.held);
@@ -46,14 +46,14 @@ impl VelocityFilter {
     }
 }
 
-/// What a filter has come to.
+/// New state of the filter.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Filtered<J> {
     pub(crate) held: J,
     pub(crate) velocity: J,
 }
 
-/// How much of it is fed forward.
+/// Factors of the friction feed-forward.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Fed<S> {
     /// γ b_f and γ b_d.
@@ -63,19 +63,19 @@ pub(crate) struct Fed<S> {
     pub(crate) speed: f64,
 }
 
-/// What the joints resist with, as far as it is fed forward.
+/// Friction torque of the joints, times the feed-forward factors.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Resistance<J> {
-    /// Whatever the joints carry [N·m].
+    /// Part independent of the load [N·m].
     idle: J,
-    /// In addition per N·m that they carry.
+    /// Additional part per N·m of load.
     loaded: J,
 }
 
 impl<J: Lanes> Resistance<J> {
-    /// `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and `γ b_f (μ + s μ_s) tanh(v/v₀)`, `s = 1/(1 + x + x²)`, `x = |v|/v_s`:
-    /// what friction at rest has more than in motion fades with the speed. `toward` stands for v in `tanh(v/v₀)`: a joint that
-    /// sticks does not say where it is to go.
+    /// `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and `γ b_f (μ + s μ_s) tanh(v/v₀)`, `s = 1/(1 + x + x²)`, `x =
+    /// |v|/v_s`: the excess of static friction fades with the speed. `toward` replaces v in `tanh(v/v₀)`, because the
+    /// velocity of a joint that sticks gives no direction.
     #[inline(always)]
     pub(crate) fn new([v, toward]: [J; 2], servos: &ServoArrays, fed: Fed<Scalar<J>>) -> Self {
         let one = J::splat(1.0);
@@ -88,7 +88,7 @@ impl<J: Lanes> Resistance<J> {
         Self { idle: J::fma(dry, way, damping), loaded: per_load * way }
     }
 
-    /// The torque of joints that carry `torque` [N·m].
+    /// Returns the friction torque of joints that carry `torque` [N·m].
     #[inline(always)]
     pub(crate) fn under(&self, torque: J) -> J {
         J::fma(self.loaded, J::abs(torque), self.idle)

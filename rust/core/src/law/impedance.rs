@@ -1,4 +1,4 @@
-//! Law `impedance`: a spring and a damper on each task axis, no solve. Takes the place of lines 6 to 8 of the control step.
+//! Law `impedance`: a spring and a damper on each task axis, no solve. Replaces lines 6 to 8 of the control step.
 
 use crate::law::inverse::{axes, diagonal, load_rows, times, weighted_gram, wide};
 use crate::law::wrench::Wrench;
@@ -7,13 +7,13 @@ use crate::number::{Arithmetic, Axes, AxisScalar, EveryJoint, Lanes, Scalar, Spr
 use crate::plan::Plan;
 use crate::{MAX_AXES, Rows};
 
-/// Squarings by which the largest eigenvalue is singled out: powers of 2⁶ = 64.
+/// Squarings that isolate the largest eigenvalue: power 2⁶ = 64.
 const SQUARINGS: usize = 6;
 
-/// `ρ = (Σ λ_i⁶⁴)^(1/64)` over the eigenvalues of `K_p⁻¹ Jᵀ K J`: how stiff the axes are, in units of the servos.
+/// `ρ = (Σ λ_i⁶⁴)^(1/64)` over the eigenvalues of `K_p⁻¹ Jᵀ K J`: stiffness of the axes relative to the servos.
 ///
-/// Never below the largest eigenvalue and at most 3 % above it (six equal ones); smooth where two of them cross, and
-/// without memory. `compliance` holds 1/k_p.
+/// At least the largest eigenvalue and at most 3 % above it (six equal eigenvalues); smooth where two eigenvalues
+/// cross; memoryless. `compliance` holds 1/k_p.
 #[inline(always)]
 pub(crate) fn rho<J: Lanes>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> Scalar<J> {
     // √K C √K has the same eigenvalues, and is symmetric.
@@ -23,7 +23,7 @@ pub(crate) fn rho<J: Lanes>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::A
     for r in 0..MAX_AXES {
         m[r] = wide::<J::Axes>(&c[r]) * root * J::Axes::spread(roots[r]);
     }
-    // The trace is taken out before each squaring, so that nothing overflows.
+    // Divide by the trace before each squaring, to prevent overflow.
     let mut traces = [J::One::splat(0.0); SQUARINGS];
     for trace in &mut traces {
         *trace = trace_of(&m);
@@ -58,7 +58,7 @@ fn squared<W: Axes>(m: &[W; MAX_AXES], factor: AxisScalar<W>) -> [W; MAX_AXES] {
     out
 }
 
-/// Factor ≤ 1 that brings `ρ` of these gains within `bound`.
+/// Returns the factor ≤ 1 that reduces `ρ` of these gains to `bound`.
 #[inline(always)]
 fn share<J: Lanes>(tick: &Tick<'_, J>, gains: J::Axes, bound: f64) -> Scalar<J> {
     if !J::Axes::less_anywhere(J::Axes::splat(0.0), gains) {
@@ -68,8 +68,8 @@ fn share<J: Lanes>(tick: &Tick<'_, J>, gains: J::Axes, bound: f64) -> Scalar<J> 
     J::One::if_less(bound, rho, bound / rho, J::One::splat(1.0))
 }
 
-/// `F = clip(f K ẽ + f_D D (twist − v), ±most)` per axis, and `f` ≤ 1; f and f_D keep `f ρ(K)` and `f_D ρ(D)` within
-/// their bounds at this pose.
+/// Returns `F = clip(f K ẽ + f_D D (twist − v), ±most)` per axis, and `f` ≤ 1; f and f_D keep `f ρ(K)` and `f_D ρ(D)`
+/// within their bounds at this pose.
 #[inline(always)]
 fn force<J: Lanes>(tick: &Tick<'_, J>) -> (J::Axes, J, Scalar<J>) {
     let (wish, [most_stiff, most_damped]) = (tick.wish, tick.plan.impedance_bounds);
@@ -87,7 +87,7 @@ fn force<J: Lanes>(tick: &Tick<'_, J>) -> (J::Axes, J, Scalar<J>) {
     (J::Axes::clip(force, wish.most), ahead, stiff)
 }
 
-/// f_D of the dampers as they are set, of the firmer side where sides differ.
+/// Returns f_D for the dampers in the settings; if the sides differ, for the firmer side.
 pub(crate) fn damping_factor(plan: &Plan, rows: &Rows) -> f64 {
     let (mut gains, [_, most]) = ([0.0; MAX_AXES], plan.impedance_bounds);
     for (gain, row) in gains.iter_mut().zip(&plan.rows).take(plan.k) {
@@ -97,14 +97,14 @@ pub(crate) fn damping_factor(plan: &Plan, rows: &Rows) -> f64 {
     if rho > most { most / rho } else { 1.0 }
 }
 
-/// Goals' lead of law `impedance`: `K_p⁻¹ Jᵀ F`, scaled to torque ceilings and speed limits.
+/// Lead of the goals under law `impedance`: `K_p⁻¹ Jᵀ F`, scaled to torque ceilings and speed limits.
 #[inline(always)]
 pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
     let (force, ahead, gain_factor) = force(tick);
     let softness = tick.wish.softness;
     let wrench = Wrench { soft: softness * force, stiff: (J::Axes::splat(1.0) - softness) * force };
     let null = match tick.plan.null_stiffness {
-        // A motion of a given stiffness, `−κ K_p⁻¹ N ∇cost` [rad]: its torque does no work on the task.
+        // Null-space motion of a given stiffness, `−κ K_p⁻¹ N ∇cost` [rad]: its torque does no work on the task.
         Some(stiffness) => {
             let compliance = J::load(&tick.plan.servos.compliance);
             tick.null_space().project(tick.gradient) * J::splat(-stiffness) * compliance

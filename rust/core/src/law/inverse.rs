@@ -6,7 +6,7 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// A symmetric matrix of task axes.
 pub(crate) type Square<R = f64> = [[R; MAX_AXES]; MAX_AXES];
 
-/// The body once for each index: triangular loops within it then have constant bounds, and their numbers stay in registers.
+/// Repeats the body for each index: triangular loops within it then have constant bounds and stay in registers.
 macro_rules! unrolled {
     ($i:ident in $($index:literal)* => $body:block) => {
         $({
@@ -16,7 +16,7 @@ macro_rules! unrolled {
     };
 }
 
-/// Rows from memory.
+/// Loads rows from memory.
 #[inline(always)]
 pub(crate) fn load_rows<J: Lanes>(rows: &Rows) -> [J; MAX_AXES] {
     let mut out = [J::splat(0.0); MAX_AXES];
@@ -26,7 +26,7 @@ pub(crate) fn load_rows<J: Lanes>(rows: &Rows) -> [J; MAX_AXES] {
     out
 }
 
-/// Rows to memory, 0 beyond.
+/// Stores rows to memory, zeros in the padding.
 #[inline(always)]
 pub(crate) fn rows_array<J: Joints>(rows: &[J; MAX_AXES]) -> Rows {
     let mut out = [[0.0; MAX_JOINTS]; MAX_AXES];
@@ -36,7 +36,7 @@ pub(crate) fn rows_array<J: Joints>(rows: &[J; MAX_AXES]) -> Rows {
     out
 }
 
-/// Rows and columns of the lower half of a [`Square`], in fours; the row behind the last is zero.
+/// Rows and columns of the lower half of a [`Square`], in groups of four; the row after the last is zero.
 const LOWER_HALF: [[(usize, usize); 4]; 6] = [
     [(0, 0), (1, 0), (1, 1), (2, 0)],
     [(2, 1), (2, 2), (3, 0), (3, 1)],
@@ -46,7 +46,7 @@ const LOWER_HALF: [[(usize, usize); 4]; 6] = [
     [(5, 5), (6, 6), (6, 6), (6, 6)],
 ];
 
-/// A formula of [`Lanes`] that is inlined, or where they are [`Lanes::CALLED`] a call.
+/// Defines a formula over [`Lanes`]: inlined, or a call if the type is [`Lanes::CALLED`].
 macro_rules! perhaps_called {
     ($(#[$about:meta])* fn $name:ident<$j:ident>($($argument:ident: $type:ty),*) -> $output:ty as $body:ident) => {
         $(#[$about])*
@@ -67,7 +67,7 @@ perhaps_called! {
 }
 
 perhaps_called! {
-    /// Factor of `J diag(d) Jᵀ` with more on its diagonal.
+    /// Factor of `J diag(d) Jᵀ` plus a diagonal.
     fn factor_of<J>(rows: &[J; MAX_AXES], d: J, added: &[Scalar<J>; MAX_AXES]) -> Factor<Scalar<J>> as factored
 }
 
@@ -124,32 +124,32 @@ pub(crate) fn times<J: Lanes>(rows: &[J; MAX_AXES], v: J) -> [Scalar<J>; MAX_AXE
     [a, b, c, d, e, f]
 }
 
-/// The numbers of all task axes.
+/// Returns the values of all task axes.
 #[inline(always)]
 pub(crate) fn axes<W: Axes>(values: W) -> [AxisScalar<W>; MAX_AXES] {
     values.axes()
 }
 
-/// A number per task axis.
+/// Creates an axis vector from one value per task axis.
 #[inline(always)]
 pub(crate) fn wide<W: Axes>(v: &[AxisScalar<W>; MAX_AXES]) -> W {
     W::of_axes(v)
 }
 
-/// The diagonal of a matrix.
+/// Returns the diagonal of a matrix.
 #[inline(always)]
 pub(crate) fn diagonal<W: Axes>(m: &Square<AxisScalar<W>>) -> W {
     wide(&[m[0][0], m[1][1], m[2][2], m[3][3], m[4][4], m[5][5]])
 }
 
-/// Smallest pivot: its square is still a number, and so is its inverse's.
+/// Smallest pivot whose square and inverse square are finite and nonzero.
 const LEAST_PIVOT: f64 = 1e-100;
 
-/// Factor `L D Lᵀ` of a symmetric, positive definite matrix, of which the lower half is read.
+/// Factor `L D Lᵀ` of a symmetric, positive definite matrix; reads its lower half.
 ///
-/// `D` has blocks of 2 × 2, so that three divisions follow one another and not six. A pivot that rounding has eaten is
-/// replaced by a tiny positive one: a singular matrix gives large but finite answers instead of NaN. A row of zeros gives
-/// zeros where the right side is zero there, so that a task of fewer axes needs no other code.
+/// `D` has blocks of 2 × 2: the dependency chain has three divisions, not six. A pivot lost to rounding is replaced by
+/// a tiny positive one: a singular matrix gives large but finite results, not NaN. A row of zeros gives zeros if the
+/// right side is zero there, so that a task with fewer axes needs no separate code.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Factor<R = f64> {
     /// `L`, below the blocks of its diagonal.
@@ -169,7 +169,7 @@ impl<R: Number> Factor<R> {
             let least = [A::at_least(tiny * m[i][i], least_pivot), A::at_least(tiny * m[j][j], least_pivot)];
             let (a, b, c) = (A::at_least(s[i][i], least[0]), s[j][i], A::at_least(s[j][j], least[1]));
             let determinant = A::at_least(A::fnma(b, b, a * c), a * least[1]);
-            // All that does not wait for the division is done meanwhile.
+            // Independent of the division, so it runs during its latency.
             let scale = one / determinant;
             let mut ahead = [[zero; 2]; MAX_AXES];
             for r in j + 1..MAX_AXES {
@@ -189,7 +189,7 @@ impl<R: Number> Factor<R> {
         Self { l, inverse }
     }
 
-    /// Solves `M X = B` for one number in each row of `B`, or for one per joint.
+    /// Solves `M X = B` for a right side with one value, or one value per joint, in each row.
     #[inline(always)]
     pub(crate) fn solve<A: Spread<R>>(&self, b: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
         let mut x = *b;
@@ -215,7 +215,7 @@ impl<R: Number> Factor<R> {
         x
     }
 
-    /// `M⁻¹ J D`: the transposed pseudo-inverse that belongs to this factor of `J D Jᵀ`.
+    /// `M⁻¹ J D`: the transposed pseudo-inverse for this factor of `J D Jᵀ`.
     #[inline(always)]
     pub(crate) fn weighted_rows<J: Lanes<Group: Spread<R>>>(
         &self,
@@ -233,7 +233,7 @@ impl<R: Number> Factor<R> {
     #[inline(always)]
     fn inlined_rows<J: Lanes<Group: Spread<R>>>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
         let mut out = *rows;
-        // Joint by joint where each has a register: six numbers then stay in registers, and not six rows of them.
+        // Joint by joint if each has its own register: then six values stay in registers, not six rows.
         for i in 0..J::GROUPS {
             let b = [
                 rows[0].group(i),
@@ -275,8 +275,8 @@ pub(crate) fn damped<R: Number>(mut m: Square<R>, damping: &[R; MAX_AXES]) -> Sq
 
 /// Transposed damped pseudo-inverse of (3): row r holds column r of `J⁺ = D Jᵀ (J D Jᵀ + Λ)⁻¹`.
 ///
-/// `joint_weight` holds the diagonal of `D` (1 where joints count alike), `damping` the diagonal of `Λ` (λ², in the
-/// squared units of its row).
+/// `joint_weight` holds the diagonal of `D` (1 for equal weights), `damping` the diagonal of `Λ` (λ², in the squared
+/// units of its row).
 pub(crate) fn pseudo_inverse(rows: &Rows, joint_weight: &JointVec, damping: &AxisVec) -> Rows {
     let (rows, weight) = (load_rows::<EveryJoint>(rows), EveryJoint::load(joint_weight));
     let factor = factor_of(&rows, weight, damping);

@@ -24,22 +24,22 @@ use crate::settings::{Law, Projector};
 use crate::task::wish::Wish;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// What every law is given: one tick, rows of the task's axes, at the predicted positions.
+/// Input of every law: one step at the predicted positions, with the rows of the task's axes.
 ///
-/// Rows behind the task's axes and numbers behind the arm's joints are zero and stay zero.
+/// Rows after the task's axes and lanes after the arm's joints are zero and stay zero.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tick<'a, J: Lanes> {
     pub(crate) plan: &'a Plan,
     pub(crate) horizon: f64,
     /// Task rows.
     pub(crate) rows: &'a [J; MAX_AXES],
-    /// The same with translations divided by the arm's length.
+    /// Task rows with translations divided by the arm's length.
     pub(crate) scaled_rows: &'a [J; MAX_AXES],
     pub(crate) condition: &'a Condition<Scalar<J>>,
     /// λ² of each row.
     pub(crate) damping: J::Axes,
     pub(crate) pacing: Pacing<J::Axes>,
-    /// What each axis wants.
+    /// Demand of each axis.
     pub(crate) wish: &'a Wish<J::Axes>,
     /// Filtered joint velocity.
     pub(crate) velocity: J,
@@ -49,47 +49,47 @@ pub(crate) struct Tick<'a, J: Lanes> {
     pub(crate) gravity: J,
     /// γ b_f, γ b_d and v₀ of the feed-forward.
     pub(crate) fed: Fed<Scalar<J>>,
-    /// Lead that the integrating goal has stored [rad].
+    /// Lead stored by the integrating goal [rad].
     pub(crate) integral: J,
 }
 
-/// What gives the stiff axes the speed and the acceleration of their reference.
+/// Terms that give the stiff axes the velocity and the acceleration of their reference.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pacing<W> {
-    /// On the servos' springs [m, rad].
+    /// Displacement on the servos' springs [m, rad].
     pub(crate) displacement: W,
     /// Velocity of the reference [m/s, rad/s].
     pub(crate) velocity: W,
 }
 
 impl<W: Axes> Pacing<W> {
-    /// Of references without a speed of their own.
+    /// Zero terms, for a reference without its own velocity.
     #[inline(always)]
     pub(crate) fn none() -> Self {
         Self { displacement: W::splat(0.0), velocity: W::splat(0.0) }
     }
 }
 
-/// What a law hands to the command floor.
+/// Output of a law.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Motion<J: Lanes> {
-    /// Lead of the goals that is to move the arm: that of stiff axes, under law `paper` of all [rad].
+    /// Lead of the goals that moves the arm: of stiff axes; under law `paper` of all axes [rad].
     pub(crate) lead: J,
-    /// Lead of the goals that is to exert a force, whether the arm moves or not: that of soft axes [rad].
+    /// Lead of the goals that exerts a force with or without motion: of soft axes [rad].
     pub(crate) force_lead: J,
     /// Null-space part of the goals [rad].
     pub(crate) null: J,
-    /// Wrench of the laws that speak of forces [N, N·m].
+    /// Wrench of the laws that are defined by forces [N, N·m].
     pub(crate) wrench: Wrench<J::Axes>,
     /// Factors by which null-space, soft and stiff part were scaled.
     pub(crate) factors: [Scalar<J>; 3],
-    /// Feed-forward of what the joints resist with [N·m].
+    /// Friction and damping feed-forward [N·m].
     pub(crate) feed_forward: J,
-    /// Factor ≤ 1 on the gain of the stiff axes that delay and pose demand.
+    /// Factor ≤ 1 on the gain of the stiff axes, required by delay and pose.
     pub(crate) gain_factor: Scalar<J>,
 }
 
-/// Runs the law; the joint budgets τ^q of (11) come along where the law makes its limits from them.
+/// Runs the law. Also returns the joint budgets τ^q of (11) if the law makes its limits from them.
 #[inline(always)]
 pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, Option<J>) {
     match tick.plan.law {
@@ -103,8 +103,8 @@ pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, Option<J>) {
 }
 
 impl<J: Lanes> Tick<'_, J> {
-    /// Force [N, N·m] that keeps the stiff axes at the speed of their reference, and the joint speeds [rad/s] that this
-    /// speed asks for, about; `own` is the diagonal of C.
+    /// Returns the force [N, N·m] that keeps the stiff axes at the velocity of their reference, and the approximate
+    /// joint speeds [rad/s] for it; `own` is the diagonal of C.
     #[inline(always)]
     pub(crate) fn paced(&self, own: J::Axes) -> (J::Axes, J) {
         let own = J::Axes::at_least(own, J::Axes::splat(f64::MIN_POSITIVE));
@@ -113,20 +113,20 @@ impl<J: Lanes> Tick<'_, J> {
         (stiffness * self.pacing.displacement, along * J::load(&self.plan.servos.compliance))
     }
 
-    /// Line 10; `ahead` [rad/s] is where the joints are to go beside where they go.
+    /// Line 10; `ahead` [rad/s] is added to the joint velocity to give the direction of motion.
     #[inline(always)]
     pub(crate) fn resistance(&self, ahead: J) -> Resistance<J> {
         Resistance::new([self.velocity, self.velocity + ahead], &self.plan.servos, self.fed)
     }
 
-    /// The null-space projector that the settings ask for.
+    /// Returns the null-space projector of the settings.
     #[inline(always)]
     pub(crate) fn null_space(&self) -> NullSpace<'_, J> {
         let (plan, size) = (self.plan, (self.plan.k, self.plan.n));
         let weight = J::load(&plan.inverse_weight);
         match (plan.projector, &self.condition.factor) {
             (Projector::Paper, _) => NullSpace::new(self.rows, weight, &axes(self.damping), size),
-            // With joints that count alike and μ = 0 it is the matrix whose singular values were followed.
+            // With equal joint weights and μ = 0, reuse the factor that the singular value tracking computed.
             (Projector::Exact, Some(factor))
                 if plan.law.by_force() && !J::One::less_anywhere(J::One::splat(0.0), self.condition.mu_squared) =>
             {
@@ -146,9 +146,9 @@ impl<J: Lanes> Tick<'_, J> {
     }
 }
 
-/// Gradient of the manipulability cost at the present rows, times its weight.
+/// Returns the gradient of the manipulability cost at the present rows, times its weight.
 ///
-/// `world` is the 6 × n Jacobian in base axes; `p` its weights there, see [`manipulability_gradient`].
+/// `world` is the 6 × n Jacobian in base axes; `p` the weights of its entries, see [`manipulability_gradient`].
 #[cold]
 #[inline(never)]
 pub(crate) fn weighted_manipulability(

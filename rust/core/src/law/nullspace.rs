@@ -1,4 +1,4 @@
-//! Redundancy: the projector of (4) and the cost that is descended in it, line 9.
+//! Redundancy: the projector of (4) and the null-space cost of line 9.
 
 use crate::law::activation::RowLengths;
 use crate::law::inverse::{Factor, factor_of, load_rows, times, transpose_times};
@@ -8,21 +8,21 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// An n × n matrix over the joints.
 pub(crate) type JointSquare = [[f64; MAX_JOINTS]; MAX_JOINTS];
 
-/// The projector `N = I − D Jᵀ (J D Jᵀ + μ²I)⁻¹ J`, applied without ever being formed.
+/// The projector `N = I − D Jᵀ (J D Jᵀ + μ²I)⁻¹ J`, applied without forming the matrix.
 ///
-/// With μ = 0 it is exact. μ = μ₁ clip(2 − σ/μ₁, 0, 1) with μ₁ = 10⁻³ σ_max fades it at singular poses, where the exact
-/// one jumps.
+/// Exact with μ = 0. μ = μ₁ clip(2 − σ/μ₁, 0, 1) with μ₁ = 10⁻³ σ_max fades it at singular poses, where the exact
+/// projector jumps.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NullSpace<'a, J: Lanes> {
     rows: &'a [J; MAX_AXES],
     weight: J,
     factor: Factor<Scalar<J>>,
-    /// Rows of the task, and joints: with more rows there is no redundancy.
+    /// Number of task rows and of joints: with more rows than joints there is no redundancy.
     task: usize,
     joints: usize,
 }
 
-/// μ² of the exact projector, from the largest and smallest singular value of the rows.
+/// Returns μ² of the exact projector, from the smallest and largest singular value of the rows.
 #[inline(always)]
 pub(crate) fn fade_squared(smallest: f64, largest: f64) -> f64 {
     let mu_1 = 1e-3 * largest;
@@ -34,7 +34,7 @@ pub(crate) fn fade_squared(smallest: f64, largest: f64) -> f64 {
 }
 
 impl<'a, J: Lanes> NullSpace<'a, J> {
-    /// Of `task` rows over `joints`; `added` holds what is added to the diagonal of `J D Jᵀ`.
+    /// Creates the projector of `task` rows over `joints`; `added` is added to the diagonal of `J D Jᵀ`.
     #[inline(always)]
     pub(crate) fn new(
         rows: &'a [J; MAX_AXES],
@@ -46,7 +46,7 @@ impl<'a, J: Lanes> NullSpace<'a, J> {
         Self::of(rows, weight, &factor, (task, joints))
     }
 
-    /// The same of a matrix that is factored already.
+    /// Creates the projector from a matrix that is already factored.
     #[inline(always)]
     pub(crate) fn of(
         rows: &'a [J; MAX_AXES],
@@ -57,7 +57,7 @@ impl<'a, J: Lanes> NullSpace<'a, J> {
         Self { rows, weight, factor: *factor, task, joints }
     }
 
-    /// `N v`; zero where there are more rows than joints, as there is no redundancy then.
+    /// `N v`; zero with more rows than joints (no redundancy).
     #[inline(always)]
     pub(crate) fn project(&self, v: J) -> J {
         if self.task > self.joints {
@@ -67,20 +67,20 @@ impl<'a, J: Lanes> NullSpace<'a, J> {
         J::fnma(self.weight, transpose_times(self.rows, &along), v)
     }
 
-    /// The same where the pseudo-inverse is known, `N = I − J⁺J`: without another solution.
+    /// `N v` from a known pseudo-inverse, `N = I − J⁺J`: no further solve.
     #[inline(always)]
     pub(crate) fn project_by(&self, pinv_transposed: &[J; MAX_AXES], v: J) -> J {
         if self.task > self.joints { J::splat(0.0) } else { v - transpose_times(pinv_transposed, &times(self.rows, v)) }
     }
 
-    /// Transposed pseudo-inverse that belongs to this projector.
+    /// Returns the transposed pseudo-inverse of this projector.
     #[inline(always)]
     pub(crate) fn pseudo_inverse(&self) -> [J; MAX_AXES] {
         self.factor.weighted_rows(self.rows, self.weight)
     }
 }
 
-/// Rows of the identity: one that is made by storing a single number has to be waited for.
+/// Rows of the identity. A static, because loading a row just after storing a single element of it stalls.
 static IDENTITY: JointSquare = {
     let mut rows = [[0.0; MAX_JOINTS]; MAX_JOINTS];
     let mut i = 0;
@@ -120,7 +120,7 @@ impl<J: Lanes> RowLengths<J> for NullSpace<'_, J> {
     }
 }
 
-/// N itself, of rows in memory.
+/// Returns the matrix N for rows in memory.
 #[cold]
 #[inline(never)]
 pub(crate) fn projector(
@@ -142,7 +142,7 @@ pub(crate) fn projector(
     out
 }
 
-/// The parts of the null-space cost that depend on the arm alone.
+/// Parts of the null-space cost that depend on the arm alone.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cost {
     /// Weight of each joint in `½ Σ w (q − q_rest)²`.
@@ -156,7 +156,7 @@ pub(crate) struct Cost {
 }
 
 impl Cost {
-    /// Gradient of a `share` of the posture cost and of the joint-limit cost at `q`.
+    /// Returns the gradient of `share` times the posture cost plus the joint-limit cost at `q`.
     #[inline(always)]
     pub(crate) fn gradient<J: Lanes>(&self, q: J, rest: J, share: f64) -> J {
         let toward_middle = J::load(&self.limits) * (q - J::load(&self.middle));
@@ -166,9 +166,9 @@ impl Cost {
 
 /// Gradient of `−ln √det(JJᵀ)` over the task rows.
 ///
-/// `∂/∂q_i = −Σ_j P_j · ∂J_j/∂q_i` with `P = (JJᵀ)⁻¹ J`, both in base axes (6 × n). A column (v, ω) behind joint i turns
-/// with it, `ω_i × v_j`, `ω_i × ω_j`; one before it sees its tool point move, `ω_j × v_i`. `turning` subtracts the turn of
-/// the task frame itself, for rows taken in the tool's axes.
+/// `∂/∂q_i = −Σ_j P_j · ∂J_j/∂q_i` with `P = (JJᵀ)⁻¹ J`, both in base axes (6 × n). A column (v, ω) after joint i turns
+/// with it: `ω_i × v_j`, `ω_i × ω_j`. For a column before joint i only its tool point moves: `ω_j × v_i`. `turning`
+/// subtracts the rotation of the task frame, for rows in the tool's axes.
 pub(crate) fn manipulability_gradient(jacobian: &Rows, p: &Rows, turning: bool, n: usize) -> JointVec {
     let n = n.min(MAX_JOINTS);
     let column = |m: &Rows, j: usize, from: usize| [m[from][j], m[from + 1][j], m[from + 2][j]];

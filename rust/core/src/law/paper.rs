@@ -12,10 +12,10 @@ use crate::plan::Plan;
 use crate::settings::{Follow, Law, Projector};
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Task step within what the budgets can do: `|s_j| ≤ τ_j / Σ_i k_i |J⁺_ij|`.
+/// Clamps the task step to the budgets: `|s_j| ≤ τ_j / Σ_i k_i |J⁺_ij|`.
 ///
-/// A box of joint limits has no directions; the same budget on the goal keeps the signs of `J⁺`, so (8) and (9) act on
-/// one axis alone.
+/// Joint limits alone do not keep the direction of the motion. The same budget on the goal keeps the signs of `J⁺`, so
+/// that (8) and (9) act on one axis alone.
 #[inline(always)]
 fn within_budget<J: Lanes>(pinv_transposed: &[J; MAX_AXES], step: J::Axes, budget: J::Axes, kp: J) -> J::Axes {
     let (zero, mut cost) = (J::splat(0.0), [J::splat(0.0); MAX_AXES]);
@@ -28,7 +28,7 @@ fn within_budget<J: Lanes>(pinv_transposed: &[J; MAX_AXES], step: J::Axes, budge
     J::Axes::clip(step, budget / cost)
 }
 
-/// Lead of the goals when yielding rows leave the inverse kinematics [rad]:
+/// Lead of the goals with yielding rows removed from the inverse kinematics [rad]:
 /// `K_p⁻¹ J_rᵀ (C_rr + λ²/k̄)⁻¹ s_r + Σ_S K_p⁻¹ J_jᵀ κ_j s_j` with `κ_j = [(C + λ²/k̄)⁻¹]_jj`.
 #[inline(always)]
 fn free_lead<J: Lanes>(tick: &Tick<'_, J>, step: J::Axes) -> J {
@@ -47,7 +47,7 @@ fn free_lead<J: Lanes>(tick: &Tick<'_, J>, step: J::Axes) -> J {
     compliance * transpose_times(tick.rows, &(demand.stiff_force() + soft).axes())
 }
 
-/// Lead [rad] that keeps the stiff axes at the speed of their reference.
+/// Lead [rad] that keeps the stiff axes at the velocity of their reference.
 #[inline(always)]
 fn pacing_lead<J: Lanes>(tick: &Tick<'_, J>) -> J {
     let compliance = J::load(&tick.plan.servos.compliance);
@@ -55,7 +55,7 @@ fn pacing_lead<J: Lanes>(tick: &Tick<'_, J>) -> J {
     compliance * transpose_times(tick.rows, &tick.paced(own).0.axes())
 }
 
-/// Goals' lead of law `paper`, `h K_q (J⁺Δx − α N∇g)`, and the joint budgets τ^q of (11).
+/// Lead of the goals under law `paper`, `h K_q (J⁺Δx − α N∇g)`, and the joint budgets τ^q of (11).
 ///
 /// With `budget_on_goal` each axis' step is clamped to its τ^x.
 #[inline(always)]
@@ -81,7 +81,7 @@ pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, J) {
     within_limits(tick, &pinv, task, &null_space, along)
 }
 
-/// Whether the settings ask for the law as printed, without what this package can add.
+/// Returns true if the settings select the law as published, without the additions of this package.
 pub(crate) fn is_printed(plan: &Plan) -> bool {
     plan.law == Law::Paper
         && plan.follow == Follow::Hold
@@ -90,7 +90,7 @@ pub(crate) fn is_printed(plan: &Plan) -> bool {
         && !plan.follows_sigma
 }
 
-/// [`motion`] as printed.
+/// [`motion`] as published.
 #[inline(always)]
 pub(crate) fn printed<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, J) {
     let damped = damped_space(tick);
@@ -99,14 +99,15 @@ pub(crate) fn printed<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, J) {
     within_limits(tick, &pinv, task, &damped, damped.project_by(&pinv, tick.gradient))
 }
 
-/// What belongs to the damped pseudo-inverse of (3).
+/// Returns the null space for the damped pseudo-inverse of (3).
 #[inline(always)]
 fn damped_space<'a, J: Lanes>(tick: &Tick<'a, J>) -> NullSpace<'a, J> {
     let plan = tick.plan;
     NullSpace::new(tick.rows, J::load(&plan.inverse_weight), &axes(tick.damping), (plan.k, plan.n))
 }
 
-/// The motion toward `task` and `along` the null space [rad] within speed limits, and the budgets of (11).
+/// Limits the motion of `task` and of `along` in the null space [rad] to the speed limits; also returns the budgets of
+/// (11).
 #[inline(always)]
 fn within_limits<J: Lanes>(
     tick: &Tick<'_, J>,

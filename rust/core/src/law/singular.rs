@@ -1,4 +1,4 @@
-//! The smallest and the largest singular value, followed from tick to tick.
+//! Smallest and largest singular value, tracked from step to step.
 
 use crate::law::inverse::{Factor, Square};
 use crate::number::{Arithmetic, Spread};
@@ -6,8 +6,8 @@ use crate::{AxisVec, MAX_AXES};
 
 /// Estimates of the largest and the smallest singular value of scaled task rows, with the vectors to start from.
 ///
-/// Two vectors follow the weak end: where the two smallest values cross, one alone stays with the wrong one for many ticks
-/// (an arm with planar joints crosses without mixing).
+/// Two vectors track the small end. Where the two smallest values cross, a single vector stays with the wrong value for
+/// many steps (an arm with planar joints crosses without mixing).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SingularValues {
     pub(crate) weak: [AxisVec; 2],
@@ -20,22 +20,22 @@ pub(crate) struct SingularValues {
 
 impl SingularValues {
     pub(crate) fn start() -> Self {
-        // No component is zero and no two are equal: no eigenvector of a usual arm is orthogonal to both.
+        // No component is zero and no two are equal, so no eigenvector of a usual arm is orthogonal to both.
         let weak = [[0.5, 0.46, 0.42, 0.38, 0.34, 0.3], [0.34, -0.5, 0.46, -0.42, 0.3, -0.38]];
         Self { weak, strong: weak[0], smallest: 0.0, largest: 0.0 }
     }
 
-    /// Forgets what lies behind the first `k` axes: there it has to stay zero.
+    /// Sets the components after the first `k` axes to zero; they stay zero.
     pub(crate) fn restrict(&mut self, k: usize) {
         for vector in self.weak.iter_mut().chain([&mut self.strong]) {
             vector.iter_mut().skip(k).for_each(|value| *value = 0.0);
         }
     }
 
-    /// Improves the estimates by `iterations` of the inverse and the power iteration on `gram`.
+    /// Improves the estimates by `iterations` steps of inverse and power iteration on `gram`.
     ///
-    /// `gram` is `JJᵀ` of `k` rows, or `JᵀJ` where there are fewer joints than axes; `factor` is its own. Warm-started, one
-    /// iteration a tick follows a moving arm to about a percent.
+    /// `gram` is `JJᵀ` of `k` rows, or `JᵀJ` with fewer joints than axes; `factor` is its factor. With a warm start,
+    /// one iteration a step tracks a moving arm to about one percent.
     #[inline(always)]
     pub(crate) fn update<A: Arithmetic<Real = f64> + Spread<f64>>(
         &mut self,
@@ -65,33 +65,33 @@ impl SingularValues {
     }
 }
 
-/// What a step came to know of its task rows.
+/// Singularity state of a step's task rows.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Condition<R = f64> {
     /// λ².
     pub(crate) damping: R,
     /// μ² of the exact projector.
     pub(crate) mu_squared: R,
-    /// Factor of the scaled rows' `JJᵀ`, where there is one.
+    /// Factor of the scaled rows' `JJᵀ`, if computed.
     pub(crate) factor: Option<Factor<R>>,
-    /// γ: how much of feed-forward and prediction is used.
+    /// γ: factor on feed-forward and prediction.
     pub(crate) gamma: R,
 }
 
-/// The unit vectors that Rayleigh and Ritz find in the plane of `a = M⁻¹ w` and `b = M⁻¹ z`, the one of the smaller value
-/// first, and the root of that value; `None` where a and b are too large, or too nearly along each other for one
-/// subtraction.
+/// Rayleigh–Ritz in the plane of `a = M⁻¹ w` and `b = M⁻¹ z`: unit vectors, that of the smaller value first, and the
+/// square root of that value. `None` if a and b are too large, or too nearly parallel for one orthogonalization.
 ///
-/// Products alone give the value: a step waits for it, and for the vectors only the next one.
+/// The value needs products only, to shorten the latency: the step depends on it, and on the vectors only the next
+/// step.
 #[inline(always)]
 fn in_plane([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2], f64)> {
     let (aa, ab, bb) = (dot(a, a), dot(a, b), dot(b, b));
-    // Nothing is less than what is not a number.
+    // Written as `!(a < b)` so that NaN takes the fallback.
     if !(ab * ab < 0.5 * aa * bb && aa < LARGE && bb < LARGE) {
         return None;
     }
     let (wa, za, zb) = (dot(w, a), dot(z, a), dot(z, b));
-    // M in the axes û along a and v̂ along c = b − t a, where a Mᵀ b is w b as well as a z.
+    // M in the axes û along a and v̂ along c = b − t a; a Mᵀ b equals both w b and a z.
     let per_aa = 1.0 / aa;
     let t = ab * per_aa;
     let per_cc = 1.0 / (bb - t * ab);
@@ -112,19 +112,19 @@ fn in_plane([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2
     Some((weak, value.max(0.0).sqrt()))
 }
 
-/// Squares of lengths up to which products of four lengths are numbers.
+/// Bound on squared lengths below which a product of four lengths is finite.
 const LARGE: f64 = 1e150;
 
 /// Eigenvector of `[[a, b], [b, d]]` for its smaller value, given half of a − d and `root = √(half² + b²)`.
 #[inline(always)]
 fn weaker(half: f64, root: f64, b: f64) -> (f64, f64) {
-    // In the form that does not cancel.
+    // In the form without cancellation.
     let (x, y) = if half > 0.0 { (b, -(half + root)) } else { (root - half, -b) };
     let length = (x * x + y * y).sqrt();
     if length > 0.0 { (x / length, y / length) } else { (1.0, 0.0) }
 }
 
-/// [`in_plane`] of any two vectors, by way of their lengths.
+/// [`in_plane`] for any two vectors, normalized by their lengths.
 #[cold]
 #[inline(never)]
 fn from_lengths(gram: &Square, [a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2], k: usize) -> ([AxisVec; 2], f64) {
@@ -135,7 +135,7 @@ fn from_lengths(gram: &Square, [a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2], k: 
     }
 }
 
-/// A unit vector `v` and `M v`, which an inverse iteration knows without a product.
+/// A unit vector `v` and `M v`, which inverse iteration gives without a matrix product.
 #[derive(Clone, Copy)]
 struct Image {
     v: AxisVec,
@@ -146,7 +146,7 @@ impl Image {
     /// `v = M⁻¹ b`, both divided by the length of `v`.
     fn new(v: AxisVec, b: AxisVec) -> Self {
         let size = norm(&v);
-        // A singular matrix gives lengths whose squares are too large for a number.
+        // A singular matrix gives lengths whose squares overflow.
         if size > 0.0 && size.is_finite() { Self { v, mv: b }.scaled(1.0 / size) } else { Self::huge(&v, &b) }
     }
 
@@ -169,9 +169,9 @@ impl Image {
         self
     }
 
-    /// The part across the unit vector `u`, of length 1; `None` where that is nothing but rounding.
+    /// Returns the component orthogonal to the unit vector `u`, normalized; `None` if it is only rounding error.
     fn across(mut self, u: &Self) -> Option<Self> {
-        // Twice: what rounding leaves the first time along `u`.
+        // Twice: the first pass leaves a rounding error along `u`.
         for _ in 0..2 {
             let share = dot(&self.v, &u.v);
             for i in 0..MAX_AXES {
@@ -184,8 +184,8 @@ impl Image {
     }
 }
 
-/// The pair of unit vectors turned in its plane (Rayleigh and Ritz), the one of the smaller value first, and the root of
-/// that value.
+/// Rayleigh–Ritz for an orthonormal pair: the rotated unit vectors, that of the smaller value first, and the square
+/// root of that value.
 fn weaker_first(u: &Image, v: &Image) -> ([AxisVec; 2], f64) {
     let (a, b, d) = (dot(&u.v, &u.mv), dot(&u.v, &v.mv), dot(&v.v, &v.mv));
     let half = 0.5 * (a - d);
@@ -199,7 +199,7 @@ fn weaker_first(u: &Image, v: &Image) -> ([AxisVec; 2], f64) {
     (weak, dot(&weak[0], &image).max(0.0).sqrt())
 }
 
-/// `u` and some unit vector across it, for the next tick to start from; zero where there is one axis alone.
+/// Returns `u` and a unit vector orthogonal to it as start for the next step; zero with a single axis.
 #[cold]
 #[inline(never)]
 fn restart(gram: &Square, u: &AxisVec, k: usize) -> ([AxisVec; 2], f64) {
@@ -222,7 +222,7 @@ fn apply(m: &Square, v: &AxisVec) -> AxisVec {
 
 #[inline(always)]
 fn dot(a: &AxisVec, b: &AxisVec) -> f64 {
-    // In pairs: one after another, each sum would wait for the one before.
+    // Pairwise summation: a sequential sum would be one long dependency chain.
     (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
 }
 

@@ -1,11 +1,11 @@
 //! Singular values, off the hot path.
 //!
-//! One-sided Jacobi rotations (Hestenes): a few dozen lines, accurate at every rank and always done after some sweeps. The
+//! One-sided Jacobi rotations (Hestenes): short, accurate at every rank, and convergent within a few sweeps. The
 //! bidiagonal iteration of nalgebra 0.35 loses whole singular values of rank-deficient matrices.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Sweeps after which the rotations are given up; ten are many.
+/// Maximum number of sweeps; ten are already unusual.
 const MOST_SWEEPS: usize = 60;
 
 /// `m = u diag(sigma) vᵀ`, the values largest first; columns of `u` that belong to σ = 0 are 0.
@@ -17,7 +17,7 @@ pub(crate) struct Svd {
 }
 
 impl Svd {
-    /// Of a finite matrix; `None` where the rotations do not come to rest.
+    /// Decomposes a finite matrix; `None` if the rotations do not converge.
     pub(crate) fn new(m: &DMatrix<f64>) -> Option<Self> {
         if m.nrows() >= m.ncols() {
             return Self::tall(m);
@@ -25,7 +25,7 @@ impl Svd {
         Self::tall(&m.transpose()).map(|turned| Self { u: turned.v, sigma: turned.sigma, v: turned.u })
     }
 
-    /// Turns pairs of columns until all are orthogonal: `m v = u diag(sigma)`.
+    /// Rotates pairs of columns until all are orthogonal: `m v = u diag(sigma)`.
     fn tall(m: &DMatrix<f64>) -> Option<Self> {
         let n = m.ncols();
         let scale = m.amax();
@@ -62,11 +62,11 @@ impl Svd {
     }
 }
 
-/// Turns columns p and q so that they are orthogonal; `false` where they are already.
+/// Rotates columns p and q so that they are orthogonal; returns `false` if they already are.
 fn orthogonalise(b: &mut DMatrix<f64>, v: &mut DMatrix<f64>, p: usize, q: usize) -> bool {
     let (alpha, beta) = (b.column(p).norm_squared(), b.column(q).norm_squared());
     let gamma = b.column(p).dot(&b.column(q));
-    // Columns that are nothing but rounding are left alone: there is nothing to be orthogonal to.
+    // Skip columns that are only rounding error: they have no direction.
     if gamma.abs() <= 1e-15 * (alpha * beta).sqrt() || alpha.min(beta) < 1e-300 {
         return false;
     }
@@ -94,7 +94,7 @@ pub(crate) fn singular_values(m: &DMatrix<f64>) -> DVector<f64> {
 mod tests {
     use super::*;
 
-    /// A matrix of the given rank, another one for each seed.
+    /// Returns a matrix of the given rank; different for each seed.
     fn matrix(rows: usize, columns: usize, rank: usize, seed: usize) -> DMatrix<f64> {
         let noise = |i: usize| ((i + 1) as f64 * 12.9898 + seed as f64 * 78.233).sin() * 43_758.545_3;
         let factor = |r: usize, c: usize, from: usize| DMatrix::from_fn(r, c, |i, j| noise(from + i * c + j).fract());

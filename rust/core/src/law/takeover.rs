@@ -1,7 +1,7 @@
-//! What a joint at its position limit cannot do, the others take over.
+//! Redistribution: the other joints make the motion that a joint at its position limit cannot make.
 //!
-//! The task is solved with all joints; then only the motion that was cut off is solved for anew, without those joints. A
-//! joint that just touches its limit loses nothing, so nothing jumps when it gets there.
+//! The task is solved with all joints. Only the motion that was cut off is solved again, without those joints. A joint
+//! that just touches its limit loses no motion, so the command does not jump there.
 
 use crate::command::goal::{Locks, scale_to_fit};
 use crate::law::cap::Demand;
@@ -11,7 +11,7 @@ use crate::plan::Plan;
 use crate::settings::{Follow, Law};
 use crate::{AxisVec, MAX_AXES};
 
-/// The motion that locked joints leave to the others.
+/// Motion that locked joints leave to the others.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Takeover<'a, J: Joints> {
     pub(crate) plan: &'a Plan,
@@ -20,33 +20,34 @@ pub(crate) struct Takeover<'a, J: Joints> {
     pub(crate) rows: &'a [J; MAX_AXES],
     /// 0 for locked joints, 1 for the others.
     pub(crate) free: J,
-    /// What the task has lost, per row [m, rad].
+    /// Task motion that is missing, per row [m, rad].
     pub(crate) lost: &'a AxisVec,
     /// Softness of each row.
     pub(crate) softness: J::Axes,
-    /// Torque that every joint gives already [N·m].
+    /// Torque that each joint already exerts [N·m].
     pub(crate) torque: J,
-    /// Lead that every joint has already [rad].
+    /// Lead that each joint already has [rad].
     pub(crate) lead: J,
 }
 
-/// What the others do in addition.
+/// Additional motion of the other joints.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Addition<J: Joints> {
     /// [rad]
     lead: J,
-    /// Wrench of the laws that speak of forces [N, N·m].
+    /// Wrench of the laws that are defined by forces [N, N·m].
     wrench: J::Axes,
 }
 
 impl<J: Joints> Takeover<'_, J> {
-    /// Soft rows keep their force and ask for nothing where they are free; ceilings and joint speeds hold.
+    /// Computes the additional motion. Soft rows keep their force and demand nothing more; ceilings and joint speeds
+    /// hold.
     #[inline(always)]
     pub(crate) fn addition(&self) -> Addition<J> {
         let (plan, nothing) = (self.plan, J::Axes::splat(0.0));
         let squared = &plan.takeover_damping;
         let (mut lead, mut wrench) = if plan.law == Law::Paper && plan.follow == Follow::Hold {
-            // The damped pseudo-inverse of (3), of which one product is wanted and not the whole.
+            // Apply the damped pseudo-inverse of (3) to one vector without forming it.
             let weight = J::load(&plan.inverse_weight) * self.free;
             let factor = factor_of(self.rows, weight, squared);
             (weight * transpose_times(self.rows, &factor.solve::<J::One>(self.lost)), nothing)
@@ -76,7 +77,7 @@ impl<J: Joints> Takeover<'_, J> {
     }
 }
 
-/// What of a motion locked joints change.
+/// Parts of a motion that locked joints change.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Share<J: Joints> {
     /// [rad]
@@ -88,7 +89,7 @@ pub(crate) struct Share<J: Joints> {
 }
 
 impl<J: Joints> Share<J> {
-    /// With locked joints at the lead that is left to them and what the others do instead.
+    /// Returns the motion with locked joints at their remaining lead and the additional motion of the others.
     #[inline(always)]
     pub(crate) fn with(&self, locks: &Locks<J>, addition: &Addition<J>) -> Self {
         Self {

@@ -1,4 +1,5 @@
-//! From a wrench to the goals' lead, within torque ceilings and joint speeds: shared by the laws that speak of forces.
+//! Lead of the goals for a wrench, within torque ceilings and joint speeds: shared by the laws that are defined by
+//! forces.
 
 use crate::command::goal::scale_to_fit;
 use crate::law::feedforward::Resistance;
@@ -6,7 +7,7 @@ use crate::law::inverse::transpose_times;
 use crate::law::{Motion, Tick};
 use crate::number::{Arithmetic, Axes, Lanes, Spread};
 
-/// Wrench on the target, in two parts that are scaled apart when a limit is met [N, N·m].
+/// Wrench on the target [N, N·m], in two parts that are scaled separately at a limit.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wrench<W> {
     pub(crate) soft: W,
@@ -14,13 +15,13 @@ pub(crate) struct Wrench<W> {
 }
 
 impl<W: Axes> Wrench<W> {
-    /// No force at all.
+    /// Zero wrench.
     #[inline(always)]
     pub(crate) fn none() -> Self {
         Self { soft: W::splat(0.0), stiff: W::splat(0.0) }
     }
 
-    /// Both parts together.
+    /// Returns the sum of both parts.
     #[inline(always)]
     pub(crate) fn whole(&self) -> W {
         self.soft + self.stiff
@@ -28,20 +29,21 @@ impl<W: Axes> Wrench<W> {
 }
 
 impl<J: Lanes> Tick<'_, J> {
-    /// Goals' lead that exerts `wrench`, with `null` [rad] beside it; what does not fit gives way in its order.
+    /// Returns the lead of the goals that exerts `wrench`, plus `null` [rad]; if it exceeds the limits, the parts are
+    /// reduced in the order below.
     #[inline(always)]
     pub(crate) fn exert(&self, wrench: Wrench<J::Axes>, null: J, resistance: Resistance<J>) -> Motion<J> {
         let (plan, servos) = (self.plan, &self.plan.servos);
         let null = self.bound_null(null);
         let (kp, compliance, torque) = (J::load(&servos.kp), J::load(&servos.compliance), J::load(&servos.torque));
 
-        // Torque ceilings: the soft part gives way first, then the stiff one, gravity never.
+        // Torque ceilings: reduce the soft part first, then the stiff part, gravity never.
         let soft = transpose_times(self.rows, &wrench.soft.axes());
         let stiff = transpose_times(self.rows, &wrench.stiff.axes());
         let feed_forward = resistance.under(J::clip(self.gravity + soft + stiff, torque));
         let base = J::fma(kp, null + self.integral, self.gravity + feed_forward);
         let [soft_torque, stiff_torque] = scale_to_fit(base, [soft, stiff], torque);
-        // Joint speeds: the null part first.
+        // Joint speeds: reduce the null-space part first.
         let (soft, stiff) = (soft * compliance * J::spread(soft_torque), stiff * compliance * J::spread(stiff_torque));
         let [null_speed, soft_speed, stiff_speed] =
             scale_to_fit(J::splat(0.0), [null, soft, stiff], plan.reach(self.horizon));

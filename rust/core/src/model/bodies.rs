@@ -14,7 +14,7 @@ use crate::pose::Pose;
 /// Rigid transform of the set-up code.
 pub(super) type Transform = nalgebra::IsometryMatrix3<f64>;
 
-/// A moving joint before its frame is turned.
+/// A moving joint before its frame is rotated.
 pub(super) struct Slot {
     pub(super) joint: usize,
     pub(super) parent: Option<usize>,
@@ -59,7 +59,7 @@ pub(super) fn pose(transform: &Transform) -> Pose {
     }
 }
 
-/// Moving joints and the bodies between them, frames not yet turned.
+/// Moving joints and the bodies between them, frames not yet rotated.
 pub(super) struct Bodies {
     pub(super) slots: Vec<Slot>,
     pub(super) path: usize,
@@ -69,11 +69,11 @@ pub(super) struct Bodies {
     pub(super) moment: Vec<Vector3<f64>>,
 }
 
-/// Walks the subtree of `anchor`: the path first, then all that hangs on it.
+/// Traverses the subtree of `anchor`: first the path, then everything attached to it.
 pub(super) fn collect(tree: &Tree, anchor: usize, base: Transform, path: &[usize], roles: &[Role]) -> Result<Bodies> {
     let mut bodies =
         Bodies { slots: Vec::new(), path: 0, base, tool: Transform::identity(), mass: Vec::new(), moment: Vec::new() };
-    // Slot that carries each path joint's child; joints of the path keep their slots in the second walk.
+    // Slot that carries each path joint's child; joints of the path keep their slots in the second traversal.
     let mut slot_of: BTreeMap<usize, usize> = BTreeMap::new();
     let (mut slot, mut here) = (None, Transform::identity());
     for &j in path {
@@ -97,7 +97,7 @@ pub(super) fn collect(tree: &Tree, anchor: usize, base: Transform, path: &[usize
 }
 
 impl Bodies {
-    /// Crosses joint `j`: the slot that carries its child, and the child's pose in that slot's frame.
+    /// Crosses joint `j`: returns the slot that carries its child, and the child's pose in that slot's frame.
     fn pass(
         &mut self,
         tree: &Tree,

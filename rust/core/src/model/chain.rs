@@ -1,4 +1,4 @@
-//! Base → tip of a tree, and every body it carries, as constant arrays for the hot path.
+//! Chain from base to tip with all bodies that it carries, as constant arrays for the control step.
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 
@@ -11,10 +11,10 @@ use crate::error::{Error, Result};
 use crate::pose::Pose;
 use crate::{JointVec, MAX_JOINTS};
 
-/// One kinematic chain with every body it carries; what the hot path reads.
+/// One kinematic chain with all bodies that it carries, in the layout of the control step.
 ///
-/// Moving joints are numbered base → tip; behind them stand joints beside the path that follow one of its coordinates.
-/// Frames are turned once, when the robot is read, so that every joint moves about or along its own z and the rotation
+/// Moving joints are numbered base → tip; after them come joints beside the path that follow one of its coordinates.
+/// Frames are rotated once, when the robot is read, so that every joint moves about or along its own z and the rotation
 /// from one joint to the next is a tilt about x followed by the joint's own angle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
@@ -22,7 +22,7 @@ pub struct Chain {
     pub(crate) n: usize,
     /// Moving joints between base and tip.
     pub(crate) path: usize,
-    /// Moving joints in all.
+    /// Total number of moving joints.
     pub(crate) total: usize,
     /// Frame before the first joint, in the base.
     pub(crate) base: Pose,
@@ -30,9 +30,9 @@ pub struct Chain {
     pub(crate) tool: Pose,
     /// Coordinate that drives each joint.
     pub(crate) driver: [usize; MAX_JOINTS],
-    /// Moving joint that carries each joint; `MAX_JOINTS`: the base.
+    /// Moving joint that carries each joint; `MAX_JOINTS` for the base.
     pub(crate) parent: [usize; MAX_JOINTS],
-    /// Turn about z of the parent's frame before the tilt; the identity on the path.
+    /// Rotation about z of the parent's frame before the tilt; the identity on the path.
     pub(crate) turn: [[[f64; 3]; 3]; MAX_JOINTS],
     /// Origin of each joint in its parent's frame [m].
     pub(crate) offset: [[f64; 3]; MAX_JOINTS],
@@ -41,25 +41,25 @@ pub struct Chain {
     /// Joint angle = `angle_per_q · q + angle_offset`; 0 and a constant for prismatic joints.
     pub(crate) angle_per_q: JointVec,
     pub(crate) angle_offset: JointVec,
-    /// Joint travel = `slide_per_q · q + slide_offset`; 0 and 0 for revolute joints.
+    /// Joint displacement = `slide_per_q · q + slide_offset`; 0 and 0 for revolute joints.
     pub(crate) slide_per_q: JointVec,
     pub(crate) slide_offset: JointVec,
-    /// Whether each joint is prismatic.
+    /// True for prismatic joints.
     pub(crate) slides: [bool; MAX_JOINTS],
-    /// Whether every coordinate turns one joint of the path, in their order and with factor 1.
+    /// True if every coordinate drives one joint of the path, in order and with factor 1.
     pub(crate) simple: bool,
-    /// Mass of the rigid group behind each joint [kg], without payload.
+    /// Mass of the rigid group after each joint [kg], without payload.
     pub(crate) mass: JointVec,
     /// Mass times centre of mass of that group [kg·m], in the frame after the joint.
     pub(crate) moment: [[f64; 3]; MAX_JOINTS],
 }
 
-/// The chain, and what of it a user sees by name.
+/// The chain and its properties for [`Model`](super::Model).
 pub(super) struct Assembly {
     pub(super) chain: Chain,
-    /// Joint (index into the tree) that each coordinate is.
+    /// Joint (index into the tree) of each coordinate.
     pub(super) coordinates: Vec<usize>,
-    /// Coordinates that move a rigid group without any mass.
+    /// Coordinates that move a rigid group without mass.
     pub(super) massless: Vec<usize>,
     /// Largest distance of the tool from the first joint's origin [m].
     pub(super) reach: f64,
@@ -72,14 +72,14 @@ impl Chain {
     }
 }
 
-/// Chooses the coordinates, locks the rest and turns the frames.
+/// Chooses the coordinates, locks the other joints and rotates the frames.
 pub(super) fn assemble(tree: &mut Tree, base: usize, tip: usize, options: &ModelOptions) -> Result<Assembly> {
     let (anchor, above_base) = anchor(tree, base, tip);
     let path = tree.joints_between(anchor, tip);
     let roles = roles(tree, &path, &options.locked)?;
     let coordinates = roles.coordinates;
 
-    // From the anchor up to the base: rigid, or the base would move with the arm.
+    // From the anchor up to the base all joints must be fixed, otherwise the base would move with the arm.
     let mut anchor_from_base = Transform::identity();
     for &joint in &above_base {
         let Role::Still(value) = roles.of[joint] else {
@@ -100,7 +100,7 @@ pub(super) fn assemble(tree: &mut Tree, base: usize, tip: usize, options: &Model
     Ok(turn_frames(tree, &bodies, coordinates))
 }
 
-/// Deepest link above both `base` and `tip`, and the joints from `base` up to it.
+/// Returns the deepest link above both `base` and `tip`, and the joints from `base` up to it.
 fn anchor(tree: &Tree, base: usize, tip: usize) -> (usize, Vec<usize>) {
     let mut above_tip = vec![false; tree.links.len()];
     let mut link = Some(tip);
@@ -124,8 +124,8 @@ struct Zxz {
     c: f64,
 }
 
-/// Where the tilt is almost 0 or π, `a` is arbitrary; `c` is taken from what `a` and the tilt leave, so that the product
-/// is `F` to rounding in every case.
+/// If the tilt is almost 0 or π, `a` is arbitrary. `c` is computed from the remainder after `a` and the tilt, so that
+/// the product is `F` up to rounding in every case.
 fn zxz(rotation: &Rotation3<f64>) -> Zxz {
     let f = rotation.matrix();
     let sine = f[(0, 2)].hypot(f[(1, 2)]);
@@ -141,11 +141,11 @@ fn z_turn(angle: f64) -> Rotation3<f64> {
     Rotation3::from_axis_angle(&Vector3::z_axis(), angle)
 }
 
-/// Turns every frame about its z so that the next joint's rotation begins with a tilt about x.
+/// Rotates every frame about its z so that the next joint's rotation begins with a tilt about x.
 fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembly {
     let forms: Vec<Zxz> = bodies.slots.iter().map(|slot| zxz(&slot.before.rotation)).collect();
     let on_path = bodies.path.min(MAX_JOINTS);
-    // The turn of a frame is the `a` of the joint that follows on the path.
+    // The rotation of a frame is the `a` of the next joint on the path.
     let turn_after = |k: usize| if k + 1 < on_path { forms[k + 1].a } else { 0.0 };
     let base_turn = forms.first().map_or(0.0, |form| form.a);
 
@@ -204,7 +204,7 @@ fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembl
     Assembly { chain, coordinates, massless, reach }
 }
 
-/// Farthest that a prismatic joint slides [m]; 0 for others and where no limit is known.
+/// Largest displacement of a prismatic joint [m]; 0 for other joints and without known limits.
 fn travel(tree: &Tree, slot: &Slot, driver: usize) -> f64 {
     if tree.joints[slot.joint].kind != JointKind::Prismatic {
         return 0.0;
@@ -213,8 +213,8 @@ fn travel(tree: &Tree, slot: &Slot, driver: usize) -> f64 {
     end(tree.joints[driver].lower).max(end(tree.joints[driver].upper))
 }
 
-/// Mass of the group that a coordinate's own joint moves [kg]; where that joint carries nothing of the arm, of its
-/// first follower's.
+/// Mass of the group that a coordinate's own joint moves [kg]; if that joint carries no part of the arm, the mass for
+/// its first mimic joint.
 fn group_mass(bodies: &Bodies, coordinate: usize, driver: usize) -> f64 {
     let own = bodies.slots.iter().position(|slot| slot.joint == driver);
     let slot = own.or_else(|| bodies.slots.iter().position(|slot| slot.coordinate == coordinate));

@@ -1,6 +1,6 @@
-//! `<link>` and `<joint>` → what they say, or what is wrong with them, where absence and position can still be seen.
+//! Parser of `<link>` and `<joint>` elements; reports errors with their position.
 //!
-//! Every number is checked to be one, whole vectors included; what is absent is noted as absent.
+//! Checks that every number and vector is complete and finite, and keeps absent values as `None`.
 
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion};
 use roxmltree::Node;
@@ -19,11 +19,11 @@ const INERTIA: [&str; 6] = ["ixx", "ixy", "ixz", "iyy", "iyz", "izz"];
 /// Reads the elements of one file.
 pub(super) struct Reader<'a> {
     pub(super) source: &'a Source<'a>,
-    /// Whether the file's version knows `quat_xyzw`.
+    /// True if the file's version supports `quat_xyzw`.
     pub(super) quaternions: bool,
 }
 
-/// Child elements of these names; everything else inside `parent` is for other programs.
+/// Child elements with these names; other elements inside `parent` are ignored.
 pub(super) fn children<'n, 'i>(parent: Node<'n, 'i>, names: &[&str]) -> impl Iterator<Item = Node<'n, 'i>> {
     let space = parent.tag_name().namespace();
     parent.children().filter(move |child| {
@@ -33,7 +33,7 @@ pub(super) fn children<'n, 'i>(parent: Node<'n, 'i>, names: &[&str]) -> impl Ite
 }
 
 impl Reader<'_> {
-    /// At most one child of each name, in the order of `names`.
+    /// Returns at most one child of each name, in the order of `names`.
     fn parts<'n, 'i, const N: usize>(
         &self,
         parent: Node<'n, 'i>,
@@ -183,14 +183,14 @@ impl Reader<'_> {
         let read = |entry: &str| self.source.number_or_infinite(limit, entry, owner);
         let position =
             |value: Option<f64>| value.filter(|value| value.is_finite() && joint.kind != JointKind::Continuous);
-        // 0, negative and infinite all mean that nobody filled it in.
+        // 0, negative and infinite values all mean that the limit was not filled in.
         let positive = |value: Option<f64>| value.filter(|&value| value > 0.0 && value.is_finite());
         (joint.lower, joint.upper) = (position(read("lower")?), position(read("upper")?));
         (joint.effort, joint.velocity) = (positive(read("effort")?), positive(read("velocity")?));
         Ok(())
     }
 
-    /// Joint followed, multiplier, offset.
+    /// Returns the driving joint, multiplier, offset.
     fn mimic(&self, mimic: Node, owner: &str) -> Result<(String, f64, f64)> {
         let Some(joint) = mimic.attribute("joint").filter(|joint| !joint.is_empty()) else {
             return Err(self.source.error_at(mimic, format!("{owner}: <mimic> without joint=\"...\"")));
@@ -200,7 +200,7 @@ impl Reader<'_> {
         Ok((joint.to_owned(), number("multiplier", 1.0)?, number("offset", 0.0)?))
     }
 
-    /// Where an `<origin>` is; one that is absent is nowhere else.
+    /// Returns the pose of an `<origin>`; the identity if absent.
     fn origin(&self, origin: Option<Node>, owner: &str) -> Result<Pose> {
         let Some(origin) = origin else { return Ok(Pose::IDENTITY) };
         let position = self.source.vector::<3>(origin, "xyz", owner)?.unwrap_or_default();
@@ -216,7 +216,7 @@ impl Reader<'_> {
         Ok(Pose { rotation: [0, 1, 2].map(|i| [0, 1, 2].map(|j| rotation[(i, j)])), position })
     }
 
-    /// x y z w of an `<origin>` that is given so, unit.
+    /// Returns the unit quaternion x y z w of an `<origin>`, if given.
     fn quaternion(&self, origin: Node, owner: &str) -> Result<Option<[f64; 4]>> {
         let Some(quaternion) = self.source.vector::<4>(origin, "quat_xyzw", owner)? else { return Ok(None) };
         if !self.quaternions {

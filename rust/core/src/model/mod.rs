@@ -1,7 +1,7 @@
 //! URDF text → immutable, validated robot.
 //!
-//! [`Model`] is one kinematic chain, base → tip, with every body it carries. Meshes are never opened. What a file leaves
-//! out is `None`, never zero; what cannot be used is an error with file, line and remedy.
+//! [`Model`] is one kinematic chain, base → tip, with all bodies that it carries. Meshes are never opened. Values
+//! absent from the file are `None`, never zero; invalid values are errors with file, line and remedy.
 
 use std::io::Read as _;
 use std::path::Path;
@@ -33,7 +33,7 @@ pub(crate) use targets::{Workspace, joint_targets};
 use text::Source;
 use tree::Tree;
 
-/// One kinematic chain with every body it carries; immutable.
+/// One kinematic chain with all bodies that it carries; immutable.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
     tree: Tree,
@@ -56,8 +56,8 @@ impl Model {
     /// Reads a URDF file.
     ///
     /// # Errors
-    /// [`Error::Urdf`] with file, line and column for everything wrong in the text; [`Error::FrameNotFound`],
-    /// [`Error::OutOfRange`] and [`Error::Config`] for options that do not fit it.
+    /// [`Error::Urdf`] with file, line and column for errors in the text; [`Error::FrameNotFound`],
+    /// [`Error::OutOfRange`] and [`Error::Config`] for options that do not fit the file.
     ///
     /// ```
     /// # use pliant_core::{Model, ModelOptions};
@@ -73,7 +73,7 @@ impl Model {
         Self::from_urdf_file_with_text(path, options).map(|(model, _)| model)
     }
 
-    /// [`Model::from_urdf_file`], and the text that was read.
+    /// Reads a URDF file and also returns its text, see [`Model::from_urdf_file`].
     ///
     /// # Errors
     /// As [`Model::from_urdf_file`].
@@ -81,14 +81,14 @@ impl Model {
         let path = path.as_ref();
         let name = path.display().to_string();
         let unreadable = |message: String| Error::Urdf { source_name: name.clone(), at: Position(None), message };
-        // A pipe without a writer would never end.
+        // Reading a pipe without a writer would block forever.
         if std::fs::metadata(path).is_ok_and(|data| !data.is_file()) {
             return Err(unreadable(
                 "cannot be read: it is not a file; for text from a pipe there is from_urdf_str".into(),
             ));
         }
         let mut bytes = Vec::new();
-        // One byte more than is allowed, so that too long a file is seen as such.
+        // Read one byte more than allowed, to detect a file that is too long.
         std::fs::File::open(path)
             .and_then(|file| file.take(text::MAX_BYTES as u64 + 1).read_to_end(&mut bytes))
             .map_err(|error| unreadable(format!("cannot be read: {error}")))?;
@@ -173,7 +173,7 @@ impl Model {
         self.chain.n()
     }
 
-    /// Names of the independent joints, base → tip. A joint that follows another is not among them.
+    /// Names of the independent joints, base → tip, without mimic joints.
     pub fn joint_names(&self) -> &[String] {
         &self.joint_names
     }
@@ -188,27 +188,27 @@ impl Model {
         &self.upper
     }
 
-    /// Speed limits [rad/s or m/s]; `None`: absent.
+    /// Speed limits [rad/s or m/s]; `None` if absent.
     pub fn velocity_limit(&self) -> &[Option<f64>] {
         &self.velocity_limit
     }
 
-    /// Torque limits [N·m or N]; `None`: absent.
+    /// Torque limits [N·m or N]; `None` if absent.
     pub fn effort_limit(&self) -> &[Option<f64>] {
         &self.effort_limit
     }
 
-    /// Which independent joints slide.
+    /// True for prismatic independent joints.
     pub fn prismatic(&self) -> &[bool] {
         &self.prismatic
     }
 
-    /// Names of all links of the robot, each of which can be base or tip.
+    /// Names of all links of the robot; each can be base or tip.
     pub fn frames(&self) -> Vec<&str> {
         self.tree.links.iter().map(|link| link.name.as_str()).collect()
     }
 
-    /// Frame in which poses are given.
+    /// Frame of reference of poses.
     pub fn base(&self) -> &str {
         &self.tree.links[self.base].name
     }
@@ -218,7 +218,7 @@ impl Model {
         &self.tree.links[self.tip].name
     }
 
-    /// What the tool holds.
+    /// Payload at the tool.
     pub const fn payload(&self) -> Option<&Payload> {
         self.payload.as_ref()
     }
@@ -228,22 +228,22 @@ impl Model {
         self.gravity
     }
 
-    /// The distances between joint origins, summed from the first joint out to the tool, with the longest travel of
-    /// sliding joints [m].
+    /// Sum of the distances between joint origins from the first joint to the tool, plus the largest displacements of
+    /// prismatic joints [m].
     pub const fn reach(&self) -> f64 {
         self.reach
     }
 
-    /// Where [`Model::reach`] counts from: the first joint's origin at q = 0, in the base [m].
+    /// Reference point of [`Model::reach`]: the first joint's origin at q = 0, in the base [m].
     pub fn reach_from(&self) -> [f64; 3] {
         let mut frames = Frames::default();
         self.chain.forward(&[0.0; MAX_JOINTS], &mut frames);
         frames.origin[0]
     }
 
-    /// Independent joints that move a rigid group without any mass: their gravity torque is not known.
+    /// Independent joints that move a rigid group without mass: their gravity torque is unknown.
     ///
-    /// A link without `<inertial>` is massless; only where nothing in the group has mass is it taken for forgotten.
+    /// A link without `<inertial>` is massless; it counts as missing data only if the whole group has no mass.
     pub fn unknown_mass_joints(&self) -> &[usize] {
         &self.unknown_mass
     }
@@ -258,13 +258,13 @@ impl Model {
         &self.tree.joints
     }
 
-    /// The hot path.
+    /// The data of the control step.
     pub const fn chain(&self) -> &Chain {
         &self.chain
     }
 }
 
-/// The tip when nobody names it: the one link below the base that carries no other.
+/// Default tip: the only link below the base without child links.
 fn only_tip(tree: &Tree, base: usize) -> Result<usize> {
     let (mut leaves, mut stack) = (Vec::new(), vec![base]);
     while let Some(link) = stack.pop() {

@@ -1,11 +1,11 @@
-//! Lists of names in messages: short, and the likeliest first.
+//! Lists of names for messages: shortened, most similar name first.
 
 use std::fmt::Write as _;
 
-/// Most names that a message lists.
+/// Maximum number of names in a message.
 pub(super) const SHOWN: usize = 40;
 
-/// Some names, comma-separated.
+/// Joins names with commas, shortened.
 pub(super) fn some<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
     let rest = names.len().saturating_sub(SHOWN);
     let mut list = names.take(SHOWN).collect::<Vec<_>>().join(", ");
@@ -15,18 +15,18 @@ pub(super) fn some<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String 
     list
 }
 
-/// Names of some things, those first that look like `wanted`.
+/// Lists names, those similar to `wanted` first.
 pub(super) fn listed<T>(things: &[T], name: impl Fn(&T) -> &String, wanted: &str) -> String {
     some(likeliest(things.iter().map(|thing| name(thing).as_str()).collect(), wanted).into_iter())
 }
 
-/// Those names first that look like `wanted`.
+/// Sorts names by similarity to `wanted`.
 pub(super) fn likeliest<'a>(mut names: Vec<&'a str>, wanted: &str) -> Vec<&'a str> {
     names.sort_by_key(|candidate| distance(candidate, wanted));
     names
 }
 
-/// Letters to insert, remove or exchange between two names (Levenshtein), on their first hundred characters.
+/// Levenshtein distance of two names, from their first hundred characters.
 fn distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().take(100).collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();

@@ -1,4 +1,4 @@
-//! What a file does not say, and how it is checked against what the file does say.
+//! Model options that a URDF file does not contain, and their checks against the file.
 
 use std::collections::BTreeMap;
 
@@ -8,21 +8,21 @@ use super::tree::Tree;
 use crate::error::{Error, Result};
 use crate::pose::COORDINATE_BOUND;
 
-/// What a file does not say: which part of the robot, what it carries, which way is down.
+/// Options of a model: part of the robot, payload, direction of gravity.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelOptions {
-    /// Frame in which poses are given; default: the root link. Must be rigidly fixed to a link above the tip.
+    /// Frame of reference of poses; default: the root link. Must be rigidly fixed to a link above the tip.
     pub base: Option<String>,
-    /// The tool frame; may be omitted when only one link of the robot carries no other.
+    /// The tool frame; optional if only one link of the robot has no child.
     pub tip: Option<String>,
-    /// Joints held at a value [rad or m]. Actuated joints beside the chain that are not named rest at 0, or at the
-    /// limit nearest to it.
+    /// Joints locked at a value [rad or m]. Other actuated joints beside the chain are locked at 0, or at the limit
+    /// nearest to 0.
     pub locked: BTreeMap<String, f64>,
-    /// What the tool holds.
+    /// Payload at the tool.
     pub payload: Option<Payload>,
     /// Gravity in the base frame [m/s²].
     pub gravity: [f64; 3],
-    /// Position limits [rad or m] (lower, upper) by joint, in place of the file's.
+    /// Position limits [rad or m] (lower, upper) by joint, instead of the file's.
     pub limits: BTreeMap<String, (f64, f64)>,
 }
 
@@ -49,7 +49,7 @@ pub struct Payload {
 }
 
 impl Payload {
-    /// Checks that the numbers can be a payload.
+    /// Checks that the numbers are a valid payload.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] names the entry.
@@ -94,7 +94,7 @@ pub(super) fn override_limits(tree: &mut Tree, limits: &BTreeMap<String, (f64, f
     Ok(())
 }
 
-/// Only a continuous joint may move without end: limits that nobody wrote down would read as 0…0 or ±∞.
+/// Requires limits for all joints except continuous ones: absent limits would read as 0…0 or ±∞.
 pub(super) fn need_limits(tree: &Tree, j: usize) -> Result<()> {
     let joint = &tree.joints[j];
     let remedy = format!("pass limits = {{\"{}\": (lower, upper)}}", joint.name);

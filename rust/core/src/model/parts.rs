@@ -1,4 +1,4 @@
-//! Links and joints as the file gives them; what a simulator builds its robot from.
+//! Links and joints as in the file; simulators build their robot from them.
 
 use crate::error::Position;
 use crate::pose::Pose;
@@ -16,45 +16,45 @@ pub struct Inertial {
     pub inertia: [[f64; 3]; 3],
 }
 
-/// A rigid body, or a mere frame.
+/// A rigid body, or a frame without mass.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Link {
     /// Unique, not empty.
     pub name: String,
     /// Joint above it; `None` for the root.
     pub parent_joint: Option<usize>,
-    /// `None`: no `<inertial>`, a massless link.
+    /// `None` without `<inertial>`: a massless link.
     pub inertial: Option<Inertial>,
 }
 
-/// How a joint moves.
+/// Type of a joint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JointKind {
-    /// About an axis, between limits.
+    /// Rotation about an axis, between limits.
     Revolute,
-    /// About an axis, without end.
+    /// Rotation about an axis, without limits.
     Continuous,
-    /// Along an axis.
+    /// Translation along an axis.
     Prismatic,
-    /// Not at all.
+    /// No motion.
     Fixed,
     /// Floating, planar, spherical: held at its zero pose, and refused between base and tip.
     Other,
 }
 
 impl JointKind {
-    /// Whether the joint has one coordinate.
+    /// Returns true if the joint has one coordinate.
     pub const fn is_actuated(self) -> bool {
         matches!(self, Self::Revolute | Self::Continuous | Self::Prismatic)
     }
 }
 
-/// A joint that follows another: its coordinate is `multiplier · q + offset`.
+/// Mimic of a joint: its coordinate is `multiplier · q + offset`.
 ///
-/// Resolved: `joint` follows nobody, also where the file chains one mimic to another.
+/// Resolved: `joint` itself is never a mimic joint, also if the file chains several.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mimic {
-    /// The joint that leads (index into [`Model::joints`](super::Model::joints)).
+    /// The driving joint (index into [`Model::joints`](super::Model::joints)).
     pub joint: usize,
     /// Ratio, finite, not 0.
     pub multiplier: f64,
@@ -67,42 +67,42 @@ pub struct Mimic {
 pub struct Joint {
     /// Unique, not empty.
     pub name: String,
-    /// How it moves.
+    /// Type of the joint.
     pub kind: JointKind,
-    /// The file's word for `kind`.
+    /// Name of the type in the file.
     pub type_name: String,
-    /// Link above (index into [`Model::links`](super::Model::links)).
+    /// Parent link (index into [`Model::links`](super::Model::links)).
     pub parent: usize,
-    /// Link below.
+    /// Child link.
     pub child: usize,
     /// `parent_from_child` at zero.
     pub origin: Pose,
-    /// Unit axis in the joint's frame; z for joints that have none.
+    /// Unit axis in the joint's frame; z for joints without an axis.
     pub axis: [f64; 3],
-    /// Lower position limit [rad or m]; `None`: absent.
+    /// Lower position limit [rad or m]; `None` if absent.
     pub lower: Option<f64>,
-    /// Upper position limit [rad or m]; `None`: absent.
+    /// Upper position limit [rad or m]; `None` if absent.
     pub upper: Option<f64>,
-    /// Speed limit [rad/s or m/s]; `None`: absent, 0 or infinite.
+    /// Speed limit [rad/s or m/s]; `None` if absent, 0 or infinite.
     pub velocity: Option<f64>,
-    /// Torque or force limit [N·m or N]; `None`: absent, 0 or infinite.
+    /// Torque or force limit [N·m or N]; `None` if absent, 0 or infinite.
     pub effort: Option<f64>,
     /// Damping [N·m·s/rad or N·s/m].
     pub damping: Option<f64>,
     /// Dry friction [N·m or N].
     pub friction: Option<f64>,
-    /// The joint that it follows.
+    /// Mimic parameters, for a mimic joint.
     pub mimic: Option<Mimic>,
-    /// Coordinate of the chain that moves it, as the coordinate's own joint or by mimic.
+    /// Coordinate of the chain that drives it, directly or by mimic.
     pub q_index: Option<usize>,
-    /// Where it is held [rad or m], for actuated joints that no coordinate moves.
+    /// Value at which it is locked [rad or m], for actuated joints without a coordinate.
     pub locked_at: Option<f64>,
     /// Line and column of the joint's element.
     pub(crate) at: Position,
 }
 
 impl Joint {
-    /// Where the joint is held when nobody says: 0, or the limit nearest to it.
+    /// Default value of a locked joint: 0, or the limit nearest to 0.
     pub(super) fn resting_value(&self) -> f64 {
         0.0_f64.max(self.lower.unwrap_or(f64::NEG_INFINITY)).min(self.upper.unwrap_or(f64::INFINITY))
     }

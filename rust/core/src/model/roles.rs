@@ -1,4 +1,4 @@
-//! Which joints of a tree a coordinate moves, and where the others are held.
+//! Roles of the joints of a tree: driven by a coordinate, or locked at a value.
 
 use std::collections::BTreeMap;
 
@@ -9,12 +9,12 @@ use crate::MAX_JOINTS;
 use crate::error::{Error, Result};
 use crate::pose::COORDINATE_BOUND;
 
-/// What a joint of the tree does once base, tip and locks are chosen.
+/// Role of a joint of the tree for the chosen base, tip and locks.
 #[derive(Clone, Copy)]
 pub(super) enum Role {
-    /// Stays at this value.
+    /// Locked at this value.
     Still(f64),
-    /// Follows a coordinate: `multiplier · q + offset`.
+    /// Driven by a coordinate: `multiplier · q + offset`.
     Moves { coordinate: usize, multiplier: f64, offset: f64 },
 }
 
@@ -23,7 +23,7 @@ pub(super) struct Roles {
     pub(super) coordinates: Vec<usize>,
 }
 
-/// Which joints move, and with which coordinate.
+/// Determines the moving joints and their coordinates.
 pub(super) fn roles(tree: &mut Tree, path: &[usize], locked: &BTreeMap<String, f64>) -> Result<Roles> {
     let mut fixed_at: Vec<Option<f64>> = vec![None; tree.joints.len()];
     for (name, &value) in locked {
@@ -105,7 +105,7 @@ pub(super) fn roles(tree: &mut Tree, path: &[usize], locked: &BTreeMap<String, f
     Ok(Roles { of, coordinates })
 }
 
-/// Index of a joint that may be locked at this value.
+/// Returns the index of a joint, after checking that it may be locked at this value.
 fn lockable(tree: &Tree, name: &str, value: f64) -> Result<usize> {
     let key = || format!("locked.{name}");
     let Some(j) = tree.joints.iter().position(|joint| joint.name == name) else {

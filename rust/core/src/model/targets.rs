@@ -1,4 +1,4 @@
-//! Targets that an arm of these dimensions cannot mean: in other units, or in other axes than the base's.
+//! Plausibility of targets: detects targets in other units, or in axes other than the base's.
 
 use crate::error::{Error, Result};
 use crate::model::Model;
@@ -6,40 +6,40 @@ use crate::number::NEGLIGIBLE;
 use crate::pose::{COORDINATE_BOUND, DOUBT, POSITION_BOUND, Pose};
 use crate::{JointVec, MAX_JOINTS};
 
-/// Farthest that a target may lie from the first joint, in multiples of [`Model::reach`].
+/// Largest distance of a target from the first joint, in multiples of [`Model::reach`].
 ///
-/// The arm stretches toward a target out of reach, which is a use: twice the reach lets the target of a 0.7 m arm jump by a metre,
-/// as in the fault tables. Feet, inches, centimetres and millimetres are factors of 3.3 to 1000.
+/// A target out of reach is valid: the arm stretches toward it. Twice the reach lets the target of a 0.7 m arm jump by
+/// a metre, as in the fault tables. Feet, inches, centimetres and millimetres are factors of 3.3 to 1000.
 const REACH_FACTOR: f64 = 2.0;
 
-/// Added to that distance [m], for arms whose tool lies in the axis of their one joint.
+/// Added to that distance [m], for arms with a tool on the axis of their only joint.
 const REACH_MARGIN: f64 = 0.1;
 
-/// How far a joint target may lie beyond the position limits [rad].
+/// Largest distance of a joint target beyond the position limits [rad].
 ///
-/// Goals end at the limits anyway. The margin is for leader arms and policies, whose zeros are off by some degrees;
-/// degrees are a factor of 57.
+/// Goals are clamped to the limits anyway. The margin is for leader arms and policies whose zeros are off by some
+/// degrees; targets in degrees are off by a factor of 57.
 const ANGLE_MARGIN: f64 = 0.2;
 
-/// The same of a prismatic joint, as a share of its travel.
+/// The margin of a prismatic joint, as a share of its travel.
 const TRAVEL_MARGIN: f64 = 0.1;
 
-/// Where targets may lie: a ball around the first joint.
+/// Workspace of targets: a ball around the first joint.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Workspace {
     /// Origin of the first joint at q = 0, in the base [m].
     pub(crate) centre: [f64; 3],
     /// Largest distance from it [m].
     pub(crate) radius: f64,
-    /// [`DOUBT`] by the radius [1/m].
+    /// [`DOUBT`] divided by the radius [1/m].
     pub(crate) doubt: f64,
 }
 
 impl Workspace {
-    /// No bound but [`POSITION_BOUND`], for tasks without translations.
+    /// Workspace bounded by [`POSITION_BOUND`] only, for tasks without translations.
     pub(crate) const ANY: Self = Self { centre: [0.0; 3], radius: POSITION_BOUND, doubt: DOUBT / POSITION_BOUND };
 
-    /// Of an arm; a slide without limits reaches everything.
+    /// Returns the workspace of an arm; unbounded for a prismatic joint without limits.
     pub(crate) fn of(model: &Model) -> Self {
         let bounded = |i: usize| (model.upper[i] - model.lower[i]).is_finite();
         if (0..model.n()).any(|i| model.prismatic[i] && !bounded(i)) {
@@ -51,18 +51,18 @@ impl Workspace {
 
     /// Distance of a position from the centre [m].
     pub(crate) fn distance(&self, position: &[f64; 3]) -> f64 {
-        // Scaled by hand: squares of 1e300 are infinite.
+        // Scaled by hand: squares of 1e300 overflow.
         let apart = std::array::from_fn::<f64, 3, _>(|i| position[i] - self.centre[i]);
         apart[0].hypot(apart[1]).hypot(apart[2])
     }
 
-    /// Whether a position is outside; NaN is.
+    /// Returns true if a position is outside or NaN.
     pub(crate) fn excludes(&self, position: &[f64; 3]) -> bool {
         !(self.distance(position) <= self.radius)
     }
 }
 
-/// Least and largest joint targets, ±∞ behind the last joint.
+/// Smallest and largest joint targets, ±∞ as padding.
 pub(crate) fn joint_targets(model: &Model) -> [JointVec; 2] {
     let mut out = [[f64::NEG_INFINITY; MAX_JOINTS], [f64::INFINITY; MAX_JOINTS]];
     for (i, (&lower, &upper)) in model.lower.iter().zip(&model.upper).enumerate().take(MAX_JOINTS) {
@@ -74,12 +74,13 @@ pub(crate) fn joint_targets(model: &Model) -> [JointVec; 2] {
 }
 
 impl Model {
-    /// Checks that a pose may be a target of this arm: one that is far out of reach is in other units.
+    /// Checks that a pose is a plausible target of this arm: a target far out of reach is in other units.
     ///
-    /// [`Controller::step`](crate::Controller::step) does so for tasks with translations.
+    /// [`Controller::step`](crate::Controller::step) does this for tasks with translations.
     ///
     /// # Errors
-    /// As [`Pose::validate`]; [`Error::OutOfRange`] for a position farther from the first joint than 2 × [`Model::reach`] + 0.1 m.
+    /// As [`Pose::validate`]; [`Error::OutOfRange`] for a position farther from the first joint than 2 ×
+    /// [`Model::reach`] + 0.1 m.
     pub fn check_target(&self, target: &Pose) -> Result<()> {
         self.check_target_in("target", target, &Workspace::of(self))
     }
@@ -107,7 +108,7 @@ impl Model {
         };
         let from = self.joint_names.first().map_or("the base", String::as_str);
         let from = if workspace.radius < POSITION_BOUND { from } else { self.base() };
-        // Four digits tell what is wrong with the number.
+        // Four digits are enough to recognize the error.
         let shown = |value: f64| {
             if value.abs() < 1e6 { format!("{}", (1e4 * value).round() / 1e4) } else { format!("{value:e}") }
         };
@@ -117,18 +118,20 @@ impl Model {
         Error::out_of_range(format!("{name}: distance of position [{x}, {y}, {z}] from {from} [m]"), distance, bound)
     }
 
-    /// Checks that joint positions (`n`) [rad or m] may be a target of this arm: far beyond the limits they are in other units.
+    /// Checks that joint positions (`n`) [rad or m] are a plausible target: values far beyond the limits are in other
+    /// units.
     ///
-    /// [`Controller::step_joints`](crate::Controller::step_joints) does so.
+    /// [`Controller::step_joints`](crate::Controller::step_joints) does this.
     ///
     /// # Errors
-    /// [`Error::Shape`]; [`Error::OutOfRange`] for a joint beyond its limits by more than 0.2 rad, or a tenth of its travel.
+    /// [`Error::Shape`]; [`Error::OutOfRange`] for a joint beyond its limits by more than 0.2 rad, or a tenth of its
+    /// travel.
     pub fn check_joint_target(&self, q: &[f64]) -> Result<()> {
         let [least, most] = joint_targets(self);
         self.joints_between("q", q, &least, &most).map(|_| ())
     }
 
-    /// Reads joint positions that lie between two bounds; next to nothing is 0.
+    /// Reads joint positions between two bounds; flushes negligibly small values to 0.
     #[inline]
     pub(crate) fn joints_between(
         &self,
@@ -145,7 +148,7 @@ impl Model {
         if fine { Ok(out) } else { Err(self.not_between(what, values, least, most)) }
     }
 
-    /// What is wrong with joint positions that are not.
+    /// Returns the error for joint positions outside the bounds.
     #[cold]
     #[inline(never)]
     fn not_between(&self, what: &str, values: &[f64], least: &JointVec, most: &JointVec) -> Error {

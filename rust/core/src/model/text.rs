@@ -1,4 +1,4 @@
-//! The text as XML: what is refused before any reader of robots sees it.
+//! XML layer: checks on the text before the URDF parser reads it.
 
 use std::cell::Cell;
 
@@ -9,14 +9,15 @@ use crate::error::{Error, Position, Result};
 /// Largest text [bytes]. Real robots stay below 1 MB.
 pub(super) const MAX_BYTES: usize = 16 << 20;
 
-/// Deepest nesting. Real robots stay below 10; the reader behind this one recurses, and thousands of levels would
-/// overflow its stack, which ends the process.
+/// Maximum nesting depth. Real robots stay below 10; the URDF parser recurses, and thousands of levels would overflow
+/// its stack, which aborts the process.
 pub(super) const MAX_DEPTH: usize = 64;
 
-/// Most attributes of one element. Real robots stay below 30; the XML parser compares each with all others.
+/// Maximum number of attributes of one element. Real robots stay below 30; the XML parser compares each with all
+/// others.
 pub(super) const MAX_ATTRIBUTES: usize = 64;
 
-/// Most XML nodes, and most links: both bound the time that a hostile text can take to about a second.
+/// Maximum numbers of XML nodes and of links: both bound the time for a hostile text to about a second.
 const MAX_NODES: u32 = 2_000_000;
 pub(super) const MAX_LINKS: usize = 10_000;
 
@@ -26,7 +27,8 @@ pub(super) struct Source<'a> {
     name: &'a str,
     text: &'a str,
     line_starts: Vec<usize>,
-    /// Offset asked for last, its line's start and its column: in a file of one line the next count goes on from there.
+    /// Last offset requested, with its line's start and its column: in a single-line file the next count continues from
+    /// there.
     last: Cell<(usize, usize, usize)>,
 }
 
@@ -40,7 +42,7 @@ impl<'a> Source<'a> {
         self.name
     }
 
-    /// Line and column of a byte; the column counts characters.
+    /// Returns line and column of a byte; the column counts characters.
     pub(super) fn at(&self, offset: usize) -> Position {
         let line = self.line_starts.partition_point(|&start| start <= offset);
         let start = self.line_starts.get(line.wrapping_sub(1)).copied().unwrap_or(0);
@@ -58,12 +60,12 @@ impl<'a> Source<'a> {
         Error::Urdf { source_name: self.name.to_owned(), at, message: message.into() }
     }
 
-    /// An error at the start of an element.
+    /// Creates an error at the start of an element.
     pub(super) fn error_at(&self, node: Node, message: impl Into<String>) -> Error {
         self.error(self.at(node.range().start), message)
     }
 
-    /// The tree of a text that is small, shallow, expanded and a robot.
+    /// Parses a text after checking its size and depth, that it is not xacro, and that its root is a robot.
     pub(super) fn parse(&self) -> Result<Document<'a>> {
         if self.text.len() > MAX_BYTES {
             let message = format!("{} bytes of text, at most {MAX_BYTES}", self.text.len());
@@ -114,7 +116,7 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// Counts `="` and `='` between one `<` and the next, which is never less than the attributes of that element.
+    /// Counts `="` and `='` between one `<` and the next, an upper bound on the attributes of that element.
     fn refuse_wide(&self) -> Result<()> {
         let (mut tag, mut attributes, mut equals) = (0, 0, false);
         for (offset, byte) in self.text.bytes().enumerate() {
@@ -179,12 +181,12 @@ impl<'a> Source<'a> {
     }
 }
 
-/// Why an xacro file is refused, and the command that helps.
+/// Message for an xacro file, with the command that converts it.
 pub(super) fn xacro(what: &str) -> String {
     format!("{what} shows that xacro was not run; expand the file first: xacro robot.urdf.xacro > robot.urdf")
 }
 
-/// At most so many characters, so that a message stays readable.
+/// Truncates a text, so that a message stays readable.
 pub(super) fn shortened(value: &str, most: usize) -> String {
     if value.chars().count() <= most { value.to_owned() } else { value.chars().take(most).chain(['…']).collect() }
 }

@@ -1,4 +1,4 @@
-//! Links and joints → one tree with one root, mimics resolved.
+//! Tree of links and joints with one root, mimics resolved.
 
 use std::collections::HashMap;
 
@@ -93,7 +93,7 @@ impl Tree {
         Ok(tree)
     }
 
-    /// The one link without a parent, from which every link must be reachable.
+    /// Returns the only link without a parent, from which every link must be reachable.
     fn find_root(&self, positions: &[Position]) -> Result<usize> {
         let roots: Vec<usize> = (0..self.links.len()).filter(|&l| self.links[l].parent_joint.is_none()).collect();
         let [root] = roots[..] else {
@@ -123,11 +123,11 @@ impl Tree {
         Ok(root)
     }
 
-    /// Follows every chain of mimics to the joint that leads it.
+    /// Resolves chains of mimic joints to their driving joint.
     fn resolve_mimics(&mut self, raw: &[Option<(String, f64, f64)>]) -> Result<()> {
         let index: HashMap<String, usize> =
             self.joints.iter().enumerate().map(|(j, joint)| (joint.name.clone(), j)).collect();
-        // Direct leaders first, so that a chain can be followed by index.
+        // Direct drivers first, so that a chain can be followed by index.
         let mut direct: Vec<Option<Mimic>> = vec![None; raw.len()];
         for (j, entry) in raw.iter().enumerate() {
             let Some((leader, multiplier, offset)) = entry else { continue };
@@ -143,7 +143,7 @@ impl Tree {
             }
             direct[j] = Some(Mimic { joint, multiplier: *multiplier, offset: *offset });
         }
-        // A follower's leader is resolved before it: each joint is visited once, however long the chains are.
+        // A driver is resolved before its followers: each joint is visited once, however long the chains are.
         let mut resolved: Vec<Option<Mimic>> = vec![None; raw.len()];
         for start in 0..direct.len() {
             let mut waiting = Vec::new();
@@ -196,7 +196,7 @@ impl Tree {
     /// Index of a link by name.
     pub(super) fn frame(&self, name: &str) -> Result<usize> {
         self.links.iter().position(|link| link.name == name).ok_or_else(|| {
-            // The likeliest slip first, at most a screenful.
+            // Most similar name first, at most one screenful.
             let available = likeliest(self.links.iter().map(|link| link.name.as_str()).collect(), name);
             let available = available.into_iter().take(SHOWN).map(str::to_owned).collect();
             Error::FrameNotFound { frame: name.to_owned(), available }
@@ -207,7 +207,7 @@ impl Tree {
         Error::Urdf { source_name: self.source_name.clone(), at, message: message.into() }
     }
 
-    /// An error about a joint, at its place in the file.
+    /// Creates an error about a joint, with its position in the file.
     pub(super) fn joint_error(&self, j: usize, message: impl std::fmt::Display) -> Error {
         self.error(self.joints[j].at, format!("joint '{}' {message}", self.joints[j].name))
     }

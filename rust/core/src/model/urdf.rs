@@ -1,4 +1,4 @@
-//! URDF text → links and joints as the file says them.
+//! URDF text → links and joints as in the file.
 
 use std::collections::HashMap;
 
@@ -10,7 +10,7 @@ use super::text::{MAX_LINKS, Source};
 use crate::error::{Position, Result};
 use crate::pose::Pose;
 
-/// A robot as the file says it, names not yet resolved.
+/// A robot as in the file, names not yet resolved.
 #[derive(Debug)]
 pub(super) struct Robot {
     pub(super) name: String,
@@ -41,11 +41,11 @@ pub(super) struct RawJoint {
     pub(super) effort: Option<f64>,
     pub(super) damping: Option<f64>,
     pub(super) friction: Option<f64>,
-    /// Joint followed, multiplier, offset.
+    /// Driving joint, multiplier, offset.
     pub(super) mimic: Option<(String, f64, f64)>,
 }
 
-/// Checks a text and reads it.
+/// Checks and parses a text.
 pub(super) fn read(source: &Source) -> Result<Robot> {
     let document = source.parse()?;
     let root = document.root_element();
@@ -71,7 +71,7 @@ pub(super) fn read(source: &Source) -> Result<Robot> {
     Ok(Robot { name: root.attribute("name").unwrap_or_default().to_owned(), links, joints })
 }
 
-/// URDF 1.1 brought `quat_xyzw`; a file that names no version, or only "1", is 1.0.
+/// URDF 1.1 added `quat_xyzw`; a file without a version, or with version "1", is 1.0.
 fn quaternions_allowed(root: Node) -> bool {
     let version = root.attribute("version").and_then(|v| v.trim().split_once('.'));
     let number = version.and_then(|(major, minor)| Some((major.parse::<u32>().ok()?, minor.parse::<u32>().ok()?)));

@@ -1,4 +1,4 @@
-//! Attributes as numbers and names: whole, finite and short, or an error that shows them.
+//! Attributes as numbers and names: complete, finite and short, otherwise an error that shows them.
 
 use std::fmt::Write as _;
 
@@ -11,7 +11,7 @@ use crate::error::Result;
 const MAX_NAME: usize = 256;
 
 impl Source<'_> {
-    /// Names come back in messages, so they stay short enough to read.
+    /// Limits the length of names, which appear in messages.
     pub(super) fn refuse_long(&self, node: Option<Node>, attribute: &str) -> Result<()> {
         let Some((node, name)) = node.and_then(|node| Some((node, node.attribute(attribute)?))) else { return Ok(()) };
         if name.len() > MAX_NAME {
@@ -47,7 +47,7 @@ impl Source<'_> {
         }
     }
 
-    /// Exactly `N` finite numbers, or an error that shows them.
+    /// Reads exactly `N` finite numbers, or returns an error that shows them.
     pub(super) fn vector<const N: usize>(&self, node: Node, attribute: &str, owner: &str) -> Result<Option<[f64; N]>> {
         let Some(value) = node.attribute(attribute) else { return Ok(None) };
         let mut numbers = [0.0; N];

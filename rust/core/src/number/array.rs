@@ -6,7 +6,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use super::scalar::{Plain, turn};
 use super::{Arithmetic, Cell, LANES, Many, Packed, Spread, Three, Wide, eight, eight_mut};
 
-/// Eight numbers in an array, vector code left to the compiler: architectures whose registers nobody has written down.
+/// Eight numbers in an array, vectorized by the compiler: for architectures without hand-written SIMD types.
 #[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "x86-64 has registers of its own"))]
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
@@ -47,7 +47,7 @@ impl Neg for Array {
     }
 }
 
-/// Functions of an array that do the same with every number.
+/// Defines elementwise functions of an array.
 macro_rules! by_lane {
     ($($function:ident($first:ident $(, $argument:ident)*);)*) => {
         $(#[inline(always)]

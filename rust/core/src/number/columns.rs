@@ -1,4 +1,4 @@
-//! Several configurations side by side, one register per joint or per task axis.
+//! Several configurations interleaved: one register per joint or per task axis.
 #![forbid(unsafe_code)]
 #![expect(
     clippy::manual_memcpy,
@@ -10,12 +10,12 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use super::{ABREAST, Arithmetic, Axes, LANES, Lanes, Many, Spread};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// `N` numbers of each of several configurations.
+/// `N` values per configuration, one register each.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Columns<W, const N: usize>([W; N]);
 
 impl<W: Many> Columns<W, ABREAST> {
-    /// A number per joint, 0 behind the last.
+    /// Returns a number per joint, zeros in the padding.
     #[inline(always)]
     pub(crate) fn numbers(self) -> [W; LANES] {
         let mut out = [W::splat(0.0); LANES];
@@ -138,7 +138,7 @@ impl<W: Many, const N: usize> Spread<W> for Columns<W, N> {
     }
 }
 
-/// Functions that do the same with every number.
+/// Defines elementwise functions.
 macro_rules! by_column {
     ($($function:ident($first:ident $(, $argument:ident)*);)*) => {
         $(#[inline(always)]

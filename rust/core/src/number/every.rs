@@ -1,4 +1,4 @@
-//! One number per joint of any arm, on any processor: for what is compiled once.
+//! One number per joint of any arm, on any processor: for code that is compiled once.
 #![forbid(unsafe_code)]
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -8,13 +8,13 @@ use super::scalar::{Plain, turn};
 use super::{Arithmetic, Cell, Joints, Lanes, Spread, Three};
 use crate::{JointVec, MAX_JOINTS};
 
-/// Sixteen numbers, of arms with more joints than one has lanes and of what few steps do.
+/// Sixteen numbers, for arms with more joints than [`LANES`](super::LANES) and for rare code.
 ///
-/// Each operation is a call: inlined, the step of a large arm alone was a sixth of the wheel.
+/// Each operation is a call: inlined, the step of a large arm alone was a sixth of the wheel's size.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct EveryJoint(JointVec, #[expect(dead_code, reason = "a larger value is copied by a call")] u64);
 
-/// A call that does the same with the numbers of every joint.
+/// Defines an outlined elementwise operation.
 macro_rules! each {
     ($of_one:path, $first:ident $(, $argument:ident)*) => {{
         #[inline(never)]
@@ -60,7 +60,7 @@ impl Neg for EveryJoint {
     }
 }
 
-/// Functions of [`Arithmetic`], joint by joint.
+/// Defines functions of [`Arithmetic`], joint by joint.
 macro_rules! by_joint {
     ($($function:ident($first:ident $(, $argument:ident)*);)*) => {
         $(#[inline(always)]
@@ -159,7 +159,7 @@ impl Lanes for EveryJoint {
         #[inline(never)]
         fn sum(of: &EveryJoint) -> f64 {
             let mut sums = of.0;
-            // By halves: an order that becomes vector code.
+            // By halves: this order can be vectorized.
             for half in [8, 4, 2, 1] {
                 for i in 0..half {
                     sums[i] += sums[i + half];

@@ -1,12 +1,13 @@
-//! Functions of one number without a call into the system's library: vector code over joints, the same on every system.
+//! Elementary functions of one number without calls to the system's library: vectorizable over joints, and identical on
+//! every system.
 #![forbid(unsafe_code)]
 
 use super::{Arithmetic, ROUND};
 
-/// tan(π/8): where the angle's series changes its centre.
+/// tan(π/8): boundary between the two expansion points of the arctangent series.
 const TAN_EIGHTH: f64 = 0.414_213_562_373_095_05;
 
-/// `(atan √u / √u − 1) / u` for u up to tan²(π/8), best uniform fit: off by 1.2e-18 at most.
+/// `(atan √u / √u − 1) / u` for u up to tan²(π/8), best uniform fit: error at most 1.2e-18.
 const ARC: [f64; 12] = [
     -0.333_333_333_333_333_3,
     0.199_999_999_999_998_04,
@@ -27,7 +28,7 @@ const ARC: [f64; 12] = [
 pub(crate) fn quadrant_angle<A: Arithmetic>(y: A::Real, x: A::Real) -> A::Real {
     let c = A::splat;
     let (small, large) = (A::at_most(y, x), A::at_least(y, x));
-    // Beyond an eighth of a half turn the angle is measured from the diagonal: one division serves both.
+    // Above tan(π/8) the angle is measured from the diagonal, so that one division serves both cases.
     let edge = c(TAN_EIGHTH) * large;
     let up = A::if_less(edge, small, small - large, small);
     let down = A::if_less(edge, small, small + large, large);
@@ -38,9 +39,9 @@ pub(crate) fn quadrant_angle<A: Arithmetic>(y: A::Real, x: A::Real) -> A::Real {
     A::if_less(x, y, c(std::f64::consts::FRAC_PI_2) - angle, angle)
 }
 
-/// Angle of the point (y, x) in parts of y, `atan(y/x) / y`, given `squared = y²` with y up to x tan(π/8), for x > 0.
+/// Angle of the point (y, x) divided by y, `atan(y/x) / y`, given `squared = y²`, with y up to x tan(π/8), for x > 0.
 ///
-/// Of the angle neither the root is taken nor is it divided by y.
+/// Needs neither a square root nor a division by y.
 #[inline(always)]
 pub(crate) fn narrow_angle_per<A: Arithmetic>(squared: A::Real, x: A::Real) -> A::Real {
     let per_x = A::splat(1.0) / x;
@@ -48,13 +49,13 @@ pub(crate) fn narrow_angle_per<A: Arithmetic>(squared: A::Real, x: A::Real) -> A
     A::fma(per_x * u, arc_series::<A>(u), per_x)
 }
 
-/// Whether y is up to x tan(π/8) in every configuration, as [`narrow_angle_per`] wants it.
+/// Returns true if y is at most x tan(π/8) in every configuration, as [`narrow_angle_per`] requires.
 #[inline(always)]
 pub(crate) fn is_narrow<A: Arithmetic>(squared: A::Real, x: A::Real) -> bool {
     !A::less_anywhere(A::splat(TAN_EIGHTH * TAN_EIGHTH) * (x * x), squared)
 }
 
-/// `(atan √u / √u − 1) / u`, by fours of terms that overlap.
+/// `(atan √u / √u − 1) / u`, in groups of four terms that are computed in parallel.
 #[inline(always)]
 fn arc_series<A: Arithmetic>(u: A::Real) -> A::Real {
     let c = A::splat;
@@ -67,19 +68,19 @@ fn arc_series<A: Arithmetic>(u: A::Real) -> A::Real {
     A::fma(u4, A::fma(u4, fours[2], fours[1]), fours[0])
 }
 
-/// Hyperbolic tangent, to 5e-16 absolute; NaN where `x` is.
+/// Hyperbolic tangent, to 5e-16 absolute; NaN if `x` is NaN.
 #[inline(always)]
 pub(crate) fn tanh<A: Arithmetic>(x: A::Real) -> A::Real {
     const LN_2: [f64; 2] = [6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10];
     let c = A::splat;
-    // Beyond, tanh is 1 to rounding.
+    // Beyond this bound tanh is ±1 up to rounding.
     let y = A::at_least(c(-2.0) * A::abs(x), c(-40.0));
     let sum = A::fma(y, c(std::f64::consts::LOG2_E), c(ROUND));
     let halvings = sum - c(ROUND);
     let r = A::fnma(halvings, c(LN_2[1]), A::fnma(halvings, c(LN_2[0]), y));
     let r2 = r * r;
     let r4 = r2 * r2;
-    // Taylor's series of the exponential function: its first term left out is below 1e-17.
+    // Taylor series of the exponential function: the first omitted term is below 1e-17.
     let low = A::fma(r2, A::fma(r, c(1.0 / 6.0), c(0.5)), c(1.0) + r);
     let middle = A::fma(r2, A::fma(r, c(1.0 / 5_040.0), c(1.0 / 720.0)), A::fma(r, c(1.0 / 120.0), c(1.0 / 24.0)));
     let high = A::fma(

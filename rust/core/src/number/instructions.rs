@@ -1,4 +1,4 @@
-//! Which instructions the processor at hand has, and the way into code that uses them.
+//! Instruction sets of the processor, and the entry points into code compiled for them.
 #![cfg_attr(
     target_arch = "x86_64",
     expect(unsafe_code, reason = "code compiled for an instruction set is entered only where the processor has it")
@@ -19,29 +19,29 @@ use super::{Arithmetic, Many, Plain, Spread, Wide};
 #[cfg(target_arch = "x86_64")]
 use super::{Avx2, Avx512, Four, Fused};
 
-/// Environment variable that forces a slower set of instructions: `baseline`, `avx2` or `avx512`.
+/// Environment variable that selects a slower instruction set: `baseline`, `avx2` or `avx512`.
 const FORCED: &str = "PLIANT_INSTRUCTIONS";
 
-/// The numbers that one instruction set offers.
+/// Number types of one instruction set.
 pub(crate) trait Machine {
-    /// One number.
+    /// Scalar.
     type One: Arithmetic<Real = f64> + Spread<f64>;
-    /// What one configuration has per joint or per task axis.
+    /// Eight values of one configuration, one per joint or per task axis.
     type Eight: Wide<One = Self::One>;
-    /// Several configurations.
+    /// One value of each of several configurations.
     type Many: Many;
 }
 
-/// Work that is compiled for every machine; `run` must be `#[inline(always)]`, as must all that it calls.
+/// Code that is compiled for every instruction set; `run` and everything that it calls must be `#[inline(always)]`.
 pub(crate) trait Kernel {
-    /// What comes out.
+    /// Result.
     type Output;
 
-    /// Does the work with the numbers of one machine.
+    /// Runs the code with the number types of one instruction set.
     fn run<M: Machine>(self) -> Self::Output;
 }
 
-/// Any processor of the architecture.
+/// Instruction set that every processor of the architecture has.
 pub(crate) struct Baseline;
 
 impl Machine for Baseline {
@@ -65,9 +65,9 @@ impl Machine for Avx512 {
     type Many = Avx512;
 }
 
-/// A set of instructions that this processor has.
+/// An instruction set that this processor has.
 ///
-/// Results differ between sets by rounding: below 1e-11 of their size at λ ≥ 0.02. On one set they repeat bit for bit.
+/// Results differ between sets by rounding: below 1e-11 of their size at λ ≥ 0.02. On one set they are bit-identical.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Instructions(Set);
 
@@ -81,7 +81,7 @@ enum Set {
 }
 
 impl Instructions {
-    /// What every processor of this architecture has.
+    /// The instruction set that every processor of this architecture has.
     pub const BASELINE: Self = Self(Set::Baseline);
 
     /// All sets that this processor has, slowest first.
@@ -108,7 +108,7 @@ impl Instructions {
         all
     }
 
-    /// The set in use: the widest one, or the one that `PLIANT_INSTRUCTIONS` names if this processor has it.
+    /// Returns the set in use: the widest one, or the one named by `PLIANT_INSTRUCTIONS` if this processor has it.
     pub fn chosen() -> Self {
         static CHOSEN: OnceLock<Instructions> = OnceLock::new();
         *CHOSEN.get_or_init(|| {
@@ -130,26 +130,27 @@ impl Instructions {
         }
     }
 
-    /// Does the work of single configurations: as [`Instructions::run`], but never wider than AVX2.
+    /// Runs code for single configurations: as [`Instructions::run`], but at most with AVX2.
     ///
-    /// Arrays of seven or eight numbers gain nothing from wider registers (kinematics even lose a tenth), and a third copy
-    /// of the control step would be a third of the wheel.
+    /// Arrays of seven or eight numbers gain nothing from wider registers (kinematics even lose a tenth), and a third
+    /// copy of the control step would be a third of the wheel's size.
     #[inline]
     pub(crate) fn run_single<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
             Set::Baseline => baseline(kernel),
-            // SAFETY: as in `run`; whoever has AVX-512 has AVX2, see `available`.
+            // SAFETY: as in `run`; a processor with AVX-512 has AVX2, see `available`.
             #[cfg(target_arch = "x86_64")]
             Set::Avx2 | Set::Avx512 => unsafe { avx2(kernel) },
         }
     }
 
-    /// Does the work with these instructions.
+    /// Runs code with this instruction set.
     #[inline]
     pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
             Set::Baseline => baseline(kernel),
-            // SAFETY: values of this kind are made in `available` alone, where the processor was asked for all of it.
+            // SAFETY: values of this kind are made in `available` alone, which checks the processor for all required
+            // features.
             #[cfg(target_arch = "x86_64")]
             Set::Avx2 => unsafe { avx2(kernel) },
             // SAFETY: as above.
@@ -165,7 +166,7 @@ impl fmt::Display for Instructions {
     }
 }
 
-/// Never inlined, as the others cannot be: who calls it may be optimised for size.
+/// Not inlined, like the others: the caller may be optimised for size.
 #[inline(never)]
 fn baseline<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Baseline>()

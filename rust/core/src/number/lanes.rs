@@ -4,101 +4,102 @@
 use super::{Arithmetic, Cell, EveryJoint, Kept, LANES, Number, Spread, Wide};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// What stands once for all joints or axes where an `L` has one each.
+/// Scalar type of `L`: one value for all joints or axes.
 pub(crate) type Scalar<L> = <<L as Lanes>::One as Arithmetic>::Real;
 
-/// The same of task axes.
+/// Scalar type of `W`.
 pub(crate) type AxisScalar<W> = <<W as Axes>::One as Arithmetic>::Real;
 
-/// One number per joint of an arm, those beyond its last joint included; arithmetic goes joint by joint.
+/// One number per joint of an arm, padding included; elementwise arithmetic.
 ///
-/// Of one configuration ([`Joints`]) or of several ([`Columns`](super::Columns)).
+/// For one configuration ([`Joints`]) or for several ([`Columns`](super::Columns)).
 pub(crate) trait Lanes: Arithmetic<Real = Self> + Number + Spread<Scalar<Self>> {
-    /// One number of the same machine.
+    /// Scalar of the same instruction set.
     type One: Arithmetic + Spread<Scalar<Self>>;
 
     /// One number per task axis.
     type Axes: Axes<One = Self::One>;
 
-    /// What counts together: all joints of one configuration, or one joint of several.
+    /// Elements computed together: all joints of one configuration, or one joint of several.
     type Group: Spread<Scalar<Self>, Real: Number>;
 
-    /// How many groups there are.
+    /// Number of groups.
     const GROUPS: usize;
 
-    /// Whether whole formulas are calls, as each operation is: of numbers that no register holds, for the plainest machine.
+    /// Outlines whole formulas, as each operation is (code size): the type does not fit in registers and runs on the
+    /// baseline instruction set.
     const CALLED: bool = false;
 
     /// Group `i`.
     fn group(&self, i: usize) -> <Self::Group as Arithmetic>::Real;
 
-    /// Changes group `i`.
+    /// Sets group `i`.
     fn set_group(&mut self, i: usize, value: <Self::Group as Arithmetic>::Real);
 
-    /// From memory, the same for every configuration; what does not fit in is taken for 0.
+    /// Loads values, the same for every configuration; elements that the type does not hold must be 0.
     fn load(values: &JointVec) -> Self;
 
-    /// From a number per joint; what does not fit in is taken for 0.
+    /// Creates it from one number per joint; elements that the type does not hold must be 0.
     fn of_joints(values: &[Scalar<Self>; MAX_JOINTS]) -> Self;
 
-    /// A number per joint, 0 beyond.
+    /// Returns one number per joint, zeros after the last.
     fn array(self) -> [Scalar<Self>; MAX_JOINTS];
 
-    /// The largest number, or 0 if that is larger.
+    /// Returns the largest number, at least 0.
     fn largest(self) -> Scalar<Self>;
 
-    /// The sum over the joints of each.
+    /// Returns the sum over the joints of each vector.
     fn sums(numbers: [Self; 4]) -> [Scalar<Self>; 4];
 
-    /// The sum over the joints of each product.
+    /// Returns the dot product over the joints of each pair.
     fn dots(a: [&Self; 4], b: [&Self; 4]) -> [Scalar<Self>; 4];
 
-    /// Whether any number is less than the other of its joint.
+    /// Returns true if any element is less than the other's.
     #[inline(always)]
     fn any_less(self, other: Self) -> bool {
         Self::less_anywhere(self, other)
     }
 
-    /// The sum over the joints.
+    /// Returns the sum over the joints.
     #[inline(always)]
     fn sum(self) -> Scalar<Self> {
         Self::sums([self; 4])[0]
     }
 }
 
-/// One number per task axis; arithmetic goes axis by axis.
+/// One number per task axis; elementwise arithmetic.
 pub(crate) trait Axes: Arithmetic<Real = Self> + Number + Spread<AxisScalar<Self>> {
-    /// One number of the same machine.
+    /// Scalar of the same instruction set.
     type One: Arithmetic + Spread<AxisScalar<Self>>;
 
-    /// From memory, the same for every configuration.
+    /// Loads values, the same for every configuration.
     fn constant(values: &[f64; LANES]) -> Self;
 
-    /// From a number per axis.
+    /// Creates it from one number per axis.
     fn of_axes(values: &[AxisScalar<Self>; MAX_AXES]) -> Self;
 
-    /// A number per axis.
+    /// Returns one number per axis.
     fn axes(self) -> [AxisScalar<Self>; MAX_AXES];
 }
 
 /// One number per joint of one configuration.
 pub(crate) trait Joints: Lanes<One: Arithmetic<Real = f64>, Axes: Wide> {
-    /// A vector of space on the same machine.
+    /// 3-vector of the same instruction set.
     type Triple: Kept<One = Self::One>;
 
-    /// From the numbers of an arm's joints, 0 beyond.
+    /// Loads the numbers of an arm's joints, zeros in the padding.
     fn read(values: &[f64]) -> Self;
 
-    /// The three components of one vector per joint.
+    /// Returns the three components of one vector per joint.
     fn components(cells: &[Cell]) -> [Self; 3];
 
-    /// The first numbers, 0 behind the last joint.
+    /// Returns the first numbers, zeros after the last joint.
     fn few<const N: usize>(self) -> [f64; N];
 
-    /// To memory; what is beyond is left as it is.
+    /// Stores to memory; elements that the type does not hold are unchanged.
     fn store(self, values: &mut JointVec);
 
-    /// The same for code that is compiled once.
+    /// Converts to the type of code that is compiled once.
     #[inline(always)]
     fn every(self) -> EveryJoint {
         EveryJoint::load(&self.array())
@@ -165,7 +166,7 @@ impl<W: Wide> Lanes for W {
     #[inline(always)]
     fn largest(self) -> f64 {
         let mut n = self.numbers();
-        // By halves: one after another, each would wait for the one before.
+        // By halves: a sequential sum would be one long dependency chain.
         for half in [4, 2, 1] {
             for i in 0..half {
                 n[i] = Self::One::at_least(n[i], n[i + half]);
@@ -195,7 +196,7 @@ impl<W: Wide> Joints for W {
 
     #[inline(always)]
     fn components(cells: &[Cell]) -> [Self; 3] {
-        // No `map_or`: the function it is given would be compiled for the plainest machine.
+        // No `map_or`: its closure would be compiled for the baseline instruction set.
         match cells.first_chunk() {
             Some(first) => W::components(first),
             None => [W::splat(0.0); 3],

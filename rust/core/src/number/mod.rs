@@ -1,16 +1,18 @@
-//! Numbers of the hot path: formulas are written once, for one configuration or several, and compiled per instruction set.
+//! Numbers of the control step: formulas are written once, for one configuration or several, and compiled per
+//! instruction set.
 //!
-//! [`Arithmetic`] says how to count: with one `f64` or with several lanes, with or without fused multiply-add. Rust never
-//! fuses by itself, and `mul_add` without the instruction is a slow call, so it is the type that decides. [`Machine`] is the
-//! pair of them that one instruction set offers, and [`Instructions`] which of these the processor at hand has.
+//! [`Arithmetic`] defines the operations: with one `f64` or with several lanes, with or without fused multiply-add.
+//! Rust never fuses by itself, and `mul_add` without the instruction is a slow call, so the type decides. [`Machine`]
+//! is the set of number types of one instruction set, and [`Instructions`] the instruction sets of the processor.
 //!
-//! What stands side by side in a register is the joints or the task axes of one configuration in the control step
-//! ([`Wide`], [`EveryJoint`]), and in batches several configurations ([`Many`]), of which each joint or axis then has its own
-//! ([`Columns`]). Laws are written over [`Lanes`], which is either. What few steps need takes [`EveryJoint`] and is
-//! compiled once.
+//! In the control step the lanes of a register hold the joints or the task axes of one configuration ([`Wide`],
+//! [`EveryJoint`]). In batches they hold several configurations ([`Many`]), with one register per joint or axis
+//! ([`Columns`]). Laws are written over [`Lanes`], which covers both. Rare code uses [`EveryJoint`] and is compiled
+//! once.
 //!
-//! Everything between an entry of [`Instructions::run`] and its last formula is `#[inline(always)]`: what is not inlined
-//! would be compiled for the plainest machine. Formulas over [`Arithmetic`] use loops, not closures, for the same reason.
+//! Everything between an entry of [`Instructions::run`] and its last formula is `#[inline(always)]`: a function that is
+//! not inlined would be compiled for the baseline instruction set. Formulas over [`Arithmetic`] use loops, not
+//! closures, for the same reason.
 
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -43,23 +45,23 @@ pub(crate) use triple::{Cell, Kept, Real, Three, Triple};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::sse2::{Sse2, Two};
 #[cfg(target_arch = "x86_64")]
-// Private: their methods are safe, and run instructions that `Instructions` alone knows the processor to have.
+// Private: their methods are safe functions with instructions that only `Instructions` has checked for.
 use x86::{
     avx2::{Avx2, Four},
     avx512::Avx512,
 };
 
-/// Positions [rad, m] and velocities below this are 0 where they are read or kept: a filter that decays would come to
-/// denormal numbers and stay there, for whose products some processors need a hundred cycles each.
+/// Positions [rad, m] and velocities below this are flushed to 0: a decaying filter would reach denormal numbers and
+/// stay there, and some processors need a hundred cycles for each product with them.
 pub(crate) const NEGLIGIBLE: f64 = 1e-30;
 
-/// How many numbers stand side by side at most.
+/// Maximum number of lanes in vector layouts.
 pub(crate) const LANES: usize = 8;
 
-/// Most joints of arms that are stepped side by side: each has a register of its own, used or not.
+/// Maximum number of joints of interleaved arms: each joint has its own register, used or not.
 pub(crate) const ABREAST: usize = 7;
 
-/// What has the operators.
+/// Types with `+ − * /` and negation.
 pub(crate) trait Number:
     Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
@@ -78,19 +80,19 @@ impl<T> Number for T where
 
 /// Arithmetic of real numbers: one value (`Real = f64`) or several at once.
 pub(crate) trait Arithmetic: Copy + Debug + 'static {
-    /// The number: one value per configuration.
+    /// The number type: one value per configuration.
     type Real: Number;
 
-    /// Whether a number holds several values, of joints, axes or configurations.
+    /// True if a number holds several values, of joints, axes or configurations.
     const WIDE: bool;
 
-    /// The same value in every configuration.
+    /// Copies a value to every lane.
     fn splat(value: f64) -> Self::Real;
 
-    /// `a b + c`, fused where the machine can.
+    /// `a b + c`, fused if the instruction set can.
     fn fma(a: Self::Real, b: Self::Real, c: Self::Real) -> Self::Real;
 
-    /// `c − a b`, fused where the machine can.
+    /// `c − a b`, fused if the instruction set can.
     fn fnma(a: Self::Real, b: Self::Real, c: Self::Real) -> Self::Real;
 
     /// `√value`.
@@ -99,13 +101,13 @@ pub(crate) trait Arithmetic: Copy + Debug + 'static {
     /// `|value|`.
     fn abs(value: Self::Real) -> Self::Real;
 
-    /// The larger of two numbers; NaN where `value` is.
+    /// The larger of two numbers; NaN if `value` is NaN.
     fn at_least(value: Self::Real, bound: Self::Real) -> Self::Real;
 
-    /// The smaller of two numbers; NaN where `value` is.
+    /// The smaller of two numbers; NaN if `value` is NaN.
     fn at_most(value: Self::Real, bound: Self::Real) -> Self::Real;
 
-    /// `value` within ± `most`; NaN where `value` is, and no panic where `most` is.
+    /// Clamps `value` to ± `most`; NaN if `value` is NaN, no panic if `most` is NaN.
     #[inline(always)]
     fn clip(value: Self::Real, most: Self::Real) -> Self::Real {
         Self::at_most(Self::at_least(value, -most), most)
@@ -114,40 +116,40 @@ pub(crate) trait Arithmetic: Copy + Debug + 'static {
     /// `size` with the sign of `sign`.
     fn copy_sign(size: Self::Real, sign: Self::Real) -> Self::Real;
 
-    /// `then` where `a < b`, else `otherwise`.
+    /// Selects `then` if `a < b`, else `otherwise`, per lane.
     fn if_less(a: Self::Real, b: Self::Real, then: Self::Real, otherwise: Self::Real) -> Self::Real;
 
-    /// Whether `a < b` in any configuration.
+    /// Returns true if `a < b` in any lane.
     fn less_anywhere(a: Self::Real, b: Self::Real) -> bool;
 
-    /// Two to the power of the whole number in the last bits of `sum`.
+    /// Two to the power of the integer in the last bits of `sum`.
     fn power_of_two(sum: Self::Real) -> Self::Real;
 
-    /// `(s, c)` turned by as many quarters as the whole number in the last bits of `turns` says.
+    /// Rotates `(s, c)` by as many quarter turns as the integer in the last bits of `turns`.
     fn turn(turns: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
 }
 
-/// Where one `R` can stand for many: the same for every joint or task axis, or itself.
+/// Broadcast of one `R` to all joints or task axes; identity for `R` itself.
 pub(crate) trait Spread<R>: Arithmetic {
-    /// The same everywhere.
+    /// Copies the value to all elements.
     fn spread(value: R) -> Self::Real;
 }
 
-/// Several numbers in registers.
+/// SIMD vector in registers.
 pub(crate) trait Packed: Arithmetic<Real = Self> + Number {
-    /// How many, at most [`LANES`].
+    /// Number of elements, at most [`LANES`].
     const COUNT: usize;
 
-    /// From the first [`Packed::COUNT`] numbers.
+    /// Loads the first [`Packed::COUNT`] numbers.
     fn of(values: &[f64; LANES]) -> Self;
 
-    /// From the first numbers of as many as there are, 0 behind them.
+    /// Loads as many numbers as there are, zeros after them.
     fn part(values: &[f64]) -> Self;
 
-    /// Into the first [`Packed::COUNT`] numbers.
+    /// Stores into the first [`Packed::COUNT`] numbers.
     fn put(self, values: &mut [f64; LANES]);
 
-    /// As an array, 0 behind the last.
+    /// Returns an array, zeros after the last element.
     #[inline(always)]
     fn numbers(self) -> [f64; LANES] {
         let mut out = [0.0; LANES];
@@ -156,17 +158,17 @@ pub(crate) trait Packed: Arithmetic<Real = Self> + Number {
     }
 }
 
-/// One number of each of several configurations: as many as one register of the machine holds.
+/// One value of each of several configurations: as many as one register holds.
 pub(crate) trait Many: Packed + Spread<Self> {
-    /// Eight numbers of each configuration, from rows that begin `stride` apart; 0 where a row is not all there.
+    /// Loads eight numbers of each configuration, from rows that begin `stride` apart; 0 for a row that is incomplete.
     fn from_rows(rows: &[f64], stride: usize) -> [Self; LANES];
 
-    /// Eight numbers of each configuration into rows that begin `stride` apart, the first row first; not where one does not
-    /// fit in.
+    /// Stores eight numbers of each configuration into rows that begin `stride` apart, the first row first; skips a row
+    /// that does not fit.
     fn into_rows(numbers: &[Self; LANES], rows: &mut [f64], stride: usize);
 }
 
-/// Eight of the numbers from index `at` on.
+/// Returns the eight numbers from index `at` on.
 #[inline(always)]
 fn eight(values: &[f64], at: usize) -> &[f64; LANES] {
     match values.get(at..) {
@@ -175,40 +177,40 @@ fn eight(values: &[f64], at: usize) -> &[f64; LANES] {
     }
 }
 
-/// Room for eight numbers from index `at` on.
+/// Returns the eight numbers from index `at` on, for writing.
 #[inline(always)]
 fn eight_mut(values: &mut [f64], at: usize) -> Option<&mut [f64; LANES]> {
     values.get_mut(at..)?.first_chunk_mut()
 }
 
-/// Eight numbers of one configuration: one per joint or per task axis.
+/// Eight values of one configuration: one per joint or per task axis.
 pub(crate) trait Wide: Packed + Spread<f64> {
-    /// One number of the same machine.
+    /// Scalar of the same instruction set.
     type One: Arithmetic<Real = f64> + Spread<f64>;
 
-    /// A vector of space on the same machine.
+    /// 3-vector of the same instruction set.
     type Triple: Kept<One = Self::One>;
 
-    /// The sum of each eight.
+    /// Returns the sum of each vector.
     fn four_sums(numbers: [Self; 4]) -> [f64; 4];
 
-    /// The sum of each eight products.
+    /// Returns the dot product of each pair.
     fn four_dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4];
 
     /// The three components of the vectors in the first [`LANES`] cells.
     fn components(cells: &[Cell; LANES]) -> [Self; 3];
 }
 
-/// π/2 in three parts. The first two have 33 bits, so that their products with a whole number below 2²⁰ are exact.
+/// π/2 in three parts. The first two have 33 bits, so that their products with an integer below 2²⁰ are exact.
 const HALF_PI: [f64; 3] = [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
 
-/// Adding and subtracting 1.5·2⁵² rounds to the nearest whole number, whose last bits are then the last of the sum.
+/// Adding and subtracting 1.5·2⁵² rounds to the nearest integer, whose last bits are then the last bits of the sum.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 
 /// Sine and cosine of `angle` [rad] to 2.3e-16 for |angle| up to [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND).
 ///
-/// Without branches, tables and calls, so that a loop over joints becomes vector code, and the same on every system.
-/// Reduction to |r| ≤ π/4 after Cody and Waite, then the Taylor series: its first term left out is below 5e-17.
+/// Without branches, tables and calls, so that a loop over joints can be vectorized; identical on every system.
+/// Reduction to |r| ≤ π/4 after Cody and Waite, then the Taylor series: the first omitted term is below 5e-17.
 #[inline(always)]
 pub(crate) fn sin_cos<A: Arithmetic>(angle: A::Real) -> (A::Real, A::Real) {
     let c = A::splat;
@@ -219,7 +221,7 @@ pub(crate) fn sin_cos<A: Arithmetic>(angle: A::Real) -> (A::Real, A::Real) {
     let r2 = r * r;
     let r4 = r2 * r2;
     let r8 = r4 * r4;
-    // Pairs of terms, so that the additions of one series overlap.
+    // Pairs of terms, so that the additions of one series run in parallel.
     let low = A::fma(r2, c(1.0 / 120.0), c(-1.0 / 6.0));
     let low = A::fma(r4, A::fma(r2, c(1.0 / 362_880.0), c(-1.0 / 5_040.0)), low);
     let high = A::fma(r2, c(1.0 / 6_227_020_800.0), c(-1.0 / 39_916_800.0));
@@ -237,7 +239,7 @@ pub(crate) fn sin_cos<A: Arithmetic>(angle: A::Real) -> (A::Real, A::Real) {
 mod tests {
     use super::*;
 
-    /// Sines and cosines of eight angles, by whatever numbers.
+    /// Sines and cosines of eight angles.
     struct Sines<'a>(&'a [f64; LANES]);
 
     impl Kernel for Sines<'_> {
@@ -251,7 +253,7 @@ mod tests {
         }
     }
 
-    /// Largest difference to the system's functions over a dense walk with irrational step.
+    /// Largest difference from the system's functions over a dense sequence with irrational step.
     fn worst(instructions: Instructions, largest: f64) -> f64 {
         let mut off: f64 = 0.0;
         for i in 0..20_000 {
@@ -292,7 +294,7 @@ mod tests {
         }
     }
 
-    /// Eight numbers of each configuration from rows of `stride`, and from there into others.
+    /// Loads eight numbers of each configuration from rows of `stride`, and stores them again.
     struct Turned<'a>(&'a [f64], usize);
 
     impl Kernel for Turned<'_> {

@@ -3,16 +3,16 @@
 
 use super::{Arithmetic, Spread};
 
-/// `f64` as every processor of the architecture has it: on aarch64 with fused multiply-add, elsewhere without.
+/// `f64` with the baseline of the architecture: on aarch64 with fused multiply-add, elsewhere without.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Plain;
 
-/// `f64` on x86-64 processors that fuse multiplication and addition, as not all do.
+/// `f64` on x86-64 processors with fused multiply-add.
 #[cfg(target_arch = "x86_64")]
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Fused;
 
-/// Swaps and signs of sine and cosine in the quadrant that the last bits of `turns` name.
+/// Swaps and negates sine and cosine for the quadrant in the last bits of `turns`.
 #[inline(always)]
 pub(super) fn turn(turns: f64, sine: f64, cosine: f64) -> (f64, f64) {
     let quadrant = turns.to_bits();

@@ -1,16 +1,17 @@
-//! Results on their way to memory past the caches.
+//! Non-temporal stores: results written to memory past the caches.
 #![cfg_attr(target_arch = "x86_64", expect(unsafe_code, reason = "stores that bypass the caches have no safe form"))]
 
 use std::marker::PhantomData;
 
-/// Results [bytes] from which on they go past the caches: a cache would first read what they overwrite, and what they push out
-/// of it is of more use than they are.
+/// Size of results [bytes] above which they are written past the caches: a cached store first reads the line that it
+/// overwrites, and evicts data that is used sooner.
 pub(crate) const PAST_THE_CACHES: usize = 1 << 25;
 
-/// Copies past the caches; [`streaming`] alone makes one. `'a` is invariant: what is copied to stays borrowed for all of it.
+/// Copies with non-temporal stores; created by [`streaming`] only. `'a` is invariant: the destination stays borrowed
+/// for all of it.
 pub(crate) struct Stream<'a>(PhantomData<fn(&'a ()) -> &'a ()>);
 
-/// Orders the copies of a [`Stream`] before everything that follows.
+/// On drop, orders the copies of a [`Stream`] before everything that follows.
 struct Fence;
 
 impl Drop for Fence {
@@ -26,10 +27,10 @@ impl Drop for Fence {
     }
 }
 
-/// Runs `work` with a stream where it is `wanted`, and fences before returning or unwinding.
+/// Runs `work` with a stream if `wanted`, and fences before returning or unwinding.
 ///
-/// The fence is in this function's frame: `work` gets a reference, which it cannot leak past the fence. `'a` outlives this
-/// call, so other threads read what was copied to only after the fence.
+/// The fence is in this function's frame: `work` gets a reference and cannot leak it past the fence. `'a` outlives this
+/// call, so other threads read the destination only after the fence.
 #[inline(always)]
 pub(crate) fn streaming<'a, T>(wanted: bool, work: impl FnOnce(Option<&Stream<'a>>) -> T) -> T {
     if !wanted {
@@ -41,12 +42,12 @@ pub(crate) fn streaming<'a, T>(wanted: bool, work: impl FnOnce(Option<&Stream<'a
 
 #[expect(clippy::unused_self, reason = "a stream is the proof that a fence follows")]
 impl<'a> Stream<'a> {
-    /// Copies in whole lines of the caches.
+    /// Copies whole cache lines with non-temporal stores.
     #[cfg(target_arch = "x86_64")]
     #[inline(always)]
     pub(crate) fn copy(&self, from: &[f64], to: &'a mut [f64]) {
         use std::arch::x86_64::{_mm_loadu_pd, _mm_stream_pd};
-        /// Numbers in a line of the cache.
+        /// Numbers per cache line.
         const LINE: usize = 8;
         assert!(from.len() == to.len(), "each number has its place");
         let before = to.as_ptr().align_offset(64).min(to.len());
@@ -55,15 +56,16 @@ impl<'a> Stream<'a> {
         let ((lines, rest), (places, last)) = (from.as_chunks::<LINE>(), to.as_chunks_mut::<LINE>());
         for (line, place) in lines.iter().zip(places) {
             for pair in 0..LINE / 2 {
-                // SAFETY: every x86-64 processor has the instruction; both have eight numbers, and the place of the first is
-                // aligned. `streaming` fences before `'a` ends, and until then `to` is borrowed.
+                // SAFETY: every x86-64 processor has the instruction; source and destination have eight numbers, and
+                // the first destination is aligned. `streaming` fences before `'a` ends, and until then `to` is
+                // borrowed.
                 unsafe { _mm_stream_pd(place.as_mut_ptr().add(2 * pair), _mm_loadu_pd(line.as_ptr().add(2 * pair))) };
             }
         }
         last.copy_from_slice(rest);
     }
 
-    /// Copies: nobody has written down how else on this architecture.
+    /// Copies with ordinary stores on other architectures.
     #[cfg(not(target_arch = "x86_64"))]
     pub(crate) fn copy(&self, from: &[f64], to: &'a mut [f64]) {
         to.copy_from_slice(from);

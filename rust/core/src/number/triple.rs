@@ -1,20 +1,20 @@
-//! A vector of space: its three numbers in one register where a single configuration is walked, else one by one.
+//! 3-vector: in one register for a single configuration, else component by component.
 #![forbid(unsafe_code)]
 
 use super::{Arithmetic, Number};
 
-/// Room for a [`Triple`] of one configuration in memory; the last number means nothing.
+/// Memory of a [`Triple`] of one configuration; the last number is padding.
 pub(crate) type Cell = [f64; 4];
 
-/// Three numbers that count together.
+/// 3-vector operations.
 pub(crate) trait Triple: Copy {
-    /// One number of the same machine.
+    /// Scalar of the same instruction set.
     type One: Arithmetic;
 
-    /// From its numbers.
+    /// Creates it from its components.
     fn of(numbers: [Real<Self>; 3]) -> Self;
 
-    /// Its numbers.
+    /// Returns its components.
     fn numbers(self) -> [Real<Self>; 3];
 
     /// `f v`.
@@ -26,26 +26,26 @@ pub(crate) trait Triple: Copy {
     /// `v − f w`.
     fn minus(self, f: Real<Self>, w: Self) -> Self;
 
-    /// The same in every configuration.
+    /// Copies a vector to every configuration.
     #[inline(always)]
     fn constant(v: &[f64; 3]) -> Self {
         Self::of([Self::One::splat(v[0]), Self::One::splat(v[1]), Self::One::splat(v[2])])
     }
 }
 
-/// A [`Triple`] of one configuration.
+/// A [`Triple`] of one configuration that can be stored.
 pub(crate) trait Kept: Triple<One: Arithmetic<Real = f64>> {
-    /// To memory.
+    /// Stores to memory.
     fn keep(self, cell: &mut Cell);
 
-    /// From memory.
+    /// Loads from memory.
     fn kept(cell: &Cell) -> Self;
 }
 
-/// Number of which a [`Triple`] has three.
+/// Component type of a [`Triple`].
 pub(crate) type Real<T> = <<T as Triple>::One as Arithmetic>::Real;
 
-/// Three numbers, each by itself.
+/// Three separate components.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Three<A: Arithmetic>([A::Real; 3]);
 
@@ -93,15 +93,15 @@ impl<A: Arithmetic<Real = f64>> Kept for Three<A> {
     }
 }
 
-/// Registers of four numbers, of which the last means nothing.
+/// Registers of four numbers, the last of which is padding.
 pub(crate) trait Short: Arithmetic<Real = Self> + Number {
-    /// One number of the same machine.
+    /// Scalar of the same instruction set.
     type One: Arithmetic<Real = f64>;
 
-    /// From memory.
+    /// Loads from memory.
     fn get(cell: &Cell) -> Self;
 
-    /// To memory.
+    /// Stores to memory.
     fn set(self, cell: &mut Cell);
 }
 

@@ -1,4 +1,4 @@
-//! What settings, servos and model must agree on before they are resolved.
+//! Checks that settings, servos and model are consistent, before they are resolved.
 
 use nalgebra::DMatrix;
 
@@ -8,7 +8,7 @@ use crate::model::Model;
 use crate::servos::ServoArrays;
 use crate::settings::{Follow, Law, Settings};
 
-/// More axes than joints need a length that weighs them.
+/// More axes than joints require a length that weights them.
 pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> {
     if k <= n || settings.task.length.is_some() {
         return Ok(());
@@ -23,7 +23,7 @@ pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> 
     ))
 }
 
-/// A torque for motions that the task leaves free needs some.
+/// A torque for null-space motion requires a null space.
 pub(super) fn check_null_torque(settings: &Settings, k: usize, n: usize) -> Result<()> {
     if settings.law != Law::Paper || k < n || settings.null_space.max_torque.is_none_or(|torque| torque <= 0.0) {
         return Ok(());

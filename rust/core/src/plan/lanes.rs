@@ -1,4 +1,4 @@
-//! The task axes side by side, as vector code reads them.
+//! The task axes in vector layout.
 
 use crate::kinematics::spatial::Mat3;
 use crate::number::{Arithmetic, Axes, AxisScalar, LANES};
@@ -7,7 +7,7 @@ use crate::task::axes::Frame;
 use crate::task::deviation::into_frame;
 use crate::{AxisVec, MAX_AXES};
 
-/// One number per task row, then whatever keeps the spare lanes at zero.
+/// One number per task row, then a padding value that keeps the spare lanes at zero.
 pub(crate) type AxisLanes = [f64; LANES];
 
 /// Every field of the [`Row`]s as one vector; pairs are (pushed toward −, toward +).
@@ -24,9 +24,9 @@ pub(crate) struct RowLanes {
     pub(crate) viscosity: [AxisLanes; 2],
     pub(crate) eta: AxisLanes,
     pub(crate) firm_from: AxisLanes,
-    /// 1 / (firm_from − soft_until), 1 / (2 band): the step has no division for them.
+    /// 1 / (firm_from − soft_until), 1 / (2 band): precomputed, so that the step has no division for them.
     pub(crate) d_slope: AxisLanes,
-    /// 1 / deviation from which on a push is felt: soft_until, at least a tenth of firm_from.
+    /// 1 / deviation at which a push is detected: soft_until, at least a tenth of firm_from.
     pub(crate) push_slope: AxisLanes,
     pub(crate) band: AxisLanes,
     pub(crate) band_slope: AxisLanes,
@@ -77,7 +77,7 @@ impl RowLanes {
 }
 
 impl Plan {
-    /// A vector of base axes as one number per task row.
+    /// Transforms a vector in base axes into one number per task row.
     #[inline(always)]
     pub(crate) fn in_rows<W: Axes>(&self, base_from_task: &Mat3<AxisScalar<W>>, v: &[AxisScalar<W>; MAX_AXES]) -> W {
         if matches!(self.frame, Frame::Base) {
@@ -86,14 +86,14 @@ impl Plan {
         self.of_rows(&into_frame::<W::One>(base_from_task, v))
     }
 
-    /// The entries of a vector over x, y, z, roll, pitch, yaw that the task has, in the order of its rows.
+    /// Selects the task's entries of a vector over x, y, z, roll, pitch, yaw, in the order of its rows.
     #[inline(always)]
     pub(crate) fn of_rows<W: Axes>(&self, v: &[AxisScalar<W>; MAX_AXES]) -> W {
         let all = W::of_axes(v);
         if self.k == MAX_AXES {
             return all;
         }
-        // What is indexed has to be in memory: taken from a register, or the six would be written there for all other tasks.
+        // Runtime indexing forces a spill. Spill a copy here so that the full-task path above stays in registers.
         let (all, nothing) = (all.axes(), W::One::splat(0.0));
         let mut out = [nothing; MAX_AXES];
         for r in 0..MAX_AXES {

@@ -1,4 +1,4 @@
-//! Settings, servos and model resolved into the arrays that the cycle reads.
+//! Settings, servos and model resolved into the arrays that the control step reads.
 
 mod checks;
 mod lanes;
@@ -28,13 +28,13 @@ pub(crate) use pace::Pace;
 pub(crate) use rows::Row;
 use rows::{deviation_limits, resolve_rows};
 
-/// Reach [m] of the arm on which the damping constants were found; others are scaled to it.
+/// Reach [m] of the arm for which the damping constants were tuned; for other arms they are scaled.
 const REFERENCE_REACH: f64 = 0.71;
 
-/// λ that joints take over with at least, where the settings have none for singular poses.
+/// Smallest λ of the redistribution solve, if the settings have no singularity damping.
 const LEAST_TAKEOVER: f64 = 0.05;
 
-/// `K_x h T_e` or `ρ T_e` [s] up to which the stiff axes stay quiet.
+/// Largest `K_x h T_e` or `ρ T_e` [s] at which the stiff axes do not oscillate.
 const GAIN_DELAY_BOUND: f64 = 0.03;
 
 /// λ of line 7, in the units of the scaled rows.
@@ -45,7 +45,7 @@ pub(crate) struct DampingPlan {
     pub(crate) lambda_max: f64,
 }
 
-/// Everything that stays the same from tick to tick.
+/// Constants of all steps.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
     pub(crate) n: usize,
@@ -56,70 +56,72 @@ pub(crate) struct Plan {
     pub(crate) projector: Projector,
     pub(crate) budget_on_goal: bool,
     pub(crate) frame: Frame,
-    /// The columns are the task's axes, unless they turn with the tool. Kept although there are constants for them, which a
-    /// step would write number by number and then wait for.
+    /// The task's axes as columns, unless they turn with the tool. Stored also for constant axes: building them in
+    /// registers and storing them would stall the following load.
     fixed_axes: Mat3,
     /// Axis index of each row.
     pub(crate) axes: Vec<usize>,
     pub(crate) rows: [Row; MAX_AXES],
-    /// The same for vector code.
+    /// The axis parameters in vector layout.
     pub(crate) lanes: RowLanes,
     pub(crate) pace: Pace,
-    /// Axes with a deviation limit; where there are none, a step knows nothing of them.
+    /// Axes with a deviation limit; empty if there are none, which skips that part of the step.
     pub(crate) deviation_limits: Vec<DeviationLimit>,
-    /// 1 / length for translations, 1 for rotations: what makes singular values of mixed rows comparable.
+    /// 1 / length for translations, 1 for rotations: makes singular values of mixed rows comparable.
     pub(crate) row_scale: AxisVec,
     /// Factor on λ² of each row.
     pub(crate) damping_scale: AxisVec,
     pub(crate) kx: [[f64; MAX_AXES]; MAX_AXES],
     /// Columns of K_q.
     pub(crate) kq_columns: [JointVec; MAX_JOINTS],
-    /// K_q where it is one number.
+    /// K_q if it is a scalar.
     pub(crate) kq_scalar: Option<f64>,
     /// Factor ≤ 1 on K_x that keeps it within the bound of the present delay.
     pub(crate) kx_derating: f64,
-    /// Largest ρ of stiffness and of damping [s] of law `impedance` at the present delay; ∞ where that risk is taken by name.
+    /// Largest ρ of stiffness and of damping [s] of law `impedance` at the present delay; ∞ if the settings accept the
+    /// risk.
     pub(crate) impedance_bounds: [f64; 2],
-    /// Stiffness of the null-space motion [N·m/rad], in place of α.
+    /// Stiffness of the null-space motion [N·m/rad], instead of α.
     pub(crate) null_stiffness: Option<f64>,
     pub(crate) alpha: f64,
     pub(crate) damping: DampingPlan,
-    /// λ² of what joints take over from one at its limit: as near a singular pose, for the arm that is left often is.
+    /// Damping λ² of the redistribution solve. Uses the near-singular value: without its locked joints the arm often is
+    /// singular.
     pub(crate) takeover_damping: AxisVec,
     pub(crate) servos: ServoArrays,
     pub(crate) cost: Cost,
-    /// Rest posture; `None`: q at reset.
+    /// Rest posture; `None` for q at reset.
     pub(crate) rest: Option<JointVec>,
-    /// Whether anything of a step depends on the singular values of its rows.
+    /// True if a step depends on the singular values of its rows.
     pub(crate) follows_sigma: bool,
-    /// Whether a step has any use for the torques that hold the arm.
+    /// True if a step uses the gravity torques.
     pub(crate) heavy: bool,
     pub(crate) null_torque: f64,
     pub(crate) null_speed: f64,
-    /// 1 / w of law `paper`'s pseudo-inverse; 1 under the others, which weigh joints by the servos' stiffness.
+    /// 1 / w of law `paper`'s pseudo-inverse; 1 under the other laws, which weight joints by the servos' stiffness.
     pub(crate) inverse_weight: JointVec,
     pub(crate) joint_speed: JointVec,
     pub(crate) lower: JointVec,
     pub(crate) upper: JointVec,
-    /// Smallest and largest positions that are taken for real readings.
+    /// Smallest and largest plausible position readings.
     pub(crate) readable: [JointVec; 2],
-    /// Least and largest joint targets [rad or m].
+    /// Smallest and largest joint targets [rad or m].
     pub(crate) joint_targets: [JointVec; 2],
-    /// Where the tool's target may lie.
+    /// Bounds on the tool's target.
     pub(crate) workspace: Workspace,
-    /// How far goals may pass the position limits [rad]: the lead that the servo's whole torque takes.
+    /// Distance by which goals may exceed the position limits [rad]: the lead at the servo's full torque.
     pub(crate) beyond: JointVec,
-    /// By how much a lead that serves a force fades per rad that its joint is beyond the limits, at most.
+    /// Largest fade of a force-exerting lead per rad that its joint is beyond the limits.
     pub(crate) stop_slope: f64,
-    /// Room of a joint to its limit [rad or m] below which the posture lets go; −∞ for never.
+    /// Distance of a joint to its limit [rad or m] below which the posture task fades; −∞ for never.
     pub(crate) clearance: JointVec,
     pub(crate) floor: JointVec,
     pub(crate) margin: JointVec,
-    /// Most that a hand shall meet along a translation if the host dies [N].
+    /// Largest force on a hand along a translation if the host dies [N].
     pub(crate) max_host_loss_force: Option<f64>,
-    /// Rise of the limits per second; ∞ for none.
+    /// Largest rise of the limits per second; ∞ for no bound.
     pub(crate) rise: JointVec,
-    /// 1/k_g, of the gravity offset.
+    /// 1/k_g of the gravity offset.
     pub(crate) gravity_compliance: JointVec,
 }
 
@@ -143,7 +145,7 @@ impl Plan {
         let known = captured || servos.is_some_and(|s| s.stiffness_known);
         let rows = resolve_rows(model, settings, &arrays, &axes, known, surveyed)?;
         let unit = settings.task.length.filter(|_| k > n).unwrap_or_else(|| scale_length(model.reach()));
-        // λ as printed in (3) adds to rows in mixed units; with more axes than joints it is what weighs them.
+        // λ as printed in (3) adds to rows in mixed units; with more axes than joints it must weight them.
         let as_printed = matches!(settings.tracking.damping, Damping::Fixed(_)) && k <= n;
         let row_scale = of_translations(&axes, 1.0 / unit);
         let damping_scale = of_translations(&axes, if as_printed { 1.0 } else { unit * unit });
@@ -229,17 +231,17 @@ impl Plan {
         Ok(plan)
     }
 
-    /// K_x h that the present delay allows.
+    /// Returns the largest K_x h at the present delay.
     pub(crate) fn gain_bound(&self, delay: f64, period: f64) -> f64 {
         gain_bound(self.servos.well_damped(self.n), delay, period)
     }
 
-    /// The largest K_x h in any direction of the task: the largest singular value.
+    /// Returns the largest K_x h in any direction of the task: the largest singular value.
     pub(crate) fn gain(&self, horizon: f64) -> f64 {
         horizon * crate::law::svd::singular_values(&DMatrix::from_fn(self.k, self.k, |r, c| self.kx[r][c])).max()
     }
 
-    /// Sets the factor on K_x that a measured delay [s] demands; law `paper` has no such bound.
+    /// Sets the factor on K_x that a measured delay [s] requires; law `paper` has no such bound.
     pub(crate) fn derate(&mut self, delay: f64, settings: &Settings) {
         let (gain, bound) = (self.gain(settings.paper_options.horizon), self.gain_bound(delay, 1.0 / settings.rate));
         self.kx_derating = if self.law == Law::Cap && gain > bound { bound / gain } else { 1.0 };
@@ -253,19 +255,19 @@ fn gain_bound(well_damped: bool, delay: f64, period: f64) -> f64 {
     if well_damped { 3.0 } else { (GAIN_DELAY_BOUND / (delay + 0.5 * period)).clamp(1.0, 3.0) }
 }
 
-/// Lead that a servo's whole torque takes [rad].
+/// Returns the lead at a servo's full torque [rad].
 fn beyond(servos: &ServoArrays, i: usize) -> f64 {
     if servos.has_kp { servos.torque[i] * servos.compliance[i] } else { 0.0 }
 }
 
-/// What a joint's limit has to spare beside what the law asks for [N·m].
+/// Returns the margin of a joint's limit above the law's demand [N·m].
 fn margin(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
     let usable = servos.torque[i];
     let share = if usable.is_finite() { settings.torque_limits.margin * usable } else { 0.0 };
     share.max(2.0 * servos.friction[i])
 }
 
-/// By how much a joint's limit may rise [N·m/s].
+/// Returns the largest rise of a joint's limit [N·m/s].
 fn rise(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
     if settings.torque_limits.stiffening_time > 0.0 {
         servos.torque[i] / settings.torque_limits.stiffening_time
@@ -279,7 +281,7 @@ fn resolve_weight(settings: &Settings, n: usize) -> Result<JointVec> {
     Ok(if settings.law == Law::Paper { weight.map(|w| 1.0 / w) } else { [1.0; MAX_JOINTS] })
 }
 
-/// `scale` in the rows of translations, 1 in the others.
+/// Returns `scale` for rows of translations, 1 for the others.
 fn of_translations(axes: &[usize], scale: f64) -> AxisVec {
     let mut out = [1.0; MAX_AXES];
     for (slot, _) in out.iter_mut().zip(axes).filter(|(_, axis)| **axis < 3) {
@@ -288,7 +290,7 @@ fn of_translations(axes: &[usize], scale: f64) -> AxisVec {
     out
 }
 
-/// One number of each of `n` joints, `rest` behind them.
+/// Returns one number for each of `n` joints, then `rest` as padding.
 fn joints(n: usize, rest: f64, of: impl Fn(usize) -> f64) -> JointVec {
     std::array::from_fn(|i| if i < n { of(i) } else { rest })
 }
@@ -305,7 +307,7 @@ fn compact(full: &[[f64; MAX_AXES]; MAX_AXES], k: usize) -> [[f64; MAX_AXES]; MA
     out
 }
 
-/// Rows of a matrix as its columns.
+/// Transposes rows of a matrix into columns.
 fn columns(rows: &[JointVec; MAX_JOINTS]) -> [JointVec; MAX_JOINTS] {
     std::array::from_fn(|i| rows.map(|row| row[i]))
 }

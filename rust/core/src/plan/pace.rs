@@ -1,4 +1,4 @@
-//! How the stiff axes keep pace with their reference: damping and inertia of each task axis.
+//! Reference tracking of the stiff axes: damping and inertia of each task axis.
 
 use crate::model::Model;
 use crate::number::LANES;
@@ -8,31 +8,32 @@ use crate::settings::{Law, Settings};
 use crate::survey::Surveyed;
 use crate::{AxisVec, MAX_AXES, MAX_JOINTS};
 
-/// Rate [1/s] at which a difference in speed between tool and reference dies out.
+/// Decay rate [1/s] of the velocity error between tool and reference.
 const DECAY: f64 = 20.0;
 
-/// `DECAY` times the age [s] of the velocity up to which the damper stays quiet.
+/// Largest product of `DECAY` and the age [s] of the velocity at which the damper does not oscillate.
 const DECAY_DELAY_BOUND: f64 = 0.5;
 
-/// Share of the damping that the feed-forward takes from the servos and that the damper gives back. Not all of it: axes that
-/// share their joints would have it twice.
+/// Share of the servo damping cancelled by the feed-forward that the damper restores. Less than one: axes that share
+/// joints would count it twice.
 const GIVEN_BACK: f64 = 0.5;
 
-/// Most of the reference's acceleration that is driven [m/s², rad/s²]: a target that stops at once is not hurled after.
+/// Bound on the acceleration feed-forward [m/s², rad/s²]: the arm is not accelerated after a target that stops
+/// abruptly.
 const DRIVEN: [f64; 2] = [3.0, 12.0];
 
-/// Per task row, in units of the servos' own stiffness along it; zero where a reference has no speed of its own.
+/// Per task row, in units of the servos' stiffness along it; zero if a reference has no velocity of its own.
 #[derive(Debug, Clone)]
 pub(crate) struct Pace {
-    /// Whether any row is not zero.
+    /// True if any row is nonzero.
     pub(crate) on: bool,
     /// Squared time constant `Λ_j C_jj` [s²] of each axis on its servos.
     pub(crate) inertia: AxisLanes,
-    /// Most of the acceleration [m/s², rad/s²].
+    /// Bound on the acceleration [m/s², rad/s²].
     pub(crate) driven: AxisLanes,
     /// Time constant [s] of the damper at the present delay.
     pub(crate) damping: AxisLanes,
-    /// What of it gives back the damping that the feed-forward takes away [s].
+    /// Part of it that restores the damping cancelled by the feed-forward [s].
     given_back: f64,
 }
 

@@ -1,4 +1,4 @@
-//! The task axes with every default filled in.
+//! Parameters of the task axes, defaults filled in.
 
 use crate::MAX_AXES;
 use crate::error::{Error, Result};
@@ -10,10 +10,10 @@ use crate::survey::{self, Surveyed};
 use crate::task::axes::{AXIS_NAMES, Axis, Profile, Yields};
 use crate::task::deviation_limit::DeviationLimit;
 
-/// Largest η without knowing `k_p` or having captured gravity: beyond it a gravity error walks the arm away.
+/// Largest η without a known `k_p` or a captured gravity offset: above it a gravity error makes the arm drift.
 const ETA_UNPROVEN: f64 = 0.95;
 
-/// One task axis, every default filled in.
+/// Parameters of one task axis, defaults filled in.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Row {
     /// Index among x, y, z, roll, pitch, yaw.
@@ -21,23 +21,23 @@ pub(crate) struct Row {
     pub(crate) soft: [f64; 2],
     pub(crate) firm: [f64; 2],
     pub(crate) hold: f64,
-    /// The default that `hold` would be, had soft and firm left room for it.
+    /// The default of `hold` before soft and firm raised it.
     pub(crate) raised_from: Option<f64>,
     pub(crate) yields: [f64; 2],
-    /// Spring [N/m, N·m/rad] and damper [N·s/m, N·m·s/rad]; zero but under law `impedance`.
+    /// Spring [N/m, N·m/rad] and damper [N·s/m, N·m·s/rad]; zero except under law `impedance`.
     pub(crate) stiffness: [f64; 2],
     pub(crate) viscosity: [f64; 2],
     pub(crate) eta: f64,
     pub(crate) soft_until: f64,
     pub(crate) firm_from: f64,
-    /// Half-width [m or rad] of the change-over between the sides.
+    /// Half-width [m or rad] of the transition between the sides.
     pub(crate) band: f64,
     pub(crate) profile: Profile,
     pub(crate) step_limit: f64,
     pub(crate) soft_step_limit: f64,
 }
 
-/// The axes that have a deviation limit; mostly none.
+/// Returns the axes with a deviation limit; usually none.
 pub(super) fn deviation_limits(settings: &Settings, axes: &[usize]) -> Vec<DeviationLimit> {
     let of = |&axis: &usize| {
         let given = &settings.axes[axis];
@@ -50,7 +50,7 @@ pub(super) fn deviation_limits(settings: &Settings, axes: &[usize]) -> Vec<Devia
     axes.iter().filter_map(of).collect()
 }
 
-/// Strengths where nothing is given: soft, firm, hold of translations and rotations.
+/// Default strengths: soft, firm, hold of translations and rotations.
 fn default_strengths(
     model: &Model,
     settings: &Settings,
@@ -67,7 +67,7 @@ fn default_strengths(
     }
 }
 
-/// An arm that cannot hold itself in most poses has no force to give: its default strengths would be zero.
+/// Checks the default strengths: they are zero for an arm that cannot hold itself in most poses.
 fn check_defaults(settings: &Settings, axes: &[usize], defaults: &[[f64; 3]; 2]) -> Result<()> {
     for &axis in axes {
         let (given, strengths) = (&settings.axes[axis], &defaults[usize::from(axis >= 3)]);
@@ -118,7 +118,7 @@ fn resolve_row(
     let (given, name) = (&settings.axes[axis], AXIS_NAMES[axis]);
     let paper = settings.law == Law::Paper;
     let [soft, firm, hold] = defaults;
-    // What is left out makes room for what is given.
+    // Default values adapt to the given ones.
     let soft = given.soft.unwrap_or_else(|| given.firm.map_or([soft; 2], |firm| firm.map(|f| f.min(soft))));
     let firm = given.firm.unwrap_or_else(|| soft.map(|s| s.max(firm)));
     let least = firm[0].max(firm[1]);

@@ -1,4 +1,4 @@
-//! What the cycle scales and bounds by constants of the plan.
+//! Scalings and bounds of the step that are constants of the plan.
 
 use crate::kinematics::spatial::{Mat3, splat_matrix};
 use crate::model::Model;
@@ -9,12 +9,11 @@ use crate::settings::{Law, Projector, Settings};
 use crate::task::axes::Frame;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// How far a reading may lie beyond a joint's position limits [rad]: half a turn. Farther off it is in degrees, or of
-/// another robot.
+/// Largest distance of a plausible reading beyond a joint's position limits [rad]: half a turn. A larger one is in
+/// degrees, or from another robot.
 const BEYOND_LIMITS: f64 = std::f64::consts::PI;
 
-/// Positions between which each joint's is taken for a real one, ±1 behind the last joint; a prismatic joint may be off by
-/// its travel.
+/// Returns the bounds of plausible positions, ±1 as padding; a prismatic joint may exceed its limits by its travel.
 pub(super) fn readable(model: &Model) -> [JointVec; 2] {
     let mut out = [[-1.0; MAX_JOINTS], [1.0; MAX_JOINTS]];
     for (i, (&lower, &upper)) in model.lower().iter().zip(model.upper()).enumerate().take(MAX_JOINTS) {
@@ -26,7 +25,7 @@ pub(super) fn readable(model: &Model) -> [JointVec; 2] {
     out
 }
 
-/// Whether anything of a step depends on the singular values of its rows.
+/// Returns true if a step depends on the singular values of its rows.
 pub(super) fn follows_sigma(settings: &Settings, damping: &DampingPlan) -> bool {
     settings.law != Law::Paper
         || damping.sigma_0 > 0.0
@@ -35,7 +34,7 @@ pub(super) fn follows_sigma(settings: &Settings, damping: &DampingPlan) -> bool 
 }
 
 impl Plan {
-    /// The axes of the task as columns, given the pose of the tool.
+    /// Returns the task's axes as columns, for a given pose of the tool.
     #[inline(always)]
     pub(crate) fn base_from_task<A: Arithmetic>(&self, tool: &Pose<A::Real>) -> Mat3<A::Real> {
         match self.frame {
@@ -60,7 +59,7 @@ impl Plan {
         squared / W::splat(self.servos.kp_mean)
     }
 
-    /// How far each joint may move within a horizon [rad].
+    /// Returns the largest motion of each joint within a horizon [rad].
     #[inline(always)]
     pub(crate) fn reach<J: Lanes>(&self, horizon: f64) -> J {
         J::load(&self.joint_speed) * J::splat(horizon)

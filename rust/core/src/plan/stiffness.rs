@@ -1,4 +1,4 @@
-//! Stiffness of law `impedance`: defaults, and what delay and servos allow.
+//! Stiffness of law `impedance`: defaults, and bounds from delay and servos.
 
 use crate::error::{Error, Result};
 use crate::law::impedance::rho;
@@ -12,19 +12,19 @@ use crate::survey;
 use crate::task::axes::AXIS_NAMES;
 use crate::{AxisVec, MAX_AXES, Rows};
 
-/// Stiffness of translations [N/m] and rotations [N·m/rad] of the arm on which they were found, and its mean k_p.
+/// Reference stiffness of translations [N/m] and rotations [N·m/rad], and the mean k_p of the arm used for tuning.
 const REFERENCE: [f64; 2] = [800.0, 20.0];
 const REFERENCE_KP: f64 = 780.0 / 7.0;
 
-/// `ρ(D) (T_e + T_f)` [s²] up to which dampers stay quiet: their velocity comes through the filter.
+/// Largest `ρ(D) (T_e + T_f)` [s²] at which dampers do not oscillate: their velocity is filtered.
 const DAMPING_DELAY_BOUND: f64 = 0.007;
 
-/// Delay [s] up to which well damped servos bear a stiffness of `WELL_DAMPED`.
+/// Largest delay [s] at which well damped servos allow a stiffness of `WELL_DAMPED`.
 const WELL_DAMPED_DELAY: f64 = 0.03;
 const WELL_DAMPED: f64 = 3.0;
 
-/// Largest ρ at a delay [s], with half a period added to it: of stiffness `max(1, 0.03 s / T_e)`, at least 3 for well damped
-/// servos up to a T_e of 0.03 s; of damping `0.007 s² / (T_e + T_f)`.
+/// Returns the largest ρ at a delay [s], to which half a period is added: of stiffness `max(1, 0.03 s / T_e)`, at least
+/// 3 for well damped servos up to a T_e of 0.03 s; of damping `0.007 s² / (T_e + T_f)`.
 pub(super) fn bounds(settings: &Settings, delay: f64, well_damped: bool) -> [f64; 2] {
     if settings.accept_high_stiffness {
         return [f64::INFINITY; 2];
@@ -44,10 +44,10 @@ pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &Ser
     [REFERENCE[0] * stiffer / (longer * longer), REFERENCE[1] * stiffer].map(survey::round_to_halves)
 }
 
-/// Refuses stiffness and damping that were asked for and that more than half of the poses could not have: they would ring
-/// there.
+/// Refuses given stiffness and damping that would ring in more than half of the poses.
 ///
-/// What a pose demands beyond that is taken off tick by tick, see [`rho`]; so is the default stiffness of other axes.
+/// The step reduces the gains further if a pose requires it, see [`rho`]. It also reduces the default stiffness of
+/// other axes.
 pub(super) fn check(model: &Model, settings: &Settings, plan: &Plan) -> Result<()> {
     let [most_stiff, most_damped] = plan.impedance_bounds;
     if let Some(stiffness) = settings.null_space.stiffness {
@@ -91,7 +91,7 @@ pub(super) fn check(model: &Model, settings: &Settings, plan: &Plan) -> Result<(
     Ok(())
 }
 
-/// ρ of these gains in the median pose, over its bound.
+/// Returns ρ of these gains in the median pose, divided by its bound.
 fn overshoot(model: &Model, plan: &Plan, gains: &AxisVec, most: f64) -> f64 {
     if most.is_infinite() || gains.iter().all(|&gain| gain <= 0.0) {
         return 0.0;
@@ -105,10 +105,10 @@ fn why(settings: &Settings) -> String {
     format!("with a delay of {} s at {} Hz a stiffer loop oscillates", settings.delay, settings.rate)
 }
 
-/// A value rounded down to two significant digits.
+/// Rounds a value down to two significant digits.
 fn floor_to_two_digits(value: f64) -> f64 {
     let step = 10.0_f64.powf(value.log10().floor() - 1.0);
-    // Powers of ten below one are not exact: print what was meant.
+    // Powers of ten below one are not exact: multiply so that the printed number has two digits.
     let digits = (value / step).floor();
     if step < 1.0 { digits / (1.0 / step).round() } else { digits * step }
 }

@@ -1,4 +1,5 @@
-//! Before switching on: whether a pose or a path can do what the settings ask, and what to change if not.
+//! Feasibility check before torque on: can the arm do what the settings require in a pose or on a path, and which
+//! setting to change if not.
 
 use crate::command::statics::static_force;
 use crate::controller::Controller;
@@ -10,59 +11,59 @@ use crate::report::promise::Pose;
 use crate::report::words::number;
 use crate::task::axes::{AXIS_NAMES, Frame};
 
-/// σ_min, as a share of σ₀, below which a pose is called near singular.
+/// σ_min, as a share of σ₀, below which a pose counts as near singular.
 pub(super) const NEAR_SINGULAR: f64 = 0.1;
 
-/// One thing that a pose cannot do as asked.
+/// One requirement that a pose cannot meet.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Issue {
     /// Index of the worst pose on the path.
     pub pose: usize,
-    /// Axis or joint it is about, with the side of an axis: `+y`.
+    /// Axis or joint concerned, with the side of an axis: `+y`.
     pub about: String,
-    /// Whether the settings ask for it by name. Defaults that a pose cannot meet are worth knowing, no more.
+    /// True if the user set the value. An unmet default is information only.
     pub required: bool,
-    /// What is asked, and what there is.
+    /// Required and available value.
     pub reason: String,
-    /// Setting to change, e.g. `axes.y.firm`; `None` where none helps.
+    /// Setting to change, e.g. `axes.y.firm`; `None` if no setting helps.
     pub setting: Option<String>,
     /// The nearest value that works.
     pub value: Option<f64>,
 }
 
-/// Whether a path can do what the settings ask.
+/// Result of a feasibility check of a path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FeasibilityReport {
-    /// Whether nothing that is asked for by name is missing.
+    /// True if all values set by the user can be met.
     pub achievable: bool,
-    /// How many poses were looked at.
+    /// Number of poses checked.
     pub poses: usize,
-    /// What is missing, the required first.
+    /// Unmet requirements, the required ones first.
     pub findings: Vec<Issue>,
     /// Names of the task's axes.
     pub axes: Vec<&'static str>,
-    /// Least force that the servos' torque can answer along each axis, pushed toward (−, +) [N, N·m].
+    /// Smallest force that the servos' torque can hold along each axis, pushed toward (−, +) [N, N·m].
     pub capacity: Vec<[f64; 2]>,
-    /// Poses of those.
+    /// Indices of the poses with this capacity.
     pub worst_pose: Vec<[usize; 2]>,
-    /// Most of the friction that is left along each axis: the least `soft` that can track [N, N·m].
+    /// Largest friction left by the feed-forward along each axis: the smallest `soft` that can track [N, N·m].
     pub friction_left: Vec<f64>,
-    /// Least distance that a yielding axis can be pushed until a joint meets its limit [m, rad]; ∞ where none does on
-    /// 0.15 m or 0.4 rad, and for sides that do not yield.
+    /// Smallest distance that a yielding axis can be pushed until a joint meets its limit [m, rad]; ∞ if no joint does
+    /// within 0.15 m or 0.4 rad, and for sides that do not yield.
     pub stop_distance: Vec<[f64; 2]>,
     /// Smallest singular value of the poses.
     pub sigma_min: f64,
-    /// The pose of that.
+    /// Index of the pose with this value.
     pub sigma_pose: usize,
-    /// Least `way_sigma` of the poses' reports; ∞ for sides that do not yield.
+    /// Smallest `way_sigma` of the poses' reports; ∞ for sides that do not yield.
     pub way_sigma: Vec<[f64; 2]>,
 }
 
 impl Controller {
-    /// Checks the settings against every posture (n) [rad] of a path, the arm at rest on its target. Changes nothing.
+    /// Checks the settings in every posture (n) [rad] of a path, with the arm at rest on its target. Changes nothing.
     ///
     /// # Errors
-    /// As [`Controller::step`]; [`Error::Shape`] for a path without postures, of which nothing can be said.
+    /// As [`Controller::step`]; [`Error::Shape`] for an empty path.
     ///
     /// ```
     /// # use pliant_core::{Axis, Controller, Model, ModelOptions, Servos, Settings};

@@ -1,4 +1,4 @@
-//! What a check says of the worst that it has seen along a path.
+//! Findings of a check, from the worst values along a path.
 
 use crate::controller::Controller;
 use crate::report::check::{Issue, NEAR_SINGULAR};
@@ -24,10 +24,10 @@ impl Worst {
     }
 }
 
-/// The least σ_min on the way of a push, and that way with what the joints rub before it.
+/// The smallest σ_min on the path of a push, with that path and the friction before it.
 pub(super) type Past = (Worst, Option<(Push, f64)>);
 
-/// The least distance to a stop, its joint, and how far the axis is pushed for its whole cap.
+/// The smallest distance to a stop, its joint, and the deviation at which the axis exerts its whole cap.
 pub(super) type Near = (Worst, Option<(usize, f64)>);
 
 impl Controller {
@@ -69,10 +69,11 @@ impl Controller {
         out
     }
 
-    /// Position limits that are met before an axis gives its whole cap; pushed so far, the stop gives more than that.
+    /// Position limits that are met before an axis exerts its whole cap; at that deviation the stop adds its force to
+    /// the cap.
     pub(super) fn stop_findings(&self, r: usize, near: [Near; 2], out: &mut Vec<Issue>) {
         if self.plan.law == Law::Paper {
-            return; // Without a cap there is no whole one.
+            return; // Law `paper` has no force cap to compare with.
         }
         let axis = self.plan.rows[r].axis;
         let name = AXIS_NAMES[axis];
@@ -97,7 +98,7 @@ impl Controller {
         }
     }
 
-    /// Singular poses that a push leads to from poses that are not near one.
+    /// Singular poses that a push reaches from poses that are not near singular.
     pub(super) fn way_findings(&self, r: usize, past: [Past; 2], out: &mut Vec<Issue>) {
         let (axis, least) = (self.plan.rows[r].axis, NEAR_SINGULAR * self.plan.damping.sigma_0);
         for (side, (worst, what)) in past.into_iter().enumerate() {
@@ -123,7 +124,7 @@ impl Controller {
         }
     }
 
-    /// More than a hand shall meet on a dead arm, though the limits hold no more than its weight.
+    /// Force on a hand after a host loss above the allowed one, although the limits hold no more than the arm's weight.
     pub(super) fn host_loss_finding(&self, worst: Worst, row: usize, sign: f64) -> Option<Issue> {
         let most = self.plan.max_host_loss_force.filter(|most| worst.value > most * (1.0 + 1e-9))?;
         Some(Issue {
@@ -142,7 +143,7 @@ impl Controller {
 
     pub(super) fn axis_findings(&self, r: usize, lack: [Worst; 2], rub: Worst, out: &mut Vec<Issue>) {
         if self.plan.law == Law::Paper {
-            return; // Budgets, not forces: what they hold is in the report.
+            return; // Law `paper` has budgets, not forces; see the report.
         }
         let row = &self.plan.rows[r];
         let (name, given, unit) = (AXIS_NAMES[row.axis], &self.settings().axes[row.axis], unit(row.axis));

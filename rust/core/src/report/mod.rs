@@ -1,7 +1,7 @@
-//! What the present pose and settings can and cannot do, in numbers and in sentences.
+//! Report on the capabilities of the present pose and settings, in numbers and in sentences.
 //!
-//! Off the hot path, but cheap enough to run beside the loop. Sides are named by the push: the first number of a pair is
-//! for a push toward −, the second for one toward +.
+//! Not for the control step, but fast enough to run beside the loop. Sides are named by the push: the first number of a
+//! pair is for a push toward −, the second for a push toward +.
 
 mod check;
 mod findings;
@@ -25,7 +25,7 @@ pub use check::{FeasibilityReport, Issue};
 use promise::Pose;
 use stops::Way;
 
-/// What one pose can do under the settings in force; one entry per task axis, or per joint.
+/// Capabilities of one pose with the current settings; one entry per task axis or per joint.
 ///
 /// Forces in N, for rotations N·m; all torques in N·m.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,83 +34,85 @@ pub struct PoseReport {
     pub axes: Vec<&'static str>,
     /// Names of the joints.
     pub joints: Vec<String>,
-    /// Law in force.
+    /// Control law.
     pub law: Law,
-    /// Positions that this is about [rad].
+    /// Joint positions of the report [rad].
     pub q: Vec<f64>,
-    /// Torque limits in force there [N·m].
+    /// Torque limits in this pose [N·m].
     pub torque_limit: Vec<f64>,
-    /// The largest static force that these limits hold: `min_i (L_i + s_i g_i) / |a_i|`, `a = Jᵀd`. Negative: the arm
+    /// The largest static force that these limits hold: `min_i (L_i + s_i g_i) / |a_i|`, `a = Jᵀd`. Negative if the arm
     /// cannot hold itself.
     pub static_force: Vec<[f64; 2]>,
-    /// The same with all the torque that the servos have.
+    /// The largest static force at the servos' full torque.
     pub capacity: Vec<[f64; 2]>,
-    /// Force at which the axis gives way under the law, friction apart: at a small and at a large deviation, d⁻/(1 − η)
-    /// and d⁺/(1 − η) or as far as a hand is followed, 0.15 m or 0.4 rad.
+    /// Force at which the axis yields under the law, without friction: at a small and at a large deviation, d⁻/(1 − η)
+    /// and d⁺/(1 − η), at most 0.15 m or 0.4 rad.
     pub gives_way: Vec<[[f64; 2]; 2]>,
-    /// Whether the axis yields toward (−, +).
+    /// Compliance of the axis toward (−, +).
     pub yields: Vec<[bool; 2]>,
-    /// Dry friction of the joints seen along the axis, `Σ_i |J⁺_ij| τ_f,i`: what a push at rest meets on top.
+    /// Dry friction of the joints along the axis, `Σ_i |J⁺_ij| τ_f,i`: added to the force of a push from rest.
     pub friction: Vec<f64>,
-    /// What the feed-forward leaves of it in steady motion: softer, the axis cannot even keep moving.
+    /// Friction that the feed-forward leaves in steady motion. An axis with a smaller strength cannot keep moving.
     pub friction_left: Vec<f64>,
-    /// How firm the axis would be at strength 0, by the limits that the other axes ask of the same joints.
+    /// Strength of the axis if its own were 0, caused by the torque limits that the other axes require of the same
+    /// joints.
     pub coupling: Vec<[f64; 2]>,
-    /// The other axis that asks for most of that.
+    /// The other axis with the largest share of it.
     pub coupled_to: Vec<[Option<&'static str>; 2]>,
     /// Deviations d⁻/(1 − η), d⁺/(1 − η) between which the strength changes [m, rad].
     pub thresholds: Vec<[f64; 2]>,
-    /// What the limit leaves beside gravity, for a joint pushed toward (−, +): `L − g`, `L + g` [N·m].
+    /// Torque limit beyond gravity, for a joint pushed toward (−, +): `L − g`, `L + g` [N·m].
     pub gravity_margin: Vec<[f64; 2]>,
-    /// Smallest singular value of the task rows, translations divided by the arm's length.
+    /// Smallest singular value of the task rows, with translations divided by the arm's length.
     pub sigma_min: f64,
-    /// Largest over smallest singular value.
+    /// Condition number: largest over smallest singular value.
     pub condition: f64,
-    /// σ₀ of the damping: poses with a σ_min far below are near singular.
+    /// σ₀ of the damping: poses with a much smaller σ_min are near singular.
     pub sigma_0: f64,
     /// Joints whose limit is at the servo's ceiling.
     pub saturated: Vec<bool>,
-    /// Joints at a position limit that left the inverse kinematics.
+    /// Joints at a position limit, removed from the inverse kinematics.
     pub locked: Vec<bool>,
-    /// The largest force that a hand at 25 mm/s or 0.067 rad/s meets on 0.15 m or 0.4 rad along the axis if the host dies
-    /// now, from where the arm comes to rest, the gears' friction and damping included; ∞ where the arm cannot be moved so far: it is stretched out, or at stops.
+    /// The largest force on a hand that pushes along the axis by 0.15 m or 0.4 rad at 25 mm/s or 0.067 rad/s if the
+    /// host dies now, beginning at the arm's equilibrium, gear friction and damping included; ∞ if the arm cannot be
+    /// moved so far because it is stretched out or at stops.
     pub host_loss_force: Vec<[f64; 2]>,
-    /// What the settings allow of that [N].
+    /// Allowed value of `host_loss_force` [N].
     pub max_host_loss_force: Option<f64>,
-    /// Factor ≤ 1 on K_x, under law `impedance` on the stiffness, that delay and pose demand.
+    /// Factor ≤ 1 on K_x, under law `impedance` on the stiffness, required by delay and pose.
     pub gain_factor: f64,
-    /// The same on the damping of law `impedance`.
+    /// Factor ≤ 1 on the damping of law `impedance`.
     pub damping_factor: f64,
-    /// Strength of an axis that does not yield; and the default, where soft or firm have raised it.
+    /// Strength of an axis that does not yield; and the default if soft or firm raised it.
     pub hold: Vec<(f64, Option<f64>)>,
-    /// How far the axis can be pushed, the others in place, until a joint meets its position limit [m, rad]; ∞ where none
-    /// does on 0.15 m or 0.4 rad. Up to there the stop takes nothing of a push, from there on what it gets.
+    /// Distance that the axis can be pushed, the others fixed, until a joint meets its position limit [m, rad]; ∞ if no
+    /// joint does within 0.15 m or 0.4 rad. Up to this distance the stop carries no part of a push.
     pub stop_distance: Vec<[f64; 2]>,
-    /// The joint that does.
+    /// The joint that meets its limit.
     pub stop_joint: Vec<[Option<usize>; 2]>,
-    /// How far that joint is from its limit now [rad or m]; ∞ for none.
+    /// Distance of that joint to its limit now [rad or m]; ∞ if no joint stops.
     pub stop_room: Vec<[f64; 2]>,
-    /// What the joints that are left rub along the axis there, in place of `friction`; ∞ where they cannot move it alone,
-    /// so that the stop takes everything above the cap. 0 where no joint stops.
+    /// Friction of the other joints along the axis at the stop, instead of `friction`; ∞ if they cannot move the axis
+    /// alone, so that the stop carries everything above the cap. 0 if no joint stops.
     pub stop_friction: Vec<[f64; 2]>,
-    /// What the joints rub along the axis where they rub most on the way of a push, 0.15 m or 0.4 rad or as far as a stop
-    /// [N, N·m]; many times `friction` where the way passes a singular pose.
+    /// Largest friction of the joints along the axis on the path of a push, 0.15 m or 0.4 rad or up to a stop [N, N·m];
+    /// many times `friction` if the path passes a singular pose.
     pub way_friction: Vec<[f64; 2]>,
-    /// σ_min there.
+    /// σ_min at that point.
     pub way_sigma: Vec<[f64; 2]>,
-    /// How far the axis is pushed there [m, rad].
+    /// Displacement of the axis at that point [m, rad].
     pub way_distance: Vec<[f64; 2]>,
-    /// Deviation [m, rad] beyond which the target of an axis waits or comes along; ∞ without such a limit and toward
-    /// sides that yield.
+    /// Deviation [m, rad] beyond which the target stops or follows the tool; ∞ without such a limit and toward sides
+    /// that yield.
     pub deviation_limit: Vec<[f64; 2]>,
-    /// What the target does there.
+    /// Behaviour of the target beyond the deviation limit.
     pub on_deviation_limit: Vec<OnDeviationLimit>,
-    /// Joints that slide: theirs are metres.
+    /// Prismatic joints: their units are metres.
     pub prismatic: Vec<bool>,
 }
 
 impl Controller {
-    /// Report on the pose and the limits of the last step.
+    /// Reports on the pose and the limits of the last step.
     ///
     /// # Errors
     /// [`Error::Config`] before the first step.
@@ -121,7 +123,7 @@ impl Controller {
         Ok(self.compose())
     }
 
-    /// Report on the arm at rest on its target in `q` (n) [rad]. The controller stays as it is.
+    /// Reports on the arm at rest on its target in `q` (n) [rad]. Does not change the controller.
     ///
     /// # Errors
     /// As [`Controller::step`].
@@ -144,11 +146,11 @@ impl Controller {
         Ok(self.at_rest(q)?.compose())
     }
 
-    /// A copy of this controller after its first step on its target in `q`.
+    /// Returns a copy of this controller after its first step, on its target in `q`.
     fn at_rest(&self, q: &[f64]) -> Result<Self> {
         let at = self.joints("q", q, COORDINATE_BOUND)?;
         let mut copy = self.clone();
-        // At rest the goals have long arrived where they hold the arm.
+        // At rest the goals have reached their final values.
         copy.settings.tracking.goal_slew = f64::INFINITY;
         copy.reset(q)?;
         let mut frames = Frames::default();
@@ -246,13 +248,13 @@ impl Controller {
         report
     }
 
-    /// The ways that pushes lead from the last step's pose; `friction` at rest [N·m].
+    /// Returns the push paths from the last step's pose; `friction` at rest [N·m].
     fn way<'a>(&'a self, frames: &Frames, friction: &'a JointVec) -> Way<'a> {
         let base_from_task = self.plan.base_from_task::<crate::number::Plain>(&frames.tool);
         Way { model: self.model(), plan: &self.plan, base_from_task, q: &self.record.q, friction }
     }
 
-    /// The arm with its last command, should the host die now.
+    /// Returns the arm with its last command, for a host loss now.
     fn dead<'a>(
         &'a self,
         frames: &Frames,
@@ -273,7 +275,7 @@ impl Controller {
         }
     }
 
-    /// Limits of the last command.
+    /// Returns the limits of the last command.
     fn limits_in_force(&self) -> JointVec {
         spread(self.command.torque_limit())
     }

@@ -1,4 +1,4 @@
-//! What an axis pushes back with, and what the other axes add to it.
+//! Force with which an axis pushes back, and the contribution of the other axes.
 
 use crate::command::host_loss::TRAVEL;
 use crate::command::limits::Load;
@@ -15,12 +15,12 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
 type Axes = <EveryJoint as Lanes>::Axes;
 
-/// One step's pose, seen by the laws.
+/// The pose of one step, with the quantities of the law.
 pub(super) struct Pose<'a> {
     plan: &'a Plan,
     settings: &'a Settings,
     record: &'a Record,
-    /// Only where the law makes its limits from it.
+    /// `Some` if the law makes its limits from it.
     shares: Option<Activation<EveryJoint>>,
     /// Budget of the null-space motion under the sum rule [N·m].
     null: JointVec,
@@ -34,7 +34,8 @@ impl<'a> Pose<'a> {
         Self { plan, settings, record, shares: shares.filter(|_| plan.law == Law::Paper), null }
     }
 
-    /// `Σ_i |J⁺_ij| τ_f,i` of each axis, friction at rest under the arm's weight: what moves the tool along it turns every joint against its friction.
+    /// `Σ_i |J⁺_ij| τ_f,i` of each axis, static friction under the arm's weight: a motion of the tool along the axis
+    /// turns every joint against its friction.
     pub(super) fn friction(&self) -> AxisVec {
         let (plan, record) = (self.plan, self.record);
         let scaled = rows_array(&plan.scale_rows(&load_rows::<EveryJoint>(&record.rows)));
@@ -50,7 +51,7 @@ impl<'a> Pose<'a> {
         out
     }
 
-    /// Share of the friction that the feed-forward leaves.
+    /// Returns the share of the friction that the feed-forward leaves.
     pub(super) fn friction_share_left(&self) -> f64 {
         match self.plan.law {
             Law::Cap | Law::Impedance => 1.0 - (self.settings.compensation.friction * self.record.gamma).min(1.0),
@@ -58,7 +59,7 @@ impl<'a> Pose<'a> {
         }
     }
 
-    /// Force at which axis `row`, pushed toward `side`, gives way: at a small and at a large deviation.
+    /// Force at which axis `row`, pushed toward `side`, yields: at a small and at a large deviation.
     pub(super) fn gives_way(&self, row: usize, side: usize) -> [f64; 2] {
         let (plan, record) = (self.plan, self.record);
         let axis = &plan.rows[row];
@@ -80,8 +81,8 @@ impl<'a> Pose<'a> {
         }
     }
 
-    /// The promise of law `cap`, `min(F, h K_x (1 − η)|e| / C_jj)`, or of law `impedance`, `min(F, K (1 − η)|e|)`, where `ẽ`
-    /// is `threshold` or as far as a hand goes.
+    /// Force of law `cap`, `min(F, h K_x (1 − η)|e| / C_jj)`, or of law `impedance`, `min(F, K (1 − η)|e|)`, at `ẽ` =
+    /// `threshold`, at most the simulated distance of a push.
     fn cap(&self, row: usize, side: usize, threshold: f64) -> f64 {
         let (plan, record) = (self.plan, self.record);
         let axis = &plan.rows[row];
@@ -104,7 +105,8 @@ impl<'a> Pose<'a> {
         most.min(step / (own + (1.0 - w) * damping))
     }
 
-    /// Deviation [m, rad] at which a yielding axis gives its whole cap under the laws that have one, as far as a hand goes.
+    /// Deviation [m, rad] at which a yielding axis exerts its whole cap under the laws with a cap, at most the
+    /// simulated distance.
     pub(super) fn full(&self, row: usize, side: usize) -> f64 {
         let axis = &self.plan.rows[row];
         let travel = TRAVEL[usize::from(axis.axis >= 3)];
@@ -115,14 +117,14 @@ impl<'a> Pose<'a> {
         from.max(large / slope).min(travel)
     }
 
-    /// Static force that the limits would hold if axis `row` had this strength and the others what they have.
+    /// Static force that the limits hold if axis `row` has this strength and the others keep theirs.
     fn with_strength(&self, row: usize, side: usize, most: f64) -> f64 {
         let mut all = self.record.axis_strength;
         all[row] = most;
         self.held(row, side, &all)
     }
 
-    /// How firm the axis is at strength 0, and which other axis asks for most of that.
+    /// Returns the strength of the axis at its own strength 0, and the axis with the largest share of it.
     pub(super) fn coupling(&self, row: usize, side: usize) -> (f64, Option<usize>) {
         let mut most = self.record.axis_strength;
         most[row] = 0.0;
@@ -139,7 +141,7 @@ impl<'a> Pose<'a> {
         (whole, with)
     }
 
-    /// Static force along `row` that the limits of the law hold when each axis may ask for `most`.
+    /// Static force along `row` that the limits of the law hold if each axis may demand `most`.
     fn held(&self, row: usize, side: usize, most: &AxisVec) -> f64 {
         let (plan, record, n) = (self.plan, self.record, self.plan.n);
         let gravity = if self.settings.gravity_use().in_limits() { record.gravity } else { [0.0; MAX_JOINTS] };

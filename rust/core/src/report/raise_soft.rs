@@ -1,4 +1,4 @@
-//! Settings soft enough to yield, firm enough to follow.
+//! Settings with a strength soft enough to yield and firm enough to track.
 
 use std::sync::Arc;
 
@@ -12,16 +12,17 @@ use crate::settings::Settings;
 use crate::survey;
 use crate::{AxisVec, MAX_AXES};
 
-/// Strength of an axis that follows a moving target, over its friction at rest: what starts and reverses has to overcome
-/// it before the feed-forward comes. Measured with sinusoids: 2 is enough where friction is known, 3 where it is known to
-/// 30 % and a tick late each way; with 1 the axis stays behind, below it does not move.
+/// Strength of an axis that tracks a moving target, relative to its static friction, which it must overcome at starts
+/// and reversals, before the feed-forward acts. Measured with sinusoids: 2 is enough if friction is known, 3 if it is
+/// known to 30 % and delayed by one step each way; with 1 the axis lags, below 1 it does not move.
 const FOLLOWS: f64 = 3.0;
 
 impl Settings {
-    /// These settings with `soft` of every yielding axis raised to three times its friction: softer, it may not follow.
+    /// Returns these settings with `soft` of every yielding axis raised to at least three times its friction: a softer
+    /// axis may not track.
     ///
-    /// Of the worst pose of `path`, one posture (n) [rad] each; without a path, of the median over the arm's joint space.
-    /// `firm` and `hold` are raised where they would be below.
+    /// Uses the worst pose of `path`, one posture (n) [rad] each; without a path, the median over the arm's joint
+    /// space. Raises `firm` and `hold` if they would be smaller.
     ///
     /// # Errors
     /// As [`Controller::new`] and [`Controller::step`].
@@ -55,7 +56,7 @@ impl Settings {
                 let axis = &mut raised.axes[row.axis];
                 axis.yields = Some(axis.effective_yields());
                 axis.soft = Some(soft);
-                // What is not given makes room by itself.
+                // A value that is not set adapts by itself.
                 axis.firm = axis.firm.map(|firm| [0, 1].map(|side| firm[side].max(soft[side])));
                 let most = soft[0].max(soft[1]);
                 axis.hold = axis.hold.map(|hold| hold.max(most));
@@ -66,8 +67,8 @@ impl Settings {
 }
 
 impl Controller {
-    /// The strength with which each axis follows a moving target, from rest in `q`; law `paper` has budgets, not forces:
-    /// there it is the friction.
+    /// Returns the strength with which each axis tracks a moving target, from rest in `q`. Law `paper` has budgets, not
+    /// forces: there it is the friction.
     fn least_soft(&self, q: &[f64]) -> Result<AxisVec> {
         let resting = self.at_rest(q)?;
         let record = resting.record();

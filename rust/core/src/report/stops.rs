@@ -1,5 +1,5 @@
-//! Where a push leads: until a joint meets its position limit, what the joints that are left make of it, and past which
-//! singular pose.
+//! Path of the arm under a push: the first position limit on it, the friction of the remaining joints there, and the
+//! singular poses that it passes.
 
 use nalgebra::DMatrix;
 
@@ -12,48 +12,48 @@ use crate::number::{EveryJoint, Lanes, Plain};
 use crate::plan::Plan;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Steps on the way.
+/// Number of steps on the path.
 const STEPS: u8 = 15;
 
-/// Damping of the way, as a share of the largest entry of `J K_p⁻¹ Jᵀ`: a singular pose on it must not throw the arm.
+/// Damping on the path, as a share of the largest entry of `J K_p⁻¹ Jᵀ`: bounds the motion near singular poses.
 const DAMPING: f64 = 1e-7;
 
-/// Growth of what joints rub from which on the steps beside are looked at in so many parts.
+/// Growth of the friction above which the adjacent steps are subdivided, and the number of parts.
 const CLOSELY: f64 = 1.5;
 const PARTS: u8 = 8;
 
-/// Damping of what joints rub, as a share of the largest singular value or more: at a singular pose it is large, not ∞.
+/// Damping of the friction, as a share of the largest singular value: at a singular pose the friction is large, not ∞.
 const BLUNT: f64 = 1e-3;
 
-/// Smallest over largest singular value below which the joints that are left cannot move an axis alone.
+/// Ratio of smallest to largest singular value below which the remaining joints cannot move an axis alone.
 const SINGULAR: f64 = 1e-3;
 
-/// The first position limit on the way along one axis.
+/// The first position limit on the path along one axis.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Stop {
     /// Displacement at which it is met [m, rad].
     pub(super) distance: f64,
     /// The joint that meets it.
     pub(super) joint: usize,
-    /// How far it is from there now [rad or m].
+    /// Its distance to the limit now [rad or m].
     pub(super) room: f64,
-    /// `Σ_i |J⁺_ij| τ_f,i` of the joints that are left, there [N, N·m]; ∞ where they cannot move the axis alone.
+    /// `Σ_i |J⁺_ij| τ_f,i` of the remaining joints at the limit [N, N·m]; ∞ if they cannot move the axis alone.
     pub(super) friction: f64,
 }
 
-/// The way along one axis, 0.15 m or 0.4 rad, or as far as the first stop.
+/// The path along one axis, 0.15 m or 0.4 rad, or up to the first stop.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Push {
     pub(super) stop: Option<Stop>,
-    /// `Σ_i |J⁺_ij| τ_f,i` where it is largest on the way [N, N·m].
+    /// Largest `Σ_i |J⁺_ij| τ_f,i` on the path [N, N·m].
     pub(super) friction: f64,
-    /// σ_min there.
+    /// σ_min at that point.
     pub(super) sigma: f64,
-    /// Displacement there [m, rad].
+    /// Displacement at that point [m, rad].
     pub(super) at: f64,
 }
 
-/// Where a hand leads an arm whose other axes keep their place.
+/// Simulation of a push on an arm whose other axes keep their place.
 pub(super) struct Way<'a> {
     pub(super) model: &'a Model,
     pub(super) plan: &'a Plan,
@@ -64,9 +64,9 @@ pub(super) struct Way<'a> {
 }
 
 impl Way<'_> {
-    /// Follows a push along one task axis, toward `sign`.
+    /// Simulates a push along one task axis, toward `sign`.
     ///
-    /// The arm goes where the servos' springs are stretched least, `dq = K_p⁻¹ Jᵀ C⁻¹ d`, as under line 8.
+    /// The arm moves so that the servos' springs are stretched least, `dq = K_p⁻¹ Jᵀ C⁻¹ d`, as under line 8.
     pub(super) fn follow(&self, row: usize, sign: f64) -> Push {
         let (plan, n, k) = (self.plan, self.plan.n, self.plan.k);
         let travel = TRAVEL[usize::from(plan.rows[row].axis >= 3)];
@@ -101,7 +101,7 @@ impl Way<'_> {
         self.rubbed_most(row, &trail, stop)
     }
 
-    /// The place on a trail of postures and displacements where the joints rub most.
+    /// Returns the point with the largest friction on a path of postures and displacements.
     fn rubbed_most(&self, row: usize, trail: &[(JointVec, f64)], stop: Option<Stop>) -> Push {
         let seen = |q: &JointVec, at: f64| {
             let rows = self.scaled(q);
@@ -110,7 +110,7 @@ impl Way<'_> {
         let all: Vec<_> = trail.iter().map(|(q, at)| seen(q, *at)).collect();
         let index = (0..all.len()).fold(0, |best, i| if all[i].0 > all[best].0 { i } else { best });
         let mut worst = all[index];
-        // A step may pass over a singular pose: what lies beside is looked at more closely.
+        // A step may pass over a singular pose: subdivide the adjacent steps.
         if worst.0 > CLOSELY * all[0].0 {
             for pair in trail[index.saturating_sub(1)..(index + 2).min(trail.len())].windows(2) {
                 let ((from, near), (to, far)) = (pair[0], pair[1]);
@@ -138,7 +138,7 @@ impl Way<'_> {
         rows_array(&self.plan.scale_rows(&load_rows::<EveryJoint>(&self.rows(q))))
     }
 
-    /// Friction along `row` of all joints but one.
+    /// Returns the friction along `row` of all joints but one.
     fn friction_without(&self, q: &JointVec, joint: usize, row: usize) -> f64 {
         let (plan, mut scaled) = (self.plan, self.scaled(q));
         for r in &mut scaled {
@@ -156,7 +156,7 @@ impl Way<'_> {
         (0..n).map(|i| inverse[row][i].abs() * self.friction[i]).sum::<f64>() * plan.row_scale[row]
     }
 
-    /// The smallest and the largest singular value of scaled rows.
+    /// Returns the smallest and the largest singular value of scaled rows.
     fn sigma(&self, scaled: &Rows) -> [f64; 2] {
         let all = singular_values(&DMatrix::from_fn(self.plan.k, self.plan.n, |r, i| scaled[r][i]));
         [all.min(), all.max()]

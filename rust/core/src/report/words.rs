@@ -1,4 +1,4 @@
-//! The report in sentences and as a table.
+//! The report as sentences and as a table.
 
 use std::fmt::{self, Write as _};
 
@@ -10,17 +10,17 @@ use crate::task::axes::OnDeviationLimit;
 
 const SIDES: [&str; 2] = ["−", "+"];
 
-/// Unit of a strength along an axis.
+/// Returns the unit of a strength along an axis.
 pub(super) fn unit(axis: usize) -> &'static str {
     if axis < 3 { "N" } else { "N·m" }
 }
 
-/// A displacement along an axis, in words.
+/// Formats a displacement along an axis.
 pub(super) fn length(axis: usize, value: f64) -> String {
     if axis < 3 { format!("{:.0} mm", 1e3 * value) } else { format!("{} rad", number(value)) }
 }
 
-/// A number as one says it: two or three digits.
+/// Formats a number with two or three digits.
 pub(super) fn number(value: f64) -> String {
     match value.abs() {
         size if size.is_infinite() => "∞".into(),
@@ -31,12 +31,12 @@ pub(super) fn number(value: f64) -> String {
     }
 }
 
-/// The largest number of two digits that is not above.
+/// Rounds down to two digits.
 pub(super) fn round_down(value: f64) -> f64 {
     digits(value, f64::floor)
 }
 
-/// The smallest number of two digits that is not below.
+/// Rounds up to two digits.
 pub(super) fn round_up(value: f64) -> f64 {
     digits(value, f64::ceil)
 }
@@ -45,7 +45,7 @@ fn digits(value: f64, round: impl Fn(f64) -> f64) -> f64 {
     if !(value > 0.0 && value.is_finite()) {
         return value;
     }
-    // A power of ten that is a whole number keeps 0.3 what it is.
+    // Scale by a power of ten ≥ 1, which is exact, so that 0.3 stays 0.3.
     let exponent = 1.0 - value.log10().floor();
     if exponent >= 0.0 {
         let scale = 10.0_f64.powf(exponent).round();
@@ -57,7 +57,7 @@ fn digits(value: f64, round: impl Fn(f64) -> f64) -> f64 {
 }
 
 impl PoseReport {
-    /// One plain sentence for each axis, and for each thing that is in the way.
+    /// Returns one sentence for each axis, and one for each problem.
     pub fn summary(&self) -> Vec<String> {
         let mut out = Vec::new();
         for row in 0..self.axes.len() {
@@ -136,7 +136,7 @@ impl PoseReport {
         out
     }
 
-    /// Where more is left of a lost host than is allowed, because the limits must hold the arm.
+    /// Sentence for a host-loss force above the allowed one, because the limits must hold the arm.
     fn host_loss_sentence(&self) -> Option<String> {
         let most = self.max_host_loss_force?;
         let above = |row: usize, side: usize| {
@@ -187,7 +187,7 @@ impl PoseReport {
         said.join("; ") + "."
     }
 
-    /// What a position limit will take of a push along a yielding axis.
+    /// Sentence for a position limit that stops a push along a yielding axis.
     fn stop_sentence(&self, row: usize, side: usize) -> Option<String> {
         let joint = self.stop_joint[row][side].filter(|_| self.yields[row][side])?;
         let (unit, room, distance) = (self.unit(row), self.stop_room[row][side], self.stop_distance[row][side]);
@@ -209,7 +209,7 @@ impl PoseReport {
         Some(format!("{}{}: {} {from} {far}, {then}.", SIDES[side], self.axes[row], self.joints[joint]))
     }
 
-    /// A singular pose that a push along a yielding axis leads to.
+    /// Sentence for a singular pose that a push along a yielding axis reaches.
     fn way_sentence(&self, row: usize, side: usize) -> Option<String> {
         let (sigma, far) = (self.way_sigma[row][side], self.way_distance[row][side]);
         let near = self.yields[row][side] && far > 0.0 && sigma < NEAR_SINGULAR * self.sigma_0;
@@ -227,7 +227,7 @@ impl PoseReport {
         })
     }
 
-    /// What the target does where the axis is held off too far.
+    /// Sentence for the behaviour of the target beyond the deviation limit.
     fn deviation_sentence(&self, row: usize) -> Option<String> {
         let [minus, plus] = self.deviation_limit[row];
         let limit = minus.min(plus);

@@ -1,4 +1,4 @@
-//! Everything the user can ask of the controller, validated once.
+//! Settings of the controller, validated once.
 
 mod groups;
 mod validate;
@@ -22,13 +22,13 @@ pub enum Law {
 }
 
 impl Law {
-    /// Whether strengths are forces at the tool, which needs `k_p`.
+    /// Returns true if strengths are forces at the tool, which requires `k_p`.
     pub(crate) fn by_force(self) -> bool {
         self != Self::Paper
     }
 }
 
-/// Whether yielding axes stay in the inverse kinematics of the stiff ones.
+/// Coupling of yielding axes with the inverse kinematics of the stiff ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Follow {
     /// Yielding axes leave the solve and exert exactly their force; the default of law `cap`.
@@ -40,10 +40,10 @@ pub enum Follow {
 /// Rule of the laws `cap` and `impedance` for the joint torque limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LimitRule {
-    /// What the law wants at this tick, plus a margin.
+    /// The law's demand in this step, plus a margin.
     #[default]
     Demand,
-    /// The sum over all axes of what each may ask for.
+    /// The sum over all axes of their largest demands.
     Sum,
 }
 
@@ -57,7 +57,7 @@ pub enum Projector {
     Paper,
 }
 
-/// Where the gravity model is used.
+/// Places in which the gravity model is used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum GravityUse {
     /// In goals and limits.
@@ -67,7 +67,7 @@ pub enum GravityUse {
     Goal,
     /// Only in the limits.
     Limits,
-    /// Nowhere: the paper.
+    /// Not used, as in the paper.
     Off,
 }
 
@@ -84,35 +84,35 @@ impl GravityUse {
 /// Damping λ of the inverse.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Damping {
-    /// From the arm: σ₀ = 2 × its median over 512 poses, λ_max = σ₀, λ₀ = 0.13 σ₀; rounded to two digits.
+    /// Derived from the arm: σ₀ = 2 × its median over 512 poses, λ_max = σ₀, λ₀ = 0.13 σ₀; rounded to two digits.
     #[default]
     Auto,
-    /// λ everywhere.
+    /// Constant λ.
     Fixed(f64),
-    /// λ² = λ₀² + (1 − (σ/σ₀)²) λ_max² where σ < σ₀.
+    /// λ² = λ₀² + (1 − (σ/σ₀)²) λ_max² if σ < σ₀.
     Adaptive {
         /// λ away from singular poses.
         lambda_0: f64,
         /// σ below which damping grows.
         sigma_0: f64,
-        /// What is added (in squares) at σ = 0.
+        /// Increase (in squares) at σ = 0.
         lambda_max: f64,
     },
 }
 
-/// Gain K_x [1/s] or K_q: one number, one per axis or joint, or a matrix (row-major).
+/// Gain K_x [1/s] or K_q: a scalar, one value per axis or joint, or a matrix (row-major).
 #[derive(Debug, Clone, PartialEq)]
 pub enum Gain {
-    /// The same everywhere.
+    /// One value for all.
     Scalar(f64),
     /// A diagonal matrix.
     Diagonal(Vec<f64>),
-    /// A full matrix, one inner vector a row.
+    /// A full matrix, one inner vector per row.
     Matrix(Vec<Vec<f64>>),
 }
 
 impl Gain {
-    /// Spreads the gain to an `n × n` matrix in arrays of capacity `N`.
+    /// Expands the gain to an `n × n` matrix in arrays of capacity `N`.
     pub(crate) fn spread<const N: usize>(&self, key: &str, n: usize) -> Result<[[f64; N]; N]> {
         let mut out = [[0.0; N]; N];
         let wrong =
@@ -131,7 +131,7 @@ impl Gain {
         Ok(out)
     }
 
-    /// Every entry.
+    /// Returns all entries.
     pub(crate) fn values(&self) -> Vec<f64> {
         match self {
             Self::Scalar(k) => vec![*k],
@@ -140,18 +140,18 @@ impl Gain {
         }
     }
 
-    /// The largest entry, used as the default step of the null-space motion.
+    /// Returns the largest entry, the default gain of the null-space motion.
     pub(crate) fn largest(&self) -> f64 {
         self.values().into_iter().fold(0.0, f64::max)
     }
 }
 
-/// All settings of a controller. Make one with [`Settings::default`] or a preset and change fields.
+/// All settings of a controller. Create them with [`Settings::default`] or a preset and change fields.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
     /// Controlled axes and their frame.
     pub task: Task,
-    /// What is asked of x, y, z, roll, pitch, yaw.
+    /// Settings of x, y, z, roll, pitch, yaw.
     pub axes: [Axis; MAX_AXES],
     /// Control law.
     pub law: Law,
@@ -159,23 +159,24 @@ pub struct Settings {
     pub rate: f64,
     /// Delay T_d [s] from reading to arrival of the goal.
     pub delay: f64,
-    /// Whether the gravity model is used in goals and limits.
+    /// Uses the gravity model in goals and limits.
     pub gravity: bool,
-    /// Speed of the target that the law sees [m/s, rad/s]; ∞ for none. A tool that friction let go late is faster for a while.
+    /// Speed limit of the target that the law tracks [m/s, rad/s]; ∞ for no limit. The tool may be faster for a short
+    /// time after it was stuck by friction.
     pub max_tool_speed: [f64; 2],
     /// Acceleration of the tool's target [m/s², rad/s²].
     pub max_tool_acceleration: [f64; 2],
-    /// Accept an adaptation η above what a known stiffness allows.
+    /// Accepts an adaptation η above the bound for unknown stiffness.
     pub accept_high_adaptation: bool,
-    /// Law `impedance`: accept springs and dampers above what rate and delay allow.
+    /// Law `impedance`: accepts springs and dampers above the bounds from rate and delay.
     pub accept_high_stiffness: bool,
-    /// How the stiff axes follow the target.
+    /// Tracking of the target by the stiff axes.
     pub tracking: Tracking,
-    /// Motion of the joints that the task leaves free.
+    /// Motion of the joints that leaves the task unchanged.
     pub null_space: NullSpace,
-    /// Shares of friction, damping and delay that are fed forward.
+    /// Feed-forward of friction and damping, and prediction over the delay.
     pub compensation: Compensation,
-    /// Joint torque limits that go to the servos.
+    /// Joint torque limits sent to the servos.
     pub torque_limits: TorqueLimits,
     /// Options for studies of the law.
     #[doc(hidden)]
@@ -208,7 +209,7 @@ impl Settings {
     /// Sets the axes that `key` names (see [`parse_axes`]).
     ///
     /// # Errors
-    /// [`Error::Config`] for a key that is not understood.
+    /// [`Error::Config`] for an invalid key.
     pub fn set_axes(&mut self, key: &str, axis: Axis) -> Result<()> {
         for (slot, on) in self.axes.iter_mut().zip(parse_axes("axes", key)?) {
             if on {
@@ -218,7 +219,7 @@ impl Settings {
         Ok(())
     }
 
-    /// The follow mode in force.
+    /// Returns the coupling of yielding axes, default filled in.
     pub fn effective_follow(&self) -> Follow {
         self.paper_options.follow.unwrap_or(match self.law {
             Law::Cap | Law::Impedance => Follow::Free,
@@ -226,7 +227,7 @@ impl Settings {
         })
     }
 
-    /// Where the gravity model is used.
+    /// Returns the places in which the gravity model is used.
     pub fn gravity_use(&self) -> GravityUse {
         if self.gravity { self.paper_options.gravity_use } else { GravityUse::Off }
     }

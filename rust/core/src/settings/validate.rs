@@ -1,4 +1,4 @@
-//! Checks of everything that can be checked without arm and servos.
+//! Validation of all settings that needs neither arm nor servos.
 
 use crate::error::{Error, Result};
 use crate::settings::{
@@ -10,7 +10,7 @@ impl Settings {
     /// Checks every value that can be checked without arm and servos.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] names the setting, its value and the bound; [`Error::Config`] what does not go together.
+    /// [`Error::OutOfRange`] names the setting, its value and the bound; [`Error::Config`] an inconsistent combination.
     pub fn validate(&self) -> Result<()> {
         self.task.validate()?;
         for (axis, name) in self.axes.iter().zip(AXIS_NAMES) {
@@ -38,7 +38,7 @@ impl Settings {
         self.paper_options.validate()
     }
 
-    /// Springs and dampers go with law `impedance`, and it with no solve.
+    /// Springs and dampers require law `impedance`, which has no solve for `Follow::Hold`.
     fn validate_impedance(&self) -> Result<()> {
         if self.law == Law::Impedance {
             return match self.paper_options.follow {

@@ -1,14 +1,14 @@
-//! Target adaptation, equation (12), and the softness that selects where it acts.
+//! Target adaptation, equation (12), and the blend between the strengths of the two sides of an axis.
 
 use crate::number::{Arithmetic, Plain};
 use crate::pose::Pose;
 use crate::task::compliance::unit;
 use crate::task::deviation::{pose_error, rotation_matrix};
 
-/// Share of the strengths "pushed toward +", 0…1, for the deviation `e`; `slope` is 1 / (2 `band`).
+/// Weight of the strengths "pushed toward +", 0…1, for the deviation `e`; `slope` is 1 / (2 `band`).
 ///
-/// Pushed toward + means that the tool is beyond its target, e < 0. Within ± `band` of zero the share is linear in `e`,
-/// so that encoder noise toggles nothing; with `band` = 0 it switches at zero.
+/// Pushed toward + means that the tool is beyond its target, e < 0. Within ± `band` of zero the weight is linear in
+/// `e`, so that encoder noise does not switch it. With `band` = 0 it switches at zero.
 #[inline(always)]
 pub(crate) fn plus_share<A: Arithmetic>(e: A::Real, band: A::Real, slope: A::Real) -> A::Real {
     let (zero, one) = (A::splat(0.0), A::splat(1.0));
@@ -16,8 +16,8 @@ pub(crate) fn plus_share<A: Arithmetic>(e: A::Real, band: A::Real, slope: A::Rea
     A::if_less(zero, band, linear, A::if_less(e, zero, one, zero))
 }
 
-/// Adapted deviation `ẽ = (1 − η w) e` of one axis or of eight: (12) in the form that is memoryless, hence independent of
-/// the rate.
+/// Adapted deviation `ẽ = (1 − η w) e` of one axis or of a vector of axes: the memoryless form of (12), hence
+/// independent of the rate.
 #[inline(always)]
 pub(crate) fn adapt_deviation<A: Arithmetic>(e: A::Real, eta: A::Real, softness: A::Real) -> A::Real {
     A::fnma(eta, softness, A::splat(1.0)) * e
@@ -25,7 +25,7 @@ pub(crate) fn adapt_deviation<A: Arithmetic>(e: A::Real, eta: A::Real, softness:
 
 /// The intermediate target of (12) as a pose: `x_d + η (x − x_d)` on the compliant axes, in base axes.
 ///
-/// Rotations scale the components of the rotation vector; angles are never blended.
+/// Rotations: scales the components of the rotation vector; Euler angles are never blended.
 pub fn adapt_target(actual: &Pose, target: &Pose, eta: f64, compliant: [bool; 6]) -> Pose {
     let e = pose_error(actual, target);
     let mut adapted = e;

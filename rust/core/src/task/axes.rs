@@ -1,4 +1,4 @@
-//! Task axes, their keys, and what is asked of each.
+//! Task axes, their keys, and the settings of each axis.
 
 use crate::MAX_AXES;
 use crate::error::{Error, Result};
@@ -8,7 +8,7 @@ use crate::pose::Pose;
 /// Names of the task axes, in the order of every 6-vector: linear first, then angular.
 pub const AXIS_NAMES: [&str; MAX_AXES] = ["x", "y", "z", "roll", "pitch", "yaw"];
 
-/// Largest stiffness and damping that is taken for a real one.
+/// Largest plausible stiffness and damping.
 const IMPEDANCE_BOUND: f64 = 1e9;
 
 /// Axes in which the task is expressed.
@@ -24,7 +24,7 @@ pub enum Frame {
 }
 
 impl Frame {
-    /// The axes as columns, at a rotation of the tool.
+    /// Returns the axes as columns, for a given rotation of the tool.
     pub(crate) fn base_from_task(&self, tool: &Mat3) -> Mat3 {
         match self {
             Self::Base => Pose::IDENTITY.rotation,
@@ -34,14 +34,14 @@ impl Frame {
     }
 }
 
-/// Which axes are controlled, and in which frame.
+/// Controlled axes and the frame in which they are defined.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Task {
-    /// Whether x, y, z, roll, pitch, yaw belongs to the task.
+    /// Selects x, y, z, roll, pitch, yaw.
     pub axes: [bool; MAX_AXES],
-    /// The axes' frame.
+    /// Frame of the axes.
     pub frame: Frame,
-    /// Length [m] that weighs a metre against a radian; needed only with more axes than joints.
+    /// Length [m] that makes translations comparable with rotations; needed only with more axes than joints.
     pub length: Option<f64>,
 }
 
@@ -52,7 +52,7 @@ impl Default for Task {
 }
 
 impl Task {
-    /// A task from an axis key such as `"xyz rpy"`, in the base's axes.
+    /// Creates a task from an axis key such as `"xyz rpy"`, in base axes.
     ///
     /// # Errors
     /// As [`parse_axes`].
@@ -65,7 +65,7 @@ impl Task {
         self.axes.iter().filter(|&&on| on).count()
     }
 
-    /// Whether no axis is on.
+    /// Returns true if no axis is selected.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -73,7 +73,7 @@ impl Task {
     /// Checks frame and length.
     ///
     /// # Errors
-    /// [`Error::Config`] for an empty task or a frame that is no rotation, [`Error::OutOfRange`] for the length.
+    /// [`Error::Config`] for an empty task or an invalid rotation as frame, [`Error::OutOfRange`] for the length.
     pub fn validate(&self) -> Result<()> {
         if self.is_empty() {
             return Err(Error::config("task.axes", "no axis given; e.g. \"xyz rpy\", \"xyz\", \"x z pitch\""));
@@ -90,12 +90,12 @@ impl Task {
     }
 }
 
-/// Reads an axis key: axis names apart by spaces, one word of the letters x, y, z, `rpy` or `all`.
+/// Parses an axis key: axis names separated by spaces, a word of the letters x, y, z, `rpy` or `all`.
 ///
-/// `"y yaw"`, `"xz"`, `"rpy"`, `"xyz rpy"`, `"all"`; `y` is never yaw.
+/// Examples: `"y yaw"`, `"xz"`, `"rpy"`, `"xyz rpy"`, `"all"`; `y` never means yaw.
 ///
 /// # Errors
-/// [`Error::Config`] with the word that is not understood, and the words that are.
+/// [`Error::Config`] with the unknown word and the valid words.
 pub fn parse_axes(key: &str, text: &str) -> Result<[bool; MAX_AXES]> {
     let mut axes = [false; MAX_AXES];
     for word in text.split_whitespace() {
@@ -130,21 +130,21 @@ pub fn parse_axes(key: &str, text: &str) -> Result<[bool; MAX_AXES]> {
     }
 }
 
-/// Toward which side an axis gives way, named by the push.
+/// Side toward which an axis is compliant, named by the direction of the push.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Yields {
-    /// Pushed either way.
+    /// Compliant in both directions.
     Both,
-    /// Only when pushed toward + (the tool is beyond its target, `e < 0`).
+    /// Compliant only when pushed toward + (the tool is beyond its target, `e < 0`).
     Plus,
-    /// Only when pushed toward −.
+    /// Compliant only when pushed toward −.
     Minus,
-    /// Never.
+    /// Not compliant.
     None,
 }
 
 impl Yields {
-    /// Whether it gives way when pushed toward (−, +).
+    /// Returns whether the axis is compliant when pushed toward (−, +).
     pub(crate) fn sides(self) -> [bool; 2] {
         match self {
             Self::Both => [true, true],
@@ -155,7 +155,7 @@ impl Yields {
     }
 }
 
-/// How the strength of a yielding axis changes with the deviation.
+/// Strength of a yielding axis as a function of the deviation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Profile {
     /// From `soft` below `soft_until` to `firm` above `firm_from`: the paper's (9).
@@ -168,7 +168,7 @@ pub enum Profile {
 }
 
 impl Profile {
-    /// Strength at a small and at a large deviation.
+    /// Returns the strength at a small and at a large deviation.
     pub(crate) fn ends(self, soft: f64, firm: f64) -> [f64; 2] {
         match self {
             Self::Hardening => [soft, firm],
@@ -178,17 +178,18 @@ impl Profile {
     }
 }
 
-/// What the target does where a stiff axis is beyond its deviation limit.
+/// Behaviour of the target when a stiff axis exceeds its deviation limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum OnDeviationLimit {
-    /// It lets this axis go: the arm gives way with the force of the limit, and is led back when it is let go.
+    /// The target follows the tool along this axis: the arm yields with the force of the limit and returns after the
+    /// release.
     #[default]
     Yield,
-    /// It waits, all of it, until the axis is within its limit again.
+    /// The whole target stops until the axis is within its limit again.
     Wait,
 }
 
-/// What is asked of one task axis. `None` takes the default, which for the strengths depends on law and arm.
+/// Settings of one task axis. `None` selects the default, which for the strengths depends on law and arm.
 ///
 /// Strengths are forces [N] ([N·m] for rotations) under the laws `cap` and `impedance`, torque budgets [N·m] under law
 /// `paper`; pairs are (pushed toward −, pushed toward +).
@@ -198,45 +199,46 @@ pub struct Axis {
     pub soft: Option<[f64; 2]>,
     /// Strength of the yielding axis at a large deviation, τ⁺ of (9).
     pub firm: Option<[f64; 2]>,
-    /// Strength where the axis does not yield.
+    /// Strength of a side that does not yield.
     pub hold: Option<f64>,
-    /// Law `impedance`: spring [N/m or N·m/rad]; by default 0 toward a side that yields, else from the arm.
+    /// Law `impedance`: spring [N/m or N·m/rad]; default 0 for a side that yields, else derived from the arm.
     pub stiffness: Option<[f64; 2]>,
-    /// Law `impedance`: damper [N·s/m or N·m·s/rad]; by default 0.
+    /// Law `impedance`: damper [N·s/m or N·m·s/rad]; default 0.
     pub damping: Option<[f64; 2]>,
-    /// Sides it yields to; by default both where `soft` or `firm` is given, else none.
+    /// Sides that yield; default both if `soft` or `firm` is given, else none.
     pub yields: Option<Yields>,
     /// Target adaptation η of (12), 0 ≤ η < 1.
     pub adaptation: f64,
-    /// Deviation [m or rad] below which compliance is full, d⁻ of (8).
+    /// Deviation [m or rad] below which compliance is 1, d⁻ of (8).
     pub soft_until: Option<f64>,
-    /// Deviation [m or rad] above which compliance is none, d⁺ of (8).
+    /// Deviation [m or rad] above which compliance is 0, d⁺ of (8).
     pub firm_from: Option<f64>,
-    /// How the strength changes between the two.
+    /// Strength profile between these two deviations.
     pub profile: Profile,
-    /// Limit of the commanded task velocity while the axis is stiff [m/s or rad/s]; ∞ for none. Law `impedance` has none.
+    /// Limit of the commanded task velocity while the axis is stiff [m/s or rad/s]; ∞ for no limit. Law `impedance` has
+    /// no limit.
     pub max_velocity: Option<f64>,
-    /// The same while it yields.
+    /// Limit of the commanded task velocity while the axis yields [m/s or rad/s].
     pub soft_step_limit: Option<f64>,
-    /// Largest deviation [m or rad] toward a side that does not yield; `None`: any.
+    /// Largest deviation [m or rad] toward a side that does not yield; `None` for no limit.
     pub deviation_limit: Option<f64>,
-    /// What happens beyond it.
+    /// Behaviour beyond the deviation limit.
     pub on_deviation_limit: OnDeviationLimit,
 }
 
 impl Axis {
-    /// A stiff axis with default strength.
+    /// Creates a stiff axis with default strength.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// The sides this axis yields to.
+    /// Returns the sides that yield, default filled in.
     pub fn effective_yields(&self) -> Yields {
         let compliant = self.soft.is_some() || self.firm.is_some();
         self.yields.unwrap_or(if compliant { Yields::Both } else { Yields::None })
     }
 
-    /// Checks every value; `owner` stands before the field's name in the message, e.g. `axes.y`.
+    /// Checks every value; `owner` precedes the field's name in the message, e.g. `axes.y`.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] or [`Error::Config`] naming the field.

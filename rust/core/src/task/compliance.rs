@@ -5,36 +5,36 @@ use crate::task::axes::Profile;
 
 /// Compliance c ∈ [0, 1] of (8) for a deviation of any sign: 1 below `soft_until`, 0 above `firm_from`, linear between.
 ///
-/// The paper prints d without absolute value, which would call every negative deviation fully compliant.
+/// The paper prints d without absolute value, which would make every negative deviation fully compliant.
 pub fn compliance(deviation: f64, soft_until: f64, firm_from: f64) -> f64 {
     compliance_by::<Plain>(deviation, firm_from, 1.0 / (firm_from - soft_until))
 }
 
-/// [`compliance`] of one axis or of eight; `slope` is 1 / (firm_from − soft_until).
+/// [`compliance`] of one axis or of a vector of axes; `slope` is 1 / (firm_from − soft_until).
 #[inline(always)]
 pub(crate) fn compliance_by<A: Arithmetic>(deviation: A::Real, firm_from: A::Real, slope: A::Real) -> A::Real {
     unit::<A>((firm_from - A::abs(deviation)) * slope)
 }
 
-/// A number within [0, 1].
+/// Clamps a number to [0, 1].
 #[inline(always)]
 pub(crate) fn unit<A: Arithmetic>(value: A::Real) -> A::Real {
     A::at_most(A::at_least(value, A::splat(0.0)), A::splat(1.0))
 }
 
-/// `share · there + (1 − share) · here`.
+/// Linear interpolation `share · there + (1 − share) · here`.
 #[inline(always)]
 pub(crate) fn between<A: Arithmetic>(share: A::Real, here: A::Real, there: A::Real) -> A::Real {
     A::fma(share, there, (A::splat(1.0) - share) * here)
 }
 
-/// Strength of a yielding axis, (9): `c soft + (1 − c) firm`, or another profile over the same two values.
+/// Strength of a yielding axis, (9): `c soft + (1 − c) firm`, or another profile with the same two values.
 pub fn strength(c: f64, soft: f64, firm: f64, profile: Profile) -> f64 {
     let [near, far] = profile.ends(soft, firm);
     between::<Plain>(c, far, near)
 }
 
-/// Holding torque of one axis as in (9): interpolated where the axis is compliant, `hold` where it is not.
+/// Holding torque of one axis as in (9): interpolated if the axis is compliant, else `hold`.
 pub fn holding_torque(c: f64, soft: f64, firm: f64, hold: f64, compliant: bool) -> f64 {
     if compliant { strength(c, soft, firm, Profile::Hardening) } else { hold }
 }

@@ -8,7 +8,7 @@ use crate::{AxisVec, MAX_AXES};
 /// Deviation `e = x_d − x` in base axes: `[m, m, m, rad, rad, rad]`.
 ///
 /// Linear part: difference of the positions. Angular part: rotation vector of `R_d Rᵀ` on the shortest branch; at an
-/// angle of exactly π the axis is the one of the quaternion with non-negative scalar part.
+/// angle of exactly π the axis of the quaternion with non-negative scalar part.
 #[inline(always)]
 pub fn pose_error(actual: &Pose, target: &Pose) -> AxisVec {
     pose_error_by::<Plain>(actual, target)
@@ -25,8 +25,8 @@ pub(crate) fn pose_error_by<A: Arithmetic>(actual: &Pose<A::Real>, target: &Pose
 
 /// Rotation vector [rad] of a rotation matrix (row-major), of length at most π.
 ///
-/// By way of the quaternion, whose largest component is found first: accurate at 0 and at π, where the trace formula
-/// loses half the digits.
+/// Computed from the quaternion, largest component first: accurate at 0 and at π, where the trace formula loses half
+/// the digits.
 #[inline(always)]
 pub fn rotation_vector(m: &[[f64; 3]; 3]) -> [f64; 3] {
     rotation_vector_by::<Plain>(m)
@@ -38,11 +38,11 @@ fn rotation_vector_by<A: Arithmetic>(m: &Mat3<A::Real>) -> Vec3<A::Real> {
     let c = A::splat;
     let (zero, one) = (c(0.0), c(1.0));
     let trace = m[0][0] + m[1][1] + m[2][2];
-    // Four times the products of the quaternion's largest component with itself and with the others: scalar, x, y, z.
+    // Four times the products of the quaternion's largest component with all components: scalar, x, y, z.
     let turned = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
     let mut products = [one + trace, turned[0], turned[1], turned[2]];
     let squared = dot::<A>(&turned, &turned);
-    // Up to an eighth of a turn, nearly always.
+    // Fast path for angles up to an eighth of a turn, the usual case.
     if is_narrow::<A>(squared, products[0]) & !A::less_anywhere(trace, zero) {
         let half = narrow_angle_per::<A>(squared, products[0]);
         let scale = half + half;
@@ -62,7 +62,8 @@ fn rotation_vector_by<A: Arithmetic>(m: &Mat3<A::Real>) -> Vec3<A::Real> {
             products[i] = A::if_less(trace, zero, of_three, products[i]);
         }
     }
-    // The angle of (length, w) does not ask by what they were multiplied, and for a small one their errors cancel.
+    // atan2 is invariant to a common scale, so the quaternion need not be normalized; for a small angle the errors of
+    // both arguments cancel.
     let [w, x, y, z] = products;
     let length = A::sqrt(dot::<A>(&[x, y, z], &[x, y, z]));
     let angle = quadrant_angle::<A>(length, A::abs(w));
@@ -76,7 +77,7 @@ pub fn rotation_matrix(v: [f64; 3]) -> [[f64; 3]; 3] {
     rotation_matrix_by::<Plain>(v)
 }
 
-/// [`rotation_matrix`] on any machine.
+/// [`rotation_matrix`] for any instruction set.
 #[inline(always)]
 pub(crate) fn rotation_matrix_by<A: Arithmetic<Real = f64>>(v: [f64; 3]) -> Mat3 {
     let angle2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
@@ -96,7 +97,7 @@ pub(crate) fn rotation_matrix_by<A: Arithmetic<Real = f64>>(v: [f64; 3]) -> Mat3
     ]
 }
 
-/// A 6-vector of base axes in the axes whose unit vectors are the columns of `base_from_task`.
+/// Transforms a 6-vector from base axes into the axes whose unit vectors are the columns of `base_from_task`.
 #[inline(always)]
 pub(crate) fn into_frame<A: Arithmetic>(
     base_from_task: &Mat3<A::Real>,
@@ -107,7 +108,7 @@ pub(crate) fn into_frame<A: Arithmetic>(
     [x, y, z, roll, pitch, yaw]
 }
 
-/// Both halves of a 6-vector turned from the task frame into base axes.
+/// Rotates both halves of a 6-vector from the task frame into base axes.
 pub(crate) fn out_of_frame(base_from_task: &[[f64; 3]; 3], v: &AxisVec) -> AxisVec {
     std::array::from_fn(|i| (0..3).map(|k| base_from_task[i % 3][k] * v[3 * (i / 3) + k]).sum())
 }

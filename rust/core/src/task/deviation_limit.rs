@@ -1,7 +1,7 @@
-//! Deviation limits of stiff axes: what the target does where such an axis is off by more than it may be.
+//! Deviation limits of stiff axes.
 //!
-//! The deviation is bounded by moving the reference, never by cutting the deviation behind its back: the reference has a
-//! speed and a memory, so that a release ends in a motion at the tool's speed, not in a throw.
+//! The limiter moves the reference instead of clipping the deviation. The reference has a bounded speed and a state, so
+//! that after a release the tool moves at its own speed and does not jump.
 
 use crate::number::Plain;
 use crate::pose::Pose;
@@ -9,57 +9,57 @@ use crate::task::axes::OnDeviationLimit;
 use crate::task::deviation::{into_frame, out_of_frame, pose_error, rotation_matrix, rotation_vector};
 use crate::{AxisVec, MAX_AXES};
 
-/// Change of a deviation [m or rad] that leads neither on nor back: rounding must not let a waiting target go.
+/// Change of a deviation [m or rad] that counts as no change: rounding must not release a stopped target.
 const STILL: f64 = 1e-9;
 
-/// One axis that has a limit.
+/// Deviation limit of one axis.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DeviationLimit {
     /// Index among x, y, z, roll, pitch, yaw.
     pub(crate) axis: usize,
-    /// Largest deviation [m or rad] when pushed toward (−, +); ∞ toward a side that yields.
+    /// Largest deviation [m or rad] when pushed toward (−, +); ∞ for a side that yields.
     pub(crate) most: [f64; 2],
     pub(crate) reaction: OnDeviationLimit,
 }
 
 impl DeviationLimit {
-    /// What the limit leaves of the deviation `e`: e > 0 where the axis is pushed toward −.
+    /// Clamps the deviation `e` to the limit: e > 0 if the axis is pushed toward −.
     fn kept(&self, e: f64) -> f64 {
         e.clamp(-self.most[1], self.most[0])
     }
 }
 
-/// The arm and its references at one tick.
+/// Tool and reference poses of one step.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pushed<'a> {
     pub(crate) tool: &'a Pose,
     pub(crate) base_from_task: &'a [[f64; 3]; 3],
-    /// Reference of the last tick.
+    /// Reference of the last step.
     pub(crate) before: &'a Pose,
 }
 
-/// A reference that the limits allow.
+/// Reference after the deviation limits.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Kept {
     pub(crate) reference: Pose,
-    /// Deviation (6,) from it, in the task frame.
+    /// Deviation (6,) from this reference, in the task frame.
     pub(crate) error: AxisVec,
-    /// Share of the reference's advance that the waiting axes allow.
+    /// Share of the reference's motion that the axes with [`OnDeviationLimit::Wait`] allow.
     pub(crate) advance: f64,
-    /// Which of x, y, z, roll, pitch, yaw met its limit.
+    /// Which of x, y, z, roll, pitch, yaw is at its limit.
     pub(crate) met: [bool; MAX_AXES],
 }
 
 impl Pushed<'_> {
-    /// The deviation (6,) of a reference, in the task frame.
+    /// Returns the deviation (6,) from a reference, in the task frame.
     fn error(&self, reference: &Pose) -> AxisVec {
         into_frame::<Plain>(self.base_from_task, &pose_error(self.tool, reference))
     }
 
-    /// Bounds the deviation from `reference`; `None` where nothing is beyond its limit.
+    /// Bounds the deviation from `reference`; `None` if no axis exceeds its limit.
     ///
-    /// First the whole reference waits where it would carry a `hold` axis beyond its limit, or farther beyond; then the
-    /// `follow` axes of what is left are drawn to within their limit of the tool.
+    /// First stops the whole reference if its motion would increase the excess of a `Wait` axis. Then moves the
+    /// reference along the `Yield` axes to within their limit of the tool.
     pub(crate) fn keep(&self, limits: &[DeviationLimit], reference: &Pose) -> Option<Kept> {
         let (mut met, mut advance) = ([false; MAX_AXES], 1.0_f64);
         let (from, to) = (self.error(self.before), self.error(reference));
@@ -68,7 +68,7 @@ impl Pushed<'_> {
             if (limit.kept(e1) - e1).abs() > 0.0 {
                 met[limit.axis] = true;
                 if limit.reaction == OnDeviationLimit::Wait {
-                    // What a hand has pushed beyond the limit need not come back: it must only not grow.
+                    // A deviation that a push has made need not decrease; it must only not grow.
                     let allowed = e1.clamp(e0.min(-limit.most[1]), e0.max(limit.most[0]));
                     let share = if (e1 - e0).abs() > STILL { (allowed - e0) / (e1 - e0) } else { 0.0 };
                     advance = advance.min(share.clamp(0.0, 1.0));
@@ -92,7 +92,7 @@ impl Pushed<'_> {
         Some(Kept { reference, error, advance, met })
     }
 
-    /// The pose whose deviation is `error` (6,), in the task frame.
+    /// Returns the pose whose deviation is `error` (6,), in the task frame.
     fn beside_tool(&self, error: &AxisVec) -> Pose {
         let e = out_of_frame(self.base_from_task, error);
         let mut pose = *self.tool;
@@ -104,7 +104,7 @@ impl Pushed<'_> {
     }
 }
 
-/// The pose at `share` of the way: straight, and about one axis.
+/// Interpolates two poses: straight line, and rotation about one axis.
 fn between(from: &Pose, to: &Pose, share: f64) -> Pose {
     let mut pose = *from;
     for (value, end) in pose.position.iter_mut().zip(to.position) {
@@ -165,7 +165,7 @@ mod tests {
         assert!((kept.advance - 0.25).abs() < 1e-12);
         assert!((kept.error[0] - 0.02).abs() < 1e-15 && (kept.error[1] - 0.1).abs() < 1e-12);
         assert!((kept.error[5] - 0.1).abs() < 1e-12);
-        // Pushed beyond by a hand: no farther, but back.
+        // A push moved the tool beyond the limit: the reference may only move back.
         let beyond = Pushed { before: &at(0.05, 0.0, 0.0), ..pushed };
         assert!(beyond.keep(&limits, &at(0.06, 0.1, 0.0)).unwrap().advance.abs() < 1e-15);
         assert!((beyond.keep(&limits, &at(0.04, 0.1, 0.0)).unwrap().advance - 1.0).abs() < 1e-15);

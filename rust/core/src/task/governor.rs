@@ -1,33 +1,33 @@
-//! The true tool speed limit: a target that moves at most so fast.
+//! Reference governor: bounds speed and acceleration of the tool's target.
 
 use crate::number::Arithmetic;
 use crate::pose::Pose;
 use crate::task::deviation::{pose_error, pose_error_by, rotation_matrix, rotation_matrix_by};
 
-/// A target that is farther away than this [m, rad] has left its reference behind: it jumped.
+/// Distance to the reference [m, rad] above which a target counts as a jump.
 const LEFT_BEHIND: [f64; 2] = [0.05, 0.2];
 
-/// How hard a reference brakes to wait [m/s², rad/s²]. One that stood still at once would shake the arm behind it.
+/// Deceleration with which a reference stops to wait [m/s², rad/s²]. An abrupt stop would shake the arm.
 const BRAKE: [f64; 2] = [3.0, 12.0];
 
-/// Trace of a rotation by the second of these, 1 + 2 cos.
+/// Trace of a rotation by the second value of `LEFT_BEHIND`, 1 + 2 cos.
 const TRACE_LEFT_BEHIND: f64 = 2.960_133_155_682_483;
 
 /// Reference pose between the start and the target, with its velocity; bounded in speed and acceleration.
 ///
-/// No larger than what is copied without a call.
+/// Small enough to be copied without a call to memcpy.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Governor {
     pub(crate) pose: Pose,
-    /// Linear [m/s] and angular [rad/s], base axes; zero where no speed is set.
+    /// Linear [m/s] and angular [rad/s], base axes; zero if no speed limit is set.
     pub(crate) velocity: [f64; 6],
-    /// Target of the last step, and how fast it moved then [m/s, rad/s].
+    /// Target of the last step and its speed [m/s, rad/s].
     pub(crate) target: Pose,
     pub(crate) target_speed: [f64; 2],
 }
 
 impl Governor {
-    /// At rest in `pose`.
+    /// Creates a reference at rest in `pose`.
     pub(crate) fn new(pose: Pose) -> Self {
         Self { pose, velocity: [0.0; 6], target: pose, target_speed: [0.0; 2] }
     }
@@ -37,12 +37,12 @@ impl Governor {
         self.pose
     }
 
-    /// Takes another reference than it has come to, and another velocity (6,), base axes.
+    /// Sets the reference and its velocity (6,), base axes.
     pub(crate) fn put(&mut self, pose: Pose, velocity: [f64; 6]) {
         (self.pose, self.velocity) = (pose, velocity);
     }
 
-    /// Whether the reference is at the target of the last step: position, rotation.
+    /// Returns whether the reference is at the target of the last step: position, rotation.
     #[inline(always)]
     pub(crate) fn arrived(&self) -> [bool; 2] {
         let (mut position, mut rotation) = (0, 0);
@@ -55,8 +55,8 @@ impl Governor {
         [position == 0, rotation == 0]
     }
 
-    /// Whether position and rotation of the target have left their reference behind; never where `speed` is infinite, and the
-    /// target the reference.
+    /// Returns whether the target is farther than [`LEFT_BEHIND`] from the reference: position, rotation. False if
+    /// `speed` is infinite, since the reference then equals the target.
     #[inline(always)]
     pub(crate) fn behind(&self, speed: [f64; 2]) -> [bool; 2] {
         let (mut squared, mut trace) = (0.0, 0.0);
@@ -69,12 +69,12 @@ impl Governor {
         [squared > LEFT_BEHIND[0].powi(2) && speed[0].is_finite(), trace < TRACE_LEFT_BEHIND && speed[1].is_finite()]
     }
 
-    /// Takes back `share` of what the last step, from `before`, led farther along the deviation `lag` (6,), base axes, but brakes
-    /// no harder than with [`BRAKE`], beside the `acceleration` that the step may have given it.
+    /// Takes back `share` of the motion along the deviation `lag` (6,), base axes, that the last step, from `before`,
+    /// made. Decelerates with at most [`BRAKE`], plus the `acceleration` that the step may have applied.
     ///
-    /// Sideways and back it goes as it did, so that an arm that is pressed against something follows along it, and one that
-    /// is left behind is not pulled on. Nothing is taken back while the target is near: an arm that is led
-    /// into something within the bounds is to press.
+    /// Motion sideways and backward is unchanged: an arm that is pressed against an object slides along it, and an arm
+    /// that lags is not pulled further. Nothing is taken back while the target is near: an arm whose target lies
+    /// slightly inside an object shall press on it.
     pub(crate) fn wait(
         &mut self,
         before: &Pose,
@@ -89,7 +89,7 @@ impl Governor {
             let (d, m) = (part(lag), part(&moved));
             let gained = d[0] * m[0] + d[1] * m[1] + d[2] * m[2];
             let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-            // A lag whose square is lost to rounding is none, and nothing to divide by.
+            // A lag whose square underflows counts as zero; dividing by it is not possible.
             if !behind[b] || gained <= 0.0 || squared < f64::MIN_POSITIVE {
                 continue;
             }
@@ -106,12 +106,13 @@ impl Governor {
         }
     }
 
-    /// Its own velocity (6,), base axes.
+    /// Velocity of the reference itself (6,), base axes.
     pub(crate) fn own_velocity(&self) -> [f64; 6] {
         self.velocity
     }
 
-    /// Velocity of the reference (6,), base axes: the target's own `twist` once it is caught, within `speed`.
+    /// Velocity of the reference (6,), base axes: the target's `twist` once the reference has reached it, within
+    /// `speed`.
     pub(crate) fn velocity(&self, twist: &[f64; 6], speed: [f64; 2]) -> [f64; 6] {
         let mut out = self.velocity;
         for (block, (&arrived, &most)) in self.arrived().iter().zip(&speed).enumerate() {
@@ -126,8 +127,8 @@ impl Governor {
 
     /// Moves the reference toward `target` for `dt` [s] and returns it.
     ///
-    /// A target that moves within the bounds is passed on as it is. Otherwise each of translation and rotation follows it
-    /// and brakes so that it can stop there, v ≤ √(2 a d). An infinite speed hands the target through.
+    /// A target that moves within the bounds is passed through unchanged. Otherwise translation and rotation each
+    /// follow it and brake so that they can stop at it, v ≤ √(2 a d). An infinite speed passes every target through.
     #[inline(always)]
     pub(crate) fn follow<A: Arithmetic<Real = f64>>(
         &mut self,
@@ -146,7 +147,7 @@ impl Governor {
         for (b, block) in blocks.iter_mut().enumerate() {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
             let (own, fast) = target_velocity(part(&moved), speed[b], dt);
-            // Whoever follows may brake as hard as its target does: it must not run past.
+            // The reference may brake as hard as its target does, so that it does not overshoot.
             let braked = (self.target_speed[b] - fast).max(0.0);
             self.target_speed[b] = fast;
             *block = approach(part(&e), part(&self.velocity), own, speed[b], [acceleration[b], braked], dt);
@@ -171,7 +172,7 @@ impl Governor {
     }
 }
 
-/// Velocity of a target that moved by `moved` in `dt`, and its size; zero for a jump, which is faster than `speed`.
+/// Velocity of a target that moved by `moved` in `dt`, and its norm; zero for a jump, which is faster than `speed`.
 #[inline(always)]
 fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
     let velocity = along(&[0.0; 3], 1.0 / dt, &moved);
@@ -179,20 +180,21 @@ fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
     if size <= speed { (velocity, size) } else { ([0.0; 3], 0.0) }
 }
 
-/// Velocity of the next period toward a point at distance `d` that moves with `own`, and whether it is reached in it.
+/// Velocity of the next period toward a point at distance `d` that moves with `own`, and whether it is reached in this
+/// period.
 ///
-/// `most` holds the acceleration and what the velocity may change beside it in this period.
+/// `most` holds the acceleration and an additional change of velocity allowed in this period.
 #[inline(always)]
 fn approach(d: [f64; 3], v: [f64; 3], own: [f64; 3], speed: f64, most: [f64; 2], dt: f64) -> ([f64; 3], bool) {
     if !speed.is_finite() {
         return ([0.0; 3], true);
     }
-    // A speed limit that was lowered while moving holds at once.
+    // A speed limit that is lowered during motion takes effect at once.
     let v = within(v, speed);
     let behind = along(&d, -dt, &own);
     let distance = norm(behind);
-    // The speed from which `periods` of braking end exactly at the point: the discrete √(2 a d).
-    // An infinite acceleration is a very large one: nothing times infinity is not a number.
+    // Speed from which `periods` of braking end exactly at the point: the discrete √(2 a d). Clamp ∞ to f64::MAX: 0 · ∞
+    // would be NaN.
     let step = (most[0] * dt).min(f64::MAX);
     let periods = (0.5 * ((1.0 + 8.0 * distance / (step * dt)).sqrt() - 1.0)).ceil().max(1.0);
     let braking = distance / (periods * dt) + 0.5 * step * (periods - 1.0);
@@ -204,10 +206,10 @@ fn approach(d: [f64; 3], v: [f64; 3], own: [f64; 3], speed: f64, most: [f64; 2],
     (next, norm(miss) <= 1e-12 + 1e-9 * norm(d))
 }
 
-/// `v`, scaled to a length of at most `most`.
+/// Scales `v` to a norm of at most `most`.
 #[inline(always)]
 fn within(v: [f64; 3], most: f64) -> [f64; 3] {
-    // The root of what is longer alone.
+    // Compute the root only if the vector is too long.
     let squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
     if squared > most * most { along(&[0.0; 3], most / squared.sqrt(), &v) } else { v }
 }
@@ -233,7 +235,7 @@ fn multiply(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     out
 }
 
-/// One step of the iteration `R (3 I − RᵀR) / 2`, which keeps a product of many rotations a rotation.
+/// One step of the iteration `R (3 I − RᵀR) / 2`, which keeps a product of many rotations orthonormal.
 fn orthonormal(r: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     let mut correction = [[0.0; 3]; 3];
     for i in 0..3 {
@@ -295,7 +297,7 @@ mod tests {
             let target = at(f64::from(tick) * 0.01);
             let x = governor.follow::<Plain>(&target, [0.25, 1.0], [1.0, 4.0], 0.01).position[0];
             assert!(x <= target.position[0] + 1e-12, "tick {tick}: {x}");
-            // From rest the reference needs 0.1 s to the target's speed, and a while to catch up.
+            // From rest the reference needs 0.1 s to reach the target's speed, and more time to catch up.
             assert!(tick < 40 || (x - target.position[0]).abs() < 1e-9, "tick {tick}: {x}");
         }
     }

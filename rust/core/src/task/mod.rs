@@ -15,12 +15,12 @@ use crate::number::{EveryJoint, Lanes, Scalar};
 use crate::task::axes::Frame;
 use crate::{MAX_AXES, Rows};
 
-/// Jacobian rows of the task's axes in the task frame, from the 6 × n Jacobian in base axes; 0 behind them.
+/// Jacobian rows of the task's axes in the task frame, from the 6 × n Jacobian in base axes; zeros after them.
 pub(crate) fn rows(world: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[usize]) -> Rows {
     rows_array(&turned_rows::<EveryJoint>(&load_rows(world), base_from_task, axes))
 }
 
-/// [`rows`] of a task in `frame`, in `room` where they are not those of `world`.
+/// [`rows`] of a task in `frame`; written to `room` unless they equal those of `world`.
 #[inline(always)]
 pub(crate) fn rows_in<'a, J: Lanes>(
     frame: &Frame,
@@ -30,7 +30,7 @@ pub(crate) fn rows_in<'a, J: Lanes>(
     room: &'a mut Option<[J; MAX_AXES]>,
 ) -> &'a [J; MAX_AXES] {
     match frame {
-        // The six axes of the base are the world's rows themselves.
+        // All six base axes: the rows are those of `world`.
         Frame::Base if axes.len() == MAX_AXES => world,
         Frame::Base => {
             let mut out = [J::splat(0.0); MAX_AXES];

@@ -1,4 +1,4 @@
-//! What each axis wants at one tick: lines 3 to 6 of the control step.
+//! Demand of each axis in one step: lines 3 to 6 of the control step.
 
 use crate::MAX_AXES;
 use crate::number::Axes;
@@ -7,7 +7,7 @@ use crate::settings::Settings;
 use crate::task::adapt::{adapt_deviation, plus_share};
 use crate::task::compliance::{between, compliance_by};
 
-/// Deviation and what softness, compliance and gains make of it; one lane per task row, 0 behind the last.
+/// Deviation and its products with softness, compliance and gains; one lane per task row, zeros after the last.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wish<W> {
     /// e [m, rad].
@@ -18,11 +18,11 @@ pub(crate) struct Wish<W> {
     pub(crate) softness: W,
     /// c ∈ [0, 1].
     pub(crate) compliance: W,
-    /// F: strength where the axis yields.
+    /// F: strength of the yielding axis.
     pub(crate) strength: W,
     /// w F + (1 − w) hold.
     pub(crate) most: W,
-    /// K [N/m, N·m/rad] for the side it is pushed from.
+    /// K [N/m, N·m/rad] for the side from which it is pushed.
     pub(crate) stiffness: W,
     /// D [N·s/m, N·m·s/rad] for that side.
     pub(crate) viscosity: W,
@@ -30,12 +30,12 @@ pub(crate) struct Wish<W> {
     pub(crate) twist: W,
     /// s = h (K_x ẽ + twist), within the limit of soft axes.
     pub(crate) step: W,
-    /// The same within the limits of stiff axes too.
+    /// s, also within the limits of stiff axes.
     pub(crate) bounded: W,
 }
 
 impl<W: Axes> Wish<W> {
-    /// From the deviation `e` and the target's velocity, per task row.
+    /// Computes the demand from the deviation `e` and the target's velocity, per task row.
     #[inline(always)]
     pub(crate) fn new(plan: &Plan, settings: &Settings, e: W, twist: W) -> Self {
         let rows = &plan.lanes;
@@ -67,7 +67,7 @@ impl<W: Axes> Wish<W> {
     }
 }
 
-/// What holds for the side that an axis is pushed from.
+/// Blends a pair of values by the side from which an axis is pushed.
 #[inline(always)]
 fn side<W: Axes>(plus: W, pair: &[AxisLanes; 2]) -> W {
     between::<W>(plus, W::constant(&pair[0]), W::constant(&pair[1]))
@@ -83,12 +83,12 @@ fn pulled<W: Axes>(plan: &Plan, adapted: W) -> W {
     pull
 }
 
-/// Per-axis limits of the step of line 6. Whole vectors are never scaled by their norm, which would spend the stiff axes'
-/// share on the soft ones.
+/// Per-axis limits of the step of line 6. A vector is never scaled by its norm: a large soft step would reduce the
+/// stiff axes' step.
 #[inline(always)]
 fn largest_step<W: Axes>(w: W, stiff: W, soft: W) -> W {
     let (zero, one, endless) = (W::splat(0.0), W::splat(1.0), W::splat(f64::INFINITY));
-    // Where one of the two has no limit, the stiff part of an axis between them keeps its own.
+    // If one of the two limits is infinite, a partly stiff axis keeps the limit of its stiff part.
     let mixed = W::if_less(W::at_least(stiff, soft), endless, between::<W>(w, stiff, soft), stiff);
     W::if_less(zero, w, W::if_less(w, one, mixed, soft), stiff)
 }

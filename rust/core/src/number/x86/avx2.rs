@@ -33,7 +33,7 @@ many! { Four, each row an Avx2: 0 1 2 3 }
 
 short! { Four beside Fused, registers of 4: 0 }
 
-/// The first of `count` numbers, 0 behind the last.
+/// Loads the first of `count` numbers, zeros after the last.
 #[inline(always)]
 unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
     const MASKS: [i64; 8] = [-1, -1, -1, -1, 0, 0, 0, 0];
@@ -85,7 +85,7 @@ fn folded(n: [Register; 2]) -> Register {
     unsafe { add(n[0], n[1]) }
 }
 
-/// Products, folded.
+/// Products with the upper half added to the lower.
 #[inline(always)]
 fn dotted(a: [Register; 2], b: [Register; 2]) -> Register {
     // SAFETY: as above.
@@ -105,7 +105,7 @@ fn columns([[a, e], [b, f], [c, g], [d, h]]: [[Register; 2]; 4]) -> [Register; L
     [a, b, c, d, e, f, g, h]
 }
 
-/// The components of the four vectors from `first` on.
+/// Returns the components of the four vectors from `first` on.
 #[inline(always)]
 fn components_of_four(cells: &[Cell; LANES], first: usize) -> [Register; 3] {
     // SAFETY: as above; a cell has four.

@@ -23,10 +23,10 @@ numbers! {
 
 many! { Avx512, each row an Avx512: 0 1 2 3 4 5 6 7 }
 
-/// The first of `count` numbers, 0 behind the last.
+/// Loads the first of `count` numbers, zeros after the last.
 #[inline(always)]
 unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
-    // A shift by all of its bits is none that a mask has.
+    // Separate case: a shift by the full width of the mask overflows.
     let mask = if count == 0 { 0 } else { Mask::MAX >> (LANES - count.min(LANES)) };
     // SAFETY: as above; `numbers` has `count`, and the mask is set for no more.
     unsafe { _mm512_maskz_loadu_pd(mask, numbers) }
@@ -70,12 +70,12 @@ unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register
     }
 }
 
-/// Eight rows of eight, turned.
+/// Transposes an 8 × 8 block.
 #[inline(always)]
 fn turned_eight(n: [Register; LANES]) -> [Register; LANES] {
     // SAFETY: as above.
     unsafe {
-        // In pairs: of each the numbers 0, 2, 4, 6, or 1, 3, 5, 7; then the quarters of these come together.
+        // First pairs (numbers 0, 2, 4, 6, or 1, 3, 5, 7), then quarters of these.
         let even = [low(n[0], n[1]), low(n[2], n[3]), low(n[4], n[5]), low(n[6], n[7])];
         let odd = [high(n[0], n[1]), high(n[2], n[3]), high(n[4], n[5]), high(n[6], n[7])];
         let ([a, c, e, g], [b, d, f, h]) = (quarters(even), quarters(odd));
@@ -83,7 +83,7 @@ fn turned_eight(n: [Register; LANES]) -> [Register; LANES] {
     }
 }
 
-/// Four rows of four quarters, turned.
+/// Transposes a 4 × 4 block of quarters.
 #[inline(always)]
 unsafe fn quarters(n: [Register; 4]) -> [Register; 4] {
     // SAFETY: as above.

@@ -3,10 +3,10 @@
 
 use std::arch::x86_64::__m256d;
 
-// SAFETY of every `unsafe` below: values of these types come into being only in code entered through `Instructions::run`,
-// that is on a processor that has the instructions; memory is reached through references of the right size alone.
+// SAFETY of every `unsafe` below: values of these types are created only in code entered through `Instructions::run`,
+// that is on a processor with the instructions; memory is accessed only through references of the right size.
 
-/// A type of several numbers over registers whose instructions the module around it has under common names.
+/// Defines a SIMD type over registers, from the instructions that the enclosing module imports under common names.
 macro_rules! numbers {
     ($(#[$doc:meta])* $name:ident, $count:literal in registers of $width:literal: $($i:literal)*) => {
         $(#[$doc])*
@@ -115,7 +115,7 @@ macro_rules! numbers {
 
             #[inline(always)]
             fn part(values: &[f64]) -> Self {
-                // SAFETY: as above; each register is given what is left behind those before it, and reads no more.
+                // SAFETY: as above; each register reads only the numbers that the previous registers left.
                 Self(unsafe { [$({
                     let rest = values.get($i * $width..).unwrap_or_default();
                     first_of(rest.as_ptr(), rest.len())
@@ -178,7 +178,7 @@ macro_rules! wide {
     };
 }
 
-/// Registers for a vector of space.
+/// Defines the registers of a 3-vector.
 macro_rules! short {
     ($name:ident beside $one:ident, registers of $width:literal: $($i:literal)*) => {
         impl Short for $name {
@@ -199,7 +199,7 @@ macro_rules! short {
     };
 }
 
-/// One register with a number of each of several configurations.
+/// Defines a register with one value of each of several configurations.
 macro_rules! many {
     ($name:ident, each row an $row:ident: $($i:literal)*) => {
         impl Many for $name {
@@ -241,7 +241,7 @@ pub(super) mod avx2;
 pub(super) mod avx512;
 pub(super) mod sse2;
 
-/// The sum of each of four registers.
+/// Returns the sum of each of four registers.
 #[inline(always)]
 fn sums_of_four([a, b, c, d]: [__m256d; 4]) -> [f64; 4] {
     use std::arch::x86_64::{_mm256_add_pd, _mm256_hadd_pd, _mm256_permute2f128_pd, _mm256_storeu_pd};
@@ -255,7 +255,7 @@ fn sums_of_four([a, b, c, d]: [__m256d; 4]) -> [f64; 4] {
     out
 }
 
-/// Four rows of four, turned.
+/// Transposes a 4 × 4 block.
 #[inline(always)]
 fn transpose_four(r: [__m256d; 4]) -> [__m256d; 4] {
     use std::arch::x86_64::{_mm256_permute2f128_pd, _mm256_unpackhi_pd, _mm256_unpacklo_pd};

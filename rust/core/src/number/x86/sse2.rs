@@ -1,4 +1,4 @@
-//! What every x86-64 processor has: registers of two numbers.
+//! Registers of two numbers, available on every x86-64 processor.
 
 // SAFETY of every `unsafe` below: see the module above.
 
@@ -36,7 +36,7 @@ numbers! {
 
 short! { Pair beside Plain, registers of 2: 0 1 }
 
-/// The first of `count` numbers, 0 behind the last.
+/// Loads the first of `count` numbers, zeros after the last.
 #[inline(always)]
 unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
     // SAFETY: as above; `numbers` has `count`, and no more are read.
@@ -103,7 +103,7 @@ fn folded(n: [Register; 4]) -> Register {
     unsafe { add(add(n[0], n[2]), add(n[1], n[3])) }
 }
 
-/// Products, folded.
+/// Products with the upper half added to the lower.
 #[inline(always)]
 fn dotted(a: [Register; 4], b: [Register; 4]) -> Register {
     // SAFETY: as above.
