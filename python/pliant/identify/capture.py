@@ -34,22 +34,22 @@ CLIP = (0.3, 3.0)
 
 @dataclass(frozen=True)
 class Captured:
-    """What a capture found, joint by joint.
+    """Result of a capture, per joint.
 
     Attributes:
-        stiffness: k_g (n,) that serves the gravity offset from now on [N·m/rad].
-        believed: k_p of the table (n,) [N·m/rad].
-        lead: Goal less position that held the arm (n,) [rad].
-        gravity: Torque that holds it by the model (n,) [N·m].
+        stiffness: k_g (n,) used for the gravity offset from now on [N·m/rad].
+        believed: Assumed k_p of the table (n,) [N·m/rad].
+        lead: Goal minus position that held the arm (n,) [rad].
+        gravity: Torque that holds the arm, by the model (n,) [N·m].
         captured: Joints whose k_g was measured (n,).
-        clipped: Joints whose measure was outside 0.3 … 3 × the believed k_p (n,).
-        still: Whether the arm stood still before its lead was read.
-        drift: How far the tool moved in the check, under the settings in force [m]; NaN without.
-            The check ends once this exceeds the bound.
-        bound: How far it might [m].
-        joint_names: For the sentences.
-        remedy: Where the check failed: the same settings with less feed-forward of friction and
-            damping, under which the arm did stay; None where there is none.
+        clipped: Joints whose measured k_g was outside 0.3 … 3 × the assumed k_p (n,).
+        still: True if the arm was at rest when its lead was read.
+        drift: Motion of the tool in the check, under the settings in force [m]; NaN without a
+            check. The check ends once this exceeds the bound.
+        bound: Largest motion allowed [m].
+        joint_names: Names for the summary.
+        remedy: If the check failed: the same settings with less feed-forward of friction and
+            damping, under which the arm stayed; else None.
     """
 
     stiffness: NDArray[np.float64]

@@ -47,13 +47,13 @@ class Delay:
 
 
 def delay(rig: Rig, records: Sequence[Record], solution: Solution, held: Array) -> Delay:
-    """Fit the delay to the jumps of every joint.
+    """Fit the delay to the steps of all joints.
 
     Args:
-        rig: Period and count.
-        records: One record of jumps per joint, in order.
-        solution: Stiffness, friction and damping found by the slides.
-        held: Torque that holds the arm at the pose of the jumps (n,) [N·m].
+        rig: Period and encoder count.
+        records: One record of steps per joint, in order.
+        solution: Stiffness, friction and damping from the slides.
+        held: Torque that holds the arm at the pose of the steps (n,) [N·m].
     """
     grid = np.arange(0.0, LONGEST + STEP / 2, STEP)
     misfit = np.array(

@@ -1,16 +1,16 @@
-"""Hand guiding: an arm that weighs nothing, stays where it is left, and needs no exact stiffness.
+"""Hand guiding: the arm feels weightless and rests when released; k_p need not be exact.
 
-The arm first swings a little: the mean of the leads that move it up and down carries it, lead₀ at
-gravity g₀, and half their difference is its friction ρ, both in rad, whatever k_p is. Then goals
-follow it like the second hand of a pair that holds it loosely. Per joint:
+The arm first swings a little. The mean of the leads that move it up and down is lead₀, which
+carries it at gravity g₀; half their difference is its friction ρ. Both are in rad and independent
+of k_p. Then the goals follow the arm with backlash-like play. Per joint:
 
-    anchor = clip(anchor, q̂ − w, q̂ + w)                         moves only when dragged by its play
-    goal   = anchor + lead₀ + c (g(q̂) − g₀) + b_f ρ tanh(v/v₀) + c_low b_d d v
+    anchor = clip(anchor, q̂ − w, q̂ + w)                         moves only when dragged by its
+    play goal   = anchor + lead₀ + c (g(q̂) − g₀) + b_f ρ tanh(v/v₀) + c_low b_d d v
     w      = w₀ (1 − 0.9 tanh |v|/v₀) + ½ (c_high − c_low) |g − g₀|
 
-[c_low, c_high] is what the compliance 1/k_p can be. The play grows by exactly what the lead may be
-wrong, so a wrong k_p can sag the arm into its play but cannot make it walk. Wherever the arm is
-left at rest its lead is right within ρ; that narrows the interval, and the play with it.
+[c_low, c_high] is the interval of the compliance 1/k_p. The play w grows by the possible error of
+the lead, so a wrong k_p can let the arm sag within the play but cannot make it drift. Whenever the
+arm rests after a motion, its lead is right within ρ; that narrows the interval and the play.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class HandGuiding:
 
     @property
     def stiffness(self) -> Array:
-        """What k_p can be after every rest so far (2, n) [N·m/rad]."""
+        """Interval of k_p after all rests so far (2, n) [N·m/rad]."""
         if not self.ready:
             return np.array([self._rig.kp / self._wrong, self._rig.kp * self._wrong])
         return np.array([1.0 / self._high, 1.0 / self._low])

@@ -38,14 +38,14 @@ MASS = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Beliefs:
-    """Standard deviations of what is believed before anything is measured.
+    """Standard deviations of the priors.
 
     Attributes:
-        kp: Of the stiffness, as a share.
-        friction, damping: The same for friction and damping.
-        limit: Of the torque that a limit stands for, as a share.
+        kp: Of the stiffness, relative.
+        friction, damping: Of friction and damping, relative.
+        limit: Of the true torque at a limit, relative.
         load: Of the share of the load that adds to friction [1]; 0 leaves it out.
-        payload: Whether there may be one.
+        payload: True if there may be a payload.
     """
 
     kp: float = 0.5

@@ -45,14 +45,14 @@ ROOM = 0.02
 class Record:
     """Ticks of one motion.
 
-    The goal of row k was sent when q of row k had been read, so that it is in force until the next.
+    The goal of row k was sent after q of row k had been read, and holds until row k + 1.
 
     Attributes:
         q: Positions read (N, n) [rad].
-        goal: Goals sent, on the grid of counts (N, n) [rad].
+        goal: Goals sent, rounded to counts (N, n) [rad].
         limit: Torque limits sent (N, n) [N·m].
-        speed: Speed that was meant (N, n) [rad/s].
-        driven: Joint that its limit drove, -1 where none was.
+        speed: Planned speed (N, n) [rad/s].
+        driven: Joint driven by its limit, -1 for none.
     """
 
     q: list[Array] = field(default_factory=list)
@@ -209,7 +209,7 @@ class Rig:
         return (yield from self.follow(q, path, np.zeros_like(path)))
 
     def sweep(self, q: Array, pose: Array, size: Array, seconds: float, turns: float) -> Moving:
-        """Swing all joints about a pose by ±size (n,) [rad] with constant speed between turns."""
+        """Swing all joints about a pose by ±size (n,) [rad], at constant speed between turns."""
         time = np.arange(1, round(turns * seconds / self.period) + 1) * self.period
         wave, slope = triangle(time / seconds)
         path = pose + wave[:, None] * size
