@@ -156,7 +156,7 @@ class Guided(Generic[P, Q, T_co]):
         return self._function(*args, **kwargs)
 
     def procedure(self, *args: Q.args, **kwargs: Q.kwargs) -> Procedure[T_co]:
-        """Make the procedure for a loop of your own; arguments as the function, without the arm."""
+        """Make the procedure for a loop of your own; takes the function's arguments but no arm."""
         return self._make(*args, **kwargs)
 
 

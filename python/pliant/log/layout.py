@@ -116,7 +116,7 @@ class Vector:
 
 
 def tick(n: int, k: int | None, extra: int) -> Vector:
-    """A tick of n joints, k axes (None: without a controller) and `extra` joints off the chain."""
+    """Return the layout of a tick: n joints, k axes (None: no controller), `extra` joints."""
     pieces = [("time", 1), ("dt", 1), ("index", 1), ("lag", 1), ("delay", 1)]
     pieces += [(name, n) for name in (*STATE, *COMMAND)] + [("extra", extra)]
     if k is not None:

@@ -120,12 +120,12 @@ class Replay:
     def step(
         self, q: ArrayLike, *, dt: float | None = None, load: ArrayLike | None = None
     ) -> Command:
-        """One tick.
+        """Compute the command of one tick.
 
         Args:
             q: Measured joint positions (n,) [rad].
-            dt: Since the last tick [s]; None: 1 / rate of the settings.
-            load: Torques that the servos say they exert (n,) [N·m], for `stop`.
+            dt: Time since the last tick [s]; None: 1 / rate of the settings.
+            load: Torques reported by the servos (n,) [N·m], for `stop`.
 
         Raises:
             ShapeError, OutOfRangeError: As `Controller.step`.
