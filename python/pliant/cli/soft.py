@@ -8,15 +8,15 @@ import pliant
 
 
 def check_soft(axes: str, task: pliant.Task, remedy: str) -> None:
-    """See that the task has the axes.
+    """Check that the task has the axes.
 
     Args:
         axes: Their names, as `pliant.Task` takes them.
         task: The task.
-        remedy: How the command gets another task.
+        remedy: How to get another task, for the error message.
 
     Raises:
-        ConfigError: A word is no axis, or one that the task does not have.
+        ConfigError: A word is no axis, or no axis of the task.
     """
     try:
         odd = [name for name in pliant.Task(axes=axes).names if name not in task.names]

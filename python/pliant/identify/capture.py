@@ -66,7 +66,7 @@ class Captured:
 
     @property
     def stays(self) -> bool:
-        """Whether it stood still, nothing was clipped, and the check moved the tool too little."""
+        """True if the arm was at rest, nothing was clipped, and the check passed."""
         return self.still and not self.clipped.any() and not self.drift > self.bound
 
     def summary(self) -> list[str]:

@@ -102,10 +102,10 @@ class Log:
 
 
 def read(path: str | Path) -> Log:
-    """Read a log of `Recorder`, up to where it was cut short or is damaged.
+    """Read a log of `Recorder`, up to its end or its damage.
 
     Raises:
-        ConfigError: The file is none, or has not got as far as a first record.
+        ConfigError: The file is no log, or ends before the first record.
         OSError: It cannot be read.
     """
     try:
