@@ -23,7 +23,7 @@ NAMES = {
     BULK_READ: "bulk_read",
 }  # fmt: skip
 
-#: What servos say at one time, one after the other: those in one slot collide.
+#: Simultaneous replies; those in one slot collide.
 Slot = list[tuple["Servo", bytes]]
 
 
@@ -87,7 +87,7 @@ def _single(servo: Servo, instruction: int, params: bytes) -> bytes:
 
 
 def act(servo: Servo) -> int:
-    """Do the write that waits for an action."""
+    """Carry out the registered write."""
     waiting, servo.registered = servo.registered, None
     return servo.write(*waiting, "reg_write") if waiting else 0
 

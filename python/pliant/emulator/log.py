@@ -1,4 +1,4 @@
-"""What was on the wire, byte for byte and decoded, for assertions after a run."""
+"""Log of all bytes on the wire, raw and decoded, for assertions after a run."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Write:
 
     @property
     def eeprom(self) -> bool:
-        """Whether a register of the EEPROM area was written to."""
+        """True if a register of the EEPROM area was written to."""
         return any(r.area == "eeprom" for r in self._table.span(self.address, len(self.data)))
 
 

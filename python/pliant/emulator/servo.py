@@ -1,4 +1,4 @@
-"""What servos of every family have: memory, shaft, supply, heat, and the request to the motor."""
+"""Base class of emulated servos: memory, shaft, supply, temperature, motor request."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ class Servo(ABC):
 
     @property
     def hears(self) -> bool:
-        """Whether it is plugged in and has booted."""
+        """True if it is plugged in and has booted."""
         return self.plugged and self.now >= self._deaf_until
 
     # Power.
@@ -283,7 +283,7 @@ class Servo(ABC):
     @property
     @abstractmethod
     def enabled(self) -> bool:
-        """Whether torque is on."""
+        """True if torque is on."""
 
     @property
     @abstractmethod

@@ -1,4 +1,4 @@
-"""The clock of an emulator whose time passes only when somebody waits."""
+"""Clock of an emulator whose time passes only during waits."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ class Timing:
 
     @property
     def off(self) -> bool:
-        """Whether nothing takes time."""
+        """True if there are no latencies."""
         return not self.wire and self.usb_latency == 0.0
 
     def span(self, length: int, baud: int) -> float:

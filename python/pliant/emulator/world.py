@@ -1,4 +1,4 @@
-"""Servos, their physics and the clock: all that moves, without ports or threads."""
+"""Servos, their physics and the clock, without ports or threads."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class World:
             self._look()
 
     def _look(self) -> None:
-        """Let every servo look at itself."""
+        """Update every servo."""
         for servo in self.servos:
             servo.update(self._unseen * self.physics.dt)
         self._unseen = 0

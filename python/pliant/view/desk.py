@@ -169,7 +169,7 @@ class Desk:
 
     @staticmethod
     def _axes(settings: Settings) -> dict[str, pliant.Axis]:
-        """Axes of the task: `Settings.axes` lists all six, and refuses changes of the others."""
+        """Return the axes of the task; `Settings.axes` lists all six, but only these may change."""
         return {name: a for name, a in settings.axes.items() if name in settings.task.names}
 
     def _make(self, name: str) -> Settings:

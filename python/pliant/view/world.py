@@ -171,7 +171,7 @@ class World:
         self._arrow.visible = shown
 
     def _handles(self, target: Array) -> Array:
-        """How the arrows of a target (4, 4) stand: as it, or along the axes if nothing turns."""
+        """Return the gizmo's orientation: the target's, or the base's if it cannot turn."""
         turned = target[:3, :3] if self._turns else np.eye(3)
         return np.asarray(tf.SO3.from_matrix(turned).wxyz)
 
