@@ -18,11 +18,11 @@ SLICE = 0.010
 
 
 class World:
-    """Advances physics, then lets every servo look at itself.
+    """Advances the physics, then updates every servo.
 
     Attributes:
         servos: All servos of all ports.
-        physics: What moves their shafts.
+        physics: Physics of their shafts.
         time: Since the start [s], a whole number of physics steps.
     """
 
@@ -42,7 +42,7 @@ class World:
 
         Args:
             seconds: How long.
-            settle: Whether the servos look at themselves in the end, not only every 10 ms.
+            settle: True: the servos are also updated at the end, not only every 10 ms.
 
         Raises:
             ConfigError: Not a number, or negative.

@@ -81,7 +81,7 @@ class SimDrive:
         names: The chain's joints, then the off-chain joints with a servo.
         servos: One entry per name.
         latency: From a write to its effect [s].
-        counters: Writes and readings lost so far.
+        counters: Number of reads, lost reads and writes so far.
     """
 
     def __init__(

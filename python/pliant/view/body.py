@@ -27,7 +27,7 @@ class Body:
     A simulated arm is drawn in its true state with its scene, a real one by its joint readings.
 
     Attributes:
-        plant: The simulation; for a real arm, one that never runs.
+        plant: The simulation; for a real arm, a simulation that never runs.
         simulated: True if the arm is simulated.
         visuals: Shapes of the arm's URDF that can be drawn.
     """

@@ -329,9 +329,10 @@ def _ground(scene: viser.SceneApi, stage: Stage, size: float) -> None:
 def overlook(
     figure: mujoco.MjModel, data: mujoco.MjData, tool: Array, room: float
 ) -> tuple[Array, Array]:
-    """Where to look (3,), and from where (3,) [m]: front and side, so far that all is seen.
+    """Return look-at point (3,) and camera position (3,) [m], in front and to the side.
 
-    All is the sphere around the links, as the data have them, and `room` [m] around the tool (3,).
+    The camera sees the sphere around the links at the data's positions, and `room` [m] around the
+    tool (3,).
     """
     arm = [figure.body(int(b)).name.startswith("body:") for b in figure.geom_bodyid]
     points = np.vstack((data.geom_xpos[arm], tool))
