@@ -177,7 +177,7 @@ def label_end(
         )
 
 
-#: Where a name may stand beside its point [pt], the best place first.
+#: Offsets of a name from its point [pt], best first.
 PLACES = tuple((side * 8, dy) for dy in (0, 10, -10, 20, -20, 30, -30) for side in (1, -1))
 
 

@@ -147,7 +147,7 @@ class Emulator:
         self._server.sync()
 
     def advance(self, seconds: float) -> None:
-        """Let time pass under the clock `steps`, after what the host has written so far.
+        """Advance the clock `steps`, after all bytes of the host so far have been processed.
 
         Raises:
             ConfigError: The clock is real, or the time is no number.
@@ -186,12 +186,12 @@ class Emulator:
             servo.power_up()
 
     def reboot(self, id: int) -> None:
-        """Let one servo restart, as after a glitch of its supply."""
+        """Restart one servo, as after a glitch of its supply."""
         with self._each(id) as servo:
             servo.power_up()
 
     def brown_out(self) -> None:
-        """Let the supply drop out for a moment: every servo restarts."""
+        """Interrupt the supply briefly: every servo restarts."""
         with self._server.lock:
             for servo in self.servos:
                 servo.power_up()

@@ -28,7 +28,7 @@ Slot = list[tuple["Servo", bytes]]
 
 
 def handle(servos: Sequence[Servo], frame: Frame) -> list[Slot]:
-    """Let the servos of this protocol act on a frame and return their answers in order."""
+    """Process a frame in the servos of this protocol and return their replies in order."""
     if not frame.ok:
         # A Feetech servo keeps silent; a Dynamixel that recognises its id complains.
         return _slot(
@@ -135,7 +135,7 @@ def _sync_write(servos: Sequence[Servo], params: bytes) -> None:
 def _reads(
     servos: Sequence[Servo], wanted: list[tuple[int, int, int]], *, chain: bool
 ) -> list[Slot]:
-    """Let servos answer (id, address, length) in order; a chain ends at the first silent one."""
+    """Return the replies to (id, address, length) in order; silence ends a chain."""
     slots: list[Slot] = []
     for id, address, length in wanted:
         slot: Slot = []

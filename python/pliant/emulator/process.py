@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from pliant.emulator.emulator import Emulator
 
-#: How long the child may take to import and open its ports [s].
+#: Timeout for the child to import and open its ports [s].
 START_TIME = 60.0
-#: How long it may take to end [s].
+#: Timeout for its end [s].
 STOP_TIME = 5.0
 
 

@@ -26,11 +26,11 @@ Clock = Literal["real", "steps"]
 TICK = 0.005
 #: Largest lag of the physics; a longer one is dropped [s].
 LARGEST_LAG = 0.1
-#: What a noisy line brings the host every tick: no header in it.
+#: Bytes of a noisy line to the host per tick, without a header.
 NOISE = b"\x55\x12\xfd"
 #: A pause after which servos forget an unfinished request [s].
 GAP = 0.020
-#: How long `sync` waits for the thread [s].
+#: Timeout of `sync` [s].
 SYNC_TIME = 10.0
 
 
@@ -156,7 +156,7 @@ class Server:
         self._do(put)
 
     def _do(self, errand: Callable[[], None]) -> None:
-        """Let the thread do something: a port cannot be closed while it waits on it.
+        """Run a function in the thread: a port cannot be closed while the thread waits on it.
 
         Raises:
             ServoError: The thread does not answer.

@@ -27,7 +27,7 @@ class StepClock:
         return self._bus.time
 
     def wait_until(self, deadline: float) -> None:
-        """Let time pass until `deadline` [s]."""
+        """Advance the time to `deadline` [s]."""
         left = deadline - self.now()
         if left > 0.0:
             self._bus.advance(left)

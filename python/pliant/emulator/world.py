@@ -38,7 +38,7 @@ class World:
             servo.wake()
 
     def advance(self, seconds: float, *, settle: bool = True) -> None:
-        """Let time pass; what is less than a physics step is kept for the next call.
+        """Advance the time; a remainder below one physics step is kept for the next call.
 
         Args:
             seconds: How long.
