@@ -1,1 +1,1 @@
-"""Pages, tables and pictures that reports are made of, for logs and for `experiments/`."""
+"""Pages, tables and pictures of reports, for logs and for `experiments/`."""

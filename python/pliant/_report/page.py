@@ -1,6 +1,6 @@
-"""A page of text, pictures and tables: one HTML file that loads nothing from anywhere.
+"""A self-contained HTML page of text, pictures and tables.
 
-The demo's report and the report of a log are such pages.
+The demo's report and the report of a log use it.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ def write(
     """Write a page.
 
     Args:
-        path: Of the HTML file.
+        path: Path of the HTML file.
         title: Headline.
-        about: What it is about, in two sentences.
-        notes: What a reader has to know first.
+        about: Subject, in two sentences.
+        notes: Notes for the top of the page.
         contents: Identifier and title of each section.
         body: HTML of the sections.
-        footer: Where the numbers come from.
+        footer: Source of the numbers.
 
     Returns:
         The path.
@@ -78,12 +78,12 @@ def write(
 
 
 def text(plain: str) -> str:
-    """Escaped, with a proper minus before numbers."""
+    """Return escaped text, with a typographic minus before numbers."""
     return re.sub(r"(?<![\w−])-(?=\d)", "−", escape(plain))
 
 
 def table(content: Table) -> str:
-    """Rows under a caption, numbers to the right."""
+    """Return rows under a caption, with numbers aligned right."""
     numeric = [
         all(
             re.match(r"^[−\-–±]?\d|^stays$|^not back$|^missed$|^–$", row[k]) for row in content.rows
@@ -105,7 +105,7 @@ def table(content: Table) -> str:
 
 
 def picture(folder: Path, name: str, title: str) -> str:
-    """The figure itself: a themed SVG where there is one, a PNG otherwise."""
+    """Return the figure: a themed SVG if it exists, else a PNG."""
     vector = folder / f"{name}.svg"
     if vector.exists():
         return _themed(vector.read_text(encoding="utf-8"), name, title)
@@ -114,7 +114,7 @@ def picture(folder: Path, name: str, title: str) -> str:
 
 
 def _themed(svg: str, name: str, title: str) -> str:
-    """Make an SVG file part of the page: identifiers of its own, colours of the theme."""
+    """Embed an SVG file in the page: unique identifiers, colours of the theme."""
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", body)

@@ -1,4 +1,4 @@
-"""Where numbers come from: versions, commit, machine."""
+"""Provenance of numbers: versions, commit, machine."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ PACKAGES = ("numpy", "mujoco", "matplotlib")
 
 @dataclass(frozen=True)
 class Facts:
-    """What somebody needs who wants the same numbers again.
+    """Facts needed to reproduce the numbers.
 
     Attributes:
         versions: By package, Python among them.
-        commit: Of the working copy the package runs from, None for an installed wheel.
+        commit: Commit of the working copy, None for an installed wheel.
         machine: Processor and system.
     """
 
@@ -30,7 +30,7 @@ class Facts:
 
 
 def collect() -> Facts:
-    """Look around."""
+    """Collect the facts."""
     versions = {"pliant": pliant.__version__, "Python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -54,7 +54,7 @@ def commit(folder: Path) -> str | None:
 
 
 def _git(folder: Path, *args: str) -> str | None:
-    """Output of a git command, None where there is no git or no repository."""
+    """Return the output of a git command, None without git or a repository."""
     try:
         done = subprocess.run(
             ["git", "-C", str(folder), *args],

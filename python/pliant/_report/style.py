@@ -1,8 +1,8 @@
-"""One look for all figures: sober, colour-blind safe, units on every axis, labels at the lines.
+"""Common style of all figures: colour-blind safe, units on every axis, labels at the lines.
 
-Colours after Okabe and Ito. A figure is saved as PNG for slides and as SVG for the report, which
-turns ink, grid and
-background of the SVG into variables of the page, so that figures follow its dark mode.
+Colours after Okabe and Ito. A figure is saved as PNG for slides and as SVG for the report. The
+report turns ink, grid and background of the SVG into variables of the page, so that figures follow
+its dark mode.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ BLUE, SKY, GREEN, ORANGE, RED, PURPLE = (
 )
 #: Axes of the task; rotations take the colour of the axis they turn about.
 AXIS_COLOURS = {"x": RED, "y": GREEN, "z": BLUE, "roll": RED, "pitch": GREEN, "yaw": BLUE}
-#: Controllers, the same in every figure.
+#: Colours of controllers in all figures.
 LAW_COLOURS = {
     "paper": RED,
     "paper + gravity": ORANGE,
@@ -127,7 +127,7 @@ def save(figure: Figure, folder: Path, name: str) -> None:
 
 
 def thin(t: Array, *, rate: float = 25.0) -> slice:
-    """Every how many ticks a curve needs a point."""
+    """Return the slice that thins a curve to `rate` points per second."""
     step = 1 if t.size < 2 else max(1, round(1.0 / (rate * float(t[1] - t[0]))))
     return slice(None, None, step)
 
@@ -177,7 +177,7 @@ def label_end(
         )
 
 
-#: Where a name may stand beside its point [pt], the best place first.
+#: Offsets of a name from its point [pt], best first.
 PLACES = tuple((side * 8, dy) for dy in (0, 10, -10, 20, -20, 30, -30) for side in (1, -1))
 
 
@@ -275,7 +275,7 @@ def shade(ax: Axes, start: float, end: float, text: str = "") -> None:
 
 
 def level(ax: Axes, y: float, text: str = "", *, colour: str = MUTED, at: float = 0.01) -> None:
-    """A dashed line at a height, with its name."""
+    """Draw a dashed horizontal line with its name."""
     ax.axhline(y, color=colour, linewidth=0.9, linestyle=(0, (4, 3)))
     if text:
         ax.annotate(

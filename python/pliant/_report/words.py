@@ -1,4 +1,4 @@
-"""Words of sentences that are made from numbers."""
+"""Helpers for sentences made from numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `pliant`: one file per command, loaded only when it is called."""
+"""The command `pliant`: one file per command, imported only when it is called."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ import pliant
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-#: Files that are named in place of one that is not there.
+#: Largest number of files listed when a file is missing.
 SHOWN = 8
-#: Commands in the groups that --help shows, each with its module and summary; the module has a
+#: Commands in the groups that --help shows, each with its module and summary. The module has a
 #: function `run` whose arguments are the flags.
 GROUPS = {
     "control an arm": {
@@ -49,9 +49,9 @@ GROUPS = {
     },
 }
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
-#: First words of commands that have two.
+#: First words of two-word commands.
 PREFIXES = tuple(dict.fromkeys(name.split()[0] for name in COMMANDS if " " in name))
-#: Exit code of an error that was explained, as of a flag that does not exist.
+#: Exit code of an explained error, also of an unknown flag.
 EXPLAINED = 2
 INTERRUPTED = 130
 CUT_OFF = 141
@@ -61,12 +61,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.
 
     Args:
-        arguments: Without the name of the program; default those of the process.
+        arguments: Without the program name; default those of the process.
 
     Returns:
         Exit code: 0, 1 for a prompt that the user declined, 2 for an error that was explained in
         one line, 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP, 131 after SIGQUIT, 141 if
-        nobody reads its output.
+        its output pipe is closed.
     """
     return _guarded(lambda: _run(list(sys.argv[1:] if arguments is None else arguments)))
 
@@ -80,7 +80,7 @@ def program(
         run: The function; its arguments are the flags.
         prog: Name of the program in its help.
         summary: One line for its help.
-        arguments: Without the name of the program; default those of the process.
+        arguments: Without the program name; default those of the process.
 
     Returns:
         Exit code, as `main`.
@@ -90,10 +90,10 @@ def program(
 
 
 def _guarded(call: Callable[[], int]) -> int:
-    """Return the exit code of a call, also where its output is closed."""
+    """Return the exit code of a call; handle a closed output."""
     try:
         return call()
-    except BrokenPipeError:  # `pliant … | head`: nobody reads on, and nothing more can be said
+    except BrokenPipeError:  # `pliant … | head`: the reader has closed the pipe
         return CUT_OFF
     finally:
         _let_go_of_dead_readers()
@@ -116,7 +116,7 @@ def _run(given: list[str]) -> int:
     if name not in COMMANDS:
         kind = "flag" if first.startswith("-") else "command"
         return _explain(f"there is no {kind} {name!r}{_hint(name)} (pliant --help lists them)")
-    # A command says how it leaves an arm in simulated time too.
+    # Commands also log how they leave an arm.
     logging.getLogger("pliant.arm").setLevel(logging.DEBUG)
     module, summary = COMMANDS[name]
     return _call(lambda: import_module(module).run, f"pliant {name}", summary, given[words:])
@@ -137,7 +137,7 @@ def _call(
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
         )
     except OSError as error:
-        # A terminal that hangs up takes the reader of the last words with it.
+        # If the terminal hangs up, the error comes from a signal.
         if (code := _signalled(error)) is not None:
             return code
         if isinstance(error, BrokenPipeError):
@@ -154,7 +154,7 @@ def _call(
 
 
 def usage(prefix: str = "") -> str:
-    """Text of `pliant --help`, or of `pliant PREFIX --help` for the commands of one first word."""
+    """Return the text of `pliant --help`, or of `pliant PREFIX --help`."""
     width = max(map(len, COMMANDS))
     lines = []
     for title, group in GROUPS.items():
@@ -177,7 +177,7 @@ def usage(prefix: str = "") -> str:
 
 
 def _hint(name: str) -> str:
-    """Suggest the command whose name, or last word, is nearest to a word that is no command."""
+    """Suggest the command whose name, or last word, is closest to an unknown word."""
     names = {word: full for full in COMMANDS for word in (full, full.split()[-1])}
     for word in (name, name.rsplit(maxsplit=1)[-1], name.split(maxsplit=1)[0]):
         if close := difflib.get_close_matches(word, names, n=1):
@@ -186,7 +186,7 @@ def _hint(name: str) -> str:
 
 
 def _not_there(error: FileNotFoundError) -> str:
-    """The missing file, and those of its kind that are there instead."""
+    """Return an error text with the missing file and the similar files in its folder."""
     if error.filename is None:
         return str(error)
     path = Path(os.fsdecode(error.filename))
@@ -198,7 +198,7 @@ def _not_there(error: FileNotFoundError) -> str:
 
 
 def _explain(message: str) -> int:
-    """Print an error, a line for everything that is wrong."""
+    """Print an error, one line per problem."""
     lines = [" ".join(line.split()) for line in message.splitlines() if line.strip()]
     with contextlib.suppress(OSError):
         print("error:", "\n       ".join(lines), file=sys.stderr)
@@ -206,7 +206,7 @@ def _explain(message: str) -> int:
 
 
 def _signalled(error: BaseException) -> int | None:
-    """Return the exit code of the signal that an exception came out of."""
+    """Return the exit code of the signal behind an exception, None without a signal."""
     from pliant.arm.signals import signal_of
 
     number = signal_of(error)
@@ -214,7 +214,7 @@ def _signalled(error: BaseException) -> int | None:
 
 
 def _let_go_of_dead_readers() -> None:
-    """Spare the interpreter what cannot be written: it would complain, and change the exit code."""
+    """Flush the output; redirect closed streams to the null device."""
     for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
         try:
             if stream is not None:

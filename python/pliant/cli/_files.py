@@ -1,4 +1,4 @@
-"""Files that a command will write when the arm has moved: what cannot be written is said before."""
+"""Checks of output files, before the arm moves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def check_written(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()) -> None:
-    """Check that a file can be written, and say where one of its kind will be replaced.
+    """Check that a file can be written, and warn if an existing one will be replaced.
 
     Raises:
         ConfigError: See `pliant.outputs.check_output`.
@@ -29,7 +29,7 @@ def check_written(path: Path, kind: str, inputs: Iterable[Path | str | None] = (
 
 
 def check_log(path: Path | None, inputs: Iterable[Path | str | None] = ()) -> None:
-    """Check that a log can be made, if one is asked for, before torque comes on.
+    """Check that the requested log can be written, before torque comes on.
 
     Raises:
         ConfigError: The name does not end in .mcap, or see `check_written`.
@@ -44,7 +44,7 @@ def check_log(path: Path | None, inputs: Iterable[Path | str | None] = ()) -> No
 
 
 def recorder_of(path: Path, *, config: Config, note: str = "") -> Recorder:
-    """Return the recorder of a command's log; the extra is imported only where one is written."""
+    """Return the recorder of a command's log; import the extra only if needed."""
     from pliant.log import Recorder
 
     return Recorder(path, config=config, note=note)

@@ -1,4 +1,4 @@
-"""Enter, pressed while a loop runs."""
+"""Detection of the Enter key while a loop runs."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import threading
 
 
 class Keys:
-    """Lines of standard input, read by a thread of their own."""
+    """Lines of standard input, read in a separate thread."""
 
     def __init__(self) -> None:
-        """Start to listen."""
+        """Start the thread."""
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._read, daemon=True, name="pliant-keys").start()
 
@@ -20,7 +20,7 @@ class Keys:
             self._lines.put(line)
 
     def enter(self) -> bool:
-        """Whether Enter has been pressed since the last call."""
+        """Return True if Enter has been pressed since the last call."""
         pressed = False
         while not self._lines.empty():
             self._lines.get()

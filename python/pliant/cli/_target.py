@@ -1,4 +1,4 @@
-"""One target from outside: what a line says, and whether an arm could do it."""
+"""One external target: parsing of a line, and check against the arm."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ KEYS = ("position", "wxyz", "xyzw", "q")
 
 @dataclass(frozen=True)
 class Target:
-    """What one line says.
+    """A parsed target.
 
     Attributes:
-        position: (3,) [m], base axes; None: as it is.
-        rotation: Quaternion and its order; None: as it is.
+        position: (3,) [m], base axes; None: unchanged.
+        rotation: Quaternion and its order; None: unchanged.
         q: Joint positions (n,) [rad] whose tool pose is the target.
     """
 
@@ -38,11 +38,11 @@ class Target:
 
     @classmethod
     def parse(cls, line: str, model: Model) -> Target:
-        """Read a line for an arm.
+        """Parse a line for an arm.
 
         Raises:
-            ConfigError: It is no JSON object of the known keys with finite numbers, or no target of
-                this arm: far out of its reach, or beyond its limits.
+            ConfigError: The line is no JSON object of the known keys with finite numbers, or its
+                target is far out of the arm's reach or limits.
         """
         try:
             data: Any = json.loads(line)
@@ -65,10 +65,10 @@ class Target:
         return target
 
     def check(self, model: Model) -> None:
-        """Check that the arm can be meant.
+        """Check that the arm can plausibly reach the target.
 
         Raises:
-            OutOfRangeError: The position is far out of its reach, or a joint far beyond its limits.
+            OutOfRangeError: The position is far out of reach, or a joint far beyond its limits.
             ShapeError, ConfigError: It is no pose, or has other joints.
         """
         if self.q is not None:
@@ -78,7 +78,7 @@ class Target:
             model.check_target(pose)
 
     def pose(self, model: Model, before: Array) -> Array:
-        """Pose (4, 4); what the line leaves out stays as it was."""
+        """Return the pose (4, 4); missing parts are taken from `before`."""
         if self.q is not None:
             return model.forward_kinematics(np.array(self.q))
         pose = before.copy()

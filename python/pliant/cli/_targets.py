@@ -1,4 +1,4 @@
-"""Targets from outside: a file, standard input, datagrams on this machine."""
+"""Sources of external targets: a file, standard input, UDP datagrams on this machine."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ if TYPE_CHECKING:
 
 #: Longest line and largest datagram [bytes].
 LONGEST = 4096
-#: What is read of a pipe at once [bytes], and the pause after it [s].
+#: Bytes per read of a pipe, and the pause after a read [s].
 CHUNK, PAUSE = 65536, 0.001
-#: Datagrams that are read a tick.
+#: Largest number of datagrams read per tick.
 MOST = 256
-#: Time between two refusals that are said [s].
+#: Least time between two messages on refused targets [s].
 QUIET = 0.5
 
 
 class Targets(Protocol):
-    """Where targets come from.
+    """A source of targets.
 
     Attributes:
-        done: Whether there will be no more, and the program may end.
+        done: True if there will be no more targets, so that the program may end.
     """
 
     done: bool
 
     def latest(self) -> Target | None:
-        """The newest target since the last call, None without news."""
+        """Return the newest target since the last call, None if there is none."""
 
     def __enter__(self) -> Self:
         """Open."""
@@ -55,24 +55,24 @@ class Nothing:
     done = False
 
     def latest(self) -> Target | None:
-        """Nothing."""
+        """Return None."""
         return None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Nothing to close."""
+        """Do nothing."""
 
 
 class Lines(Nothing):
-    """A file, one line a tick; the whole file is checked before anything moves."""
+    """A file with one line per tick; the whole file is checked before the arm moves."""
 
     def __init__(self, path: Path, model: Model) -> None:
         try:
             text = read_text(path, LARGE).splitlines()
         except FileNotFoundError:
-            raise  # the command line says which files there are
+            raise  # the command line lists the existing files
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path} cannot be read: {error}") from error
         self._targets = []
@@ -87,7 +87,7 @@ class Lines(Nothing):
         self._next = 0
 
     def latest(self) -> Target | None:
-        """The next line."""
+        """Return the target of the next line."""
         if self._next == len(self._targets):
             self.done = True
             return None
@@ -96,14 +96,14 @@ class Lines(Nothing):
 
 
 class Refusals:
-    """What is wrong while the arm moves must be said, must not stop the loop nor flood the eye."""
+    """Reports invalid targets at a bounded rate, without stopping the loop."""
 
     def __init__(self) -> None:
         self._next = -math.inf
         self._more = 0
 
     def parse(self, line: bytes, model: Model) -> Target | None:
-        """The target of a line; None, and said, if it is none."""
+        """Parse a line; report an invalid one and return None."""
         try:
             if len(line) > LONGEST:
                 raise ConfigError(f"a target is longer than {LONGEST} bytes")
@@ -122,19 +122,19 @@ class Refusals:
         self._next, self._more = now + QUIET, 0
 
     def close(self) -> None:
-        """Say how many were not said."""
+        """Report the number of unreported errors."""
         if self._more:
             print(f"{self._more} more targets were refused", file=sys.stderr)
 
 
 class Stream(Nothing):
-    """Lines of a pipe, such as standard input, drained by a thread; only the newest counts.
+    """Lines of a pipe, such as standard input, read in a thread; only the newest counts.
 
-    A line that is wrong is said and skipped.
+    An invalid line is reported and skipped.
 
     Args:
-        pipe: File descriptor. It is read without a buffer of Python's, whose lock a thread that
-            waits would keep from the end of the program.
+        pipe: File descriptor. It is read without Python's buffer: a waiting thread would hold the
+            buffer's lock and block the end of the program.
         model: The arm.
     """
 
@@ -152,10 +152,10 @@ class Stream(Nothing):
         try:
             while data := os.read(pipe, CHUNK):
                 *lines, rest = (rest + data).split(b"\n")
-                # Of a line without an end as much as shows that it is too long.
+                # Keep just enough of an unfinished line to detect that it is too long.
                 rest = rest[: LONGEST + 1]
                 self._newest.extend(line for line in lines if line.strip())
-                # Who writes more than can be read must not take the loop's time.
+                # A fast sender must not take the loop's CPU time.
                 time.sleep(PAUSE)
             if rest.strip():
                 self._newest.append(rest)
@@ -165,8 +165,8 @@ class Stream(Nothing):
             self._ended = True
 
     def latest(self) -> Target | None:
-        """The newest line, if it is good."""
-        self.done = self._ended  # asked first: what came before the end is then there
+        """Return the newest target if it is valid."""
+        self.done = self._ended  # read first, so that all lines before the end are in the queue
         return self._refusals.parse(self._newest.pop(), self._model) if self._newest else None
 
     def __exit__(self, *_: object) -> None:
@@ -174,7 +174,7 @@ class Stream(Nothing):
 
 
 class Datagrams(Nothing):
-    """Datagrams on the loopback: nobody outside this machine can steer the arm."""
+    """Datagrams on the loopback interface: other machines cannot control the arm."""
 
     def __init__(self, port: int, model: Model) -> None:
         self._model = model
@@ -188,7 +188,7 @@ class Datagrams(Nothing):
             raise ConfigError(f"cannot listen on UDP port {port}: {error}") from error
 
     def latest(self) -> Target | None:
-        """The newest datagram, if it is good."""
+        """Return the newest target if it is valid."""
         newest = b""
         with suppress(BlockingIOError):
             for _ in range(MOST):
@@ -201,11 +201,11 @@ class Datagrams(Nothing):
 
 
 def open_targets(source: str, model: Model) -> Targets:
-    """Open what `--targets` names, for an arm.
+    """Open the source named by `--targets`.
 
     Raises:
         ConfigError: It cannot be read, or is no port.
-        FileNotFoundError: There is no such file.
+        FileNotFoundError: The file does not exist.
     """
     if not source:
         return Nothing()

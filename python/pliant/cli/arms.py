@@ -14,7 +14,7 @@ from rich.table import Table
 from pliant import ConfigError, config
 from pliant.config import ready
 
-#: Name of a ready arm that need not be given.
+#: Optional name of a ready arm.
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 
 

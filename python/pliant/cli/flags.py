@@ -1,4 +1,4 @@
-"""The flags that several commands share: they mean the same, and their help calls them alike."""
+"""Flags shared by several commands, with one meaning and one help text."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ ArmName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ARM")]
 #: A motion of `pliant teach`, or a log.
 MotionFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MOTION")]
 LogFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-#: A file that need not be given.
+#: Optional file.
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
-#: What a command writes.
+#: Output file.
 Output = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
-#: A port of this machine on which a page is served.
+#: Port of this machine for the page.
 HttpPort = Annotated[int, tyro.conf.arg(metavar="PORT")]
-#: An id and the one that is to take its place.
+#: Present id and new id.
 Ids = Annotated[str | None, tyro.conf.arg(metavar="OLD:NEW")]
 Device = Annotated[str | None, tyro.conf.arg(metavar="DEVICE")]
 Backend = Annotated[str | None, tyro.conf.arg(metavar="bus|emulator|sim")]
-#: A time that need not be given [s].
+#: Optional time [s].
 Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
-#: A time that has a default [s].
+#: Time with a default [s].
 Duration = Annotated[float, tyro.conf.arg(metavar="SECONDS")]
 #: Names of task axes.
 Axes = Annotated[str, tyro.conf.arg(metavar="AXES")]
 OtherAxes = Annotated[str | None, tyro.conf.arg(metavar="AXES")]
-#: An arm in place of the usual one.
+#: Arm that replaces the usual one.
 OtherArm = Annotated[str | None, tyro.conf.arg(metavar="ARM")]
 #: A frame of a URDF.
 Frame = Annotated[str | None, tyro.conf.arg(metavar="FRAME")]
@@ -52,18 +52,18 @@ class Files:
     calibration: File = None
 
     def load(self, arm: str, backend: str | None = None) -> config.Config:
-        """The configuration with these in place of its own; see `pliant.config.load`."""
+        """Load the configuration with these replacements; see `pliant.config.load`."""
         return config.load(arm, **({"backend": backend} | vars(self)))
 
     def inputs(self, arm: str, read: config.Config) -> list[Path]:
-        """Files that the configuration is read from: none of them may be written."""
+        """Return the input files of the configuration: a command must not overwrite them."""
         named = [read.robot.urdf, read.calibration]
         own = [read.folder / path.expanduser() for path in named if path is not None]
         given = [path for path in (self.urdf, self.calibration) if path is not None]
         return [Path(arm).expanduser(), *own, *given]
 
     def words(self) -> list[str]:
-        """Those that were given, each with its value, as one would type them again."""
+        """Return the given flags with their values, as command-line words."""
         given = {name: value for name, value in vars(self).items() if value is not None}
         return [f"--{name} {shlex.quote(str(value))}" for name, value in given.items()]
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pliant.config import Config
 
 Procedure = Literal["servos", "gravity", "payload"]
-#: What each procedure does to the arm, and how long it takes.
+#: Motion and duration of each procedure.
 ANNOUNCED = {
     "servos": "swings every joint about this pose and jumps its goal, about 2 minutes",
     "gravity": "holds the arm where it is, 4 to 9 seconds",
@@ -61,7 +61,7 @@ def run(
         with connected as live:
             made.append(_measure(procedure, live, read, settings, options))
     finally:
-        # Once the arm is down: a terminal may block.
+        # After the descent of the arm: a terminal may block.
         for line in (line for lines in made for line in lines):
             _say(console, line)
 
@@ -86,7 +86,7 @@ def _measure(
 
 
 def _servo_lines(read: Config, found: identify.Identification) -> list[str]:
-    """Return the table [servo] with stiffness, friction and damping as found."""
+    """Return the table [servo] with the measured stiffness, friction and damping."""
     if not read.servo:
         return ["", "# the file has no table [servo]: the built-in servos cannot be changed"]
     lines = ["", "# in place of the lines of these joints:", "[servo]"]
@@ -100,7 +100,7 @@ def _servo_lines(read: Config, found: identify.Identification) -> list[str]:
 
 
 def _payload_lines(found: identify.PayloadEstimate) -> list[str]:
-    """Return the payload as a line of [robot], where one was found."""
+    """Return the payload as a line of [robot], if one was found."""
     if not found.found:
         return ["", "# no payload for the file"]
     payload = found.payload
@@ -109,7 +109,7 @@ def _payload_lines(found: identify.PayloadEstimate) -> list[str]:
 
 
 def _gravity_lines(found: identify.Captured) -> list[str]:
-    """Return the settings under which the arm stays, where it did not stay under its own."""
+    """Return settings under which the arm stays, if it moved under its own."""
     if found.stays:
         return ["", "# nothing to change in the file: the arm stays with its settings"]
     if found.remedy is None:

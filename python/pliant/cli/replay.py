@@ -1,4 +1,4 @@
-"""`pliant replay`: play a motion softly."""
+"""`pliant replay`: play a motion compliantly."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def run(
     loaded.fits(read.model())
     options: dict[str, Any] = {"speed": speed, "wait": wait, "stop": stop}
     made = pliant.connect(read)
-    # What does not go together is said before torque comes on.
+    # Check that controller and motion fit before torque comes on.
     pliant.teach.Replay(pliant.Controller(made.model, settings, made.servos), loaded, **options)
     play = _Play(times)
     try:
@@ -75,7 +75,7 @@ def run(
 
 
 def _load(path: Path) -> pliant.teach.Motion:
-    """The motion, with a word if it is of a log that ends early."""
+    """Load a motion; print a note if its log ends early."""
     if path.suffix != ".mcap":
         return pliant.teach.Motion.load(path)
     from pliant.log import read
@@ -96,16 +96,16 @@ def _load(path: Path) -> pliant.teach.Motion:
 
 
 class _Play:
-    """Plays a motion some times, and says what happens."""
+    """Plays a motion a number of times, and prints its state."""
 
     def __init__(self, times: int) -> None:
-        """Nothing is played yet."""
+        """Start with no motion played."""
         self._times, self._played = times, 0
         self._took = self._waited = 0.0
         self._console = Console()
 
     def run(self, loop: pliant.Loop, arm: Arm, make: Callable[..., Replay]) -> None:
-        """Play it."""
+        """Play the motion."""
         keys, replay, said = Keys(), make(loop.controller), ""
         begun: float | None = None
         for tick in loop:
@@ -128,7 +128,7 @@ class _Play:
                 replay = make(loop.controller)
 
     def summary(self) -> None:
-        """Say how often it was played; once the arm is down, for a terminal may block."""
+        """Print how often it was played, after the descent: a terminal may block."""
         if self._took > 0.0:
             times = "1 time" if self._played == 1 else f"{self._played} times"
             whole = times if self._played == self._times else f"{times} of {self._times}"

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from pliant.arm import Arm
     from pliant.loop import Tick
 
-#: How often the table is drawn [Hz].
+#: Refresh rate of the table [Hz].
 FRAMES = 5.0
-#: How long the last of the targets is held without --duration [s].
+#: Time for which the last target is held without --duration [s].
 LINGER = 2.0
-#: A tool that ends farther from its target is said [m], with joints as near to a limit [rad].
+#: Final distance to the target that is reported [m], and distance to a joint limit [rad].
 MISSED, AT_LIMIT = 0.02, 0.05
 
 
@@ -66,7 +66,7 @@ def run(
     model = read.model()
     settings = softened(settings, soft, model, holds=False)
     connected = pliant.connect(read)
-    # What does not go together is said before torque comes on.
+    # Check the settings before torque comes on.
     pliant.Controller(connected.model, settings, connected.servos)
     made: list[tuple[Arm, pliant.Loop, list[str]]] = []
     try:
@@ -77,7 +77,7 @@ def run(
             loop = pliant.Loop(live, controller, rate=rate, duration=duration, recorder=recorder)
             _follow(made, live, loop, source=source, quiet=quiet)
     finally:
-        # After Ctrl-C too, and once the arm is down: a terminal may block.
+        # After the descent, also after Ctrl-C: a terminal may block.
         for ended in made:
             _summary(*ended)
 
@@ -90,7 +90,7 @@ def _follow(
     source: Targets,
     quiet: bool,
 ) -> None:
-    """Follow the targets; the loop goes into `made` for the summary."""
+    """Follow the targets; append the loop to `made` for the summary."""
     notes: list[str] = []
     made.append((arm, loop, notes))
     every = max(round(1.0 / (FRAMES * loop.period)), 1)
@@ -114,7 +114,7 @@ def _follow(
 
 
 def _missed(model: pliant.Model, q: NDArray[np.float64], target: NDArray[np.float64]) -> list[str]:
-    """A sentence on a tool that is not at its target, and on joints that may be why."""
+    """Return a sentence on a missed target, with the joints at their limits."""
     off = float(np.linalg.norm((model.forward_kinematics(q) - target)[:3, 3]))
     if off <= MISSED:
         return []
@@ -144,7 +144,7 @@ def _table(
     command: pliant.Command,
     here: NDArray[np.float64],
 ) -> Table:
-    """Where the tool is, how each axis gives way, what the joints may use and how warm they are."""
+    """Return the table: tool, compliance of each axis, torque limits, temperatures."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{arm.model.name}, {tick.time:.0f} s")
     for name in ("axis", "tool", "off by", "softness", "joint", "q", "limit", "of usable", "heat"):
         table.add_column(name, justify="left" if name in {"axis", "joint"} else "right")

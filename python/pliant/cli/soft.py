@@ -1,4 +1,4 @@
-"""The flag `--soft`: axes that yield, each with a cap where one is given."""
+"""The flag `--soft`: compliant axes, each with an optional cap."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import pliant
 
 
 def check_soft(axes: str, task: pliant.Task, remedy: str) -> None:
-    """See that the task has the axes.
+    """Check that the task has the axes.
 
     Args:
         axes: Their names, as `pliant.Task` takes them.
         task: The task.
-        remedy: How the command gets another task.
+        remedy: How to get another task, for the error message.
 
     Raises:
-        ConfigError: A word is no axis, or one that the task does not have.
+        ConfigError: A word is no axis, or no axis of the task.
     """
     try:
         odd = [name for name in pliant.Task(axes=axes).names if name not in task.names]
@@ -31,10 +31,10 @@ def check_soft(axes: str, task: pliant.Task, remedy: str) -> None:
 
 
 def caps(soft: str, task: pliant.Task) -> dict[str, float | None]:
-    """Read `--soft`: words "y" or "y=2" to caps [N, N·m], None where none is given.
+    """Parse `--soft`: words "y" or "y=2" to caps [N, N·m], None without a cap.
 
     Raises:
-        ConfigError: A word is neither, or is no axis of the task, or names one twice.
+        ConfigError: A word is invalid, is no axis of the task, or repeats an axis.
     """
     found: dict[str, float | None] = {}
     for word in soft.replace(",", " ").split():
@@ -58,16 +58,16 @@ def caps(soft: str, task: pliant.Task) -> dict[str, float | None]:
 def softened(
     settings: pliant.Settings, soft: str, model: pliant.Model, *, holds: bool
 ) -> pliant.Settings:
-    """Settings with the axes of `--soft` yielding.
+    """Return settings with the axes of `--soft` compliant.
 
     Args:
-        settings: Of the configuration.
+        settings: Settings of the configuration.
         soft: "y=2" caps y at 2 N (N·m for rotations), "y" takes the arm's own caps.
         model: The arm.
-        holds: Whether the axes that are not named hold; else they stay as the settings have them.
+        holds: True: the other axes hold. False: they keep their settings.
 
     Raises:
-        ConfigError: As `caps`; or a cap above what the arm exerts when it holds.
+        ConfigError: As `caps`; or a cap is above the arm's holding force.
     """
     if not soft:
         return settings

@@ -1,4 +1,4 @@
-"""`pliant teach`: lead an arm by hand and keep the motion."""
+"""`pliant teach`: record a motion by leading the arm by hand."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def run(
 
     def save(taken: Motion) -> None:
         taken = replace(taken, note=note)
-        # First as it was led: bounds that it cannot keep shall not lose it.
+        # Save the unbounded motion first, so that it is not lost if the bounds fail.
         taken.save(motion)
         if bounds is not None:
             pliant.teach.bounded(taken, bounds).save(motion)
@@ -107,7 +107,7 @@ def run(
                 )
             )
     finally:
-        # Only now: writing a file may take its time, and the arm comes down first.
+        # After the descent of the arm: writing a file can be slow.
         made.extend(motion.trimmed().smoothed().of(live.model) for motion in cut)
         for taken in made:
             save(taken)

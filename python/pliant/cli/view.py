@@ -1,4 +1,4 @@
-"""`pliant view`: a page in the browser to push an arm and see why it is soft."""
+"""`pliant view`: a browser page to push an arm and inspect its compliance."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from pliant.extras import missing
 if TYPE_CHECKING:
     from pliant.view.source import Source
 
-#: Name of a scene that need not be given.
+#: Optional name of a scene.
 Scene = Annotated[str | None, tyro.conf.arg(metavar="SCENE")]
-#: Highest port that there is.
+#: Largest port number.
 HIGHEST = 65535
 
 
@@ -87,7 +87,7 @@ def run(
 
 
 def _simulated(robot: str, scene: str, rate: float, override: Override) -> Source:
-    """A built-in arm; what belongs to a configuration is refused."""
+    """Return a built-in simulated arm; reject flags of configurations."""
     from pliant.view.source import Simulated
 
     if robot not in pliant.robots.names():
@@ -97,19 +97,19 @@ def _simulated(robot: str, scene: str, rate: float, override: Override) -> Sourc
         flag = given[0].split()[0]
         raise ConfigError(f"{flag} belongs to a configuration: pliant view so101 {given[0]}")
     source = Simulated(robot, scene, rate)
-    source.arm()  # a rate that it cannot have is said before there is a link
+    source.arm()  # checks the rate before the link is printed
     return source
 
 
 def _configured(arm: str, override: Override) -> Source:
-    """The arm of a configuration."""
+    """Return the arm of a configuration."""
     from pliant.view.source import Configured
 
     return Configured(override.load(arm))
 
 
 def _needs() -> None:
-    """Say in one line how to get what the extra brings."""
+    """Check that the extra is installed, with the install command in the error."""
     from importlib import import_module
 
     for needed in ("viser", "mjviser"):

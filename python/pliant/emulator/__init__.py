@@ -4,8 +4,8 @@
 >>> with Emulator([Device("STS3215", id=1), Device("STS3215", id=2)]) as bus:
 ...     print(bus.port)
 
-Register tables, checksums and conversions are this package's own, shared with no driver: it judges
-them.
+Register tables, checksums and conversions are independent of the drivers, so that the emulator can
+test them.
 """
 
 from pliant.emulator.arm import ArmEmulator, ArmPhysics, Mount, emulate

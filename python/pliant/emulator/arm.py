@@ -1,4 +1,4 @@
-"""A whole arm behind the bytes: emulated servos on the joints of a simulated arm."""
+"""An emulated arm: emulated servos on the joints of a simulated arm."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Mount:
-    """How a servo sits on a joint: ``count = zero + sign · gear · q / count size``.
+    """Mounting of a servo on a joint: ``count = zero + sign · gear · q / count size``.
 
     Attributes:
-        joint: Name of the joint, on the chain or off it (a gripper).
+        joint: Name of the joint, on or off the chain (a gripper).
         model: Servo model.
-        id: On the bus.
-        sign: 1, or -1 where counts fall as the joint angle rises.
-        zero: Count the servo reports at joint angle 0; default its middle.
+        id: Id on the bus.
+        sign: 1, or -1 if counts fall as the joint angle rises.
+        zero: Count at joint angle 0; default its middle.
         gear: Turns of the servo per turn of the joint.
         secondary: Id and sign of a second servo of the same model on the same joint.
-        port: Port it hangs on.
+        port: Port of the servo.
         registers: EEPROM values that differ from a new servo's.
     """
 
@@ -73,10 +73,10 @@ class Coupling:
 
     Attributes:
         servo: The servo.
-        ratio, offset: Of the shaft to the joint.
-        reference: Where the servo's own profile wants the shaft now [rad].
-        share: Of the joint's torque.
-        slope: Torque it loses per speed now [N·m·s/rad].
+        ratio, offset: Of the shaft relative to the joint.
+        reference: Present reference of the servo's own profile [rad].
+        share: Share of the joint's torque.
+        slope: Present torque loss per speed [N·m·s/rad].
     """
 
     servo: Servo
@@ -88,11 +88,11 @@ class Coupling:
 
 
 class ArmPhysics:
-    """Drives a `pliant.sim.Plant` with what the servos' registers say.
+    """Drives a `pliant.sim.Plant` from the servos' registers.
 
     Stiffness and damping of the plant's servos follow the emulated ones, tick by tick; friction,
-    scene and payload are the plant's own. A joint without torque swings free: no back-EMF. Servos
-    that share a joint share its torque by their ceilings.
+    scene and payload are the plant's own. A joint with torque off swings free, without back-EMF.
+    Servos on one joint share its torque in proportion to their ceilings.
 
     Attributes:
         plant: The simulated arm.
@@ -105,7 +105,7 @@ class ArmPhysics:
         Args:
             plant: The simulated arm, standing where it is to begin.
             mounts: A servo for every joint of the chain.
-            held: Somebody holds the arm until all joints of the chain have torque.
+            held: True: the arm is held until all joints of the chain have torque.
 
         Raises:
             ConfigError: A joint is unknown, has two mounts, or a chain joint has none.
@@ -124,7 +124,7 @@ class ArmPhysics:
             raise ConfigError(f"no servo is mounted on {', '.join(missing)}")
 
     def bind(self, servos: Sequence[Servo]) -> None:
-        """Put the shafts where the arm stands; servos come in the order of the mounts."""
+        """Set the shafts to the arm's pose; servos come in the order of the mounts."""
         self._joints: dict[str, list[Coupling]] = {}
         rest = iter(servos)
         for mount in self.mounts:
@@ -139,7 +139,7 @@ class ArmPhysics:
         self._scatter()
 
     def _set_inertia(self) -> None:
-        """Tell current-controlled servos what they carry, for their own damping."""
+        """Set the carried inertia of current-controlled servos, for their own damping."""
         from pliant.sim._mujoco import mujoco
 
         model, data = self.plant.mj_model, self.plant.mj_data
@@ -154,7 +154,7 @@ class ArmPhysics:
                 coupling.servo.load.inertia = max(carried - own, 0.0)
 
     def step(self, count: int) -> None:
-        """Hand the servos' wishes to the plant, run it, and read the shafts back."""
+        """Apply the servos' drives to the plant, run it, and read the shafts back."""
         goals, limits = self.plant.q, np.zeros(self.plant.n)
         extra: dict[str, tuple[float, float]] = {}
         if self._held and not self._carried():
@@ -174,7 +174,7 @@ class ArmPhysics:
         self._scatter()
 
     def _carried(self) -> bool:
-        """Whether every joint of the chain has torque."""
+        """Return True if every joint of the chain has torque."""
         return all(
             drive.goal is not None and drive.ceiling > 0.0
             for name in self._chain
@@ -213,7 +213,7 @@ class ArmPhysics:
         return (pull / stiffness if stiffness > 0.0 else here), limit
 
     def _scatter(self) -> None:
-        """Leave angle, speed and torque of the joints in the shafts."""
+        """Write angle, speed and torque of the joints to the shafts."""
         plant = self.plant
         q, dq, torque = plant.q, plant.dq, plant.torque
         for name, couplings in self._joints.items():
@@ -236,7 +236,7 @@ class ArmEmulator(Emulator):
     """An emulator with a simulated arm behind it; made by `emulate`.
 
     Attributes:
-        plant: The arm, with its truth, scene and hands.
+        plant: The arm, with its true state, scene and hands.
     """
 
     def __init__(

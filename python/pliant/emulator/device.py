@@ -1,4 +1,4 @@
-"""What stands on the bill of materials of an emulated bus."""
+"""`Device`, the description of one emulated servo."""
 
 from __future__ import annotations
 

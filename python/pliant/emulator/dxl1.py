@@ -9,7 +9,7 @@ from pliant.emulator import tables
 from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 BIT_ANGLE, BIT_RANGE, BIT_INSTRUCTION = 0x02, 0x08, 0x40
-#: Duty per radian of error per count of P gain of an MX, measured by others on the oscilloscope.
+#: Duty per radian of error per count of P gain of an MX, from published oscilloscope measurements.
 DUTY_PER_P = 0.158
 FAST_BAUDS = {250: 2_250_000, 251: 2_500_000, 252: 3_000_000}
 

@@ -1,4 +1,4 @@
-"""Servos behind serial ports: what a host opens, and what a test does to it."""
+"""Emulated servos behind serial ports, with an interface for tests."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Emulator:
 
     Args:
         devices: The servos; `Device(..., port="name")` puts one on a port of its own.
-        physics: What moves the shafts; by default each servo alone with its `load`.
-        timing: What takes time on the wire; by default nothing.
-        faults: What goes wrong; by default nothing.
-        clock: `real`: physics follows the wall clock. `steps`: time stands still but for `advance`
-            and, with wire timing, for what a transaction takes.
+        physics: Physics of the shafts; by default each servo alone with its `load`.
+        timing: Latencies of the wire; by default none.
+        faults: Injected faults; by default none.
+        clock: `real`: physics follows the wall clock. `steps`: time advances only by `advance`
+            and, with wire timing, by the duration of transactions.
         baud: Speed of all servos that were not given a `baud_rate` [bit/s].
         log: Longest log [transactions].
 
@@ -84,7 +84,7 @@ class Emulator:
         }
         self._server = Server(self.world, self.lines, clock)
 
-    # Life and time.
+    # Start, stop and time.
 
     def start(self) -> Self:
         """Open the ports and begin to answer.
@@ -130,7 +130,7 @@ class Emulator:
 
     @property
     def late(self) -> float:
-        """Longest that an answer waited for a busy computer, under the real clock [s]."""
+        """Largest latency of a reply due to a busy computer, under the real clock [s]."""
         return self._server.late
 
     @property
@@ -147,7 +147,7 @@ class Emulator:
         self._server.sync()
 
     def advance(self, seconds: float) -> None:
-        """Let time pass under the clock `steps`, after what the host has written so far.
+        """Advance the clock `steps`, after all bytes of the host so far have been processed.
 
         Raises:
             ConfigError: The clock is real, or the time is no number.
@@ -159,7 +159,7 @@ class Emulator:
             self.world.advance(seconds)
         self._server.wake()
 
-    # What a test does to the arm.
+    # Test interface.
 
     @property
     def servos(self) -> list[Servo]:
@@ -175,23 +175,23 @@ class Emulator:
         return self.world.servo(id)
 
     def unplug(self, id: int) -> None:
-        """Pull a servo's plug: silent and without torque."""
+        """Disconnect a servo: no replies and no torque."""
         with self._each(id) as servo:
             servo.plugged = False
 
     def plug(self, id: int) -> None:
-        """Put it back: it boots, torque off, RAM at its first values."""
+        """Reconnect a servo: it boots, torque off, RAM at its initial values."""
         with self._each(id) as servo:
             servo.plugged = True
             servo.power_up()
 
     def reboot(self, id: int) -> None:
-        """Let one servo restart, as after a glitch of its supply."""
+        """Restart one servo, as after a glitch of its supply."""
         with self._each(id) as servo:
             servo.power_up()
 
     def brown_out(self) -> None:
-        """Let the supply drop out for a moment: every servo restarts."""
+        """Interrupt the supply briefly: every servo restarts."""
         with self._server.lock:
             for servo in self.servos:
                 servo.power_up()
@@ -203,7 +203,7 @@ class Emulator:
                 servo.supply = float(volts)
 
     def trip(self, id: int, condition: Literal["overload", "heat", "voltage"]) -> None:
-        """Make a servo believe in an overload, heat or a wrong voltage, and act on it.
+        """Simulate an overload, overheating or a wrong voltage of a servo.
 
         Raises:
             ConfigError: No such condition or servo.
@@ -214,7 +214,7 @@ class Emulator:
             servo.trip(_CONDITIONS[condition])
 
     def stick(self, id: int, register: str, value: int | None) -> None:
-        """Make a register read a fixed value whatever happens; None lets it go."""
+        """Make a register read a fixed value; None ends that."""
         with self._each(id) as servo:
             servo.table[register]
             servo.stuck.pop(register, None)
@@ -222,21 +222,21 @@ class Emulator:
                 servo.stuck[register] = value
 
     def short(self, shorted: bool = True, port: str | None = None) -> None:
-        """Hold the line so that nothing gets through, or let it go."""
+        """Short the line so that no data pass, or end that."""
         with self._server.lock:
             for name, line in self.lines.items():
                 if port in {None, name}:
                     line.dead = shorted
 
     def echo(self, echoing: bool = True, port: str | None = None) -> None:
-        """Make the adapter hear itself, as half-duplex ones without suppression do."""
+        """Make the adapter echo requests, as half-duplex ones without suppression do."""
         with self._server.lock:
             for name, line in self.lines.items():
                 if port in {None, name}:
                     line.echo = echoing
 
     def hum(self, noisy: bool = True, port: str | None = None) -> None:
-        """Let noise reach the host all the time, a few bytes every 5 ms, or stop it."""
+        """Send noise to the host all the time, a few bytes every 5 ms, or stop it."""
         with self._server.lock:
             for name, line in self.lines.items():
                 if port in {None, name}:
@@ -256,7 +256,7 @@ class Emulator:
 
 
 class _Locked:
-    """A servo, with the emulator's thread kept away."""
+    """Access to a servo with the emulator's thread locked out."""
 
     def __init__(self, lock: threading.RLock, servo: Servo) -> None:
         self._lock, self._servo = lock, servo

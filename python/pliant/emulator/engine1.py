@@ -23,12 +23,12 @@ NAMES = {
     BULK_READ: "bulk_read",
 }  # fmt: skip
 
-#: What servos say at one time, one after the other: those in one slot collide.
+#: Simultaneous replies; those in one slot collide.
 Slot = list[tuple["Servo", bytes]]
 
 
 def handle(servos: Sequence[Servo], frame: Frame) -> list[Slot]:
-    """Let the servos of this protocol act on a frame and return their answers in order."""
+    """Process a frame in the servos of this protocol and return their replies in order."""
     if not frame.ok:
         # A Feetech servo keeps silent; a Dynamixel that recognises its id complains.
         return _slot(
@@ -87,7 +87,7 @@ def _single(servo: Servo, instruction: int, params: bytes) -> bytes:
 
 
 def act(servo: Servo) -> int:
-    """Do the write that waits for an action."""
+    """Carry out the registered write."""
     waiting, servo.registered = servo.registered, None
     return servo.write(*waiting, "reg_write") if waiting else 0
 
@@ -135,7 +135,7 @@ def _sync_write(servos: Sequence[Servo], params: bytes) -> None:
 def _reads(
     servos: Sequence[Servo], wanted: list[tuple[int, int, int]], *, chain: bool
 ) -> list[Slot]:
-    """Let servos answer (id, address, length) in order; a chain ends at the first silent one."""
+    """Return the replies to (id, address, length) in order; silence ends a chain."""
     slots: list[Slot] = []
     for id, address, length in wanted:
         slot: Slot = []

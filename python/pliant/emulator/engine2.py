@@ -25,7 +25,7 @@ NAMES = {
 
 
 def handle(servos: Sequence[XServo], frame: Frame) -> list[Slot]:
-    """Let the servos act on a frame and return their answers in order."""
+    """Process a frame in the servos and return their replies in order."""
     if not frame.ok:
         slot: Slot = [
             (s, status_2(s.id, s.status() | CRC)) for s in servos if s.id == frame.id and s.level
@@ -126,7 +126,7 @@ def _write(servos: Sequence[XServo], id: int, address: int, data: bytes, how: st
 
 
 def _reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list[Slot]:
-    """Let servos answer in order; each waits for the one before, so a silent one ends the chain."""
+    """Return the replies in order; each servo waits for the previous, so silence ends the chain."""
     slots: list[Slot] = []
     for id, address, length in wanted:
         slot: Slot = []

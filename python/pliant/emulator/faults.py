@@ -1,4 +1,4 @@
-"""Faults on demand: by order, by chance, seeded."""
+"""Fault injection: ordered faults and random ones, seeded."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 @dataclass(slots=True)
 class Order:
-    """A fault that was ordered.
+    """An ordered fault.
 
     Attributes:
-        kind: What happens.
-        id: To whose answers (or ears), None for anybody's.
-        count: How often still.
-        skip: How many chances it lets pass first.
-        seconds: How late, for `late`; None is until the next request.
+        kind: Kind of fault.
+        id: Servo whose replies (or requests) are affected, None for any.
+        count: Remaining repetitions.
+        skip: Opportunities to skip first.
+        seconds: Delay, for `late`; None is until the next request.
     """
 
     kind: Kind
@@ -33,7 +33,7 @@ class Order:
     seconds: float | None
 
     def strikes(self, id: int) -> bool:
-        """Whether it acts now, on this servo."""
+        """Return True if it acts now, on this servo."""
         if self.count <= 0 or (self.id is not None and self.id != id):
             return False
         if self.skip > 0:
@@ -45,14 +45,14 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Blow:
-    """A fault that strikes one answer or request."""
+    """A fault that affects one reply or request."""
 
     kind: Kind
     seconds: float | None = None
 
 
 class Faults:
-    """What goes wrong between servos and host.
+    """Faults between servos and host.
 
     - `deaf`: the request does not reach the servo
     - `lose`: the answer does not reach the host
@@ -116,7 +116,7 @@ class Faults:
         self._orders.append(Order(_kind(kind), id, count, skip, seconds))
 
     def clear(self) -> None:
-        """Forget what was ordered and not yet done, and all shares."""
+        """Remove all pending orders and all shares."""
         self._orders.clear()
         self._shares.clear()
 
@@ -136,7 +136,7 @@ class Faults:
         return int(self._rng.integers(among))
 
     def deaf(self, id: int) -> bool:
-        """Whether an ordered deafness keeps a request from this servo."""
+        """Return True if an ordered fault keeps a request from this servo."""
         return self._struck(id, ("deaf",)) is not None
 
     def strike(self, id: int) -> Blow | None:
@@ -151,7 +151,7 @@ class Faults:
         return None
 
     def spoil(self, kind: Kind, packet: bytes) -> bytes:
-        """Return what is left of an answer."""
+        """Return the damaged reply."""
         rng = self._rng
         if kind == "corrupt":
             at, bit = int(rng.integers(len(packet))), 1 << int(rng.integers(8))

@@ -29,7 +29,7 @@ class Delivery:
     Attributes:
         after: Time after the request's first byte [s]; None is just before the next answer.
         data: The bytes.
-        late: Whether a fault delays them beyond what the wire takes.
+        late: True if a fault delays them in addition to the wire.
     """
 
     after: float | None
@@ -41,13 +41,13 @@ class Line:
     """A half-duplex bus.
 
     Attributes:
-        name: Of the port.
-        servos: All that are wired to it.
-        dead: Nothing gets through: a shorted or stuck line.
-        echo: The adapter hears itself: every request comes back before its answer.
-        noisy: Bytes that nobody sent reach the host all the time.
-        occupied: How long the last `feed` keeps the wire busy [s].
-        answered: When the host has the last prompt answer to it [s].
+        name: Name of the port.
+        servos: All servos on the wire.
+        dead: True: no data pass, as on a shorted or stuck line.
+        echo: True: the adapter returns every request before its reply.
+        noisy: True: the host gets random bytes all the time.
+        occupied: Time for which the last `feed` keeps the wire busy [s].
+        answered: Time at which the host has the last prompt reply to it [s].
         faults, timing, log: As given.
     """
 
@@ -69,7 +69,7 @@ class Line:
         self._framer = Framer()
 
     def reset(self) -> None:
-        """Forget an unfinished request, as servos do after a pause."""
+        """Discard an unfinished request, as servos do after a pause."""
         self._framer.reset()
 
     def feed(self, data: bytes, baud: int | None = None, now: float = 0.0) -> list[Delivery]:

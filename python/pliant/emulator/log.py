@@ -1,4 +1,4 @@
-"""What was on the wire, byte for byte and decoded, for assertions after a run."""
+"""Log of all bytes on the wire, raw and decoded, for assertions after a run."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Write:
         instruction: `write`, `reg_write` (done at the action), `sync_write` or `bulk_write`.
         address: First byte.
         data: The bytes.
-        enabled: Whether torque was on before this write.
-        error: 0 when done, else what the family answers; a sync write is refused in silence.
+        enabled: True if torque was on before this write.
+        error: 0 if accepted, else the family's error; a sync write is rejected without a reply.
     """
 
     time: float
@@ -52,23 +52,23 @@ class Write:
 
     @property
     def eeprom(self) -> bool:
-        """Whether a register of the EEPROM area was written to."""
+        """True if a register of the EEPROM area was written to."""
         return any(r.area == "eeprom" for r in self._table.span(self.address, len(self.data)))
 
 
 @dataclass(frozen=True, slots=True)
 class Transaction:
-    """A request and what came back.
+    """A request and its replies.
 
     Attributes:
         time: Emulator time of the request [s].
         port: Name of the port.
         request: Its bytes.
         instruction: Its name.
-        id: Whom it was for; 254 is everybody.
+        id: Addressed servo; 254 is broadcast.
         replies: Bytes put on the wire towards the host, after faults.
-        faults: What was done to it on purpose.
-        writes: What it wrote.
+        faults: Injected faults.
+        writes: Writes of the request.
         duration: From the first byte of the request to the last of the replies, on the wire [s].
     """
 
@@ -84,11 +84,11 @@ class Transaction:
 
 
 class Log:
-    """The last transactions, oldest first; older ones are forgotten but counted.
+    """The last transactions, oldest first; older ones are dropped but counted.
 
     Attributes:
         count: Transactions since the start.
-        faulty: Those with a fault on purpose.
+        faulty: Transactions with an injected fault.
         watch: Called with every transaction as it ends, for runs longer than the log; in the
             emulator's thread.
     """
@@ -110,7 +110,7 @@ class Log:
         return self._kept[index]
 
     def add(self, transaction: Transaction) -> None:
-        """Append one."""
+        """Append a transaction."""
         self._kept.append(transaction)
         self.count += 1
         self.faulty += bool(transaction.faults)
@@ -118,7 +118,7 @@ class Log:
             self.watch(transaction)
 
     def clear(self) -> None:
-        """Forget all; counters start at 0."""
+        """Clear the log and its counters."""
         self._kept.clear()
         self.count = self.faulty = 0
 
@@ -142,7 +142,7 @@ class Log:
         ]
 
     def eeprom_writes(self) -> list[Write]:
-        """Return writes that touch the EEPROM area: none outside set-up."""
+        """Return writes to the EEPROM area; there should be none outside set-up."""
         return [write for write in self.writes() if write.eeprom]
 
     def goals_while_disabled(self) -> list[Write]:

@@ -44,8 +44,8 @@ class Motor:
         """Secant of the stall point [N·m/A]."""
         return self.stall / self.amps
 
-    # Friction, gear damping and rotor inertia are not published; these shares are guesses that make
-    # a free servo settle like the ones people film.
+    # Friction, gear damping and rotor inertia are not published. These shares are guesses that make
+    # a free servo settle as in published videos.
 
     @property
     def friction(self) -> float:

@@ -1,4 +1,4 @@
-"""What moves the shafts: every servo for itself, or whatever else has a `step`."""
+"""Physics of the shafts: independent servos, or any object with a `step`."""
 
 from __future__ import annotations
 

@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
     from pliant.emulator.emulator import Emulator
 
-#: How long the child may take to import and open its ports [s].
+#: Timeout for the child to import and open its ports [s].
 START_TIME = 60.0
-#: How long it may take to end [s].
+#: Timeout for its end [s].
 STOP_TIME = 5.0
 
 
 class Remote:
-    """An emulator that runs elsewhere.
+    """An emulator in another process.
 
-    It ends with this object, and by itself when the process that made it is gone.
+    It ends with this object, or when the process that made it ends.
 
     Args:
         factory: Makes the emulator; a function or class that can be imported by name.
@@ -83,7 +83,7 @@ class Remote:
         return self._answer()
 
     def kill(self) -> None:
-        """End it without a word, as a crash would: the ports hang up."""
+        """Kill the process, as a crash would: the ports hang up."""
         self._process.kill()
         self._process.join()
         for path in self.ports.values():
@@ -114,7 +114,7 @@ class Remote:
 
 @contextmanager
 def _without_main(factory: Callable[..., Emulator]) -> Iterator[None]:
-    """Let the child not run the host's script again, which it needs for nothing of its own."""
+    """Keep the child from running the host's script again."""
     main = sys.modules["__main__"]
     hidden = {} if factory.__module__ == "__main__" else {"__spec__": None, "__file__": None}
     kept = {name: getattr(main, name) for name in hidden if hasattr(main, name)}
@@ -130,7 +130,7 @@ def _without_main(factory: Callable[..., Emulator]) -> Iterator[None]:
 def _serve(
     pipe: Connection, factory: Callable[..., Emulator], args: Any, kwargs: dict[str, Any]
 ) -> None:
-    """What the child does: run the emulator and do what comes down the pipe."""
+    """Run the emulator in the child and carry out calls from the pipe."""
     # A terminal sends these to all its processes; servos outlive them, for the arm to come down.
     for name in ("SIGINT", "SIGHUP", "SIGQUIT"):
         if hasattr(signal, name):
@@ -158,6 +158,6 @@ def _serve(
 
 
 def _portable(error: Exception) -> Exception:
-    """An error that the other process can raise; a missing extra says by itself what to do."""
+    """Return an error that can be sent to the other process."""
     explained = isinstance(error, PliantError | ImportError)
     return error if explained else ServoError(f"{error!r}")

@@ -18,14 +18,14 @@ class Register:
     """One entry of a control table.
 
     Attributes:
-        name: Snake-case name; the same thing has the same name in every family.
+        name: Snake-case name; common registers have the same name in every family.
         address: First byte.
         size: Bytes, little-endian.
         area: `eeprom` or `ram`.
-        writable: Whether the host may write it.
+        writable: True if the host may write it.
         initial: Value of a new servo.
         low, high: Values the servo accepts.
-        sign: None for unsigned, 0 for two's complement, else the sign bit of a sign and magnitude.
+        sign: None for unsigned, 0 for two's complement, else the sign bit of sign and magnitude.
     """
 
     name: str

@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 Clock = Literal["real", "steps"]
 
-#: How often physics advances while nobody talks, in real time [s].
+#: Period of the physics while there are no requests, in real time [s].
 TICK = 0.005
-#: A computer that is further behind than this drops the rest [s].
+#: Largest lag of the physics; a longer one is dropped [s].
 LARGEST_LAG = 0.1
-#: What a noisy line brings the host every tick: no header in it.
+#: Bytes of a noisy line to the host per tick, without a header.
 NOISE = b"\x55\x12\xfd"
 #: A pause after which servos forget an unfinished request [s].
 GAP = 0.020
-#: How long `sync` waits for the thread [s].
+#: Timeout of `sync` [s].
 SYNC_TIME = 10.0
 
 
@@ -156,7 +156,7 @@ class Server:
         self._do(put)
 
     def _do(self, errand: Callable[[], None]) -> None:
-        """Let the thread do something: a port cannot be closed while it waits on it.
+        """Run a function in the thread: a port cannot be closed while the thread waits on it.
 
         Raises:
             ServoError: The thread does not answer.
@@ -168,7 +168,7 @@ class Server:
             raise ServoError(f"the emulator does not answer: {self._failed or 'too slow'}")
 
     def wake(self) -> None:
-        """Let the thread look around."""
+        """Wake the thread."""
         with suppress(OSError, AttributeError):
             os.write(self._wake_w, b"!")
 
@@ -218,7 +218,7 @@ class Server:
         return time.perf_counter() - self._began if real else self._world.time
 
     def _pause(self) -> float | None:
-        """How long the thread may sleep [s]."""
+        """Return the time for which the thread may sleep [s]."""
         due = [when for port in self._ports.values() for when, _ in port.due]
         if any(port.line.noisy for port in self._ports.values()):
             return TICK

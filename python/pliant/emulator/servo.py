@@ -1,4 +1,4 @@
-"""What servos of every family have: memory, shaft, supply, heat, and the request to the motor."""
+"""Base class of emulated servos: memory, shaft, supply, temperature, motor request."""
 
 from __future__ import annotations
 
@@ -15,26 +15,27 @@ if TYPE_CHECKING:
     from pliant.emulator.registers import Register
     from pliant.emulator.wire import Protocol
 
-#: Rise of the winding over the ambient at lasting stall [K], and its time constant [s]: a guess
-#: that overheats a stalled servo in half a minute and lets 30 % of stall torque last.
+#: Winding temperature rise above ambient at continuous stall [K], and its time constant [s]: a
+#: guess that overheats a stalled servo in half a minute and allows 30 % of the stall torque
+#: continuously.
 HEAT_AT_STALL, HEAT_TIME = 400.0, 200.0
-#: Saturated and not moving for so long is an overload [s]; the makers print no number.
+#: Duration of saturation at standstill that counts as overload [s]; not published by the makers.
 OVERLOAD_TIME = 3.0
-#: Slower than this counts as not moving [rad/s].
+#: Speed below which a servo counts as at rest [rad/s].
 STANDSTILL = 0.1
-#: How long a servo is deaf after power-up or reboot [s].
+#: Boot time without replies after power-up or reboot [s].
 BOOT_TIME = 0.3
 BIT_VOLTAGE, BIT_HEAT, BIT_OVERLOAD = 0x01, 0x04, 0x20
 
 
 @dataclass(slots=True)
 class Shaft:
-    """The output shaft, as physics leaves it; angle 0 is raw count 0.
+    """State of the output shaft after a physics step; angle 0 is raw count 0.
 
     Attributes:
         angle: [rad], unwrapped.
         speed: [rad/s].
-        torque: What the motor gives at the output, before gear friction [N·m].
+        torque: Motor torque at the output, before gear friction [N·m].
     """
 
     angle: float = 0.0
@@ -44,13 +45,13 @@ class Shaft:
 
 @dataclass(slots=True)
 class Load:
-    """What hangs on the shaft where no plant is behind the emulator.
+    """Load on the shaft of an emulated servo without a plant.
 
     Attributes:
-        inertia: Beyond the rotor's own [kg·m²].
-        torque: Constant outer torque [N·m].
-        pendulum: Weight times arm of a mass that hangs down at `down` [N·m].
-        down: Angle at which it hangs straight down [rad].
+        inertia: In addition to the rotor's [kg·m²].
+        torque: Constant external torque [N·m].
+        pendulum: Weight times lever arm of a hanging mass [N·m].
+        down: Angle at which the mass hangs straight down [rad].
         stops: Hard stops [rad].
     """
 
@@ -63,14 +64,14 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What a servo's firmware asks of its motor.
+    """Request of a servo's firmware to its motor.
 
     Attributes:
         goal: Angle to hold [rad], None for a motor without power.
         stiffness: [N·m/rad].
         ceiling: Largest torque at standstill [N·m].
-        speed: Speed at which the goal is walked to [rad/s].
-        dead: Error below which it gives nothing [rad].
+        speed: Speed of the motion to the goal [rad/s].
+        dead: Error below which the torque is 0 [rad].
         slope: Torque lost per speed, outside the ceiling (back-EMF of a duty limit) [N·m·s/rad].
         kv: Damping inside the ceiling, of a current loop [N·m·s/rad].
     """
@@ -91,15 +92,15 @@ class Servo(ABC):
     """A live servo: registers, rules and protections of its family.
 
     Attributes:
-        model: What it is.
-        memory: Its control table as it stands.
-        shaft, load: Its output shaft and what hangs on it.
-        supply: Voltage at its plug [V].
+        model: Servo model.
+        memory: Present control table.
+        shaft, load: Its output shaft and the load on it.
+        supply: Supply voltage [V].
         temperature: [°C].
-        plugged: Whether bus and power reach it.
+        plugged: True if bus and power are connected.
         now: Time of the emulator [s].
-        registered: Write that waits for an action.
-        stuck: Registers that read a fixed value whatever happens.
+        registered: Registered write that waits for an action.
+        stuck: Registers that read a fixed value.
         journal: Writes since it was last emptied.
     """
 
@@ -147,13 +148,13 @@ class Servo(ABC):
 
     def get(self, name: str) -> int:
         """Return a register's value, as it stands in memory."""
-        # Asked for thousands of times a second: no object on the way.
+        # Called thousands of times a second, so it avoids `Table` objects if unsigned.
         start, stop, sign = self._fields[name]
         raw = int.from_bytes(self.memory[start:stop], "little")
         return raw if sign is None else self.table[name].decode(self.memory[start:stop])
 
     def put(self, name: str, value: float) -> None:
-        """Set a register past all rules, rounded and cut at what its coding can hold."""
+        """Set a register without any checks, rounded and clipped to its range."""
         register = self.table[name]
         self.memory[register.address : register.address + register.size] = register.encode(
             round(value)
@@ -164,7 +165,7 @@ class Servo(ABC):
         self.stored[register.address : register.address + register.size] = data
 
     def keep(self, address: int, length: int) -> None:
-        """Make EEPROM bytes survive the loss of power."""
+        """Store EEPROM bytes, so that they survive power off."""
         self.stored[address : address + length] = self.memory[address : address + length]
 
     @property
@@ -174,13 +175,13 @@ class Servo(ABC):
 
     @property
     def hears(self) -> bool:
-        """Whether it is plugged in and has booted."""
+        """True if it is plugged in and has booted."""
         return self.plugged and self.now >= self._deaf_until
 
     # Power.
 
     def power_up(self) -> None:
-        """Start anew: EEPROM as stored, RAM at its first values, torque off, deaf for a moment."""
+        """Restart: EEPROM as stored, RAM at initial values, torque off, booting."""
         self._deaf_until = self.now + BOOT_TIME
         self.memory[:] = self.stored
         self.registered, self._strain = None, 0.0
@@ -188,7 +189,7 @@ class Servo(ABC):
         self.refresh()
 
     def wake(self) -> None:
-        """End the deafness after power-up at once."""
+        """End the boot time immediately."""
         self._deaf_until = -math.inf
 
     def angle_of(self, count: float) -> float:
@@ -227,7 +228,7 @@ class Servo(ABC):
         return error
 
     def resolve(self, address: int, length: int) -> list[int]:
-        """Return where these bytes really are (indirect addressing)."""
+        """Return the real addresses of these bytes (indirect addressing)."""
         return list(range(address, address + length))
 
     # Physics.
@@ -239,7 +240,7 @@ class Servo(ABC):
 
     @property
     def duty(self) -> float:
-        """Share of the supply that the motor gets, signed."""
+        """Duty of the motor as a share of the supply, signed."""
         motor, speed = self.model.motor, self.shaft.speed
         share = (self.shaft.torque + motor.slope * speed) / max(self.stall, 1e-9)
         return max(-1.0, min(share, 1.0)) if self.enabled else 0.0
@@ -250,7 +251,7 @@ class Servo(ABC):
         return self.shaft.torque / self.model.motor.torque_per_amp if self.enabled else 0.0
 
     def update(self, seconds: float) -> None:
-        """Let time pass after physics: heat, strain, and what the family makes of them."""
+        """Update temperature, overload time and protections after a physics step."""
         share = self.shaft.torque / self.model.motor.stall
         target = self.ambient + HEAT_AT_STALL * share * share
         self.temperature += (target - self.temperature) * min(seconds / HEAT_TIME, 1.0)
@@ -267,7 +268,7 @@ class Servo(ABC):
         return bits | (BIT_HEAT if self.temperature > self.get("temperature_limit") else 0)
 
     def strained(self, seconds: float, threshold: float) -> bool:
-        """Count the time at or above a torque without moving; say whether it is an overload."""
+        """Count the time at or above a torque at standstill; return True for an overload."""
         at_limit = self.enabled and abs(self.shaft.torque) >= threshold > 0.0
         still = abs(self.shaft.speed) < STANDSTILL
         self._strain = self._strain + seconds if at_limit and still else 0.0
@@ -278,22 +279,22 @@ class Servo(ABC):
     @property
     @abstractmethod
     def baud(self) -> int:
-        """Speed it listens at [bit/s]."""
+        """Baud rate [bit/s]."""
 
     @property
     @abstractmethod
     def enabled(self) -> bool:
-        """Whether torque is on."""
+        """True if torque is on."""
 
     @property
     @abstractmethod
     def level(self) -> int:
-        """What it answers: 0 pings, 1 reads too, 2 everything."""
+        """Reply level: 0 pings only, 1 also reads, 2 everything."""
 
     @property
     @abstractmethod
     def direction(self) -> int:
-        """1, or -1 where reported counts fall as the shaft turns forward."""
+        """1, or -1 if reported counts fall as the shaft turns forward."""
 
     @abstractmethod
     def raw_of(self, count: float) -> float:
@@ -301,7 +302,7 @@ class Servo(ABC):
 
     @property
     def return_delay(self) -> float:
-        """Pause before an answer [s]."""
+        """Pause before a reply [s]."""
         return self.get("return_delay_time") * 2e-6
 
     @abstractmethod
@@ -314,7 +315,7 @@ class Servo(ABC):
 
     @abstractmethod
     def status(self) -> int:
-        """Return the condition bits of every answer."""
+        """Return the condition bits of every reply."""
 
     @abstractmethod
     def check_read(self, address: int, length: int) -> int:
@@ -326,27 +327,27 @@ class Servo(ABC):
 
     @abstractmethod
     def on_write(self, address: int, data: bytes) -> None:
-        """Do what follows from a write that was accepted."""
+        """Apply the side effects of an accepted write."""
 
     @abstractmethod
     def on_power(self) -> None:
-        """Set the RAM registers that start at something else than a constant."""
+        """Set the RAM registers whose initial values are not constant."""
 
     @abstractmethod
     def refresh(self) -> None:
-        """Bring the present-value registers up to date."""
+        """Update the present-value registers."""
 
     @abstractmethod
     def drive(self) -> Drive:
-        """Return what the motor shall do."""
+        """Return the request to the motor."""
 
     @abstractmethod
     def protect(self, seconds: float) -> None:
-        """Trip, latch, time out."""
+        """Apply the protections: trips, latches, timeouts."""
 
     @abstractmethod
     def trip(self, bit: int) -> None:
-        """Act as if this condition had been found (overload, heat, voltage), for tests."""
+        """Simulate the detection of a condition (overload, heat, voltage), for tests."""
 
 
 def _runs(places: list[int], data: bytes) -> list[tuple[int, bytes]]:

@@ -1,4 +1,4 @@
-"""The clock of an emulator whose time passes only when somebody waits."""
+"""Clock of an emulator whose time passes only during waits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class StepClock:
         return self._bus.time
 
     def wait_until(self, deadline: float) -> None:
-        """Let time pass until `deadline` [s]."""
+        """Advance the time to `deadline` [s]."""
         left = deadline - self.now()
         if left > 0.0:
             self._bus.advance(left)

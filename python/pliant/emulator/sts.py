@@ -9,20 +9,20 @@ from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 BIT_CURRENT = 0x08
 BAUDS = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400, 19_200)
-#: Duty per radian of error per count of P, and the largest duty, measured by others.
+#: Duty per radian of error per count of P, and the largest duty, from published measurements.
 DUTY_PER_P, FULL_DUTY = 0.166, 0.97
 #: One count of speed: a step per second with the factory's Phase [rad/s].
 STEP = 2.0 * math.pi / 4096
-#: Torque Enable that takes the present place as the middle.
+#: Torque Enable value that sets the present position as the middle.
 SET_MIDDLE = 128
 
 
 class StsServo(Servo):
     """Limits its duty by Torque Limit; an overload cuts to the protective torque.
 
-    Its error byte holds conditions only: what it does not accept it ignores in silence. Guesses: a
-    goal or a torque switch leaves the overload protection; values out of range are ignored, goals
-    beyond the position limits cut.
+    Its error byte holds only conditions; rejected writes are ignored without an error. Guesses: a
+    write of a goal or of the torque switch ends the overload protection; values out of range are
+    ignored, goals beyond the position limits are clipped.
     """
 
     protocol = 1
@@ -81,7 +81,7 @@ class StsServo(Servo):
         return self.faults() | self._latched
 
     def check_read(self, address: int, length: int) -> int:
-        """Whatever is asked is answered; beyond the table it is 0."""
+        """Accept every read; addresses beyond the table read as 0."""
         return 0
 
     def resolve(self, address: int, length: int) -> list[int]:
@@ -90,7 +90,7 @@ class StsServo(Servo):
         return [min(byte, last) for byte in range(address, address + length)]
 
     def check_write(self, address: int, data: bytes) -> int:
-        """Say whether a block is ignored: -1, an error that no answer carries."""
+        """Return -1, an error without a reply, if a block is ignored; else 0."""
         after = bytearray(self.memory)
         after[address : address + len(data)] = data
         for register in self.table.span(address, len(data)):

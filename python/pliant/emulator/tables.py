@@ -1,6 +1,6 @@
 """Control tables of the three families, from the makers' manuals.
 
-Own copies on purpose: a driver that shared them could be wrong with them.
+They are independent of the drivers' tables, so that errors there are detected.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""When bytes reach the host: the wire, the servos' delays, the USB adapter."""
+"""Latency of bytes to the host: wire, servo delays, USB adapter."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ USB_PACKET = 62
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """What takes time; by default nothing does.
+    """Latencies between servos and host; by default none.
 
     Attributes:
-        wire: Whether bytes take ten bits each at the port's speed, and servos their return delay.
-        turnaround: A servo's own pause before it answers, beyond its return delay [s].
-        usb_latency: Latency timer of the adapter [s]: a short answer waits for it. An FTDI adapter
-            has 0.016 unless told 0.001; 0 is an adapter without one.
+        wire: True: bytes take ten bits each at the port's speed, and servos their return delay.
+        turnaround: A servo's own pause before its reply, in addition to its return delay [s].
+        usb_latency: Latency timer of the adapter [s], for which a short reply waits. The default of
+            an FTDI adapter is 0.016, often set to 0.001; 0 is an adapter without one.
     """
 
     wire: bool = False
@@ -34,7 +34,7 @@ class Timing:
 
     @property
     def off(self) -> bool:
-        """Whether nothing takes time."""
+        """True if there are no latencies."""
         return not self.wire and self.usb_latency == 0.0
 
     def span(self, length: int, baud: int) -> float:

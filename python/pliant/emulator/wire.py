@@ -1,6 +1,6 @@
 """Packets on the wire: checksum, CRC, byte stuffing, and the cutting of a byte stream into frames.
 
-Written from the makers' protocol pages and shared with no driver, so that it can judge one.
+Written from the makers' protocol pages, independent of the drivers, so that it can test them.
 """
 
 from __future__ import annotations
@@ -100,13 +100,13 @@ class Frame:
 
 
 class Framer:
-    """Cuts what arrives into frames; bytes that belong to none are dropped, as a servo does."""
+    """Splits a byte stream into frames; other bytes are dropped, as by a servo."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     def reset(self) -> None:
-        """Forget an unfinished frame."""
+        """Discard an unfinished frame."""
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Frame]:

@@ -1,4 +1,4 @@
-"""Servos, their physics and the clock: all that moves, without ports or threads."""
+"""Servos, their physics and the clock, without ports or threads."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ SLICE = 0.010
 
 
 class World:
-    """Advances physics, then lets every servo look at itself.
+    """Advances the physics, then updates every servo.
 
     Attributes:
         servos: All servos of all ports.
-        physics: What moves their shafts.
+        physics: Physics of their shafts.
         time: Since the start [s], a whole number of physics steps.
     """
 
@@ -38,11 +38,11 @@ class World:
             servo.wake()
 
     def advance(self, seconds: float, *, settle: bool = True) -> None:
-        """Let time pass; what is less than a physics step is kept for the next call.
+        """Advance the time; a remainder below one physics step is kept for the next call.
 
         Args:
             seconds: How long.
-            settle: Whether the servos look at themselves in the end, not only every 10 ms.
+            settle: True: the servos are also updated at the end, not only every 10 ms.
 
         Raises:
             ConfigError: Not a number, or negative.
@@ -69,7 +69,7 @@ class World:
             self._look()
 
     def _look(self) -> None:
-        """Let every servo look at itself."""
+        """Update every servo."""
         for servo in self.servos:
             servo.update(self._unseen * self.physics.dt)
         self._unseen = 0

@@ -24,9 +24,9 @@ _GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "velocity_p_g
 class XServo(Servo):
     """Limits current (mode 5) or duty; a shutdown lasts until reboot.
 
-    Velocity, current and PWM modes take their registers but do not drive. Guesses: a goal written
-    while torque is off stays and is jumped to at torque-on; overload is three seconds at the limit
-    without moving.
+    Velocity, current and PWM modes accept their registers but do not drive. Guesses: a goal written
+    with torque off stays, and the servo jumps to it at torque-on; overload is three seconds at the
+    limit at standstill.
     """
 
     protocol = 2
@@ -193,7 +193,7 @@ class XServo(Servo):
         stiffness = gain * per_count
         limit = abs(self.get("goal_current")) * per_count
         inertia = motor.inertia + self.load.inertia
-        # What the firmware's own damping is, is not published: enough for a settled step.
+        # The firmware's own damping is not published; this value gives a settled step.
         kv = 1.4 * math.sqrt(stiffness * inertia)
         return Drive(angle, stiffness, min(limit, ceiling), speed, kv=kv)
 

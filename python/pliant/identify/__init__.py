@@ -6,7 +6,7 @@
     >>> pliant.identify.capture_gravity(arm, controller)                      # 4 s, moves nothing
     >>> pliant.identify.estimate_payload(arm, controller)                      # 30 s
 
-From positions, goals and torque limits alone, on any arm that has `read` and `write`: connected or
+They need only positions, goals and torque limits, of any arm with `read` and `write`, connected or
 simulated. Each function has `.procedure(...)`, which makes a `Procedure` with `step(q)` for a loop
 of your own.
 """

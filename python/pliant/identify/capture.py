@@ -1,4 +1,4 @@
-"""Guided capture of the gravity offset: hold stiff, read the lead, check that the arm stays."""
+"""Guided capture of the gravity offset: hold stiffly, read the lead, check that the arm stays."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ if TYPE_CHECKING:
 
 #: Rate at which the goal integrates while holding [1/s], and the share of the time averaged.
 INTEGRATE, AVERAGED = 4.0, 0.25
-#: Shares of the feed-forward that are tried where the arm does not stay with all of it, and for how
-#: long it is held still in between [s].
+#: Shares of the feed-forward that are tried if the arm moves with all of it, and the time for which
+#: it is held stiffly in between [s].
 LESS, HELD = (0.5, 0.0), 0.5
-#: Speed of the tool that still counts as standing [m/s].
+#: Speed of the tool below which the arm counts as at rest [m/s].
 STANDING = 2e-3
-#: Least and largest share of the believed k_p that `Controller.capture_gravity` takes.
+#: Least and largest share of the assumed k_p that `Controller.capture_gravity` accepts.
 CLIP = (0.3, 3.0)
 
 
 @dataclass(frozen=True)
 class Captured:
-    """What a capture found, joint by joint.
+    """Result of a capture, per joint.
 
     Attributes:
-        stiffness: k_g (n,) that serves the gravity offset from now on [N·m/rad].
-        believed: k_p of the table (n,) [N·m/rad].
-        lead: Goal less position that held the arm (n,) [rad].
-        gravity: Torque that holds it by the model (n,) [N·m].
+        stiffness: k_g (n,) used for the gravity offset from now on [N·m/rad].
+        believed: Assumed k_p of the table (n,) [N·m/rad].
+        lead: Goal minus position that held the arm (n,) [rad].
+        gravity: Torque that holds the arm, by the model (n,) [N·m].
         captured: Joints whose k_g was measured (n,).
-        clipped: Joints whose measure was outside 0.3 … 3 × the believed k_p (n,).
-        still: Whether the arm stood still before its lead was read.
-        drift: How far the tool moved in the check, under the settings in force [m]; NaN without.
-            The check ends once this exceeds the bound.
-        bound: How far it might [m].
-        joint_names: For the sentences.
-        remedy: Where the check failed: the same settings with less feed-forward of friction and
-            damping, under which the arm did stay; None where there is none.
+        clipped: Joints whose measured k_g was outside 0.3 … 3 × the assumed k_p (n,).
+        still: True if the arm was at rest when its lead was read.
+        drift: Motion of the tool in the check, under the settings in force [m]; NaN without a
+            check. The check ends once this exceeds the bound.
+        bound: Largest motion allowed [m].
+        joint_names: Names for the summary.
+        remedy: If the check failed: the same settings with less feed-forward of friction and
+            damping, under which the arm stayed; else None.
     """
 
     stiffness: NDArray[np.float64]
@@ -66,11 +66,11 @@ class Captured:
 
     @property
     def stays(self) -> bool:
-        """Whether it stood still, nothing was clipped, and the check moved the tool too little."""
+        """True if the arm was at rest, nothing was clipped, and the check passed."""
         return self.still and not self.clipped.any() and not self.drift > self.bound
 
     def summary(self) -> list[str]:
-        """One sentence per joint, then what the check showed."""
+        """Return one sentence per joint, then the result of the check."""
         out = []
         for i, name in enumerate(self.joint_names):
             ratio = self.stiffness[i] / self.believed[i]
@@ -145,24 +145,26 @@ def capture_gravity(
     bound: float = 2e-3,
     loop: Iterable[Tick] | None = None,
 ) -> Captured:
-    """Capture the gravity offset where the arm stands; four to nine seconds, nobody may touch it.
+    """Capture the gravity offset at the present pose; 4 to 9 s, without touching the arm.
 
-    Holds every axis with an integrating goal and without feed-forward of friction and damping
-    (together they ring), averages the lead, hands it to `Controller.capture_gravity`, puts the
-    settings back, also after an error, and then lets the controller hold the arm under them. Where
-    it does not stay, it is stopped, and tried again with half of that feed-forward and with none.
+    It holds every axis with an integrating goal and without feed-forward of friction and damping
+    (together they oscillate), and averages the lead for `Controller.capture_gravity`. It restores
+    the settings, also after an error, and lets the controller hold the arm under them as a check.
+    If the arm moves, it is stopped, and the check is repeated with half of that feed-forward and
+    with none.
 
     Args:
         arm: The arm, at rest; simulated or connected and enabled.
-        controller: Gets the offset; is reset to where the arm stands.
-        seconds: How long to hold [s], at least 1.
-        check: How long to watch afterwards [s]; 0 for not.
-        bound: How far the tool may move meanwhile [m].
-        loop: Ticks of a loop of one's own; None for one at the right rate.
+        controller: Gets the offset; is reset to the present positions.
+        seconds: Time to hold [s], at least 1.
+        check: Duration of the check [s]; 0 for none.
+        bound: Largest motion of the tool in the check [m].
+        loop: Ticks of a loop of your own; None: a loop at the controller's rate.
 
     Raises:
-        ConfigError: The controller knows no stiffness.
-        OutOfRangeError: A number out of range. TypeError: This is no arm, or no controller.
+        ConfigError: The controller has no servo table.
+        OutOfRangeError: A number is out of range. TypeError: `arm` or `controller` is of the wrong
+            type.
         ShapeError: The arm has other joints than the controller's model.
     """
     procedure = _gravity(controller, seconds=seconds, check=check, bound=bound)
@@ -227,14 +229,14 @@ def _capture(
 
 
 def _order(command: Command) -> Order:
-    """A command as an order of one's own."""
+    """Convert a command to an order with copies of its arrays."""
     return Order(np.array(command.goal), np.array(command.torque_limit))
 
 
 def _remedy(
     controller: Controller, q: Array, numbers: tuple[float, float], stiff: Settings
 ) -> Steps[Settings | None]:
-    """Settings with less feed-forward under which the arm stays; those in force come back."""
+    """Find settings with less feed-forward under which the arm stays; restore those in force."""
     check, bound = numbers
     before = controller.settings
     ticks, rest = round(check * before.rate), round(HELD * before.rate)
@@ -262,9 +264,9 @@ def _remedy(
 def _watch(
     controller: Controller, q: Array, ticks: int, bound: float = np.inf
 ) -> Steps[tuple[float, Array]]:
-    """Hold the present pose under the settings in force; how far the tool moves [m].
+    """Hold the present pose under the settings in force; return the tool's motion [m] and q.
 
-    Ends once that is more than `bound`.
+    It ends once the motion exceeds `bound`.
     """
     model = controller.model
     target = model.forward_kinematics(q)

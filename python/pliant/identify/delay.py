@@ -1,11 +1,11 @@
-"""The delay of the loop, from how late joints answer jumps of their goals.
+"""Estimation of the loop delay from the response of joints to steps of their goals.
 
-A joint that has been at rest is simulated by itself,
+A joint that has been at rest is simulated alone,
 
     M q̈ = clip(k_p (goal(t − T_d) − q) − k_v q̇, ±limit) − d q̇ − f sign(q̇) − g,
 
-for a grid of delays T_d and inertias M. The slides have told D = d + k_v + k_p T_d, so k_v follows
-from T_d: what looks the same in slow motion, a damped servo and a late one, differs at the onset.
+for a grid of delays T_d and inertias M. The slides have given D = d + k_v + k_p T_d, so T_d
+determines k_v. Damping and delay look the same in slow motion; they differ at the onset of a step.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Delays tried [s], physics step [s], and how much of each answer is compared [s].
+#: Longest delay tried [s], physics step [s], and compared length of each response [s].
 LONGEST, STEP, COMPARED = 0.08, 0.001, 0.06
-#: Inertias tried, as shares of k_p times a square of a time [s].
+#: Inertias tried, as k_p times the square of a time [s].
 INERTIAS = np.geomspace(0.008, 0.12, 28) ** 2
 
 
@@ -36,9 +36,9 @@ class Delay:
     """A measured delay.
 
     Attributes:
-        seconds: From reading to arrival of the goal, T_d [s].
+        seconds: Time from the reading to the arrival of the goal, T_d [s].
         sigma: Its standard deviation [s].
-        joints: Delay by each joint alone (n,) [s].
+        joints: Delay estimated from each joint alone (n,) [s].
     """
 
     seconds: float
@@ -47,13 +47,13 @@ class Delay:
 
 
 def delay(rig: Rig, records: Sequence[Record], solution: Solution, held: Array) -> Delay:
-    """Fit the delay to the jumps of every joint.
+    """Fit the delay to the steps of all joints.
 
     Args:
-        rig: Period and count.
-        records: One record of jumps per joint, in order.
-        solution: Stiffness, friction and damping found by the slides.
-        held: Torque that holds the arm at the pose of the jumps (n,) [N·m].
+        rig: Period and encoder count.
+        records: One record of steps per joint, in order.
+        solution: Stiffness, friction and damping from the slides.
+        held: Torque that holds the arm at the pose of the steps (n,) [N·m].
     """
     grid = np.arange(0.0, LONGEST + STEP / 2, STEP)
     misfit = np.array(
@@ -63,7 +63,7 @@ def delay(rig: Rig, records: Sequence[Record], solution: Solution, held: Array) 
         ]
     )
     floor = misfit.min(axis=1, keepdims=True)
-    # Each joint counts by how well it can be described at all.
+    # Weight each joint by its best fit.
     total = (misfit / floor).sum(axis=0)
     each = grid[np.argmin(misfit, axis=1)]
     best = _vertex(grid, total)
@@ -73,7 +73,7 @@ def delay(rig: Rig, records: Sequence[Record], solution: Solution, held: Array) 
 
 
 def _vertex(grid: Array, cost: Array) -> float:
-    """Minimum of a sampled curve, by the parabola through its lowest three samples."""
+    """Return the minimum of a sampled curve, by a parabola through its lowest three samples."""
     k = int(np.argmin(cost))
     if not 0 < k < len(grid) - 1:
         return float(grid[k])
@@ -87,7 +87,7 @@ def _vertex(grid: Array, cost: Array) -> float:
 def _misfit(
     rig: Rig, record: Record, joint: int, solution: Solution, *, held: float, grid: Array
 ) -> Array:
-    """Mean squared misfit of the jumps of one joint for each delay, at its best inertia."""
+    """Return the mean squared misfit of one joint's steps per delay, at its best inertia."""
     q, goal, limit, _ = (rows[:, joint] for rows in record.arrays())
     value = {name: float(array[joint]) for name, array in solution.value.items()}
     late, inertia = (x.ravel() for x in np.meshgrid(grid, INERTIAS * value["kp"], indexing="ij"))

@@ -1,4 +1,4 @@
-"""What an identification found, in numbers and in sentences."""
+"""Results of an identification, as numbers and as sentences."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Share of its error bar that a direction of the payload must lose to count as separated.
+#: Share of its standard deviation that a payload direction must lose to count as separated.
 SEPARATED = 0.5
 
 
@@ -30,12 +30,12 @@ class PayloadEstimate:
     Attributes:
         mass: Mass [kg], at least 0.
         mass_sigma: Its standard deviation [kg].
-        com: Centre (3,) in the tool frame [m]; 0 where the mass is not told from nothing.
+        com: Centre (3,) in the tool frame [m]; 0 if the mass does not differ from 0.
         com_sigma: Its standard deviations (3,) [m].
         moments: (m, m c) (4,) [kg, kg m], as fitted.
-        covariance: Of the moments (4, 4).
-        separated: How much of the believed error the poses took away, along the four directions in
-            which they tell most to least (4,): 0 nothing, 1 all.
+        covariance: Covariance of the moments (4, 4).
+        separated: Reduction of the assumed error by the poses, along four directions in descending
+            order (4,): 0 none, 1 complete.
     """
 
     mass: float
@@ -48,7 +48,7 @@ class PayloadEstimate:
 
     @classmethod
     def of(cls, solution: Solution) -> PayloadEstimate:
-        """From the moments of a fit; the centre's errors to first order."""
+        """Return the estimate of a fit; the centre's errors are to first order."""
         moments, covariance = solution.payload, solution.payload_covariance
         sigma = float(np.sqrt(covariance[0, 0]))
         mass = max(float(moments[0]), 0.0)
@@ -63,16 +63,16 @@ class PayloadEstimate:
 
     @property
     def found(self) -> bool:
-        """Whether the mass differs from nothing by more than two standard deviations."""
+        """True if the mass differs from 0 by more than two standard deviations."""
         return self.mass > 2.0 * self.mass_sigma
 
     @property
     def payload(self) -> Payload:
-        """As a `pliant.Payload`; of mass 0 where none was found."""
+        """The `pliant.Payload`; of mass 0 if none was found."""
         return pliant.Payload(self.mass if self.found else 0.0, self.com)
 
     def summary(self) -> list[str]:
-        """What it weighs, where its centre is, and what the poses could not tell."""
+        """Return sentences on mass, centre, and directions that the poses could not determine."""
         if not self.found:
             out = [f"no payload found: {self.mass:.3f} ± {2 * self.mass_sigma:.3f} kg (95 %)."]
         else:
@@ -96,23 +96,23 @@ class PayloadEstimate:
 
 @dataclass(frozen=True)
 class Identification:
-    """What the arm's servos and bus are, with standard deviations.
+    """Identified servos, bus and payload, with standard deviations.
 
     Attributes:
-        servos: The table, ready for a `Controller`: `kp`, `friction`, `load_friction` where the
-            data show that the load adds to friction, `damping` and `kv` as found in slow motion;
-            what of the friction is gone in fast motion (`stribeck`) is not told apart.
+        servos: The table for a `Controller`: `kp`, `friction`, `load_friction` if the data show
+            that the load adds to friction, `damping` and `kv` as found in slow motion. The part of
+            the friction that vanishes in fast motion (`stribeck`) is not identified.
         errors: Standard deviation of `kp`, of the friction at the load of the pose (`friction`), of
             `load_friction`, `damping` and `kv`, (n,) each, in their units.
-        load: Load of the pose (n,) [N·m].
-        delay: From reading to arrival of the goal, T_d [s].
+        load: Load at the pose (n,) [N·m].
+        delay: Time from the reading to the arrival of the goal, T_d [s].
         delay_sigma: Its standard deviation [s].
-        payload: What the tool carries.
-        spread: Residuals over what friction and encoder explain; well above 1: the model misses
-            something.
-        undriven: Joints that could not be driven by their limits: their k_p rests on gravity alone.
-        joint_names: For the sentences.
-        believed: The table it started from.
+        payload: Payload of the tool.
+        spread: Ratio of the residuals to the noise of friction and encoder. Well above 1, the model
+            misses an effect.
+        undriven: Joints that could not be driven by their limits: only gravity gives their k_p.
+        joint_names: Names for the summary.
+        believed: The table assumed at the start.
     """
 
     servos: Servos
@@ -128,10 +128,10 @@ class Identification:
 
     @classmethod
     def of(cls, rig: Rig, home: ArrayLike, solution: Solution, late: Delay) -> Identification:
-        """Turn a fit into a servo table.
+        """Convert a fit to a servo table.
 
-        `damping` is what acts outside the limit, without the back-EMF of duty-limited servos, which
-        stands in their `no_load_speed`; `kv` is what is left of D = d + k_v + k_p T_d.
+        `damping` acts outside the limit. It excludes the back-EMF of PWM-limited servos, which is
+        in their `no_load_speed`. `kv` is the remainder of D = d + k_v + k_p T_d.
         """
         value, sigma = solution.value, solution.sigma
         outer = np.maximum(value["outer"], 0.0)
@@ -142,7 +142,7 @@ class Identification:
         share = np.where(share > 1e-6, share, 0.0)
         speed = rig.servos.no_load_speed
         if speed is not None:
-            # Less resistance than its back-EMF: the servo is faster than its table says.
+            # Less damping than the table's back-EMF: the no-load speed is higher than in the table.
             least = rig.torque / np.maximum(outer, 1e-6 * rig.torque)
             speed = np.where(outer < rig.back_emf, least, np.asarray(speed))
         servos = rig.servos.replace(
@@ -185,7 +185,7 @@ class Identification:
         return np.asarray(servos.friction) + np.asarray(servos.load_friction) * self.load
 
     def controller(self, model: Model, settings: Settings | None = None) -> Controller:
-        """A controller that believes all of this: servos, payload and delay."""
+        """Return a controller with the identified servos, payload and delay."""
         controller = pliant.Controller(model, settings, self.servos)
         if self.payload.found:
             controller.set_payload(self.payload.mass, self.payload.com)
@@ -193,7 +193,7 @@ class Identification:
         return controller
 
     def summary(self) -> list[str]:
-        """One sentence per joint, then bus, payload, and what to be wary of."""
+        """Return one sentence per joint, then bus, payload and warnings."""
         out = []
         servos, old = self.servos, self.believed
         n = len(self.joint_names)

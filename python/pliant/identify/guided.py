@@ -1,4 +1,4 @@
-"""Identification of an arm by itself: one guided call."""
+"""Guided identification of an arm's servos, payload and delay."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Swing at slow pace, in multiples of friction over stiffness on top of the amplitude [1].
+#: Swing in slow motion on top of the amplitude, as a multiple of friction over stiffness [1].
 BEYOND_FRICTION = 4.0
-#: Largest swing [rad], and how often it may grow to outlast more friction than believed.
+#: Largest swing [rad], and how often it may grow if friction is higher than assumed.
 WIDEST, GROWTHS = 0.4, 2
-#: Periods [s] and numbers of swings: at every pose, and in two more paces at the first.
+#: Periods [s] and numbers of swings: at every pose, and at two more speeds at the first pose.
 SLOW, PACES = (2.6, 1.75), ((1.8, 2.25), (5.0, 1.25))
-#: The same for one joint driven by its limit.
+#: Periods [s] and numbers of swings of one joint driven by its limit.
 PUSHES = ((1.8, 2.25), (5.0, 1.25))
-#: Jumps of each joint's goal.
+#: Steps of each joint's goal.
 JUMPS = 7
 
 
@@ -55,16 +55,16 @@ def _servos(
 
     Args:
         model: Description of the arm.
-        servos: What is believed of its servos; None for the model's.
+        servos: Assumed servo table; None for the model's.
         period: Control period [s].
-        poses: How many poses to choose within `span`, or postures (K, n) [rad].
-        span: How far chosen poses may be from the present one, per joint [rad].
-        amplitude: Swing about each pose [rad], before what friction takes.
+        poses: Number of poses to choose within `span`, or postures (K, n) [rad].
+        span: Largest distance of chosen poses from the present one, per joint [rad].
+        amplitude: Swing about each pose [rad], without the part that friction takes.
         torque_share: Torque allowed on top of gravity, as a share of the usable torque.
-        limit_error: Standard deviation of what a torque limit truly is, as a share.
+        limit_error: Relative standard deviation of the true torque at a torque limit.
 
     Raises:
-        ConfigError: Nothing is believed of the servos. OutOfRangeError: A number out of range.
+        ConfigError: There is no servo table. OutOfRangeError: A number is out of range.
     """
     known = instance(model, pliant.Model, "model").servos
     believed = known if servos is None else instance(servos, pliant.Servos, "servos")
@@ -97,23 +97,23 @@ def identify_servos(
 ) -> Identification:
     """Identify stiffness, friction, damping, payload and delay on the arm; about 1.5 minutes.
 
-    Swings all joints slowly at a few poses, then each joint by the torque of its limit, then lets
-    each goal jump. Nobody may touch the arm. Arguments as `identify_servos.procedure`.
+    It swings all joints slowly at a few poses, then each joint by the torque of its limit, then
+    steps each goal. Do not touch the arm. Arguments as `identify_servos.procedure`.
 
     Args:
         arm: The arm, at rest, simulated or connected and enabled.
         model: Its description.
-        servos: What is believed of its servos; None for the model's.
-        poses: How many poses to choose within `span`, or postures (K, n) [rad].
-        span: How far chosen poses may be from the present one, per joint [rad].
-        amplitude: Swing about each pose [rad], before what friction takes.
+        servos: Assumed servo table; None for the model's.
+        poses: Number of poses to choose within `span`, or postures (K, n) [rad].
+        span: Largest distance of chosen poses from the present one, per joint [rad].
+        amplitude: Swing about each pose [rad], without the part that friction takes.
         rate: Control rate [Hz]; None for the arm's, or 100.
-        loop: Ticks of a loop of one's own; None for one at the right rate.
+        loop: Ticks of a loop of your own; None: a loop at this rate.
         **options: As `identify_servos.procedure`.
 
     Raises:
         OutOfRangeError: The motion would leave the position limits. Nothing is sent.
-        ServoError: A joint does not follow. The arm is left holding.
+        ServoError: A joint does not follow. The arm keeps holding its position.
     """
     own = rate if rate is not None else getattr(arm, "rate", 100.0)
     period = 1.0 / number(own, "rate", 10.0, 1000.0, "Hz")
@@ -124,14 +124,15 @@ def identify_servos(
 
 
 def swing(rig: Rig, amplitude: float) -> Array:
-    """Swing of each joint that outlasts its friction (n,) [rad]."""
+    """Return the swing of each joint that overcomes its friction (n,) [rad]."""
     return amplitude + BEYOND_FRICTION * rig.friction / rig.kp
 
 
 def wide_enough(rig: Rig, q: Array, amplitude: float) -> Steps[tuple[Array, Array]]:
-    """Swing near q, wider until every joint moves by the amplitude; the swing, and where it is.
+    """Swing near q, wider until every joint moves by the amplitude; return swing and positions.
 
-    A goal that turns around must first cross the friction of the joint, 2 f/k_p, before it moves.
+    A goal that reverses must first cross the friction of the joint, 2 f/k_p, before the joint
+    moves.
 
     Raises:
         OutOfRangeError: The swing would leave the position limits.
@@ -155,7 +156,7 @@ def wide_enough(rig: Rig, q: Array, amplitude: float) -> Steps[tuple[Array, Arra
 
 
 def statics(rig: Rig, q: Array, route: list[Array], size: Array) -> Steps[Array]:
-    """Swing slowly at each pose of the route, from its first to its last."""
+    """Swing slowly at each pose of the route, in order."""
     at = route[0]
     for pose in route:
         rig.begin()
@@ -202,7 +203,7 @@ def _identify(
 
 
 def conclude(rig: Rig, home: Array, jumps: list[Record], limit_error: float) -> Identification:
-    """All fits over all records."""
+    """Fit all unknowns to all records."""
     free = _fit(rig, Beliefs(limit=limit_error, load=0.3))
     by_load = free.value["load"] + free.value["motor"]
     shown = by_load > 3.0 * np.hypot(free.sigma["load"], free.sigma["motor"])
@@ -212,7 +213,7 @@ def conclude(rig: Rig, home: Array, jumps: list[Record], limit_error: float) -> 
 
 
 def held(rig: Rig, q: Array, solution: Solution) -> Array:
-    """Torques that hold the arm with the payload found (n,) [N·m]."""
+    """Return the torques that hold the arm with the identified payload (n,) [N·m]."""
     return bare_gravity(rig.model, q) + payload_rows(rig.model, q) @ solution.payload
 
 

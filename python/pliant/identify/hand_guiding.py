@@ -1,16 +1,16 @@
-"""Hand guiding: an arm that weighs nothing, stays where it is left, and needs no exact stiffness.
+"""Hand guiding: the arm feels weightless and rests when released; k_p need not be exact.
 
-The arm first swings a little: the mean of the leads that move it up and down carries it, lead₀ at
-gravity g₀, and half their difference is its friction ρ, both in rad, whatever k_p is. Then goals
-follow it like the second hand of a pair that holds it loosely. Per joint:
+The arm first swings a little. The mean of the leads that move it up and down is lead₀, which
+carries it at gravity g₀; half their difference is its friction ρ. Both are in rad and independent
+of k_p. Then the goals follow the arm with backlash-like play. Per joint:
 
-    anchor = clip(anchor, q̂ − w, q̂ + w)                         moves only when dragged by its play
-    goal   = anchor + lead₀ + c (g(q̂) − g₀) + b_f ρ tanh(v/v₀) + c_low b_d d v
+    anchor = clip(anchor, q̂ − w, q̂ + w)                         moves only when dragged by its
+    play goal   = anchor + lead₀ + c (g(q̂) − g₀) + b_f ρ tanh(v/v₀) + c_low b_d d v
     w      = w₀ (1 − 0.9 tanh |v|/v₀) + ½ (c_high − c_low) |g − g₀|
 
-[c_low, c_high] is what the compliance 1/k_p can be. The play grows by exactly what the lead may be
-wrong, so a wrong k_p can sag the arm into its play but cannot make it walk. Wherever the arm is
-left at rest its lead is right within ρ; that narrows the interval, and the play with it.
+[c_low, c_high] is the interval of the compliance 1/k_p. The play w grows by the possible error of
+the lead, so a wrong k_p can let the arm sag within the play but cannot make it drift. Whenever the
+arm rests after a motion, its lead is right within ρ; that narrows the interval and the play.
 """
 
 from __future__ import annotations
@@ -35,49 +35,50 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Factor by which a stiffness may be wrong either way: known, and not known.
+#: Factor by which a stiffness may be wrong in either direction: if known, and if not.
 KNOWN, UNKNOWN = 1.1, 2.2
-#: Shares of friction and damping that are fed forward, of the delay that is predicted over.
+#: Fed-forward shares of friction and damping, and share of the delay for prediction.
 FRICTION, DAMPING, PREDICTION = 0.8, 0.8, 0.9
 #: Speed at which the friction feed-forward saturates [rad/s], and time constant of the speed [s].
 SLOW, FILTER = 0.05, 0.02
-#: How much of its play a moving joint gives up.
+#: Share of its play that a moving joint loses.
 MOVING = 0.9
-#: Time without motion beyond a count after which the arm rests [s]; least motion that counts [rad].
+#: Time without motion beyond a count until the arm counts as at rest [s]; least motion [rad].
 REST, MOTION = 0.4, 5e-4
 #: Period of the first swing [s], and number of swings.
 SWING, TURNS = 2.6, 1.75
-#: Error of the lead that the swing finds, as a share of the friction it averages out.
+#: Error of the lead from the swing, as a share of the friction that it averages out.
 AVERAGED = 0.15
-#: Time of motion in which a play shrinks to what has been learnt at rest [s].
+#: Motion time in which the play shrinks to its value learnt at rest [s].
 SHRINK = 0.5
-#: Least play at rest [rad]; with counts, at least this many; and this share of the friction ρ.
+#: Least play at rest: in rad, in encoder counts, and as a share of the friction ρ.
 LEAST, COUNTS, RUBBING = 2e-3, 1.5, 0.15
-#: Most speed of the goals [rad/s].
+#: Largest speed of the goals [rad/s].
 SLEW = 3.0
 
 
 class HandGuiding:
-    """Makes an arm weightless for a hand: one line, then `step` once per tick.
+    """Makes an arm weightless for hand guiding; call `step` once per tick.
 
     Args:
         model: The arm.
-        servos: What is believed of its servos; None for the model's. With `stiffness_known=True`
-            k_p is taken to be right within 10 %, else within a factor of 2.
-        rate: Control rate [Hz] where `step` is given no `dt`.
-        delay: From reading to arrival of the goal [s].
-        payload: What the tool carries beside the model: a `pliant.Payload` or (mass, com).
-        swing: Size of the first swing [rad], before what friction takes.
-        torque_share: Torque allowed on top of gravity, as a share of the usable torque: what a
-            hand must overcome where the arm resists.
+        servos: Assumed servo table; None for the model's. With `stiffness_known=True` k_p is
+            assumed right within 10 %, else within a factor of 2.
+        rate: Control rate [Hz] if `step` gets no `dt`.
+        delay: Time from the reading to the arrival of the goal [s].
+        payload: Payload in addition to the model's: a `pliant.Payload` or (mass, com).
+        swing: Size of the first swing [rad], without the part that friction takes.
+        torque_share: Torque allowed on top of gravity, as a share of the usable torque. A hand must
+            overcome this torque if the arm resists.
 
     Attributes:
-        ready: Whether the first swing is over; before, nobody may touch the arm.
+        ready: True once the first swing is over; do not touch the arm before.
         play: Play of each joint in this tick (n,) [rad].
 
     Raises:
-        ConfigError: Nothing is known of the servos, or this is no number or payload.
-        OutOfRangeError: A number out of range. TypeError: This is no model, or no servo table.
+        ConfigError: There is no servo table, or `payload` is invalid.
+        OutOfRangeError: A number is out of range. TypeError: `model` or `servos` is of the wrong
+            type.
 
     Example:
         >>> guiding = pliant.HandGuiding(arm.model, arm.servos)
@@ -129,15 +130,15 @@ class HandGuiding:
 
     @property
     def stiffness(self) -> Array:
-        """What k_p can be after every rest so far (2, n) [N·m/rad]."""
+        """Interval of k_p after all rests so far (2, n) [N·m/rad]."""
         if not self.ready:
             return np.array([self._rig.kp / self._wrong, self._rig.kp * self._wrong])
         return np.array([1.0 / self._high, 1.0 / self._low])
 
     def reset(self, q: ArrayLike) -> None:
-        """Start anew at q (n,) [rad], with a swing; what has been learnt is forgotten."""
+        """Restart at q (n,) [rad] with a swing; all learnt values are cleared."""
         q = self._positions(q)
-        # A first tick may be early or late; the rig takes no such period.
+        # The first tick may be early or late, with a period that the rig would reject.
         period = min(max(self._dt, 1e-3), 0.1)
         self._rig = Rig(self._model, self._table, period, doubt=self._wrong)
         self._rig.carried = payload_rows(self._model, q) @ self._moments
@@ -145,16 +146,16 @@ class HandGuiding:
         self._order = next(self._begin)
 
     def step(self, q: ArrayLike, *, dt: float | None = None) -> Order:
-        """One tick: goals and torque limits for measured positions q (n,) [rad].
+        """Return goals and torque limits for measured positions q (n,) [rad].
 
         The first call resets to q. The swing keeps the `dt` of its first tick.
 
         Args:
             q: Measured positions (n,) [rad].
-            dt: Time since the step before [s], at most 1; None: 1/rate.
+            dt: Time since the last step [s], at most 1; None: 1/rate.
 
         Raises:
-            ShapeError: Not n finite positions; nothing has changed then.
+            ShapeError: q is not n finite positions; nothing has changed.
             OutOfRangeError: `dt` is out of range, or the first swing would leave the position
                 limits.
             ServoError: A joint does not follow the first swing.
@@ -173,7 +174,7 @@ class HandGuiding:
         return self._order
 
     def _swinging(self, q: Array) -> Steps[Array]:
-        """Swing slowly, return to where it began, and be still."""
+        """Swing slowly, return to the start, and rest."""
         rig, home = self._rig, q
         _, q = yield from wide_enough(rig, q, self._swing)
         for _ in range(round(REST / rig.period)):
@@ -181,13 +182,13 @@ class HandGuiding:
         return q
 
     def _take(self, q: Array) -> None:
-        """Turn the leads of the swing into what carries the arm, its friction, and 1/k_p."""
+        """Compute the carrying lead, the friction, and the interval of 1/k_p from the swing."""
         rig, n = self._rig, self._n
         self._low, self._high = 1.0 / (self._wrong * rig.kp), self._wrong / rig.kp
         middle = 0.5 * (self._low + self._high)
         base = self._holding(q)
         rows = [slide for record in rig.records for slide in slides(rig, record)]
-        # A joint that did not swing is carried as believed, with all its doubt: g_0 = lead_0 = 0.
+        # A joint that did not swing uses the table, with its full uncertainty: g_0 = lead_0 = 0.
         self._lead, self._rub = np.zeros(n), rig.friction * middle
         swung = np.zeros(n, dtype=bool)
         for i in range(n):
@@ -211,14 +212,14 @@ class HandGuiding:
         self._least = np.maximum(np.maximum(LEAST, COUNTS * self._count), RUBBING * self._rub)
         self._goal, self._seen, self._speed = self._order.goal.copy(), q.copy(), np.zeros(n)
         carried = self._lead + 0.5 * (self._low + self._high) * (base - self._gravity)
-        # A joint that swung rests in the middle of its friction; another keeps its goal.
+        # A joint that swung rests in the middle of its friction band; another keeps its goal.
         self._anchor = np.where(swung, q, self._goal - carried)
         self._excess = np.maximum(np.abs(self._anchor - q) - self._least, 0.0)
         self._rest_at, self._learnt, self._still, self._moved = q, q, 0.0, False
         self.ready = True
 
     def _follow(self, q: Array) -> Order:
-        """Goals that let themselves be dragged."""
+        """Return goals that follow the arm."""
         self._estimate(q)
         ahead = q + PREDICTION * self._delay * self._speed
         gravity = self._holding(ahead)
@@ -227,7 +228,7 @@ class HandGuiding:
         lead = self._lead + 0.5 * (self._low + self._high) * change
         doubt = 0.5 * (self._high - self._low) * np.abs(change)
         pace = np.tanh(self._speed / SLOW)
-        # At rest no goal moves; what a rest has taught comes as the arm is led on.
+        # No goal moves at rest; a correction learnt at rest takes effect with the motion.
         self._excess = self._excess * (1.0 - np.abs(pace) * min(self._dt / SHRINK, 1.0))
         self.play = self._least * (1.0 - MOVING * np.abs(pace)) + doubt + self._excess
         self._anchor = np.clip(self._anchor, ahead - self.play, ahead + self.play)
@@ -241,7 +242,7 @@ class HandGuiding:
         return Order(self._goal.copy(), limit)
 
     def _learn(self, q: Array) -> None:
-        """Where the arm has come to rest, narrow what 1/k_p can be; the goal does not move."""
+        """At rest after a motion, narrow the interval of 1/k_p; the goal does not move."""
         if (np.abs(q - self._rest_at) > np.maximum(1.1 * self._count, MOTION)).any():
             self._moved |= bool((np.abs(q - self._learnt) > 3.0 * self._least).any())
             self._rest_at, self._still = q, 0.0
@@ -255,14 +256,14 @@ class HandGuiding:
         lead, band = self._goal - q, self._rub + self._least
         moved = np.where(np.abs(change) > 0.0, change, np.nan)
         self._narrow((lead - self._lead - band) / moved, (lead - self._lead + band) / moved)
-        # What the lead gains the anchor gives: the goal stays.
+        # The anchor compensates the change of the lead, so that the goal stays.
         self._anchor += 0.5 * (before - self._low - self._high) * change
         self._excess = np.maximum(self._excess, doubt)
 
     def _narrow(self, one: Array, other: Array) -> None:
-        """Cut the interval of 1/k_p to these ends (n,), NaN for none.
+        """Intersect the interval of 1/k_p with these ends (n,), NaN for none.
 
-        Where nothing would be left (a hand that leans on the arm, a payload), it is kept.
+        If the intersection is empty (a hand leans on the arm, a payload), the interval stays.
         """
         low = np.maximum(self._low, np.fmin(one, other))
         high = np.minimum(self._high, np.fmax(one, other))
@@ -270,18 +271,18 @@ class HandGuiding:
         self._low, self._high = np.where(fits, low, self._low), np.where(fits, high, self._high)
 
     def _load(self, slide: Slide) -> float:
-        """Torque that holds the arm in a slide with the payload told [N·m]."""
+        """Return the torque that holds the arm in a slide with the given payload [N·m]."""
         return slide.gravity + float(slide.payload @ self._carried)
 
     def _estimate(self, q: Array) -> None:
-        """Filtered speed, from readings with a play of one count."""
+        """Update the filtered speed, from readings with a hysteresis of one count."""
         seen = np.clip(self._seen, q - self._count, q + self._count)
         rate = (seen - self._seen) / self._dt
         self._speed = self._speed + (rate - self._speed) * self._dt / (FILTER + self._dt)
         self._seen = seen
 
     def _holding(self, q: Array) -> Array:
-        """Torques that hold the arm with its payload (n,) [N·m]."""
+        """Return the torques that hold the arm with its payload (n,) [N·m]."""
         gravity = np.asarray(self._model.gravity(q))
         if self._moments[0] > 0.0:
             gravity = gravity + payload_rows(self._model, q) @ self._moments
@@ -292,10 +293,10 @@ class HandGuiding:
 
 
 def as_payload(value: pliant.Payload | tuple[float, ArrayLike]) -> pliant.Payload:
-    """A payload, or its mass [kg] and centre (3,) [m] in the tool frame.
+    """Convert a payload, or its mass [kg] and centre (3,) [m] in the tool frame, to a `Payload`.
 
     Raises:
-        ConfigError: Neither.
+        ConfigError: The value is neither.
     """
     if isinstance(value, pliant.Payload):
         return value

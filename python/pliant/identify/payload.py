@@ -1,4 +1,4 @@
-"""What the tool carries, from the leads that hold the arm in several poses."""
+"""Estimation of the tool's payload from the leads that hold the arm in several poses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Standard deviation of a stiffness, as a share: where the table says it is known, and elsewhere.
+#: Relative standard deviation of a stiffness: if known by the table, and if not.
 KNOWN, UNKNOWN = 0.05, 0.3
 
 
@@ -59,23 +59,23 @@ def estimate_payload(
     amplitude: float = 0.05,
     loop: Iterable[Tick] | None = None,
 ) -> PayloadEstimate:
-    """Weigh what the tool carries, and tell the controller if there is something.
+    """Estimate the payload of the tool, and set it in the controller if there is one.
 
-    Every pose is approached from both sides by a slow swing, so that friction and delay cancel; a
-    few seconds per pose. Nobody may touch the arm.
+    A slow swing approaches every pose from both sides, so that friction and delay cancel; a few
+    seconds per pose. Do not touch the arm.
 
     Args:
         arm: The arm, at rest; simulated or connected and enabled.
-        controller: Gets `set_payload` with what was found; its payload replaces that of the model.
-        poses: How many poses to choose within `span`, or postures (K, n) [rad].
-        span: How far chosen poses may be from the present one, per joint [rad].
-        amplitude: Swing about each pose [rad], before what friction takes.
-        loop: Ticks of a loop of one's own; None for one at the right rate.
+        controller: Gets `set_payload` with the result, which replaces the model's payload.
+        poses: Number of poses to choose within `span`, or postures (K, n) [rad].
+        span: Largest distance of chosen poses from the present one, per joint [rad].
+        amplitude: Swing about each pose [rad], without the part that friction takes.
+        loop: Ticks of a loop of your own; None: a loop at the controller's rate.
 
     Raises:
         ConfigError: The controller has no servos.
-        OutOfRangeError: The motion would leave the position limits, or the servos cannot hold what
-            was found. ServoError: A joint does not follow; the arm is left holding.
+        OutOfRangeError: The motion would leave the position limits, or the servos cannot hold the
+            payload. ServoError: A joint does not follow; the arm keeps holding its position.
     """
     procedure = _payload(controller, poses=poses, span=span, amplitude=amplitude)
     return drive(arm, procedure, loop, rate=controller.settings.rate)

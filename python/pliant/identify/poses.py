@@ -1,4 +1,4 @@
-"""Poses that tell stiffness, payload and friction apart, chosen near the present one."""
+"""Choice of poses near the present one that separate stiffness, payload and friction."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Candidates drawn, and the share of the usable torque that holding one of them may ask for.
+#: Number of candidates, and largest share of the usable torque that may hold one of them.
 DRAWN, HOLDING = 200, 0.6
-#: Most that a chosen pose may be from the present one, least and most swing about it [rad].
+#: Largest distance of a chosen pose from the present one, least and largest swing [rad].
 SPAN, SWING = np.pi, (0.01, 0.5)
-#: How far the tool may come below where it stands at first [m].
+#: Largest descent of the tool below its first height [m].
 DROP = 0.05
 
 
 def wanted(poses: int | ArrayLike, n: int) -> int | Array:
-    """Check how many poses, or which (K, n) [rad].
+    """Check a number of poses, or postures (K, n) [rad].
 
     Raises:
-        OutOfRangeError: Fewer than one. ShapeError: Postures of another length, or not finite.
+        OutOfRangeError: Fewer than one. ShapeError: Postures have another length or are not finite.
     """
     if isinstance(poses, (int, np.integer)):
         if poses < 1:
@@ -51,13 +51,13 @@ def wanted(poses: int | ArrayLike, n: int) -> int | Array:
 
 
 def pose_list(rig: Rig, q: Array, poses: int | Array, span: float, size: Array) -> list[Array]:
-    """The poses to visit, the present one first unless they are given.
+    """Return the poses to visit, the present one first unless the poses are given.
 
     Args:
         rig: The arm.
-        q: Where it stands (n,) [rad].
+        q: Present positions (n,) [rad].
         poses: Postures (K, n) [rad], or how many to choose, as `wanted` returns them.
-        span: How far a joint may go from q for a chosen one [rad].
+        span: Largest distance of a joint from q in a chosen pose [rad].
         size: Swing about each pose (n,) [rad], inside the position limits.
 
     Raises:
@@ -72,11 +72,11 @@ def pose_list(rig: Rig, q: Array, poses: int | Array, span: float, size: Array) 
 
 
 def choose(rig: Rig, q: Array, count: int, span: float, size: Array) -> list[Array]:
-    """`count` poses within ±span of q that together tell most, q first.
+    """Return `count` poses within ±span of q that are most informative together, q first.
 
-    One by one, the candidate is added that raises the determinant of the information on stiffness
-    and payload most. Candidates that lower the tool by more than `DROP`, or ask for more than
-    `HOLDING` of a servo, are left out.
+    Greedy choice: each step adds the candidate that raises the determinant of the information on
+    stiffness and payload most. Candidates that lower the tool by more than `DROP`, or need more
+    than `HOLDING` of a servo, are excluded.
     """
     model, rng = rig.model, np.random.default_rng(0)
     low = np.maximum(q - span, model.lower + ROOM + size)
@@ -100,7 +100,7 @@ def choose(rig: Rig, q: Array, count: int, span: float, size: Array) -> list[Arr
 
 
 def _height(rig: Rig, q: Array) -> float:
-    """How far the tool is against gravity [m]."""
+    """Return the height of the tool against gravity [m]."""
     down = np.asarray(rig.model.gravity_vector)
     size = float(np.linalg.norm(down))
     tool = rig.model.forward_kinematics(q)[:3, 3]
@@ -108,7 +108,7 @@ def _height(rig: Rig, q: Array) -> float:
 
 
 def _information(rig: Rig, q: Array) -> Array:
-    """Information of one pose on the shares of k_p (n) and φ in kg and 0.1 kg m (4)."""
+    """Return the information of one pose on the shares of k_p (n) and φ in kg and 0.1 kg m (4)."""
     gravity, rows = bare_gravity(rig.model, q), payload_rows(rig.model, q)
     design = np.hstack([np.diag(gravity), -rows * np.array([1.0, 0.1, 0.1, 0.1])])
     design /= (0.04 * rig.friction + 1e-3 * rig.torque)[:, None]
@@ -117,7 +117,7 @@ def _information(rig: Rig, q: Array) -> Array:
 
 
 def _ordered(poses: Sequence[Array]) -> list[Array]:
-    """The same poses along a short way: always on to the nearest."""
+    """Order the poses along a short path: always the nearest one next."""
     rest, path = list(poses[1:]), [poses[0]]
     while rest:
         near = int(np.argmin([np.abs(pose - path[-1]).max() for pose in rest]))

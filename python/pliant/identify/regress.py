@@ -1,8 +1,8 @@
-"""One weighted least-squares fit over all slides: stiffness, friction, damping and payload at once.
+"""Weighted least-squares fit over all slides: stiffness, friction, damping and payload at once.
 
-Multiplying the stiffness by the lead makes the equation linear in every unknown. What is believed
-enters as prior knowledge, one more row per unknown with its own error, so that whatever the poses
-cannot separate stays where it was believed and keeps the error bar of the belief.
+Multiplying the stiffness by the lead makes the equation linear in every unknown. The assumed values
+enter as priors, one more row per unknown with its own error. An unknown that the poses cannot
+determine thus keeps its assumed value and error.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 #: Unknowns of each joint, in the order of their columns: k_p [N·m/rad], f [N·m], l and m [1],
-#: D and d [N·m·s/rad], M [kg·m²], dead band b [rad], and the true over the commanded torque of a
-#: limit, less one [1].
+#: D and d [N·m·s/rad], M [kg·m²], dead band b [rad], and ratio of true to commanded torque of a
+#: limit, minus one [1].
 NAMES = ("kp", "friction", "load", "motor", "total", "outer", "inertia", "deadband", "scale")
-#: Dead band of a servo, as believed: 0 with this standard deviation [rad].
+#: Prior of a servo's dead band: 0 with this standard deviation [rad].
 DEAD = 1e-3
-#: Rounds of the linearised fit.
+#: Iterations of the linearised fit.
 ROUNDS = 8
-#: How far a payload's centre is from the tool's origin, as believed: standard deviation [m].
+#: Prior of the distance of a payload's centre from the tool's origin: standard deviation [m].
 LEVER = 0.1
-#: Mass of a payload, as believed: standard deviation over the weight [N] that the arm can lift.
+#: Prior of a payload's mass: standard deviation, as a share of the mass that the arm can lift.
 MASS = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Beliefs:
-    """Standard deviations of what is believed before anything is measured.
+    """Standard deviations of the priors.
 
     Attributes:
-        kp: Of the stiffness, as a share.
-        friction, damping: The same for friction and damping.
-        limit: Of the torque that a limit stands for, as a share.
+        kp: Of the stiffness, relative.
+        friction, damping: Of friction and damping, relative.
+        limit: Of the true torque at a limit, relative.
         load: Of the share of the load that adds to friction [1]; 0 leaves it out.
-        payload: Whether there may be one.
+        payload: True if there may be a payload.
     """
 
     kp: float = 0.5
@@ -58,16 +58,16 @@ class Beliefs:
 
 @dataclass(frozen=True)
 class Solution:
-    """The fit.
+    """Result of the fit.
 
     Attributes:
         value: Unknowns of each joint by name, (n,) each; scaled as in `NAMES`.
         sigma: Their standard deviations.
         payload: φ = (m, m c) (4,) [kg, kg m].
-        payload_covariance: Of φ (4, 4).
-        separated: How far the data alone shrank the error of each direction of φ (4,): 0 not, 1
-            entirely.
-        spread: Residuals over what their noise was taken to be.
+        payload_covariance: Covariance of φ (4, 4).
+        separated: Reduction of the error of each direction of φ by the data alone (4,): 0 none, 1
+            complete.
+        spread: Ratio of the residuals to their assumed noise.
         rows: Slides used.
     """
 
@@ -81,9 +81,9 @@ class Solution:
 
 
 def noise(rig: Rig, slide: Slide, kp: Array, friction: Array, dead: Array) -> float:
-    """Standard deviation of one row [N·m]: friction that is no constant, counts, the model.
+    """Return the standard deviation of one row [N·m]: varying friction, counts, model errors.
 
-    A torque not far beyond the dead band may have crossed it within the slide.
+    A torque just above the dead band may have crossed it within the slide.
     """
     i = slide.joint
     counts = kp[i] * max(rig.count[i], 1e-4) * 0.5 / np.sqrt(slide.samples)
@@ -96,7 +96,7 @@ def noise(rig: Rig, slide: Slide, kp: Array, friction: Array, dead: Array) -> fl
 
 
 def solve(rig: Rig, slides: Sequence[Slide], beliefs: Beliefs) -> Solution:
-    """Fit all unknowns; twice, the second time with the noise of the friction found."""
+    """Fit all unknowns, in `ROUNDS` iterations with updated linearisation and noise."""
     solution = None
     for _ in range(ROUNDS):
         solution = _fit(rig, slides, beliefs, solution)
@@ -105,7 +105,7 @@ def solve(rig: Rig, slides: Sequence[Slide], beliefs: Beliefs) -> Solution:
 
 
 def predicted(slide: Slide, solution: Solution) -> float:
-    """Torque [N·m] of a servo in a slide by the unknowns found so far."""
+    """Return the torque [N·m] of a servo in a slide, by the present solution."""
     i, value = slide.joint, solution.value
     load = slide.gravity + float(slide.payload @ solution.payload)
     motor = abs(slide.drive) * (1.0 if slide.by_limit else value["kp"][i])
@@ -137,8 +137,8 @@ def _fit(
             row[at["outer"] + i] = -slide.speed
             right[k] = slide.gravity - slide.drive
         else:
-            # Linear around the last values; the lead as these predict it, because a noisy regressor
-            # would draw the stiffness of joints without gravity to zero.
+            # Linear around the last values. The lead is the predicted one: a noisy regressor would
+            # bias the stiffness of joints without gravity toward zero.
             torque = kp[i] * slide.drive if last is None else predicted(slide, last)
             row[at["kp"] + i] = torque / kp[i]
             row[at["deadband"] + i] = -kp[i] * np.sign(torque)
@@ -156,11 +156,11 @@ def _fit(
         right[k] /= sigma
     mean, sd = _prior(rig, beliefs, width, at)
     if last is not None:
-        # A payload of this mass has its centre about so far out.
+        # Prior of the centre for a payload of the present mass.
         sd[-3:] = (
             np.maximum(LEVER * max(last.payload[0], 0.05), 1e-6) if beliefs.payload else sd[-3:]
         )
-    # Scaled by the priors, so that one number tells what the data add.
+    # Scaled by the priors, so that the information is comparable between unknowns.
     scaled = design * sd
     information = scaled.T @ scaled
     covariance = np.linalg.inv(information + np.eye(width))
@@ -186,7 +186,7 @@ def _fit(
 
 
 def _prior(rig: Rig, beliefs: Beliefs, width: int, at: dict[str, int]) -> tuple[Array, Array]:
-    """Means and standard deviations of all unknowns before anything is measured."""
+    """Return means and standard deviations of the priors of all unknowns."""
     n = rig.n
     mean, sd = np.zeros(width), np.full(width, 1e-9)
     outer = rig.damping + rig.back_emf

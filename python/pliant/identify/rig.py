@@ -1,4 +1,4 @@
-"""Safe motions of an arm in joint space, and a record of what was sent and what came back."""
+"""Safe motions of an arm in joint space, with a record of orders and readings."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Moving = Generator[Order, Array, Array]
 
-#: Peak speed of a joint on its way from one pose to the next [rad/s].
+#: Peak speed of a joint between poses [rad/s].
 TRAVEL_SPEED = 0.4
-#: Share of a sweep's period in which it turns around.
+#: Share of a sweep's period for a reversal.
 CORNER = 0.2
-#: Lag behind the plan at which something must be holding a joint [rad].
+#: Lag behind the plan, beyond the slack, at which a joint counts as blocked [rad].
 HELD = 0.2
-#: Spring that keeps a joint driven by its limit near the plan, as a share of k_p.
+#: Spring toward the plan for a joint driven by its limit, as a share of k_p.
 SPRING = 0.15
-#: Share of the believed friction that is overcome beforehand.
+#: Share of the assumed friction that is fed forward.
 RUBBING = 0.8
-#: How far beyond its swing it may come before it is caught: at least, and at most [rad].
+#: Least and largest distance beyond its swing at which the joint is stopped [rad].
 LEFT = (0.06, 0.25)
-#: How far at least its goal is ahead [rad].
+#: Least lead of its goal [rad].
 AHEAD = 0.05
-#: Time for a jump of the goal to die out [s].
+#: Settling time after a step of the goal [s].
 STEP_TIME = 0.5
-#: Room kept to the position limits [rad].
+#: Margin to the position limits [rad].
 ROOM = 0.02
 
 
@@ -45,14 +45,14 @@ ROOM = 0.02
 class Record:
     """Ticks of one motion.
 
-    The goal of row k was sent when q of row k had been read, so that it is in force until the next.
+    The goal of row k was sent after q of row k had been read, and holds until row k + 1.
 
     Attributes:
         q: Positions read (N, n) [rad].
-        goal: Goals sent, on the grid of counts (N, n) [rad].
+        goal: Goals sent, rounded to counts (N, n) [rad].
         limit: Torque limits sent (N, n) [N·m].
-        speed: Speed that was meant (N, n) [rad/s].
-        driven: Joint that its limit drove, -1 where none was.
+        speed: Planned speed (N, n) [rad/s].
+        driven: Joint driven by its limit, -1 for none.
     """
 
     q: list[Array] = field(default_factory=list)
@@ -67,18 +67,18 @@ class Record:
 
 
 class Rig:
-    """An arm as its table has it, moved slowly and with bounded torque.
+    """An arm with an assumed servo table, moved slowly and with bounded torque.
 
     Args:
         model: The arm.
-        servos: What is believed of its servos.
+        servos: Assumed servo table.
         period: Control period [s].
         torque_share: Torque allowed on top of gravity, as a share of the usable torque.
-        doubt: Factor by which a stiffness may be smaller than believed.
+        doubt: Factor by which the true stiffness may be smaller than assumed.
 
     Attributes:
-        carried: Torque beside the model's that has been found to act at the pose (n,) [N·m].
-        records: What was done, motion by motion.
+        carried: Identified torque at the pose in addition to the model's (n,) [N·m].
+        records: Records of all motions.
         undriven: Joints that could not be driven by their limits.
     """
 
@@ -118,22 +118,22 @@ class Rig:
         self.undriven: list[int] = []
 
     def begin(self, driven: int = -1) -> Record:
-        """Start a record; everything sent from now on goes there."""
+        """Start a new record for all orders from now on."""
         self.records.append(Record(driven=driven))
         return self.records[-1]
 
     def lead(self, q: ArrayLike) -> Array:
-        """How far goals must lead to carry the arm at q, as believed (n,) [rad]."""
+        """Return the lead of the goals that carries the arm at q, by the table (n,) [rad]."""
         return (np.asarray(self.model.gravity(q)) + self.carried) / self.kp
 
     def limits(self, q: ArrayLike) -> Array:
-        """Torque limits that carry the arm at q and leave `torque_share` (n,) [N·m]."""
+        """Return torque limits that carry the arm at q plus `torque_share` (n,) [N·m]."""
         wanted = 1.3 * np.abs(self.model.gravity(q) + self.carried) + self._share * self.torque
         out: Array = np.minimum(self.torque, wanted)
         return out
 
     def inside(self, q: Array, size: Array) -> Array:
-        """The pose nearest to q about which a swing of ±size fits into the position limits.
+        """Return the pose nearest to q whose swing of ±size fits into the position limits.
 
         Raises:
             OutOfRangeError: It fits nowhere.
@@ -147,10 +147,10 @@ class Rig:
         return out
 
     def check(self, low: ArrayLike, high: ArrayLike) -> None:
-        """Refuse a range [rad] that comes too near to a position limit.
+        """Check that a range [rad] keeps its margin to the position limits.
 
         Raises:
-            OutOfRangeError: Names the joint, the range and its limits.
+            OutOfRangeError: It does not; names the joint, the range and its limits.
         """
         low, high = np.asarray(low), np.asarray(high)
         bad = (low < self.model.lower + ROOM) | (high > self.model.upper - ROOM)
@@ -162,7 +162,7 @@ class Rig:
             )
 
     def send(self, q: Array, goal: Array, limit: Array, speed: Array) -> Moving:
-        """One tick: send, record, and return the next positions."""
+        """Run one tick: send, record, and return the next positions."""
         goal = np.where(self.count > 0.0, np.round(goal / self._grid) * self._grid, goal)
         record = self.records[-1]
         for rows, value in (
@@ -175,7 +175,7 @@ class Rig:
         return (yield Order(goal, limit))
 
     def follow(self, q: Array, path: Array, speed: Array) -> Moving:
-        """Go along positions (N, n) [rad] with planned speeds (N, n) [rad/s]."""
+        """Follow positions (N, n) [rad] with planned speeds (N, n) [rad/s]."""
         for planned, rate in zip(path, speed, strict=True):
             late = np.abs(planned - q)
             worst = int(np.argmax(late - self.slack))
@@ -189,7 +189,7 @@ class Rig:
         return q
 
     def hold(self, q: Array) -> Moving:
-        """Stay where the arm is."""
+        """Hold the present positions."""
         return (yield from self.send(q, q + self.lead(q), self.limits(q), np.zeros(self.n)))
 
     @property
@@ -198,7 +198,7 @@ class Rig:
         return (8.0 * self.friction + 0.5 * self.torque) / self.kp
 
     def travel(self, q: Array, start: Array, end: Array) -> Moving:
-        """Go from a planned pose to another one and come to rest."""
+        """Move from a planned pose to another one and come to rest."""
         seconds = max(0.5 * np.pi * np.abs(end - start).max() / TRAVEL_SPEED, self.period)
         count = max(int(np.ceil(seconds / self.period)), 1)
         phase = np.arange(1, count + 1) / count
@@ -209,7 +209,7 @@ class Rig:
         return (yield from self.follow(q, path, np.zeros_like(path)))
 
     def sweep(self, q: Array, pose: Array, size: Array, seconds: float, turns: float) -> Moving:
-        """Swing all joints about a pose by ±size (n,) [rad] with constant speed between turns."""
+        """Swing all joints about a pose by ±size (n,) [rad], at constant speed between turns."""
         time = np.arange(1, round(turns * seconds / self.period) + 1) * self.period
         wave, slope = triangle(time / seconds)
         path = pose + wave[:, None] * size
@@ -220,9 +220,9 @@ class Rig:
     ) -> Moving:
         """Swing one joint by the torque of its limit alone; the others hold the pose.
 
-        The goal stays far ahead, so that the servo gives exactly its limit: gravity, friction and
-        damping as believed, and a soft spring toward the plan that makes up for wrong beliefs. The
-        pace is a period [s] and a number of swings.
+        The goal stays far ahead, so that the servo torque equals its limit. The limit is gravity,
+        friction and damping by the table, plus a soft spring toward the plan that corrects errors.
+        The pace is a period [s] and a number of swings.
         """
         seconds, turns = pace
         time = np.arange(1, round(turns * seconds / self.period) + 1) * self.period
@@ -234,7 +234,7 @@ class Rig:
         for w, rate in zip(wave, slope * size / seconds, strict=True):
             planned = pose[joint] + w * size
             if abs(pose[joint] - q[joint]) > size + left:
-                # Its load or friction is not what the swings have told: no harm, and no data.
+                # Load or friction differ from the result of the swings: stop, without data.
                 self.records.pop()
                 self.undriven.append(joint)
                 self.begin()
@@ -252,7 +252,7 @@ class Rig:
         return q
 
     def steps(self, q: Array, pose: Array, joint: int, size: float, count: int) -> Moving:
-        """Let the goal of one joint jump to and fro, `count` times, with time to settle."""
+        """Step the goal of one joint to and fro, `count` times, with time to settle."""
         rest = round(STEP_TIME / self.period)
         for k in range(count):
             target = pose.copy()
@@ -265,9 +265,9 @@ class Rig:
 
 
 def triangle(phase: ArrayLike) -> tuple[Array, Array]:
-    """A triangle wave of period 1 with rounded corners, and its slope, from 0 upward.
+    """Return a triangle wave of period 1 with rounded corners, rising from 0, and its slope.
 
-    The speed is constant but for `CORNER` of the period around each turn.
+    The speed is constant except within `CORNER` of the period around each reversal.
     """
     phase = np.asarray(phase, dtype=np.float64)
     grid = np.linspace(0.0, 1.0, 2001)

@@ -1,8 +1,8 @@
-"""Where a procedure meets an arm: positions in, goals and torque limits out, one tick at a time.
+"""Interface of a procedure and an arm: positions in, goals and torque limits out, tick by tick.
 
-A procedure is a generator, made for the first positions, that yields what to send and receives the
-next positions. `Procedure` turns it into `step(q) -> Order`, which any loop can call; `drive` runs
-it to its end on a connected arm or on a simulated one.
+A procedure is a generator that starts with the first positions, yields orders, and receives the
+next positions. `Procedure` wraps it as `step(q) -> Order`, which any loop can call; `drive` runs
+it to its end on a connected or simulated arm.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ T_co = TypeVar("T_co", covariant=True)
 
 @dataclass(frozen=True)
 class Order:
-    """What the servos get in one tick; named like the fields of `pliant.Command`.
+    """Goals and torque limits of one tick; names as in `pliant.Command`.
 
     Attributes:
         goal: Joint goals (n,) [rad].
@@ -48,7 +48,7 @@ Steps = Generator[Order, "NDArray[np.float64]", T]
 
 
 class Arm(Protocol):
-    """What a procedure needs of an arm, simulated or real."""
+    """Interface of an arm that a procedure needs, simulated or real."""
 
     def read(self) -> Any:
         """Return a state with positions `q` (n,)."""
@@ -58,7 +58,7 @@ class Arm(Protocol):
 
 
 class Tick(Protocol):
-    """One turn of a loop that waits by itself."""
+    """One tick of a loop that does its own waiting."""
 
     @property
     def q(self) -> Array:
@@ -69,14 +69,14 @@ class Tick(Protocol):
 
 
 class Procedure(Generic[T]):
-    """A guided procedure, run from the inside of any loop.
+    """A guided procedure that any loop can run.
 
     Args:
         start: Makes the generator for the first positions (n,) [rad].
-        n: How many joints it is made for.
+        n: Number of joints.
 
     Attributes:
-        done: Whether it has ended; the last order then goes on holding the arm.
+        done: True once it has ended; the last order then keeps holding the arm.
 
     Example:
         >>> procedure = pliant.identify.capture_gravity.procedure(controller)
@@ -95,22 +95,22 @@ class Procedure(Generic[T]):
         self.done = False
 
     def step(self, q: ArrayLike, *, dt: float | None = None) -> Order:
-        """Return what to send for the positions q (n,) [rad]; the last order once done.
+        """Return the order for the positions q (n,) [rad]; the last order once done.
 
         Args:
             q: Measured joint positions (n,) [rad].
-            dt: Time since the last step [s]; not used: a procedure keeps the period it was made
-                for. It lets `pliant.Tick.step` drive a procedure as it drives a controller.
+            dt: Not used: a procedure has a fixed period. The argument lets `pliant.Tick.step` drive
+                a procedure like a controller.
 
         Raises:
-            ShapeError, ServoError: q cannot be used; the procedure's own finding. It has then put
-                back what it had changed.
+            ShapeError, ServoError: q is invalid, or the procedure failed. A failed procedure has
+                restored everything that it had changed.
         """
         try:
             q = vector(q, self._n, "q", "rad")
         except ShapeError:
             if self._steps is not None and np.shape(q) != (self._n,):
-                self.close()  # another arm's positions: nothing good can follow
+                self.close()  # positions of another arm: no way to continue
             raise
         try:
             if self._steps is None:
@@ -126,17 +126,17 @@ class Procedure(Generic[T]):
         return self._order
 
     def close(self) -> None:
-        """End it early: whatever it had changed is put back."""
+        """End the procedure early and restore everything that it had changed."""
         if self._steps is not None:
             self._steps.close()
         self.done = True
 
     @property
     def result(self) -> T:
-        """What it found.
+        """Result of the procedure.
 
         Raises:
-            ConfigError: It has not ended yet.
+            ConfigError: The procedure has not ended yet.
         """
         if not self._result:
             raise ConfigError("this procedure has no result yet: call step(q) until it is done")
@@ -144,24 +144,24 @@ class Procedure(Generic[T]):
 
 
 class Guided(Generic[P, Q, T_co]):
-    """A function that drives an arm through a procedure, with the bare procedure beside it."""
+    """A function that runs a procedure on an arm, with `procedure` to make only the procedure."""
 
     def __init__(self, function: Callable[P, T_co], make: Callable[Q, Procedure[T_co]]) -> None:
-        """Made by `guided`."""
+        """Store the function and its maker; called by `guided`."""
         self._function, self._make = function, make
         update_wrapper(self, function)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T_co:
-        """Drive the arm; arguments, result and errors as documented on the function."""
+        """Run it on the arm; arguments, result and errors as documented for the function."""
         return self._function(*args, **kwargs)
 
     def procedure(self, *args: Q.args, **kwargs: Q.kwargs) -> Procedure[T_co]:
-        """Make the procedure for a loop of your own; arguments as the function, without the arm."""
+        """Make the procedure for a loop of your own; takes the function's arguments but no arm."""
         return self._make(*args, **kwargs)
 
 
 def guided(make: Callable[Q, Procedure[T]]) -> Callable[[Callable[P, T]], Guided[P, Q, T]]:
-    """Give a function the attribute `procedure`, which makes its procedure by `make`."""
+    """Return a decorator that adds the attribute `procedure`, made by `make`."""
     return lambda function: Guided(function, make)
 
 
@@ -172,18 +172,18 @@ def drive(
     *,
     rate: float | None = None,
 ) -> T:
-    """Run a procedure to its end and return what it found.
+    """Run a procedure to its end and return its result.
 
     Args:
-        arm: Anything with `read` and `write`.
-        procedure: What to do.
-        loop: Ticks that wait by themselves; None: an arm with `advance()`, as the simulated one, is
-            advanced, any other runs in a `pliant.Loop`.
-        rate: Of that loop [Hz]; None for the arm's.
+        arm: An object with `read` and `write`.
+        procedure: The procedure.
+        loop: Ticks of a loop that does its own waiting. None: an arm with `advance()`, such as the
+            simulated one, is advanced; any other runs in a `pliant.Loop`.
+        rate: Rate of that loop [Hz]; None for the arm's.
 
     Raises:
-        TypeError: This is no arm. ServoError: The loop ended first. Also whatever the procedure or
-            the loop raises.
+        TypeError: `arm` has no `read` or `write`. ServoError: The loop ended first. Also errors of
+            the procedure and the loop.
     """
     if not (callable(getattr(arm, "read", None)) and callable(getattr(arm, "write", None))):
         raise TypeError(
@@ -211,7 +211,7 @@ class _Turn:
 
 
 def _ticks(arm: Any, rate: float | None) -> Iterator[Tick]:
-    """Ticks of an arm whose time passes in `advance()`, or by itself."""
+    """Yield ticks of an arm, by `advance()` if it has one, else by a `Loop`."""
     if hasattr(arm, "advance"):
         while True:
             yield _Turn(np.asarray(arm.read().q), arm)

@@ -1,14 +1,14 @@
-"""Records cut into slides: stretches in which a joint moves steadily, averaged to one row each.
+"""Division of records into slides: stretches of steady motion of a joint, averaged to one row each.
 
-While joint i slides with speed v, direction s = ±1 and acceleration a, its servo exerts
+While joint i slides with speed v, direction s = ±1 and acceleration a, its servo torque is
 
     k_p,i (lead_i − b_i sign τ_i) = τ_i = τ_e,i + s (f_i + l_i |τ_e,i| + m_i |τ_i|) + D_i v + M_i a,
 
 where τ_e = g(q) + Y(q) φ is the load, φ = (m, m c) the payload, lead = goal − q averaged over the
-stretch, b the servo's dead band, and D everything that grows with speed: gears, back-EMF, the
-servo's own damping, and k_p T_d for the delay of the bus. A joint whose torque is set through its
-limit has that torque in the place of k_p lead, and neither the servo's own damping nor the delay
-in its D.
+stretch, b the servo's dead band, and D the total speed-dependent resistance: gears, back-EMF, the
+servo's own damping, and k_p T_d for the delay of the bus. For a joint whose torque is set by its
+limit, that torque replaces k_p lead, and its D contains neither the servo's own damping nor the
+delay.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Time over which a speed is measured, and least length of a slide [s].
+#: Time window of the speed measurement, and least length of a slide [s].
 WINDOW, LEAST = 0.12, 0.16
-#: Measured over planned speed between which a joint counts as sliding steadily.
+#: Ratio of measured to planned speed within which a joint slides steadily.
 STEADY = (0.5, 1.6)
-#: Share of the torque limit above which a lead may have been cut.
+#: Share of the torque limit above which the limit may have cut the torque.
 CUT = 0.7
 
 
@@ -40,10 +40,10 @@ class Slide:
 
     Attributes:
         joint: Index.
-        by_limit: Whether the torque was set through the limit.
+        by_limit: True if the torque was set by the limit.
         drive: Mean lead [rad], or torque [N·m] if `by_limit`.
         gravity: Torque that holds the arm there without payload [N·m].
-        payload: Row Y (4,) of what a payload adds per (m, m c) [N·m/kg, N/kg].
+        payload: Row Y (4,), the torque of a payload per (m, m c) [N·m/kg, N/kg].
         speed: Mean speed [rad/s].
         acceleration: Mean acceleration [rad/s²].
         samples: Ticks averaged.
@@ -65,9 +65,10 @@ class Slide:
 
 
 def payload_rows(model: Model, q: ArrayLike) -> Array:
-    """Y(q) (n, 4): torques that hold a payload φ = (m, m c) are Y φ; c in the tool frame.
+    """Return Y(q) (n, 4): Y φ is the torque that holds a payload φ = (m, m c), tool frame.
 
-    ``Y_m = −J_vᵀ g`` for the mass at the tool's origin, and ``−J_ωᵀ (R m c × g)`` for its lever.
+    ``Y_m = −J_vᵀ g`` for the mass at the tool's origin, and ``−J_ωᵀ (R m c × g)`` for its lever
+    arm.
     """
     pose, jacobian = model.kinematics(q)
     g = np.asarray(model.gravity_vector)
@@ -76,7 +77,7 @@ def payload_rows(model: Model, q: ArrayLike) -> Array:
 
 
 def bare_gravity(model: Model, q: ArrayLike) -> Array:
-    """Torques (n,) [N·m] that hold the arm without the payload of its model."""
+    """Return the torques (n,) [N·m] that hold the arm without its model's payload."""
     gravity = np.asarray(model.gravity(q))
     if model.payload is None:
         return gravity
@@ -84,12 +85,12 @@ def bare_gravity(model: Model, q: ArrayLike) -> Array:
 
 
 def first_moments(mass: float, com: ArrayLike) -> Array:
-    """φ (4,) = (m, m c) [kg, kg m]."""
+    """Return φ = (m, m c) (4,) [kg, kg m]."""
     return np.concatenate([[mass], mass * np.asarray(com, dtype=np.float64)])
 
 
 def slides(rig: Rig, record: Record) -> list[Slide]:
-    """All steady slides of a record, joint by joint."""
+    """Return all steady slides of a record, joint by joint."""
     q, goal, limit, planned = record.arrays()
     if len(q) < 3:
         return []
@@ -113,7 +114,7 @@ def slides(rig: Rig, record: Record) -> list[Slide]:
 
 
 def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Start and end (exclusive) of each stretch of True."""
+    """Return start and end (exclusive) of each stretch of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 

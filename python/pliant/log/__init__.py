@@ -1,4 +1,4 @@
-"""Logs that open anywhere: MCAP with ROS 2 messages, enough to run the controller again.
+"""Portable logs: MCAP with ROS 2 messages, with all data to run the controller again.
 
 >>> for tick in pliant.Loop(arm, controller, recorder=pliant.log.Recorder("run.mcap")):
 ...     tick.step(target)

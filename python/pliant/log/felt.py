@@ -1,8 +1,7 @@
-"""What pushed at the tool during a logged run, and what its controller says of it.
+"""Estimated forces on the tool in a logged run, and the pose report of its controller.
 
-The log has what the controller was told, so a fresh one is told it again with a `ContactEstimator`
-beside
-it: no force needs to be recorded.
+The log holds all inputs of the controller. A new controller with a `ContactEstimator` gets them
+again, so no forces need to be recorded.
 """
 
 from __future__ import annotations
@@ -23,20 +22,20 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Deviation of a rotation that weighs as much as one metre [rad].
+#: Rotation that weighs as much as a deviation of one metre [rad].
 RADIANS_PER_METRE = 4.0
 
 
 @dataclass(frozen=True)
 class Felt:
-    """Forces along the axes of the task (N, k), and the controller where an axis was farthest off.
+    """Forces along the task axes (N, k), and the controller's report at the largest deviation.
 
     Attributes:
-        force: Of the surroundings on the tool, toward + positive [N, N·m].
-        bound: How far that can be off; infinite where nothing can be told.
+        force: Force of the surroundings on the tool, positive toward + [N, N·m].
+        bound: Uncertainty of the force; infinite if it cannot be estimated.
         worst: Tick of the largest deviation of any axis.
-        report: The controller's own report there.
-        strengths: Per axis: what was asked of it when it was farthest off.
+        report: The controller's report at that tick.
+        strengths: Settings of each axis at its largest deviation, by axis name.
     """
 
     force: Array
@@ -50,7 +49,7 @@ def feel(log: Log) -> Felt | None:
     """Run the log's controller again with a `ContactEstimator` beside it.
 
     Returns:
-        None where ticks and steps do not pair: more or fewer than one step per tick.
+        None if ticks and steps do not correspond: not exactly one step per tick.
 
     Raises:
         ConfigError: The log has no controller, or is of another version of pliant.
@@ -97,7 +96,7 @@ def feel(log: Log) -> Felt | None:
 
 
 def _primes(log: Log) -> set[int]:
-    """Steps by which a loop lets a controller take up the weight; no tick goes with them."""
+    """Return the steps by which a loop primes a controller; they belong to no tick."""
     pairs = zip(log.calls, log.calls[1:], strict=False)
     return {
         after.sequence

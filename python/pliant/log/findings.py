@@ -1,6 +1,6 @@
-"""What a run shows, in numbers and sentences: why it was soft or not, and where strength ended.
+"""Findings of a run, as numbers and sentences: compliance of the axes, saturation of the joints.
 
-Sentences are made from the log's own numbers; what the controller says of a pose is in `felt`.
+The sentences use only the numbers of the log; the controller's pose report is in `felt`.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
 
 #: Compliance above which an axis counts as soft, and below which as firm.
 SOFT, FIRM = 0.99, 0.01
-#: A tick is late where it comes this many periods after the one before [1].
+#: Time since the last tick above which a tick is late, in periods [1].
 LATE = 1.5
-#: Spans that are nearer to each other than this are one [s].
+#: Spans with a gap below this are merged [s].
 GAP = 0.05
 
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of time in which a joint was at a bound.
+    """A time span in which a joint was at a bound.
 
     Attributes:
         joint: Its name.
         start, end: Since the beginning of the log [s].
-        why: `"torque"`: limit at the servo's ceiling; `"position"`: at a position limit.
-        axis: The task axis that asked most of it, None where no axis did.
+        why: `"torque"`: limit at the servo's usable torque; `"position"`: at a position limit.
+        axis: The task axis that loaded the joint most; None if no axis did.
     """
 
     joint: str
@@ -48,18 +48,18 @@ class Span:
 
 
 def unit(axis: str, *, force: bool = False) -> str:
-    """Unit of a deviation along an axis, or of a force."""
+    """Return the unit of a deviation along an axis, or of a force."""
     return ("N" if force else "mm") if axis in "xyz" else ("N·m" if force else "mrad")
 
 
 def since(log: Log) -> Array:
-    """Time since the beginning of the log (N,) [s]."""
+    """Return the time since the beginning of the log (N,) [s]."""
     time: Array = log.time - log.time[0]
     return time
 
 
 def spans(log: Log) -> list[Span]:
-    """When joints were at their torque ceiling or at a position limit, in order of time."""
+    """Return the spans of joints at their torque or position limit, in order of time."""
     time, found = since(log), []
     for why, flags in (("torque", log.saturated), ("position", log.locked)):
         for j, joint in enumerate(log.run["joints"]):
@@ -71,7 +71,7 @@ def spans(log: Log) -> list[Span]:
 
 
 def _runs(time: Array, on: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last tick of every stretch, stretches that almost touch as one."""
+    """Return first and last tick of every stretch; stretches with a small gap are merged."""
     out: list[tuple[int, int]] = []
     for tick in np.flatnonzero(on):
         if out and time[tick] - time[out[-1][1]] <= GAP:
@@ -82,9 +82,9 @@ def _runs(time: Array, on: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _asking(log: Log, joint: int, first: int, last: int) -> str | None:
-    """The axis that asks most of a joint meanwhile: activation (10) times the force in use.
+    """Return the axis that loads a joint most: activation (10) times the force in use.
 
-    Law paper has no such force; its budget (11) takes the place.
+    The paper's law has no such force; its budget (11) is used instead.
     """
     axes, here = log.run["axes"], slice(first, last + 1)
     used = log.wrench[here]
@@ -94,7 +94,7 @@ def _asking(log: Log, joint: int, first: int, last: int) -> str | None:
 
 
 def asked(axis: Axis | None, name: str) -> str:
-    """What was asked of an axis, in a few words."""
+    """Describe the settings of an axis in a few words."""
     if axis is None:
         return "–"
     newton = unit(name, force=True)
@@ -109,7 +109,7 @@ def asked(axis: Axis | None, name: str) -> str:
 
 
 def sentence(log: Log, felt: Felt | None, k: int) -> str:
-    """Why an axis was soft, firm or stiff where it was farthest off."""
+    """Explain why an axis was soft, firm or stiff at its largest deviation."""
     name, tick = log.run["axes"][k], int(np.abs(log.deviation[:, k]).argmax())
     off = f"{1e3 * log.deviation[tick, k]:+.1f} {unit(name)} at {since(log)[tick]:.2f} s"
     cap = f"{log.axis_strength[tick, k]:.3g} {unit(name, force=True)}"
@@ -133,10 +133,10 @@ def sentence(log: Log, felt: Felt | None, k: int) -> str:
 
 
 def most_felt(felt: Felt, k: int) -> int | None:
-    """Tick of the largest force along an axis that exceeds its bound; None without one.
+    """Return the tick of the largest force along an axis above its bound; None without one.
 
-    In the first half second the bound is all torque that the servos have, and forces within a bound
-    may be none.
+    In the first half second the bound is the whole torque of the servos. A force within its bound
+    may be zero.
     """
     force = np.abs(felt.force[:, k])
     sure = np.where(force > felt.bound[:, k], force, -1.0)
@@ -144,25 +144,25 @@ def most_felt(felt: Felt, k: int) -> int | None:
 
 
 def above(log: Log, felt: Felt, k: int) -> float:
-    """Share of ticks in which more than cap, friction and doubt together was felt along an axis."""
+    """Return the share of ticks with a force above cap, friction and uncertainty together."""
     allowed = log.axis_strength[:, k] + felt.report.friction[k] + felt.bound[:, k]
     return float((np.abs(felt.force[:, k]) > allowed).mean())
 
 
 @dataclass(frozen=True)
 class Health:
-    """How regular the loop was and what the servos said of themselves.
+    """Timing of the loop, and values reported by the servos.
 
     Attributes:
         period: Nominal time between two ticks [s].
-        gaps: Between the ticks there were (N − 1,) [s].
-        late: Ticks that came later than `LATE` periods after the one before.
-        lag: From sampling to the begin of the tick, median and largest [s].
-        delay: That the controller was told, last [s].
-        old: Joints with readings older than `LATE` periods: in how many ticks.
-        voltage: Lowest and highest of all servos [V]; None where no servo tells.
-        temperature: Highest per joint that tells [°C].
-        counters: Of the bus; empty where the log has no end.
+        gaps: Measured times between ticks (N − 1,) [s].
+        late: Ticks more than `LATE` periods after the previous one.
+        lag: Time from the sampling to the beginning of the tick, median and largest [s].
+        delay: Last delay set in the controller [s].
+        old: Number of ticks with readings older than `LATE` periods, by joint.
+        voltage: Lowest and highest of all servos [V]; None if no servo reports it.
+        temperature: Highest temperature per joint that reports it [°C].
+        counters: Counters of the bus; empty if the log has no end.
     """
 
     period: float
@@ -177,7 +177,7 @@ class Health:
 
 
 def health(log: Log) -> Health:
-    """Loop and bus in numbers."""
+    """Compute the timing of loop and bus."""
     period, joints = 1.0 / float(log.run["rate"]), log.run["joints"]
     gaps = np.diff(log.time)
     old = (log.age > LATE * period).sum(axis=0)

@@ -1,4 +1,4 @@
-"""Frames between the loop and the process that writes: a pipe that never makes the loop wait."""
+"""Frames from the loop to the writer process, by a pipe that never blocks the loop."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ import time
 from typing import IO
 
 HEAD = struct.Struct("<BI")
-#: Kinds of frames: what the run is, a tick, a step, another call, what was counted.
+#: Kinds of frames: description of the run, tick, step, other call, counters at the end.
 RUN, TICK, STEP, CALL, END = range(5)
-#: Most bytes that wait for the writer; what comes while it is that far behind is dropped.
+#: Largest backlog for the writer [bytes]; further frames are dropped.
 MOST = 8_000_000
 
 
 class Sender:
-    """The loop's end: sends what fits, keeps a bounded rest, drops and counts what is beyond.
+    """Sending end, in the loop: sends what fits, buffers up to a bound, drops and counts the rest.
 
     Attributes:
         dropped: Frames that were not sent.
-        broken: Whether the writer is gone.
+        broken: True if the writer has ended.
     """
 
     def __init__(self, descriptor: int, most: int = MOST) -> None:
-        """Make the pipe one that does not wait."""
+        """Set the pipe to non-blocking."""
         os.set_blocking(descriptor, False)
         self._descriptor, self._most = descriptor, most
         self._rest = bytearray()
         self.dropped, self.broken = 0, False
 
     def send(self, kind: int, *parts: bytes) -> bool:
-        """Send a frame; return whether it will arrive."""
+        """Send a frame; return False if it is dropped."""
         size = sum(map(len, parts))
         if self.broken:
             self.dropped += 1
@@ -48,7 +48,7 @@ class Sender:
         return True
 
     def _push(self) -> None:
-        """Write as much as the pipe takes now."""
+        """Write as much as the pipe accepts now."""
         try:
             while self._rest:
                 del self._rest[: os.write(self._descriptor, self._rest)]
@@ -58,7 +58,7 @@ class Sender:
             self.broken = True
 
     def finish(self, patience: float) -> None:
-        """Send the rest, waiting for the writer, but no longer than `patience` [s]."""
+        """Send the backlog; wait for the writer for at most `patience` [s]."""
         end = time.monotonic() + patience
         self._push()
         while self._rest and not self.broken and (left := end - time.monotonic()) > 0.0:
@@ -67,7 +67,7 @@ class Sender:
 
 
 def receive(stream: IO[bytes]) -> tuple[int, bytes] | None:
-    """The next frame; None at the end, also in the middle of one."""
+    """Return the next frame; None at the end, also in the middle of a frame."""
     head = stream.read(HEAD.size)
     if len(head) < HEAD.size:
         return None

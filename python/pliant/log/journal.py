@@ -1,4 +1,4 @@
-"""A controller that writes down everything it is told."""
+"""A controller wrapper that records all calls."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Sequence number of the call, and whether it was `step_joints`.
+#: Sequence number of the call, and 1 for `step_joints`, else 0.
 STEP = struct.Struct("<QB")
 
 
 class Journal:
-    """A controller in whose place it stands: same calls, same results, and a record of each.
+    """Replaces a controller: same calls, same results, and a record of each call.
 
-    Everything that is not a call that changes the controller is passed on as it is. Parts that
-    insist on a `pliant.Controller` (`ContactEstimator`) take `journal.inner`.
+    Everything except calls that change the controller is forwarded unchanged. Code that requires a
+    `pliant.Controller` (`ContactEstimator`) takes `journal.inner`.
 
     Attributes:
         inner: The controller.
         calls: Calls so far.
-        delay: The delay that it was last told [s].
+        delay: The last delay set in the controller [s].
     """
 
     def __init__(self, controller: Controller, sender: Sender) -> None:
-        """Made by `Recorder`."""
+        """Wrap a controller; called by `Recorder`."""
         self.inner, self._sender = controller, sender
         self.calls, self.delay = 0, float(controller.settings.delay)
         self._target: Array | None = None
@@ -122,7 +122,7 @@ class Journal:
 
     @property
     def target(self) -> Array | None:
-        """Target of the last step (4, 4); a position takes the rotation of the reference."""
+        """Target of the last step (4, 4); a target position takes the reference's rotation."""
         given = self._target
         if given is None:
             return None
@@ -137,7 +137,7 @@ class Journal:
     def _note(
         self, slot: str, q: ArrayLike, target: Array, given: dict[str, Any], command: Command
     ) -> None:
-        """Write down a step that went well."""
+        """Record a successful step."""
         slots = self._slots
         self._row.fill(np.nan)
         joints = slot == "q_target"
@@ -154,14 +154,14 @@ class Journal:
         self.calls += 1
 
     def _call(self, what: str, **arguments: Any) -> None:
-        """Write down any other call that went well."""
+        """Record any other successful call."""
         text = words.write({"sequence": self.calls, "what": what, "arguments": arguments})
         self._sender.send(frames.CALL, text.encode())
         self.calls += 1
 
 
 def _pose(target: Any) -> Array:
-    """The array that a target stands for, by itself where it is one."""
+    """Return the array of a target, or the pose matrix of an object."""
     if isinstance(target, np.ndarray | list | tuple):
         return np.array(target, dtype=np.float64)
     return np.asarray(pliant.functional.as_pose(target).matrix)

@@ -1,4 +1,4 @@
-"""Topics and messages of a log, and the vectors in which a tick and a step travel to the writer."""
+"""Topics and messages of a log, and the vectors that carry a tick and a step to the writer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Changes when a file of before cannot be read any more.
+#: Format version; changes when older files can no longer be read.
 VERSION = "1"
 #: Names of the attachments.
 RUN, URDF, SETTINGS = "run.json", "robot.urdf", "settings.txt"
@@ -74,10 +74,10 @@ geometry_msgs/Quaternion rotation
 {_GEOMETRY}{_HEADER}{_TIME}"""
 TEXT = "string data\n"
 
-#: Of the joints (n,): what is read, and what is sent.
+#: Joint columns (n,): readings, and commands.
 STATE = ("q", "dq", "load", "current", "voltage", "temperature", "age")
 COMMAND = ("goal", "torque_limit", "speed_limit")
-#: Of the axes of the task (k,), as the controller names them.
+#: Columns of the task axes (k,), named as in the controller.
 AXES = (
     "deviation",
     "adapted_deviation",
@@ -88,35 +88,35 @@ AXES = (
     "wrench",
     "deviation_limited",
 )
-#: Of the joints, in the controller.
+#: Joint columns from the controller.
 JOINT = ("saturated", "locked", "gravity", "feed_forward")
 SCALARS = ("sigma_min", "sigma_max", "damping", "gamma", "gain_factor")
 
 
 @dataclass(frozen=True)
 class Vector:
-    """Named pieces of a vector of float64, in a fixed order.
+    """Named pieces of a float64 vector, in a fixed order.
 
     Attributes:
-        pieces: Name and length of each.
+        pieces: Name and length of each piece.
     """
 
     pieces: tuple[tuple[str, int], ...]
 
     @property
     def size(self) -> int:
-        """Length of the whole."""
+        """Total length."""
         return sum(length for _, length in self.pieces)
 
     def split(self, whole: Array) -> dict[str, Array]:
-        """The pieces of the last axis, by name."""
+        """Return the pieces of the last axis, by name."""
         ends = np.cumsum([length for _, length in self.pieces])[:-1]
         names = [name for name, _ in self.pieces]
         return dict(zip(names, np.split(whole, ends, axis=-1), strict=True))
 
 
 def tick(n: int, k: int | None, extra: int) -> Vector:
-    """A tick of n joints, k axes (None: without a controller) and `extra` joints off the chain."""
+    """Return the layout of a tick: n joints, k axes (None: no controller), `extra` joints."""
     pieces = [("time", 1), ("dt", 1), ("index", 1), ("lag", 1), ("delay", 1)]
     pieces += [(name, n) for name in (*STATE, *COMMAND)] + [("extra", extra)]
     if k is not None:
@@ -127,21 +127,21 @@ def tick(n: int, k: int | None, extra: int) -> Vector:
 
 
 def step(n: int) -> Vector:
-    """Arguments of a step and what came of it; NaN first where an argument was left out."""
+    """Return the layout of a step: arguments and command; NaN for an omitted argument."""
     sizes = {"dt": 1, "target": 16, "twist": 6}
     names = ("dt", "q", "target", "q_target", "dq", "twist", "gradient", *COMMAND)
     return Vector(tuple((name, sizes.get(name, n)) for name in names))
 
 
 def tick_message(vector: Vector) -> str:
-    """ROS 2 definition of a tick."""
+    """Return the ROS 2 definition of a tick."""
     return "".join(
         f"float64{'' if length == 1 and name in SINGLE else '[]'} {name}\n"
         for name, length in vector.pieces
     )
 
 
-#: Pieces that are one number.
+#: Pieces that are a single number.
 SINGLE = frozenset(("time", "dt", "index", "lag", "delay", *SCALARS))
 
 #: ROS 2 definition of a call of the controller; `arguments` is JSON.
@@ -151,7 +151,7 @@ CALL = "uint64 sequence\nstring what\nstring arguments\nfloat64 dt\n" + "".join(
 
 
 def numbers(pieces: dict[str, Array], names: Iterable[str]) -> dict[str, Any]:
-    """Fields of a message: a number where the definition has one, else a list; NaN-only: empty."""
+    """Return the fields of a message: numbers or lists; a list of NaN only becomes empty."""
     out: dict[str, Any] = {}
     for name in names:
         values = pieces[name]
@@ -163,7 +163,7 @@ def numbers(pieces: dict[str, Array], names: Iterable[str]) -> dict[str, Any]:
 
 
 def row(values: Sequence[float] | Array | None, length: int) -> Array:
-    """A piece of a vector; NaN where there is nothing."""
+    """Return a piece of a vector; NaN for None."""
     if values is None:
         return np.full(length, np.nan)
     return np.asarray(values, dtype=np.float64).reshape(-1)

@@ -1,4 +1,4 @@
-"""Pictures of a log (extra `plot`): why it was soft, strength of the joints, loop and servos."""
+"""Pictures of a log (extra `plot`): compliance, torque limits, loop and servos."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 #: Height of a row of axes [inch].
 ROW = 1.45
-#: Colours of joints, base to tip; after the last they begin again.
+#: Colours of joints, base to tip; they repeat after the last one.
 COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.RED, style.PURPLE, style.SKY, style.MUTED)
-#: Least range of a deviation and of a force, so that noise at rest does not fill the picture.
+#: Least plotted range of a deviation and of a force, so that noise at rest stays small.
 LEAST = {"mm": 2.0, "mrad": 8.0, "N": 2.0, "N·m": 0.4}
 
 
 def softness(folder: Path, log: Log, felt: Felt | None) -> None:
-    """Deviation against its thresholds, and the force that was felt against its cap, per axis."""
+    """Plot deviation with thresholds, and estimated force with its cap, per axis."""
     axes, time = log.run["axes"], since(log)
     few = style.thin(time, rate=50.0)
     with style.canvas(len(axes), 2, size=(style.WIDE, ROW * len(axes)), sharex=True) as (
@@ -74,7 +74,7 @@ def _deviation(ax: Axes, name: str, time: Array, off: Array) -> None:
 
 
 def strength(folder: Path, log: Log, bounds: list[Span]) -> None:
-    """Torque limits as shares of what the servos have, and when joints were at a bound."""
+    """Plot torque limits as shares of the usable torque, and the spans at a bound."""
     joints, time = log.run["joints"], since(log)
     few = style.thin(time)
     usable = np.asarray(log.servos.max_torque) if log.servos is not None else np.nan
@@ -104,7 +104,7 @@ def strength(folder: Path, log: Log, bounds: list[Span]) -> None:
 
 
 def loop(folder: Path, log: Log) -> None:
-    """Time from tick to tick, and supply and temperature where servos tell."""
+    """Plot the time between ticks, and supply and temperature if reported."""
     time, of = since(log), health(log)
     told: list[tuple[str, Array, Any]] = [
         (label, values, log.run["joints"])

@@ -1,4 +1,4 @@
-"""From a log to arrays, also from one whose end is missing."""
+"""Reading a log into arrays, also an incomplete one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Name, types, and whether it may be None, of what a description of a run holds.
+#: Fields of the description of a run: name, types, and True if it may be None.
 RUN: tuple[tuple[str, Any, bool], ...] = (
     ("pliant", str, False),
     ("note", str, False),
@@ -35,28 +35,28 @@ RUN: tuple[tuple[str, Any, bool], ...] = (
     ("settings", pliant.Settings, True),
     ("config", str, True),
 )
-#: What a file that is no log of ours, but says so, makes Python raise.
+#: Errors that a malformed file can raise.
 FOREIGN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 @dataclass
 class Log:
-    """A run, N ticks of n joints and k axes; NaN where nothing was measured.
+    """A run of N ticks, n joints and k axes; NaN for missing measurements.
 
     Every column of a tick is an attribute and an entry of `columns`: `time` (N,) [s] of the
-    positions, 0 when the first tick began, `q`, `dq`,
-    `load`, `goal`, `torque_limit` (N, n), `target`, `reference` (N, 4, 4), `deviation`,
-    `compliance` (N, k), `activation` (N, n, k + 1) and what else docs/logs.md lists.
+    positions (0 at the beginning of the first tick), `q`, `dq`, `load`, `goal`, `torque_limit`
+    (N, n), `target`, `reference` (N, 4, 4), `deviation`, `compliance` (N, k), `activation`
+    (N, n, k + 1), and the others listed in docs/logs.md.
 
     Attributes:
-        run: What was recorded: joints, axes, rate, settings, servos, version, note.
+        run: Description of the run: joints, axes, rate, settings, servos, version, note.
         columns: Arrays by name.
-        calls: What the controller was told, in order: messages with the fields of a call.
-        whole: Whether the file was completed and is as it was written; else the program or the
+        calls: All calls of the controller in order: messages with the fields of a call.
+        whole: True if the file was completed and is undamaged. If False, the program or the
             machine died, or see `damage`.
-        damage: What is not as it was written; what stands before it is here. Empty if nothing.
-        end: What was counted until the recorder was closed: `counters` of the bus and records
-            `dropped`; empty where the program died before.
+        damage: Description of the damage, empty if none; the data before it are here.
+        end: Counts when the recorder was closed: `counters` of the bus and records `dropped`;
+            empty if the program died before.
     """
 
     run: dict[str, Any]
@@ -81,7 +81,7 @@ class Log:
 
     @property
     def missing(self) -> int:
-        """Calls of the controller that are not in the log."""
+        """Number of controller calls that are missing from the log."""
         return self.calls[-1].sequence + 1 - len(self.calls) if self.calls else 0
 
     @property
@@ -92,7 +92,7 @@ class Log:
 
     @property
     def servos(self) -> pliant.Servos | None:
-        """Servos that the controller believed in."""
+        """Servo table of the controller."""
         servos: pliant.Servos | None = self.run["servos"]
         return servos
 
@@ -102,10 +102,10 @@ class Log:
 
 
 def read(path: str | Path) -> Log:
-    """Read a log of `Recorder`, up to where it was cut short or is damaged.
+    """Read a log of `Recorder`, up to its end or its damage.
 
     Raises:
-        ConfigError: The file is none, or has not got as far as a first record.
+        ConfigError: The file is no log, or ends before the first record.
         OSError: It cannot be read.
     """
     try:
@@ -159,13 +159,13 @@ def _read(path: Path) -> Log:
         raise ConfigError(f"{path} is no log of pliant: {error}") from error
     columns = _columns(run, ticks)
     if len(columns["time"]):
-        # As `Tick.time`: 0 when the first tick began.
+        # As `Tick.time`: 0 at the beginning of the first tick.
         columns["time"] -= columns["time"][0] + columns["lag"][0]
     return Log(run, columns, calls, whole, end, damage)
 
 
 class _Decoder:
-    """Messages of the channels seen so far."""
+    """Decodes the messages of the channels read so far."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}
@@ -185,10 +185,10 @@ class _Decoder:
 
 
 def _check(run: Any) -> None:
-    """Check that a description of a run has all that is read from it later.
+    """Check that the description of a run has all fields used later.
 
     Raises:
-        ConfigError: A part is missing or of another type.
+        ConfigError: A field is missing or has a wrong type.
     """
     if not isinstance(run, dict):
         raise ConfigError(f"the description of the run is no table, but {type(run).__name__}")
@@ -217,7 +217,7 @@ def _check(run: Any) -> None:
 
 
 def _columns(run: dict[str, Any], ticks: list[Any]) -> dict[str, Array]:
-    """Arrays of all ticks."""
+    """Return the arrays of all ticks."""
     n, axes = len(run["joints"]), run["axes"]
     vector = layout.tick(n, None if axes is None else len(axes), len(run["extra"]))
     out: dict[str, Array] = {}
@@ -241,7 +241,7 @@ def _columns(run: dict[str, Any], ticks: list[Any]) -> dict[str, Array]:
 
 
 def arguments(call: Any) -> dict[str, Any]:
-    """Arguments of a call that is no step."""
+    """Return the arguments of a call other than a step."""
     read = words.read(call.arguments) if call.arguments else {}
     if not (isinstance(read, dict) and all(isinstance(name, str) for name in read)):
         raise ConfigError(f"the arguments of the call {call.what!r} are no table of names")

@@ -1,4 +1,4 @@
-"""The recorder: what a tick knows, handed to another process within some microseconds."""
+"""The recorder: sends the data of each tick to the writer process within microseconds."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
     from pliant.config import Config
     from pliant.loop import Commanded, Tick
 
-#: How long `close` waits for the writer to take the rest, and then to finish [s]: an arm may be
+#: Time that `close` waits for the writer to take the backlog, and then to finish [s]; an arm may be
 #: held meanwhile.
 PATIENCE = 5.0
 
 
 class Recorder:
-    """Writes a run to an MCAP file, from a process of its own: the loop only fills a pipe.
+    """Writes a run to an MCAP file in a separate process; the loop only fills a pipe.
 
-    Give it to `pliant.Loop`, which starts it, adds every tick and closes it. The writer survives
-    the program: one that is killed leaves a whole file.
+    Pass it to `pliant.Loop`, which starts it, adds every tick and closes it. The writer outlives
+    the program: if the program is killed, the file is still completed.
 
     Args:
-        path: The file; a log that is there is replaced, a file of another kind refused.
+        path: The file. An existing log is replaced, another file is not overwritten.
         config: The arm's configuration, to be attached.
         note: A line of your own.
 
@@ -47,7 +47,7 @@ class Recorder:
 
     Raises:
         ConfigError: The file exists and is not a log.
-        TypeError: An argument is of another kind.
+        TypeError: An argument has the wrong type.
         OSError: The file cannot be written.
         ImportError: The extra is missing.
 
@@ -75,13 +75,13 @@ class Recorder:
 
         Args:
             arm: The arm.
-            controller: The controller, before its first step; anything else is not recorded, and
-                the log holds ticks and commands alone.
-            rate: Ticks per second that are to come [Hz]. A crash of the machine may cost half a
-                second of these.
+            controller: The controller, before its first step. Any other object is not recorded, and
+                the log holds only ticks and commands.
+            rate: Expected ticks per second [Hz]. A crash of the machine may cost the last half
+                second.
 
         Returns:
-            The controller to use in its place: it records every call.
+            The controller to use instead, which records every call.
 
         Raises:
             ConfigError: The recorder has been started already, or the controller has made steps
@@ -122,7 +122,7 @@ class Recorder:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "pliant.log.writer", str(self.path)],
             stdin=subprocess.PIPE,
-            # Ctrl-C and the end of the terminal are for the loop; the writer ends with its pipe.
+            # Ctrl-C and the end of the terminal must not end the writer; it ends with its pipe.
             start_new_session=True,
         )
         assert self._process.stdin is not None
@@ -135,7 +135,7 @@ class Recorder:
 
     @property
     def dropped(self) -> int:
-        """Number of records that did not fit: the writer was too far behind, or is gone."""
+        """Number of dropped records: the writer was too far behind, or has ended."""
         return 0 if self._process is None else self._sender.dropped
 
     def add(self, tick: Tick, command: Commanded | None = None) -> None:
@@ -163,7 +163,7 @@ class Recorder:
         self.ticks += 1
 
     def _look(self, journal: Journal) -> None:
-        """What the controller knows after its step."""
+        """Store the state of the controller after its step."""
         target, slots = journal.target, self._slots
         if target is None:  # no step in this tick
             return
@@ -180,11 +180,10 @@ class Recorder:
             slots[name][0] = getattr(last, name)
 
     def close(self) -> None:
-        """Hand over the rest and wait until the file is whole.
+        """Send the backlog and wait until the file is complete.
 
         Raises:
-            OSError: The writer failed, or is not done within ten seconds; what it wrote can be
-                read.
+            OSError: The writer failed, or did not finish within ten seconds; its file can be read.
         """
         process = self._process
         if self._closed or process is None or process.stdin is None:

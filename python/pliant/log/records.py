@@ -1,7 +1,7 @@
-"""The records of an MCAP file, with every check that the format offers: lengths, CRCs, counts.
+"""Records of an MCAP file, with all checks that the format offers: lengths, CRCs, counts.
 
-MCAP's own reader trusts lengths, skips what it does not know and leaves the CRCs of attachments
-unread: a damaged byte would be another number, or an error of a library.
+MCAP's own reader trusts lengths, skips unknown records and does not check the CRCs of attachments.
+A damaged byte could thus become a wrong number, or an error of a library.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MAGIC = b"\x89MCAP0\r\n"
 LARGEST_CHUNK = 1 << 26
 #: Largest sum of the chunks: in bytes, or as a multiple of the file's size.
 MOST_UNPACKED, RATIO = 1 << 28, 200
-#: Most that a byte of LZ4 unpacks to.
+#: Largest expansion factor of LZ4.
 LZ4_RATIO = 255
 _HEAD = struct.Struct("<BQ")
 _CRC = struct.Struct("<I")
@@ -42,23 +42,23 @@ _KINDS = frozenset(map(int, Opcode))
 
 
 class CutShortError(Exception):
-    """The file ends before it was completed: what came before is good."""
+    """The file ends early; the data before the end are valid."""
 
 
 class DamagedError(Exception):
-    """Something in the file is not what was written: what came before is good."""
+    """The file is damaged; the data before the damage are valid."""
 
 
 def records(stream: BinaryIO, size: int) -> Iterator[McapRecord]:
-    """Attachments, and what the chunks hold, as they were written.
+    """Yield attachments and the records of the chunks, in file order.
 
     Args:
         stream: The file, at its beginning.
         size: Its length [bytes].
 
     Raises:
-        CutShortError: It ends early.
-        DamagedError: A record is not as it was written, or one is missing.
+        CutShortError: The file ends early.
+        DamagedError: A record is damaged or missing.
     """
     if stream.read(len(MAGIC)) != MAGIC:
         raise DamagedError("it does not begin as MCAP does")
@@ -94,7 +94,7 @@ def records(stream: BinaryIO, size: int) -> Iterator[McapRecord]:
 
 
 def _bodies(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
-    """Place, kind and bytes of every record up to the footer."""
+    """Yield position, kind and bytes of every record up to the footer."""
     stream.seek(max(size - len(MAGIC), 0))
     complete = size >= 2 * len(MAGIC) and stream.read(len(MAGIC)) == MAGIC
     stream.seek(len(MAGIC))
@@ -115,10 +115,10 @@ def _bodies(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
 
 
 def _unpacked(chunk: Chunk) -> int:
-    """Size of a chunk when it is unpacked [bytes]: what it says, and what its data say.
+    """Return the unpacked size of a chunk [bytes]: the larger of its header's and its data's.
 
     Raises:
-        DamagedError: It is larger than any that a recorder writes.
+        DamagedError: It is larger than any chunk of a recorder.
     """
     size = chunk.uncompressed_size
     if chunk.compression == "zstd":

@@ -1,7 +1,7 @@
-"""`pliant log report`: a log as one page that loads nothing from anywhere, and its pictures.
+"""`pliant log report`: a log as one self-contained HTML page, and its pictures.
 
-Why the arm was soft or not, caps against the force that was felt, joints at the end of their
-strength, loop and bus, and the configuration, for those who ask why an arm did what it did.
+It shows the compliance of the axes, caps against estimated forces, saturated joints, loop and bus,
+and the configuration.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
 
     Args:
         log: The log.
-        folder: Made where it is missing.
-        title: Of the page, e.g. the name of the log.
+        folder: Created if it does not exist.
+        title: Title of the page, e.g. the name of the log.
 
     Returns:
         The page.
@@ -100,7 +100,7 @@ def _about(log: Log) -> str:
 
 
 def _notes(log: Log) -> list[str]:
-    """What a reader has to know first."""
+    """Return notes for the top of the page."""
     notes = []
     if log.damage:
         notes.append(f"The log is damaged: {log.damage}; this is what stands before that.")
@@ -148,7 +148,7 @@ def _soft(log: Log, felt: Felt | None, folder: Path) -> str:
 
 
 def _caps(log: Log, felt: Felt | None) -> Table:
-    """Caps against forces."""
+    """Return the table of caps and forces."""
     rows = []
     for k, name in enumerate(log.run["axes"]):
         cap, strengths = log.axis_strength[:, k], None if felt is None else felt.strengths
@@ -246,7 +246,7 @@ def _loop(log: Log, folder: Path) -> str:
 
 
 def _age(median: float, largest: float) -> str:
-    """When positions were sampled: before a tick began, or at its begin, by a bus that is asked."""
+    """Describe when positions were sampled, relative to the beginning of a tick."""
     if median < 0.0:
         return f"sampled {-1e3 * median:.2f} ms after a tick began (median)"
     return f"{1e3 * median:.2f} ms old when a tick began (median; at most {1e3 * largest:.2f} ms)"

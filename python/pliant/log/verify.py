@@ -1,4 +1,4 @@
-"""The controller again, told the same: the same commands, bit for bit."""
+"""Repetition of a logged run: the same inputs must give the same commands, bit for bit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: What a controller is told beside steps.
+#: Calls of a controller other than steps.
 CALLS = ("reset", "update", "set_payload", "set_gravity", "set_delay", "capture_gravity")
 COMMAND = ("goal", "torque_limit", "speed_limit")
 
@@ -32,7 +32,7 @@ class Verification:
         differing: Steps whose goal, limit or velocity differ in any bit.
         goal, torque_limit: Of the repetition (M, n) [rad, N·m].
         largest: Largest difference of a goal [rad].
-        missing: Calls that the log lacks; from the first on nothing can be the same.
+        missing: Calls missing from the log; commands after the first of them can differ.
     """
 
     steps: int
@@ -44,17 +44,17 @@ class Verification:
 
     @property
     def same(self) -> bool:
-        """Whether every step gave the same command, bit for bit."""
+        """True if every step gave the same command, bit for bit."""
         return self.differing == 0 and self.missing == 0
 
 
 def verify(log: Log, settings: pliant.Settings | None = None) -> Verification:
-    """Tell a fresh controller what the recorded one was told.
+    """Repeat all logged calls on a new controller.
 
     Args:
         log: The log.
-        settings: Others in place of those of the beginning, to see what they would have commanded
-            with the same inputs; the log's own changes of settings are then left out.
+        settings: Replace the initial settings, to see the commands for the same inputs. The log's
+            own changes of settings are then left out.
 
     Raises:
         ConfigError: The log was made without a controller, or by another version of pliant.
@@ -82,12 +82,12 @@ def steps(
     settings: pliant.Settings | None = None,
     before: Callable[[Any, pliant.Controller], None] | None = None,
 ) -> Iterator[tuple[Any, pliant.Controller, pliant.Command]]:
-    """The same one by one: the recorded call, the controller after it, what it commanded.
+    """Repeat the calls one by one: yield each step's call, the controller, and its command.
 
     Args:
         log: The log.
-        settings: As `verify`.
-        before: Called with call and controller before every step, as a `ContactEstimator` wants it.
+        settings: As for `verify`.
+        before: Called with call and controller before every step, e.g. for a `ContactEstimator`.
 
     Raises:
         ConfigError: As `verify`.
@@ -117,7 +117,7 @@ def steps(
 
 
 def _step(controller: pliant.Controller, call: Any) -> pliant.Command:
-    """One step with the recorded arguments."""
+    """Run one step with the recorded arguments."""
     given: dict[str, Any] = {
         name: np.array(value) if len(value) else None
         for name in ("dq", "twist", "gradient")

@@ -1,4 +1,4 @@
-"""Models, settings and servos as JSON and back, bit for bit: no code is run to read a log."""
+"""Models, settings and servos as JSON and back, bit for bit, without executing code."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ _TYPES = {
 
 
 def write(value: Any) -> str:
-    """JSON of numbers, arrays, settings, axes, tasks, servos and payloads, and lists of them.
+    """Return JSON of numbers, arrays, settings, axes, tasks, servos, payloads, and lists of them.
 
     Raises:
-        ConfigError: Something else.
+        ConfigError: The value has another type.
     """
     return json.dumps(_plain(value), ensure_ascii=False)
 
 
 def read(text: str) -> Any:
-    """What `write` was given; arrays come back as lists.
+    """Return the value that was given to `write`; arrays come back as lists.
 
     Raises:
-        ConfigError: No such text.
+        ConfigError: The text is invalid.
     """
     try:
         return _rich(json.loads(text))
@@ -57,10 +57,10 @@ def read(text: str) -> Any:
 
 
 def model(source: Any) -> pliant.Model:
-    """A model from what `describe` said.
+    """Return the model of a description by `describe`.
 
     Raises:
-        ConfigError, UrdfError: It describes none.
+        ConfigError, UrdfError: The description is invalid.
     """
     try:
         return pliant.Model.from_urdf_str(source["urdf"], **source["options"])
@@ -71,7 +71,7 @@ def model(source: Any) -> pliant.Model:
 
 
 def describe(given: pliant.Model) -> dict[str, Any]:
-    """URDF and options of a model."""
+    """Return URDF and options of a model."""
     text, options = given.source
     return {"urdf": text, "options": options}
 

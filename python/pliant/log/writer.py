@@ -1,7 +1,7 @@
-"""The process that writes: ``python -m pliant.log.writer FILE``, frames on standard input.
+"""The writer process: ``python -m pliant.log.writer FILE``, frames on standard input.
 
-It keeps no more than half a second to itself: chunks are sized for that from the first tick, and
-go to the file as they end. The end of the input, also by the death of the loop, completes the file.
+It buffers at most half a second: the chunks are sized for that from the first tick, and are written
+when full. The end of the input completes the file, also if the loop has died.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: What a chunk holds [s].
+#: Duration of a chunk [s].
 CHUNK = 0.5
-#: Messages that carry a tick beside its numbers, and their size without them [bytes].
+#: Number of messages per tick besides its numbers, and their size without them [bytes].
 MESSAGES, OVERHEAD = 8, 150
 
 
@@ -38,7 +38,7 @@ class Log:
     """An MCAP file with the layout of `layout`.
 
     Attributes:
-        run: What the run is.
+        run: Description of the run.
     """
 
     def __init__(self, stream: BinaryIO, run: dict[str, Any]) -> None:
@@ -67,7 +67,7 @@ class Log:
         self._attach(run)
 
     def _attach(self, run: dict[str, Any]) -> None:
-        """Robot, settings and configuration."""
+        """Attach robot, settings and configuration."""
         texts = {
             layout.RUN: ("application/json", words.write(run)),
             layout.URDF: ("application/xml", run["model"]["urdf"]),
@@ -80,7 +80,7 @@ class Log:
         self._put("/robot_description", "std_msgs/msg/String", {"data": run["model"]["urdf"]})
 
     def tick(self, body: bytes) -> None:
-        """A tick, once in full and once in the words of ROS."""
+        """Write a tick, in full and as standard ROS messages."""
         pieces = self._tick.split(np.frombuffer(body))
         passed = float(pieces["time"][0]) - self.run["clock"]
         self._now = self._begin + round(passed * 1e9)
@@ -106,21 +106,21 @@ class Log:
         self._put("/tf", "tf2_msgs/msg/TFMessage", {"transforms": [self._transform(actual)]})
 
     def step(self, body: bytes) -> None:
-        """A step of the controller."""
+        """Write a step of the controller."""
         sequence, joints = STEP.unpack_from(body)
         pieces = self._step.split(np.frombuffer(body, offset=STEP.size))
         message = {"sequence": sequence, "what": "step_joints" if joints else "step"}
         self._call({**message, "arguments": "", **layout.numbers(pieces, pieces)})
 
     def call(self, body: bytes) -> None:
-        """Any other call of the controller."""
+        """Write any other call of the controller."""
         called = words.read(body.decode())
         empty: dict[str, Any] = {name: [] for name, _ in self._step.pieces}
         arguments = words.write(called.pop("arguments"))
         self._call({**empty, **called, "dt": np.nan, "arguments": arguments})
 
     def end(self, body: bytes) -> None:
-        """What was counted during the run."""
+        """Write the counters of the run."""
         self._writer.add_attachment(self._now, self._now, layout.END, "application/json", body)
 
     def finish(self) -> None:
@@ -160,7 +160,7 @@ class Log:
 
 
 def _fill(value: Array, length: int) -> Array:
-    """Joints beside the chain have a position only."""
+    """Pad with NaN: off-chain joints have only a position."""
     return np.concatenate((value, np.full(length - value.size, np.nan)))
 
 
@@ -171,7 +171,7 @@ def _pose(matrix: Array) -> dict[str, dict[str, float]]:
 
 
 def _quaternion(matrix: Array) -> list[float]:
-    """Quaternion x y z w; a target need not be a rotation to the last digit."""
+    """Return the quaternion x y z w; a target is a rotation only within rounding."""
     u, _, v = np.linalg.svd(matrix[:3, :3])
     pose = np.eye(4)
     pose[:3, :3] = u @ v
@@ -183,7 +183,7 @@ def _quaternion(matrix: Array) -> list[float]:
 
 
 def main() -> None:
-    """Write frames until they end."""
+    """Write frames until the end of the input."""
     step_back()
     source = sys.stdin.buffer
     first = frames.receive(source)
@@ -195,7 +195,7 @@ def main() -> None:
             stream = stack.enter_context(beside.open("wb"))
             log = Log(stream, words.read(first[1].decode()))
             stream.flush()
-        # The file has its name from its first record on: a program that dies leaves what there is.
+        # The file gets its name with its first record, so that a crash leaves a readable file.
         take = {
             frames.TICK: log.tick,
             frames.STEP: log.step,

@@ -1,4 +1,4 @@
-"""What an arm does when it is touched: conditions over measures, and actions that follow.
+"""Reactions to contact: conditions on measured quantities, and the actions that they trigger.
 
     >>> from pliant.reactions import Deviation, Force, Reaction, Retract, ReactionMonitor
     >>> bumped = Force("z", above=9.0).lasting(0.05) & ~Deviation("xy", above=0.02)
@@ -6,7 +6,7 @@
     >>> for tick in loop:
     ...     command = controller.step(tick.q, watch.update(tick.q, target))
 
-`update` comes before the step of its tick: it returns the target that the step shall have.
+Call `update` before the step of its tick: it returns the target for the step.
 """
 
 from pliant.reactions.actions import Action, Call, Follow, Hold, Retract, Running, Stop, Yield

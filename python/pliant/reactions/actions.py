@@ -1,7 +1,7 @@
-"""What follows a condition: hold, yield, follow, retract, stop, call.
+"""Actions of a reaction: hold, yield, follow, retract, stop, call.
 
-An action is a description; `begin` makes what runs. It changes the target that the step gets, the
-settings, or nothing; goals and limits stay the controller's own business.
+An action is a description; `begin` creates the running action. A running action changes the target
+of the step, the settings, or nothing. Goals and limits stay with the controller.
 """
 
 from __future__ import annotations
@@ -30,42 +30,42 @@ class Running:
     """An action in force."""
 
     def target(self, now: Moment, target: Array) -> Array:
-        """Pose (4, 4) that the step shall have in place of `target`."""
+        """Return the pose (4, 4) that replaces `target` in the step."""
         return target
 
     def over(self, now: Moment) -> bool | None:
-        """Whether it has done its work; None: its condition decides."""
+        """Return True once the action is complete; None: its condition decides."""
         return None
 
     def end(self, now: Moment) -> None:
-        """Undo what must not stay."""
+        """Undo temporary changes."""
 
 
 class Action(ABC):
-    """Something to do when a condition begins to hold."""
+    """An action that starts when a condition becomes true."""
 
-    #: Whether it stays in force until `ReactionMonitor.resume()` where the reaction has no `until`.
+    #: True if, without `until`, it stays in force until `ReactionMonitor.resume()`.
     latched = False
-    #: Whether it is done at once.
+    #: True if it completes immediately.
     momentary = False
-    #: Whether it asks for a force.
+    #: True if it needs a force estimate.
     feels = False
 
     def check(self, controller: pliant.Controller) -> None:  # noqa: B027 - most refuse nothing
-        """Refuse what cannot be done with this controller.
+        """Check that the action is possible with this controller.
 
         Raises:
-            ConfigError, OutOfRangeError: With what would be right.
+            ConfigError, OutOfRangeError: It is not; the message names a valid choice.
         """
 
     @abstractmethod
     def begin(self, now: Moment) -> Running:
-        """Put it in force."""
+        """Put the action in force."""
 
 
 @dataclass
 class _Frozen(Running):
-    """The target stays at a pose."""
+    """A constant target pose."""
 
     pose: Array
 
@@ -75,48 +75,48 @@ class _Frozen(Running):
 
 @dataclass(frozen=True)
 class Hold(Action):
-    """The target becomes the pose in which the tool is now: the arm stops to push and stays.
+    """Set the target to the present tool pose: the arm stops pushing and stays.
 
-    It ends once the condition has not held for the reaction's `clear`; the target then goes back to
-    the caller's at the watch's speed.
+    It ends once the condition has been false for the reaction's `clear`. The target then returns
+    to the caller's at the monitor's `resume_speed`.
     """
 
     def begin(self, now: Moment) -> Running:
-        """Remember the pose."""
+        """Store the pose."""
         return _Frozen(now.tool.copy())
 
 
 @dataclass(frozen=True)
 class Stop(Action):
-    """As `Hold`, until `ReactionMonitor.resume()` is called; `ReactionMonitor.stopped` says so."""
+    """Act as `Hold` until `ReactionMonitor.resume()`; `ReactionMonitor.stopped` is then True."""
 
     latched = True
 
     def begin(self, now: Moment) -> Running:
-        """Remember the pose."""
+        """Store the pose."""
         return _Frozen(now.tool.copy())
 
 
 class _Yielding(Running):
-    """Other settings, until the end."""
+    """Changed settings until the end."""
 
     def __init__(self, controller: pliant.Controller, settings: pliant.Settings) -> None:
         self._before, self._changed = controller.settings, settings
         controller.update(settings)
 
     def end(self, now: Moment) -> None:
-        # Settings that somebody else has changed meanwhile are not ours to undo.
+        # Do not undo settings that were changed elsewhere in the meantime.
         if now.controller.settings == self._changed:
             now.controller.update(self._before)
 
 
 @dataclass(frozen=True, repr=False)
 class Yield(Action):
-    """Axes of the task give way, pushed either way, while it is in force; the target stays.
+    """Let axes of the task yield in both directions while in force; the target stays.
 
     Args:
         axes: Axis key of the task.
-        fields: Other attributes of `pliant.Axis` meanwhile, e.g. ``{"soft": 2.0, "adaptation":
+        fields: Other attributes of `pliant.Axis` for this time, e.g. ``{"soft": 2.0, "adaptation":
             0.9}``.
     """
 
@@ -124,7 +124,7 @@ class Yield(Action):
     fields: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the words and numbers once."""
+        """Check the arguments once."""
         indices(self.axes)
         if not isinstance(self.fields, Mapping):
             raise pliant.ConfigError(
@@ -147,7 +147,7 @@ class Yield(Action):
         pliant.Controller(controller.model, settings, controller.servos)
 
     def begin(self, now: Moment) -> Running:
-        """Take the settings."""
+        """Apply the settings."""
         return _Yielding(now.controller, self._settings(now.controller.settings))
 
     def __repr__(self) -> str:
@@ -157,7 +157,7 @@ class Yield(Action):
 
 @dataclass
 class _Leashed(Running):
-    """A target that some axes drag along."""
+    """A target that follows the tool on some axes."""
 
     axes: tuple[int, ...]
     leash: float
@@ -181,10 +181,10 @@ class _Leashed(Running):
 
 @dataclass(frozen=True)
 class Follow(Action):
-    """The target comes along with the tool on some axes and stays at most `leash` away from it.
+    """Let the target follow the tool on some axes, at most `leash` away from it.
 
-    So a stiff axis pushed farther than that gives way at the force it has there. It ends when the
-    tool is back within nine tenths of the leash of the caller's target.
+    A stiff axis pushed farther than `leash` thus yields at the force it has there. The action ends
+    when the tool is within nine tenths of `leash` of the caller's target.
 
     Args:
         axes: Axis key of the task frame.
@@ -200,12 +200,12 @@ class Follow(Action):
         positive(self.leash, "Follow.leash", "m, rad")
 
     def begin(self, now: Moment) -> Running:
-        """Take the axes."""
+        """Start following."""
         return _Leashed(indices(self.axes), self.leash, 0.9 * self.leash)
 
 
 class _Retracting(Running):
-    """A target that leaves a pose in a direction."""
+    """A target that moves away from a pose in one direction."""
 
     def __init__(self, pose: Array, direction: Array, distance: float, speed: float) -> None:
         self._pose, self._direction = pose, direction
@@ -218,12 +218,12 @@ class _Retracting(Running):
 
 @dataclass(frozen=True)
 class Retract(Action):
-    """The target leaves the pose in which the tool is now, and stays at the end of the way.
+    """Move the target away from the present tool pose, and keep it at the end.
 
     Args:
-        distance: How far [m].
-        speed: How fast [m/s]; the controller's `max_tool_speed` bounds it too.
-        along: Direction (3,) in base axes; None: where the contact pushes, by the force felt.
+        distance: Length of the motion [m].
+        speed: Speed of the target [m/s]; the controller's `max_tool_speed` also limits it.
+        along: Direction (3,) in base axes; None: direction of the estimated contact force.
     """
 
     distance: float
@@ -241,11 +241,11 @@ class Retract(Action):
 
     @property
     def feels(self) -> bool:  # type: ignore[override]
-        """Whether the force says where to."""
+        """True if the direction comes from the force estimate."""
         return self.along is None
 
     def begin(self, now: Moment) -> Running:
-        """Choose the direction; without any force the arm holds."""
+        """Choose the direction; without a force the arm holds."""
         way = now.force().force_base[:3] if self.along is None else np.asarray(self.along, float)
         size = float(np.linalg.norm(way))
         direction = way / size if size > 0.0 else np.zeros(3)
@@ -254,19 +254,19 @@ class Retract(Action):
 
 @dataclass(frozen=True)
 class Call(Action):
-    """A function is called once, with the moment."""
+    """Call a function once, with the `Moment`."""
 
     function: Callable[[Moment], object]
     momentary = True
 
     def __post_init__(self) -> None:
-        """Check that it can be called."""
+        """Check that it is callable."""
         if not callable(self.function):
             raise TypeError(
                 f"Call.function must be a function of a Moment, got {given(self.function)}"
             )
 
     def begin(self, now: Moment) -> Running:
-        """Call it."""
+        """Call the function."""
         self.function(now)
         return Running()

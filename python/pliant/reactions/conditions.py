@@ -1,7 +1,7 @@
-"""Conditions joined with ``&``, ``|`` and ``~``, and how long they have lasted.
+"""Conditions, combined with ``&``, ``|`` and ``~``, and their duration.
 
-A condition is a description: it can be printed, compared and used in several reactions. What it
-remembers (how long something has lasted) lives in the judge that `judge()` makes.
+A condition is a description: it can be printed, compared and used in several reactions. Its state,
+e.g. how long it has held, is in the judge that `judge()` returns.
 """
 
 from __future__ import annotations
@@ -17,56 +17,56 @@ if TYPE_CHECKING:
     import pliant
     from pliant.reactions.moment import Moment
 
-#: Says at every tick whether a condition holds; to be called once per tick.
+#: Evaluates a condition at a tick; to be called exactly once per tick.
 Judge = Callable[["Moment"], bool]
 
 
 class Condition(ABC):
-    """Something that holds or does not, judged once per tick."""
+    """A condition that is evaluated once per tick."""
 
-    #: Whether it asks for a force.
+    #: True if it needs a force estimate.
     feels = False
 
     @abstractmethod
     def judge(self) -> Judge:
-        """A fresh judge of this condition."""
+        """Return a new judge of this condition."""
 
     def check(  # noqa: B027 - most refuse nothing
         self, contact: pliant.ContactEstimator | None, controller: pliant.Controller
     ) -> None:
-        """Refuse what this arm cannot tell.
+        """Check that this arm can evaluate the condition.
 
         Raises:
-            ConfigError: An axis or joint that is not there.
-            OutOfRangeError: A threshold below the uncertainty.
+            ConfigError: An axis or joint does not exist.
+            OutOfRangeError: A threshold is below the uncertainty.
         """
 
     def __and__(self, other: Condition) -> Condition:
-        """Both hold."""
+        """Return a condition that holds if both hold."""
         return Joined("&", self, condition(other, "what follows &"))
 
     def __or__(self, other: Condition) -> Condition:
-        """One or both hold."""
+        """Return a condition that holds if at least one holds."""
         return Joined("|", self, condition(other, "what follows |"))
 
     def __invert__(self) -> Condition:
-        """It does not hold."""
+        """Return a condition that holds if this one does not."""
         return Not(self)
 
     def __bool__(self) -> bool:
-        """Refuse `and`, `or`, `not`, which Python would settle at once."""
+        """Reject `and`, `or` and `not`, which Python would evaluate immediately."""
         raise TypeError("join conditions with &, | and ~, not with and, or, not")
 
     def lasting(self, seconds: float) -> Condition:
-        """It has held for so long [s] without a break."""
+        """Return a condition that holds once this one has held without a break for so long [s]."""
         return Lasting(self, seconds)
 
 
 def condition(value: object, name: str) -> Condition:
-    """Return a value that is a condition.
+    """Return the value if it is a condition.
 
     Raises:
-        TypeError: It is none; says what would be one.
+        TypeError: It is not; the message names valid conditions.
     """
     if not isinstance(value, Condition):
         wanted = "a condition, as Force('z', above=8.0) or Elapsed(1.0)"
@@ -84,7 +84,7 @@ class Joined(Condition):
 
     @property
     def feels(self) -> bool:  # type: ignore[override]
-        """Whether one of them asks for a force."""
+        """True if one of them needs a force estimate."""
         return self.one.feels or self.other.feels
 
     def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
@@ -93,7 +93,7 @@ class Joined(Condition):
         self.other.check(contact, controller)
 
     def judge(self) -> Judge:
-        """Judge both at every tick, so that times go on."""
+        """Return a judge that evaluates both at every tick, so that both keep their durations."""
         one, other, both = self.one.judge(), self.other.judge(), self.how == "&"
 
         def holds(now: Moment) -> bool:
@@ -108,21 +108,21 @@ class Joined(Condition):
 
 @dataclass(frozen=True, repr=False)
 class Not(Condition):
-    """A condition that does not hold."""
+    """The negation of a condition."""
 
     one: Condition
 
     @property
     def feels(self) -> bool:  # type: ignore[override]
-        """Whether it asks for a force."""
+        """True if it needs a force estimate."""
         return self.one.feels
 
     def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
-        """Check it."""
+        """Check the condition."""
         self.one.check(contact, controller)
 
     def judge(self) -> Judge:
-        """The opposite."""
+        """Return a judge of the negation."""
         one = self.one.judge()
         return lambda now: not one(now)
 
@@ -132,7 +132,7 @@ class Not(Condition):
 
 @dataclass(frozen=True, repr=False)
 class Lasting(Condition):
-    """A condition that has held without a break; its first tick has lasted for no time yet."""
+    """A condition that has held without a break; at its first tick the duration is 0."""
 
     one: Condition
     seconds: float
@@ -143,15 +143,15 @@ class Lasting(Condition):
 
     @property
     def feels(self) -> bool:  # type: ignore[override]
-        """Whether it asks for a force."""
+        """True if it needs a force estimate."""
         return self.one.feels
 
     def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
-        """Check it."""
+        """Check the condition."""
         self.one.check(contact, controller)
 
     def judge(self) -> Judge:
-        """Count while it holds."""
+        """Return a judge that measures the duration."""
         one, lasted = self.one.judge(), -1.0
 
         def holds(now: Moment) -> bool:

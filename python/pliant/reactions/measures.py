@@ -1,4 +1,4 @@
-"""Conditions on what is measured: force, evidence, deviation, speed, time, saturation."""
+"""Conditions on measured quantities: force, evidence, deviation, speed, time, saturation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def _one_side(above: float | None, below: float | None, what: str) -> None:
-    """Check that one positive threshold is given."""
+    """Check that exactly one threshold is given, and that it is positive."""
     sides = {"above": above, "below": below}
     thresholds = {name: value for name, value in sides.items() if value is not None}
     if len(thresholds) != 1:
@@ -32,16 +32,16 @@ def _one_side(above: float | None, below: float | None, what: str) -> None:
 
 @dataclass(frozen=True, repr=False)
 class Force(Condition):
-    """Some axis is pushed harder than `above`, or all are pushed less than `below`.
+    """The force on some axis is above `above`, or on all axes below `below`.
 
-    A force counts only beyond its present uncertainty (times the contact's `guard`): near a
-    singular pose, where an axis cannot be felt, it does not hold.
+    A force counts only above its present uncertainty (times the contact's `guard`): near a
+    singular pose, where the force on an axis cannot be estimated, the condition does not hold.
 
     Args:
         axes: Axis key of the task frame.
-        above, below: Threshold [N], for rotations [N·m]; one of them.
-        toward: Count pushes toward this side only.
-        accept: ``("thresholds",)`` takes the threshold as it is, whatever the uncertainty.
+        above, below: Threshold [N], for rotations [N·m]; exactly one of them.
+        toward: Direction of the pushes that count.
+        accept: ``("thresholds",)`` uses the threshold without regard to the uncertainty.
     """
 
     axes: str
@@ -52,7 +52,7 @@ class Force(Condition):
     feels = True
 
     def __post_init__(self) -> None:
-        """Check the words once."""
+        """Check the arguments once."""
         indices(self.axes)
         _one_side(self.above, self.below, "Force")
         if self.toward not in {"both", "+", "-"}:
@@ -62,7 +62,7 @@ class Force(Condition):
             raise pliant.ConfigError(f"Force.accept knows 'thresholds', not {sorted(unknown)}")
 
     def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
-        """Refuse a threshold that the arm at rest cannot tell from its own friction."""
+        """Reject a threshold that the arm at rest cannot distinguish from its own friction."""
         if contact is None:
             return
         indices(self.axes, contact.axes)
@@ -80,7 +80,7 @@ class Force(Condition):
                 )
 
     def judge(self) -> Judge:
-        """Compare with the larger of threshold and uncertainty."""
+        """Return a judge that compares with the larger of threshold and uncertainty."""
         chosen = list(indices(self.axes))
         sign = {"both": 0.0, "+": 1.0, "-": -1.0}[self.toward]
 
@@ -103,11 +103,11 @@ class Force(Condition):
 
 @dataclass(frozen=True, repr=False)
 class Touched(Condition):
-    """An event of the contact estimate is on: `touch` or `stop`, on any of these axes.
+    """The contact estimate reports `touch` or `stop` on one of these axes.
 
     Args:
         axes: Axis key of the task frame.
-        kind: Which of the two thresholds.
+        kind: Which of the two events.
     """
 
     axes: str = "all"
@@ -115,13 +115,13 @@ class Touched(Condition):
     feels = True
 
     def __post_init__(self) -> None:
-        """Check the words once."""
+        """Check the arguments once."""
         indices(self.axes)
         if self.kind not in {"touch", "stop"}:
             raise pliant.ConfigError(f"Touched.kind is 'touch' or 'stop', not {self.kind!r}")
 
     def judge(self) -> Judge:
-        """Look at the events."""
+        """Return a judge of the events."""
         chosen, stop = list(indices(self.axes)), self.kind == "stop"
 
         def holds(now: Moment) -> bool:
@@ -136,10 +136,10 @@ class Touched(Condition):
 
 @dataclass(frozen=True, repr=False)
 class Evidence(Condition):
-    """Some joint feels more than `above` times what could be wrong: something pushes somewhere.
+    """The residual of some joint exceeds `above` times its uncertainty: a contact somewhere.
 
-    Sees a contact earlier than any axis does and wherever on the arm it is, but says neither where
-    nor how hard.
+    It detects a contact earlier than any axis does, anywhere on the arm, but gives neither its
+    place nor its force.
     """
 
     above: float = 1.0
@@ -150,7 +150,7 @@ class Evidence(Condition):
         _one_side(self.above, None, "Evidence")
 
     def judge(self) -> Judge:
-        """Look at the joints."""
+        """Return a judge of the joint residuals."""
         return lambda now: now.force().residual_ratio > self.above
 
     def __repr__(self) -> str:
@@ -159,27 +159,27 @@ class Evidence(Condition):
 
 @dataclass(frozen=True, repr=False)
 class _OfTask(Condition):
-    """A measure along the task's axes: some is above, or all are below."""
+    """A quantity along the task's axes: one is above, or all are below a threshold."""
 
     axes: str
     above: float | None = None
     below: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the words once."""
+        """Check the arguments once."""
         indices(self.axes)
         _one_side(self.above, self.below, type(self).__name__)
 
     def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
-        """Refuse axes that the task has not."""
+        """Reject axes that are not in the task."""
         indices(self.axes, controller.settings.task.names)
 
     @abstractmethod
     def _measure(self, now: Moment) -> np.ndarray:
-        """The measure of every axis that is looked at."""
+        """Return the quantity for all axes of the task."""
 
     def judge(self) -> Judge:
-        """Compare the measure's size."""
+        """Return a judge that compares the magnitude."""
 
         def holds(now: Moment) -> bool:
             size = np.abs(self._measure(now)[list(indices(self.axes, now.names))])
@@ -198,7 +198,7 @@ class Deviation(_OfTask):
 
     Args:
         axes: Axis key of the task.
-        above, below: Threshold [m], for rotations [rad]; one of them.
+        above, below: Threshold [m], for rotations [rad]; exactly one of them.
     """
 
     def _measure(self, now: Moment) -> np.ndarray:
@@ -210,7 +210,7 @@ class Speed(_OfTask):
 
     Args:
         axes: Axis key of the task.
-        above, below: Threshold [m/s], for rotations [rad/s]; one of them.
+        above, below: Threshold [m/s], for rotations [rad/s]; exactly one of them.
     """
 
     def _measure(self, now: Moment) -> np.ndarray:
@@ -219,7 +219,7 @@ class Speed(_OfTask):
 
 @dataclass(frozen=True, repr=False)
 class Elapsed(Condition):
-    """So long [s] has passed since the watch began; in `until`, since the reaction began."""
+    """A time [s] has passed since the monitor started; in `until`, since the reaction began."""
 
     seconds: float
 
@@ -228,7 +228,7 @@ class Elapsed(Condition):
         number(self.seconds, "Elapsed.seconds", 0.0, unit="s")
 
     def judge(self) -> Judge:
-        """Count from the first tick on."""
+        """Return a judge that counts from the first tick."""
         passed = -1.0
 
         def holds(now: Moment) -> bool:
@@ -244,27 +244,27 @@ class Elapsed(Condition):
 
 @dataclass(frozen=True, repr=False)
 class Saturated(Condition):
-    """The limit of a joint's servo cuts its torque; any joint unless named."""
+    """The torque of a servo is at its limit; any joint unless named."""
 
     joints: tuple[str, ...] = ()
     feels = True
 
     def __post_init__(self) -> None:
-        """Check that it is a list of names: a text is one of letters."""
+        """Check that it is a list of names, not a string, which is a list of letters."""
         if isinstance(self.joints, str) or not isinstance(self.joints, Iterable):
             raise pliant.ConfigError(
                 f"Saturated.joints must be names, as in ('elbow_pitch',), got {given(self.joints)}"
             )
 
     def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
-        """Refuse joints that the arm has not."""
+        """Reject joints that the arm does not have."""
         known = controller.model.joint_names
         unknown = [name for name in self.joints if name not in known]
         if unknown:
             raise pliant.ConfigError(f"no joint {', '.join(unknown)}; there are {', '.join(known)}")
 
     def judge(self) -> Judge:
-        """Look at the servos."""
+        """Return a judge of the saturated servos."""
 
         def holds(now: Moment) -> bool:
             names, cut = now.controller.model.joint_names, now.force().saturated
@@ -279,5 +279,5 @@ class Saturated(Condition):
 
 
 def _threshold(axes: str, above: float | None, below: float | None) -> str:
-    """How a threshold is written."""
+    """Format a threshold."""
     return f"{axes!r}, below={below:g}" if above is None else f"{axes!r}, above={above:g}"

@@ -1,4 +1,4 @@
-"""One tick as conditions and actions see it."""
+"""`Moment`, the data of one tick for conditions and actions."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Moment:
-    """One tick.
+    """Data of one tick.
 
     Attributes:
-        controller: Whose arm it is.
-        time: Since the watch began [s].
-        dt: Since the last tick [s].
+        controller: Controller of the arm.
+        time: Time since the monitor started [s].
+        dt: Time since the last tick [s].
         q: Measured joint positions (n,) [rad].
         tool: Measured pose of the tool (4, 4).
-        wanted: Pose (4, 4) that the caller wants.
-        felt: What pushes at the tool; None where no condition asks for it.
-        guard: Share of the uncertainty that a force must exceed to count.
+        wanted: The caller's target pose (4, 4).
+        felt: Estimated wrench on the tool; None if no condition needs it.
+        guard: Multiple of the uncertainty that a force must exceed to count.
     """
 
     controller: pliant.Controller
@@ -59,10 +59,10 @@ class Moment:
         return moved
 
     def force(self) -> pliant.WrenchEstimate:
-        """What pushes at the tool.
+        """Return the estimated wrench on the tool.
 
         Raises:
-            ConfigError: The watch does not feel.
+            ConfigError: The monitor has no contact estimator.
         """
         if self.felt is None:
             raise pliant.ConfigError(
@@ -72,7 +72,7 @@ class Moment:
 
     @property
     def base_from_task(self) -> Array:
-        """Axes of the task (3, 3) as columns, in the base."""
+        """Axes of the task (3, 3) as columns, in base axes."""
         frame = self.controller.settings.task.frame
         if isinstance(frame, str):
             return self.tool[:3, :3] if frame == "tool" else np.eye(3)
@@ -80,10 +80,10 @@ class Moment:
 
 
 def indices(axes: str, names: Sequence[str] = pliant.AXES) -> tuple[int, ...]:
-    """Places of an axis key's axes among `names`.
+    """Return the indices of an axis key's axes in `names`.
 
     Raises:
-        ConfigError: The key is not understood, or an axis is not among the names.
+        ConfigError: The key is invalid, or an axis is not among the names.
     """
     wanted = pliant.Task(axes).names
     absent = [name for name in wanted if name not in names]

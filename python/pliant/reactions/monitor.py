@@ -1,4 +1,4 @@
-"""The watch: judges all reactions once per tick and puts at most one in force."""
+"""The monitor: evaluates all reactions once per tick and has at most one in force."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Reaction:
-    """When something holds, do something.
+    """A condition and the actions that it triggers.
 
     Attributes:
-        when: Condition; begins the actions when it begins to hold.
+        when: Condition; the actions begin when it becomes true.
         then: One action or several, in the order in which they change the target.
-        until: Ends them; by default they end when the condition has not held for `clear`, and
-            `Retract` and `Stop` only by `ReactionMonitor.resume()`.
+        until: Condition that ends the actions. By default they end when `when` has been false for
+            `clear`, and `Retract` and `Stop` only by `ReactionMonitor.resume()`.
         clear: See `until` [s].
     """
 
@@ -58,30 +58,30 @@ class Reaction:
 
     @property
     def actions(self) -> tuple[Action, ...]:
-        """The actions."""
+        """The actions as a tuple."""
         return (self.then,) if isinstance(self.then, Action) else tuple(self.then)
 
     @property
     def momentary(self) -> bool:
-        """Whether nothing stays in force."""
+        """True if no action stays in force."""
         return all(one.momentary for one in self.actions)
 
     @property
     def feels(self) -> bool:
-        """Whether a part of it asks for a force."""
+        """True if a part of it needs a force estimate."""
         ends = self.until is not None and self.until.feels
         return self.when.feels or ends or any(action.feels for action in self.actions)
 
 
 @dataclass(frozen=True)
 class Noted:
-    """A line of the watch's log.
+    """An entry of the monitor's log.
 
     Attributes:
-        time: Since the first update [s]; updated in every tick, that is `Tick.time`.
+        time: Time since the first update [s]; equal to `Tick.time` if updated in every tick.
         what: `began`, `ended` or `called`.
-        reaction: Which.
-        felt: What pushed at the tool then.
+        reaction: The reaction.
+        felt: Estimated wrench on the tool at that time.
     """
 
     time: float
@@ -101,14 +101,14 @@ class _InForce:
         self._quiet = 0.0
 
     def target(self, now: Moment) -> Array:
-        """The caller's target, changed by one action after the other."""
+        """Return the caller's target, changed by all actions in turn."""
         pose = now.wanted
         for running in self._running:
             pose = running.target(now, pose)
         return pose
 
     def over(self, now: Moment, holds: bool) -> bool:
-        """Whether it ends with this tick."""
+        """Return True if it ends with this tick."""
         if self._until is not None:
             return self._until(now)
         if self._latched:
@@ -120,31 +120,31 @@ class _InForce:
         return self._quiet > self.reaction.clear
 
     def end(self, now: Moment) -> None:
-        """Undo, last action first."""
+        """End the actions, last action first."""
         for running in reversed(self._running):
             running.end(now)
 
 
 class ReactionMonitor:
-    """Reactions of one controller; `update` once per tick, before its `step`.
+    """Reactions of one controller; call `update` once per tick, before its `step`.
 
-    The first reaction in the list matters most: it takes over from later ones. A reaction begins
-    when its condition begins to hold, and again only after the condition has not held. After the
-    end of one the target goes back to the caller's at `resume_speed`, never at once.
+    Reactions are in order of priority: a reaction replaces later ones in the list. It begins when
+    its condition becomes true, and again only after the condition has been false. After its end the
+    target returns to the caller's at `resume_speed`, without a jump.
 
     Args:
-        controller: Whose target and settings are changed.
-        reactions: In order of importance.
-        contact: What feels; None: one with its defaults, where a reaction asks for a force.
-        resume_speed: How fast the target goes back [m/s], [rad/s].
+        controller: Its target and settings are changed.
+        reactions: In order of priority.
+        contact: Contact estimator. None: one with its defaults, if a reaction needs a force.
+        resume_speed: Speed at which the target returns [m/s], [rad/s].
 
     Attributes:
         log: The last thousand beginnings, ends and calls.
 
     Raises:
-        OutOfRangeError: A threshold below the uncertainty.
-        TypeError: This is no controller, no contact, or there is something else than reactions.
-        ConfigError: Axes or joints that are not there, settings that do not go together.
+        OutOfRangeError: A threshold is below the uncertainty.
+        TypeError: `controller`, `contact` or an item of `reactions` has the wrong type.
+        ConfigError: Axes or joints do not exist, or settings are inconsistent.
     """
 
     def __init__(
@@ -179,10 +179,10 @@ class ReactionMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew: no reaction in force, times at zero; a tare of the contact stays.
+        """Restart: no reaction in force, times at zero; a tare of the contact stays.
 
-        Call it with the controller's `reset`. Settings that a `Yield` had changed stay changed:
-        call `resume` and `update` before, or `controller.update`.
+        Call it with the controller's `reset`. Settings changed by a `Yield` stay changed: call
+        `resume` and `update` before, or `controller.update`.
         """
         self._judges: list[Judge] = [reaction.when.judge() for reaction in self.reactions]
         self._armed = [True] * len(self.reactions)
@@ -200,18 +200,18 @@ class ReactionMonitor:
 
     @property
     def stopped(self) -> bool:
-        """Whether a `Stop` is in force."""
+        """True if a `Stop` is in force."""
         active = self.active
         return active is not None and any(isinstance(one, Stop) for one in active.actions)
 
     @property
     def resuming(self) -> bool:
-        """Whether the target is on its way back to the caller's."""
+        """True while the target returns to the caller's."""
         return self._resuming
 
     @property
     def felt(self) -> pliant.WrenchEstimate | None:
-        """What pushed at the tool at the last tick; None where nothing is felt."""
+        """Estimated wrench on the tool at the last tick; None without a contact estimator."""
         return None if self.contact is None else self.contact.estimate
 
     def resume(self) -> None:
@@ -228,23 +228,22 @@ class ReactionMonitor:
         current: ArrayLike | None = None,
         sent: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> Any:
-        """Judge one tick.
+        """Evaluate one tick.
 
         Args:
             q: Measured joint positions (n,) [rad].
-            target: As `Controller.step` takes it.
-            dt: Since the last tick [s]; None: 1 / settings.rate.
-            load: As `ContactEstimator.update` takes it.
-            current: As `ContactEstimator.update` takes it.
-            sent: As `ContactEstimator.update` takes it.
+            target: As for `Controller.step`.
+            dt: Time since the last tick [s]; None: 1 / settings.rate.
+            load: As for `ContactEstimator.update`.
+            current: As for `ContactEstimator.update`.
+            sent: As for `ContactEstimator.update`.
 
         Returns:
-            The target for the step: the caller's own object while nothing is in force.
+            The target for the step: the caller's own object while no reaction is in force.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError: An input that cannot be used; nothing has
-                changed.
-            Exception: What a called function raises.
+            ShapeError, OutOfRangeError, ConfigError: An input is invalid; nothing has changed.
+            Exception: Error of a called function.
         """
         now = self._look(q, target, dt, load, current, sent)
         holds = [judge(now) for judge in self._judges]
@@ -261,7 +260,7 @@ class ReactionMonitor:
         return target
 
     def _look(self, q: Any, target: Any, dt: float | None, *measured: Any) -> Moment:
-        """What this tick is like."""
+        """Collect the data of this tick."""
         controller = self.controller
         wanted = pliant.functional.as_pose(target).matrix
         tool = controller.model.forward_kinematics(q)
@@ -276,7 +275,7 @@ class ReactionMonitor:
         return Moment(controller, self._time, step, reading, tool, wanted, felt, guard)
 
     def _finish(self, now: Moment, holds: list[bool]) -> None:
-        """End the reaction in force where it is over."""
+        """End the reaction in force if it is over."""
         running = self._in_force
         if running is not None and (self._ending or running.over(now, holds[running.index])):
             self._end(now, running)
@@ -284,7 +283,7 @@ class ReactionMonitor:
         self._ending = False
 
     def _start(self, now: Moment, holds: list[bool]) -> None:
-        """Begin what begins to hold."""
+        """Begin reactions whose condition has become true."""
         for index, reaction in enumerate(self.reactions):
             if not holds[index]:
                 self._armed[index] = True

@@ -1,4 +1,4 @@
-"""Poses on their way: targets that move by so much per tick."""
+"""Motion of target poses by small steps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def moved(pose: Array, shift: Array, turn: Array) -> Array:
-    """Pose (4, 4) moved by `shift` (3,) [m] and turned by `turn` (3,) [rad], base axes."""
+    """Return a pose (4, 4) moved by `shift` (3,) [m] and turned by `turn` (3,) [rad], base axes."""
     out = pose.copy()
     out[:3, 3] += shift
     out[:3, :3] = pliant.Pose.from_rotvec(np.zeros(3), turn).rotation @ pose[:3, :3]
@@ -23,7 +23,7 @@ def moved(pose: Array, shift: Array, turn: Array) -> Array:
 
 
 def toward(pose: Array, target: Array, way: float, angle: float) -> Array:
-    """Pose (4, 4) a step nearer to a target: at most `way` [m] and `angle` [rad]."""
+    """Return a pose (4, 4) one step closer to a target: at most `way` [m] and `angle` [rad]."""
     error = pliant.functional.pose_error(pose, target)
     shift, turn = error[:3], error[3:]
     shares = [

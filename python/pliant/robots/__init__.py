@@ -6,10 +6,9 @@
 | `so101` | 5 and a gripper, SO-101-like | STS3215 at 7.4 V, P gain 16 |
 | `koch` | 5 and a gripper, Koch-like | XL430 at 11.1 V (pan, lift), XL330 at 5 V, factory gains |
 
-None of them is a copy or a measurement of a robot; a table of real servos and a real URDF come from
-the user. Their tables define them, so `stiffness_known` is True: on the simulator that is what
-    they are. A
-configuration file and a bus have servos of their own, and know k_p only where it was identified.
+They are neither copies nor measurements of real robots. For a real robot, supply its servo table
+and URDF. The tables define the simulated servos, so `stiffness_known` is True. A configuration file
+and a bus have servos of their own; there k_p is known only after identification.
 """
 
 from __future__ import annotations
@@ -75,7 +74,7 @@ _ARMS: dict[str, Callable[..., Model]] = {"arm7": arm7, "so101": so101, "koch": 
 
 
 def names() -> tuple[str, ...]:
-    """Names that `load` knows."""
+    """Return the names of the built-in arms."""
     return tuple(_ARMS)
 
 
@@ -109,7 +108,7 @@ def table(name: str) -> float | None:
 
 
 def _check(name: str) -> None:
-    """See that there is such an arm."""
+    """Raise unless the arm exists."""
     if name not in _ARMS:
         raise pliant.ConfigError(f"no built-in arm {name!r}; there are {', '.join(_ARMS)}")
 

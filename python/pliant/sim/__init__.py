@@ -5,8 +5,9 @@
 >>> plant = pliant.sim.Plant(arm, scene=[pliant.sim.STRONG])
 >>> state = plant.reset(q_start)
 
-`Plant.read()` and `Plant.write(goal, limit)` are the interface hardware has; `Plant.q`,
-`Plant.tool` and `Plant.hands` are the truth, for figures and tests. World axes are the model's base
+`Plant.read()` and `Plant.write(goal, limit)` are the interface that hardware also has. `Plant.q`,
+`Plant.tool` and `Plant.hands` are the true state, for figures and tests. World axes are the model's
+base axes; all units SI.
 axes; all units SI.
 """
 

@@ -1,4 +1,4 @@
-"""The one place that imports MuJoCo, so that a missing extra is one clear line."""
+"""Import MuJoCo in one place, with a clear error if the extra is not installed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The servos of an arm: goals and limits in, torques out, and what happens between two writes."""
+"""Servos of an arm: goals and limits in, torques out, and their behaviour between writes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ServoBank:
 
     Attributes:
         torque: Mean torque of the servos over the last period (n,) [N·m], inside their limits.
-        held: Goal at rest [rad] and largest torque [N·m] of each off-chain joint with a servo.
+        held: Rest goal [rad] and torque limit [N·m] of each off-chain joint with a servo.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class ServoBank:
         self.torque, self._sum, self._steps = np.zeros(n), np.zeros(n), 0
 
     def _place_followers(self) -> None:
-        """Start mimic joints where their drivers put them."""
+        """Put mimic joints at the angles that their drivers imply."""
         model, qpos = self._model, self._data.qpos
         for tie in range(model.neq):
             if model.eq_type[tie] != mujoco.mjtEq.mjEQ_JOINT:
@@ -85,7 +85,7 @@ class ServoBank:
 
     @property
     def needs_drive(self) -> bool:
-        """Whether `drive` has something to do at every physics step."""
+        """True if `drive` is needed at every physics step."""
         return self._inner
 
     @property
@@ -106,7 +106,7 @@ class ServoBank:
 
     @property
     def tripped(self) -> NDArray[np.bool_]:
-        """Which servos have cut their torque (n,)."""
+        """Mask of the servos that have cut their torque (n,)."""
         return self._latch.tripped.copy()
 
     def angles(self) -> dict[str, float]:
@@ -114,7 +114,7 @@ class ServoBank:
         return {name: float(self._data.joint(name).qpos[0]) for name in self.held}
 
     def apply(self, order: Order, period: float) -> None:
-        """Let a command take effect: limits first, lest a far goal meets an old high limit."""
+        """Apply an order, limits first: a far goal must not meet an old, higher limit."""
         usable = self._gains.torque
         limit = self._latch.limit(order.limit, self.torque, usable, period)
         force = self._model.actuator_forcerange
@@ -129,9 +129,9 @@ class ServoBank:
         self._steps = 0
 
     def drive(self, dt: float) -> None:
-        """What a servo does by itself before a physics step: walk to its goal, dead band, play.
+        """Update the servos before a physics step: speed limit, dead band, backlash.
 
-        The encoder sits on the link, so a servo with play controls the link, not its motor.
+        The encoder sits on the link, so a servo with backlash controls the link, not its motor.
         """
         if not self._inner:
             return

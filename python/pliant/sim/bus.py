@@ -1,4 +1,4 @@
-"""The bus between controller and servos: coarse readings, delays, losses, silence."""
+"""The bus between controller and servos: rounded readings, delays, losses, outages."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 class Bus:
-    """Carries orders to the servos and readings back, each with its own delay, loss and chance.
+    """Carries orders and readings, each direction with its own delay, loss and random source.
 
     Attributes:
-        state: What a read returns in this tick.
+        state: State that a read returns in this tick.
         sent: The last order sent, whether or not it arrives.
     """
 
@@ -54,7 +54,7 @@ class Bus:
         return self._delay[1]
 
     def reset(self, first: Order, extra: Mapping[str, float]) -> None:
-        """Start anew, with all chance, as if `first` had been the order for ever."""
+        """Restart, with all random sources, as if `first` had always been the order."""
         seeds = np.random.SeedSequence(self._seed).spawn(3)
         encoding, reading, writing = (np.random.default_rng(seed) for seed in seeds)
         self._encoder = Encoder(
@@ -67,18 +67,18 @@ class Bus:
         self._reads = Line(self.state, delay=self._delay[0], loss=self._read_loss, rng=reading)
 
     def send(self, order: Order) -> None:
-        """Put an order on the line; a second one in the same tick replaces it."""
+        """Put an order on the line; a second order in one tick replaces the first."""
         goal = self._encoder.round(order.goal)
         self.sent = self._pending = Order(goal, order.limit, order.extra)
 
     def deliver(self, time: float) -> Order:
-        """Return the order the servos follow in the tick that begins at `time` [s]."""
+        """Return the order in force in the tick that begins at `time` [s]."""
         order = self._writes.pass_on(self._pending, silent=self._is_silent(time))
         self._pending = None
         return order
 
     def sample(self, q: Array, extra: Mapping[str, float], time: float) -> None:
-        """Take a reading of the true q (n,) [rad] at `time` [s] and pass the line on by a tick."""
+        """Sample the true q (n,) [rad] at `time` [s] and advance the read line by one tick."""
         now = State(self._encoder.read(q), time=time, extra=extra)
         old = self._reads.pass_on(now, silent=self._is_silent(time))
         age = np.full(self._n, time - old.time)

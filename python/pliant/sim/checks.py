@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def physics_steps(dt: float, rate: float) -> int:
-    """Physics steps per control period."""
+    """Return the physics steps per control period."""
     dt, rate = (_float(value, name) for value, name in ((dt, "dt"), (rate, "rate")))
     if not (np.isfinite(dt) and 0.0 < dt <= 0.01):
         raise ConfigError(f"dt must be in (0, 0.01] s, got {dt!r}")
@@ -36,12 +36,12 @@ def physics_steps(dt: float, rate: float) -> int:
 
 
 def table(servos: Any | None) -> Servos | None:
-    """Check that a servo table is one, if there is one."""
+    """Check the servo table; None passes."""
     return None if servos is None else instance(servos, Servos, "servos")
 
 
 def extra(model: Any, servos: Any | None) -> dict[str, Servos]:
-    """Check the servo tables of off-chain joints; joints that the model lacks are left out."""
+    """Check the servo tables of off-chain joints; leave out joints that the model lacks."""
     names = {joint.name for joint in model.joints} - set(model.joint_names)
     found = {}
     for name, own in dict(servos or {}).items():
@@ -54,27 +54,27 @@ def extra(model: Any, servos: Any | None) -> dict[str, Servos]:
 
 
 def protection(overload: Any | None) -> Overload | None:
-    """Check the servos' self-protection, if they have one."""
+    """Check the overload protection of the servos; None passes."""
     kind = "e.g. Overload(threshold=0.95, seconds=3.0)"
     return None if overload is None else instance(overload, Overload, "overload", kind)
 
 
 def off_chain(value: str) -> None:
-    """Check what becomes of joints beyond the chain."""
+    """Check the treatment of off-chain joints."""
     if value not in {"held", "welded"}:
         raise ConfigError(f"off_chain is 'held' or 'welded', got {given(value)}")
 
 
 def creep(value: float) -> float:
-    """Check how fast joints creep; MuJoCo has no dry friction that holds entirely."""
+    """Check the creep factor; MuJoCo has no dry friction that holds a joint entirely."""
     return number(value, "creep", 1e-3, 1.0)
 
 
 def split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
-    """Tell force laws from things with bodies.
+    """Separate hands (force laws) from fixtures (things with bodies).
 
     Raises:
-        TypeError: No list, or something in it is neither.
+        TypeError: `scene` is not iterable, or an item is neither a hand nor a fixture.
     """
     hands: list[Hand] = []
     fixtures: list[Fixture] = []
@@ -94,7 +94,7 @@ def split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
 
 
 def load(payload: Any) -> tuple[float, Array] | None:
-    """Check an unknown load, a pair or a `Payload`."""
+    """Check the payload unknown to the controller: a pair or a `Payload`."""
     if payload is None:
         return None
     try:
@@ -111,7 +111,7 @@ def load(payload: Any) -> tuple[float, Array] | None:
 
 
 def _float(value: Any, name: str) -> float:
-    """A number whose range is checked elsewhere."""
+    """Convert to float; the caller checks the range."""
     try:
         return float(value)
     except (TypeError, ValueError):

@@ -1,7 +1,7 @@
-"""Doors of one leaf on one hinge, gripped at the handle: house door, fridge, oven.
+"""Single-leaf hinged doors, gripped at the handle: house door, fridge, oven.
 
-The handle is where the tool is at reset. A `rigid` grip is a weld, a `turning` one lets the handle
-turn in the grip.
+The handle is where the tool is at reset. A `rigid` grip is a weld; a `turning` grip lets the handle
+rotate in the grip.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
     from pliant.sim.plant import Plant
     from pliant.sim.spec import Build
 
-#: Path of the handle over which a seal begins to pull [m]: on a closed leaf it does not press on
-#: the stop.
+#: Handle travel over which the seal force builds up [m]. A closed leaf is thus not pressed
+#: against its stop.
 SEAL_ONSET = 5e-5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """A motion of the hinge relative to the robot: what a moving base looks like from the shoulder.
+    """A motion of the hinge relative to the robot, as a moving base would cause.
 
     Attributes:
         direction: Unit vector (3,) in base axes.
         speed: [m/s].
-        start: When it begins [s].
-        distance: How far it goes [m].
+        start: Time at which it begins [s].
+        distance: Length of the motion [m].
     """
 
     direction: Sequence[float] = (1.0, 0.0, 0.0)
@@ -46,7 +46,7 @@ class Drive:
     distance: float = 0.28
 
     def at(self, t: float) -> float:
-        """How far the hinge has come at time t [s], in m."""
+        """Return the displacement of the hinge at time t [s], in m."""
         return min(max(self.speed * (t - self.start), 0.0), self.distance)
 
 
@@ -55,17 +55,17 @@ class Door(Gripped):
     """A leaf on a hinge, held by the arm at its handle.
 
     Attributes:
-        hinge: From the handle to the hinge, base axes (3,) [m].
-        axis: Hinge axis (3,), about which a positive angle opens.
-        mass: Of the leaf [kg], centre half way between hinge and handle.
+        hinge: Vector from the handle to the hinge, base axes (3,) [m].
+        axis: Hinge axis (3,); a positive angle opens the door.
+        mass: Mass of the leaf [kg]; its centre is half way between hinge and handle.
         friction: Dry friction of the hinge [N·m].
         damping: Viscous damping of the hinge [N·m·s/rad].
         stop: Largest opening [rad].
         seal: Force of a magnetic seal at the handle [N], falling linearly to 0 over `seal_way`.
-        seal_way: Path of the handle over which the seal lets go [m].
-        balanced: Whether a spring carries the leaf's weight.
-        drive: Motion of the hinge, None for a wall that stands still.
-        angle, widest: Opening now, and the widest so far [rad].
+        seal_way: Handle travel over which the seal releases [m].
+        balanced: True if a spring carries the leaf's weight.
+        drive: Motion of the hinge; None for a fixed hinge.
+        angle, widest: Present opening, and largest opening so far [rad].
     """
 
     hinge: Sequence[float] = (0.0, -0.30, 0.0)
@@ -103,7 +103,7 @@ class Door(Gripped):
             )
 
     def with_(self, **changes: object) -> Door:
-        """Return another door with these attributes changed."""
+        """Return a copy with these attributes changed."""
         return replace(self, **changes)  # type: ignore[arg-type]
 
     def add(self, build: Build) -> None:
@@ -141,7 +141,7 @@ class Door(Gripped):
         geom.pos, geom.quat, geom.rgba = across / 2, quat, (0.55, 0.42, 0.30, 0.55)
 
     def place(self, plant: Plant) -> None:
-        """Hang the leaf so that its handle is in the tool, and forget the records."""
+        """Place the leaf so that its handle is in the tool, and clear the records."""
         model, data = plant.mj_model, plant.mj_data
         tool = plant.tool
         self._frame = int(model.body(f"{self.name}:frame").mocapid[0])
@@ -161,7 +161,7 @@ class Door(Gripped):
             )
 
     def during(self, plant: Plant) -> None:
-        """Let the seal pull."""
+        """Apply the force of the seal."""
         if self.seal > 0.0:
             way = self.radius * float(plant.mj_data.qpos[self._qpos])
             pull = self.seal * min(
@@ -170,7 +170,7 @@ class Door(Gripped):
             plant.mj_data.qfrc_applied[self._dof] -= pull * self.radius
 
     def after(self, plant: Plant) -> None:
-        """Record the opening, and what the grip carries."""
+        """Record the opening, and the force and torque in the grip."""
         self.angle = float(plant.mj_data.qpos[self._qpos])
         self.widest = max(self.widest, self.angle)
         self.feel_grip(plant)

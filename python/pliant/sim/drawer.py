@@ -28,13 +28,13 @@ class Drawer(Gripped):
 
     Attributes:
         axis: Direction in which it opens (3,), unit vector in base axes.
-        mass: Of the box [kg].
+        mass: Mass of the box [kg].
         friction: Dry friction of the slide [N].
         binding: Friction of the slide per N of force across it.
         damping: Viscous damping of the slide [N·s/m].
         stop: Length of the slide [m]; both ends are hard.
-        way, widest: How far it is open now, and was at most [m].
-        across: Largest force across the slide that the arm has put on the handle [N].
+        way, widest: Present opening, and largest opening so far [m].
+        across: Largest force of the arm on the handle across the slide [N].
     """
 
     axis: Sequence[float] = (-1.0, 0.0, 0.0)
@@ -62,7 +62,7 @@ class Drawer(Gripped):
             )
 
     def with_(self, **changes: object) -> Drawer:
-        """Return another drawer with these attributes changed."""
+        """Return a copy with these attributes changed."""
         return replace(self, **changes)  # type: ignore[arg-type]
 
     def add(self, build: Build) -> None:
@@ -97,7 +97,7 @@ class Drawer(Gripped):
         self.add_grip(build, box, (0.0, 0.0, 0.0))
 
     def place(self, plant: Plant) -> None:
-        """Put the closed drawer so that its handle is in the tool, and forget the records."""
+        """Place the closed drawer so that its handle is in the tool, and clear the records."""
         model = plant.mj_model
         frame = int(model.body(f"{self.name}:frame").mocapid[0])
         plant.mj_data.mocap_pos[frame] = plant.tool[:3, 3]
@@ -109,15 +109,15 @@ class Drawer(Gripped):
         self._sideways = 0.0
 
     def before(self, plant: Plant) -> None:
-        """Let the slide bind under the force across it."""
+        """Set the slide's friction from the force across it."""
         friction = self.friction + self.binding * self._sideways
         plant.mj_model.dof_frictionloss[self._dof] = friction
 
     def during(self, plant: Plant) -> None:
-        """Nothing pulls at a drawer but the arm."""
+        """Apply nothing: only the arm pulls at a drawer."""
 
     def after(self, plant: Plant) -> None:
-        """Record the way, and what the grip carries along and across the slide."""
+        """Record the opening, and the grip's force along and across the slide."""
         self.way = float(plant.mj_data.qpos[self._qpos])
         self.widest = max(self.widest, self.way)
         self.feel_grip(plant)

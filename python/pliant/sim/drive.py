@@ -1,4 +1,4 @@
-"""The simulated arm as a drive, with a clock of its own: its time passes when somebody waits."""
+"""`SimDrive`, the simulated arm as a drive; its clock runs the physics during waits."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 
 
 class SimClock:
-    """Simulated time: waiting runs the physics, as fast as it goes or as fast as life.
+    """Simulated time: a wait runs the physics, either as fast as possible or in real time.
 
-    In real time the physics follows the machine's clock, and a program that dawdles finds that its
-    arm has gone on without it.
+    In real time the physics follows the machine's clock. If a program is late, its arm has moved on
+    in the meantime.
 
     Attributes:
-        period: Control period of the plant [s], the grain of this time.
-        real_time: Whether it passes by itself.
+        period: Control period of the plant [s], the resolution of this clock.
+        real_time: True if the time follows the machine's clock.
         on_tick: Called after every period of physics, for records.
     """
 
     def __init__(self, plant: Plant, real_time: bool) -> None:
-        """Start where the plant is."""
+        """Start at the plant's present time."""
         self.plant, self.period = plant, plant.period
         self.on_tick: Callable[[], object] | None = None
         self.real_time = real_time
@@ -56,7 +56,7 @@ class SimClock:
             self.catch_up()
 
     def catch_up(self) -> None:
-        """In real time, let the physics come up to the present."""
+        """In real time, run the physics up to the present."""
         if self._wall is None:
             return
         with self._lock:
@@ -72,16 +72,16 @@ class SimClock:
 class SimDrive:
     """A `pliant.sim.Plant` behind the interface of a bus of servos.
 
-    Off-chain joints follow those of the chain. A simulated servo without torque has a limit of
+    Off-chain joints follow those of the chain. A simulated servo with torque off has a limit of
     zero.
 
     Attributes:
-        plant: The simulation, with the truth.
+        plant: The simulation, with its true state.
         clock: Simulated time.
-        names: The chain's joints, then those beside it that have a servo.
+        names: The chain's joints, then the off-chain joints with a servo.
         servos: One entry per name.
         latency: From a write to its effect [s].
-        counters: Writes and readings lost so far.
+        counters: Number of reads, lost reads and writes so far.
     """
 
     def __init__(
@@ -91,9 +91,9 @@ class SimDrive:
 
         Args:
             plant: The simulated arm.
-            servos: Servos of the chain that the arm believes to have, n entries; None: those of the
-                plant's table, without its scales. The plant's true servos are never handed out.
-            real_time: Let simulated time be real time.
+            servos: Servo table of the chain that the arm uses, n entries. None: the plant's table,
+                without its scales. The plant's true servo parameters are never returned.
+            real_time: True to run simulated time in real time.
         """
         self.plant = plant
         self.clock = SimClock(plant, real_time)
@@ -107,12 +107,12 @@ class SimDrive:
 
     @property
     def enabled(self) -> NDArray[np.bool_]:
-        """Which joints have torque (N,)."""
+        """Mask of the joints with torque on (N,)."""
         return self._on.copy()
 
     @property
     def orders(self) -> tuple[Array, Array]:
-        """Goals (N,) [rad] and limits (N,) [N·m] last sent to the chain; NaN before the first."""
+        """Last goals (N,) [rad] and limits (N,) [N·m]; NaN off the chain and before a write."""
         unknown = np.full(len(self.names), np.nan)
         if not self.counters["writes"]:
             return unknown, unknown
@@ -120,13 +120,13 @@ class SimDrive:
         return np.concatenate((sent.goal, off)), np.concatenate((sent.limit, off))
 
     def open(self) -> None:
-        """Nothing to connect."""
+        """Do nothing: there is no connection to open."""
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is no connection to close."""
 
     def read(self) -> Sample:
-        """What the simulated bus reports."""
+        """Return a sample from the simulated bus."""
         self.clock.catch_up()
         state = self.plant.read()
         self.counters["reads"] += 1
@@ -135,9 +135,9 @@ class SimDrive:
         return Sample(position, np.full(position.size, state.fresh), state.time)
 
     def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
-        """Send goals (N,) [rad] and limits (N,) [N·m]; joints without torque stay without.
+        """Send goals (N,) [rad] and limits (N,) [N·m]; joints with torque off stay off.
 
-        Simulated servos have no speed register: `velocity` is left out.
+        Simulated servos have no speed register: `velocity` is ignored.
         """
         self.clock.catch_up()
         n = self.plant.n
@@ -147,20 +147,20 @@ class SimDrive:
         self.counters["writes"] += 1
 
     def slow(self) -> Health | None:
-        """Simulated servos have neither voltage nor heat."""
+        """Return None: simulated servos report neither voltage nor temperature."""
         return None
 
     def enable(self, goal: Array, limit: Array) -> None:
-        """Torque on, limit and goal in the same write."""
+        """Switch torque on, with limit and goal in the same write."""
         self._on[:] = True
         self.write(goal, limit)
 
     def disable(self, names: Sequence[str]) -> None:
-        """Torque off."""
+        """Switch torque off."""
         self._on &= ~np.isin(self.names, list(names))
         state = self.plant.read()
         position = np.concatenate((state.q, [state.extra[name] for name in self._extra]))
         self.write(position, np.where(self._on, self.servos.max_torque, 0.0))
 
     def watchdog(self, seconds: float) -> None:
-        """Simulated servos keep their last order for ever."""
+        """Do nothing: simulated servos keep their last order indefinitely."""

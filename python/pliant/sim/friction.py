@@ -1,15 +1,15 @@
-"""Dry friction of real gears: more at rest than in motion (Stribeck), more under load.
+"""Dry friction of real gears: Stribeck effect and load dependence.
 
-With the Stribeck share ``s = exp(-|ω/ω_s|^a)`` (1 at rest, 0 in fast motion), the motor's torque
-τ_m and what the load exerts on the joint τ_e (equal and opposite at rest), friction is at most
+With the Stribeck share ``s = exp(-|ω/ω_s|^a)`` (1 at rest, 0 in fast motion), the motor torque τ_m
+and the load torque τ_e on the joint (equal and opposite at rest), friction is at most
 
-``base + s stribeck + |k_e τ_e - k_m τ_m| + s |k_es τ_e - k_ms τ_m| + s opposed quadratic``,
+``base + s stribeck + |k_e τ_e - k_m τ_m| + s |k_es τ_e - k_ms τ_m| + s opposed quadratic``.
 
-where ``opposed`` is 1 while τ_e and τ_m have opposite signs and ``quadratic`` is ``q_e τ_e²`` while
-the motor wins, ``q_m τ_m²`` while the load does. Models M1 to M6 of Duclusaud et al., Extended
-Friction Models for the Physics Simulation of Servo Actuators, arXiv 2410.08650 (2024); M2 has only
-the first two terms, M4 has ``k_e = k_m``, M6 has all of them. Their viscous term stays with the
-damping of the servo table.
+``opposed`` is 1 while τ_e and τ_m have opposite signs, else 0. ``quadratic`` is ``q_e τ_e²`` while
+|τ_m| > |τ_e|, and ``q_m τ_m²`` while |τ_e| > |τ_m|. These are the models M1 to M6 of Duclusaud et
+al., Extended Friction Models for the Physics Simulation of Servo Actuators, arXiv 2410.08650
+(2024). M2 has only the first two terms, M4 has ``k_e = k_m``, M6 has all terms. The damping of the
+servo table covers their viscous term.
 """
 
 from __future__ import annotations
@@ -33,16 +33,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Friction:
-    """Friction of gears by speed and load; every entry a number or one per joint, at least 0.
+    """Gear friction as a function of speed and load; each entry is a number or one per joint, >= 0.
 
     Attributes:
-        base: Present always [N·m].
-        stribeck: In addition at rest [N·m].
-        motor, external: In addition per torque of the motor and of the load [1].
-        motor_stribeck, external_stribeck: The same at rest [1].
-        motor_quadratic, external_quadratic: In addition at rest, per squared torque [1/(N·m)].
+        base: Constant part [N·m].
+        stribeck: Additional friction at rest [N·m].
+        motor, external: Additional friction per motor torque and per load torque [1].
+        motor_stribeck, external_stribeck: Additional friction at rest, per torque [1].
+        motor_quadratic, external_quadratic: Additional friction at rest, per squared torque
+            [1/(N·m)].
         speed: ω_s, at which the Stribeck share has fallen to 1/e [rad/s], above 0.
-        exponent: How suddenly it falls.
+        exponent: Exponent a of the Stribeck share: the larger, the steeper its fall.
     """
 
     base: ArrayLike = 0.0
@@ -70,7 +71,7 @@ class Friction:
             raise ConfigError(f"Friction.speed must be above 0 rad/s, got {self.speed!r}")
 
     def most(self, motor: ArrayLike, external: ArrayLike, speed: ArrayLike) -> Array:
-        """Largest dry friction [N·m] for torques of motor and load [N·m] and a speed [rad/s]."""
+        """Return the largest dry friction [N·m] for torques [N·m] and a speed [rad/s]."""
         motor, external = np.asarray(motor, dtype=np.float64), np.asarray(external, np.float64)
         share = np.exp(-(np.abs(np.asarray(speed) / self.speed) ** np.asarray(self.exponent)))
         at_rest = self.stribeck + np.abs(
@@ -89,24 +90,24 @@ class Friction:
         return out
 
     def at_rest(self, torque: ArrayLike) -> Array:
-        """Friction [N·m] of a joint at rest whose motor holds a load of `torque` [N·m]."""
+        """Return the friction [N·m] of a joint at rest that holds a load `torque` [N·m]."""
         torque = np.asarray(torque, dtype=np.float64)
         return self.most(torque, -torque, 0.0)
 
     def spread(self, n: int) -> Friction:
-        """The same with one entry per joint.
+        """Return a copy with one entry per joint.
 
         Raises:
-            ShapeError: An entry is no number and has not n entries.
+            ShapeError: An entry is neither a scalar nor of length n.
         """
         names = [field.name for field in fields(self)]
         return Friction(**{name: per_joint(getattr(self, name), n, name) for name in names})
 
     def believed(self, servos: Servos) -> Servos:
-        """What a controller may believe of such gears: servos with this friction, none before.
+        """Return the servo table with this friction, as a controller may assume it.
 
-        Motor and load are equal and opposite but for friction, so their coefficients add up; the
-        quadratic terms are left out, and ``1/(1 + x + x²)`` stands for ``exp(-x^a)``.
+        Motor and load torque are equal and opposite except for friction, so their coefficients add
+        up. The quadratic terms are left out, and ``1/(1 + x + x²)`` approximates ``exp(-x^a)``.
         """
         return servos.replace(
             friction=self.base,
@@ -118,7 +119,7 @@ class Friction:
 
     @staticmethod
     def of(joints: Sequence[Friction]) -> Friction:
-        """One arm from the friction of each of its joints."""
+        """Combine the friction of single joints into that of an arm."""
         names = [field.name for field in fields(Friction)]
         columns = {name: np.array([getattr(one, name) for one in joints]) for name in names}
         return Friction(**columns)
@@ -175,12 +176,12 @@ class Gears:
         dof: NDArray[np.int_],
         servo: NDArray[np.int_],
     ) -> None:
-        """Take the joints by degree of freedom (n,) and their servos by actuator (n,)."""
+        """Take the joints' degrees of freedom (n,) and their actuators (n,)."""
         self._model, self._data = model, data
         self._friction, self._dof, self._servo = friction.spread(dof.size), dof, servo
 
     def loads(self) -> tuple[Array, Array]:
-        """Torques (n,) [N·m] of the motors, and of everything else but friction and damping."""
+        """Return the motor torques (n,) [N·m], and all others except friction and damping."""
         data, dof = self._data, self._dof
         rubbing = np.zeros(self._model.nv)
         dry = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
@@ -191,7 +192,7 @@ class Gears:
         return motor, external
 
     def update(self) -> Array:
-        """Set and return the friction (n,) [N·m] from the loads of the last step."""
+        """Set and return the friction (n,) [N·m], from the loads of the last step."""
         motor, external = self.loads()
         loss = self._friction.most(motor, external, self._data.qvel[self._dof])
         self._model.dof_frictionloss[self._dof] = loss

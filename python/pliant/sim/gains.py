@@ -1,7 +1,7 @@
-"""Servo numbers of a simulated arm, per joint and in SI units.
+"""Servo parameters of a simulated arm, per joint and in SI units.
 
-The table of a servo (`pliant.Servos`) is what the controller *believes*; the plant may be given the
-same table, another one, or scaled values, so that wrong beliefs can be tried.
+The controller uses the servo table (`pliant.Servos`). The plant takes the same table, another one,
+or scaled values, to test the effect of wrong assumptions.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ if TYPE_CHECKING:
 
 LimitType = Literal["current", "pwm"]
 
-#: Error at which a servo of unknown gain is assumed to reach its full effort [rad].
+#: Position error at which a servo of unknown gain is assumed to reach its full effort [rad].
 FULL_EFFORT_ERROR = 0.07
 #: Friction and damping of a servo without data, as shares of its effort [1] and [s/rad].
 FRICTION_SHARE, DAMPING_SHARE = 0.02, 0.10
-#: Rotor inertia of a servo without data, as a multiple of its gain [s^2]: keeps the servo's own
+#: Rotor inertia of a servo without data, as a multiple of its gain [s^2]: puts the servo's own
 #: mode at 100 rad/s.
 ARMATURE_SHARE = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """What one servo per joint does, resolved to arrays of shape (n,).
+    """Parameters of one servo per joint, as arrays of shape (n,).
 
     Attributes:
         kp: Stiffness of the position loop [N·m/rad].
         kv: Damping of the position loop, inside the limit [N·m·s/rad].
-        torque: Largest usable torque, the ceiling of every limit [N·m].
+        torque: Largest usable torque, the upper bound of every limit [N·m].
         friction: Dry friction of the gears, outside the limit [N·m].
-        damping: Viscous resistance outside the limit: gears and, for `duty`, back-EMF [N·m·s/rad].
+        damping: Viscous damping outside the limit: gears and, for `pwm`, back-EMF [N·m·s/rad].
         armature: Rotor inertia seen at the joint [kg·m²].
     """
 
@@ -51,7 +51,7 @@ class Gains:
     armature: NDArray[np.float64]
 
     def scaled(self, kp: ArrayLike, friction: ArrayLike, damping: ArrayLike) -> Gains:
-        """Return servos that differ from the table by these factors, scalars or (n,)."""
+        """Return a copy with parameters multiplied by these factors, scalars or (n,)."""
         n = self.kp.size
         return replace(
             self,
@@ -66,8 +66,8 @@ def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> N
 
     Args:
         value: The number or numbers.
-        n: Count of joints.
-        name: What the error calls it.
+        n: Number of joints.
+        name: Name of the value in error messages.
         low: Smallest value allowed.
 
     Returns:
@@ -96,18 +96,18 @@ def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> N
 
 
 def tabulate(model: Any, servos: Servos | None, limit_type: LimitType | None) -> Servos:
-    """Return the servo table of a model, n entries, or guesses from its efforts.
+    """Return the servo table of a model with n entries, or a guess from its efforts.
 
     Args:
-        model: The robot; `model.servos` and `model.effort_limit` are used when `servos` is missing.
-        servos: The table, or None for the model's own, or for guesses from the efforts.
+        model: The robot. Without `servos`, its `servos` or its `effort_limit` are used.
+        servos: The table. None: the model's own, or else a guess from the efforts.
         limit_type: Overrides the limit type of the table.
 
     Returns:
         The table. ``stiffness_known`` of a guess is False.
 
     Raises:
-        ConfigError: Nothing is known about a joint, or `pwm` without a no-load speed.
+        ConfigError: A joint has neither servo data nor an effort, or `pwm` lacks a no-load speed.
         ShapeError: The table is for another number of joints.
     """
     table = servos if servos is not None else getattr(model, "servos", None)
@@ -127,14 +127,14 @@ def tabulate(model: Any, servos: Servos | None, limit_type: LimitType | None) ->
 
 
 def resolve(table: Servos) -> Gains:
-    """Turn a servo table into the numbers of the simulated servos.
+    """Return the parameters of the simulated servos for a servo table.
 
-    A servo that limits its duty (PWM) gives ``clip(u, ±L) - (torque / w0) dq``: the back-EMF acts
-    outside the limit, so a moving joint has less and a joint pushed backwards has more than L.
-    Current-limited servos have no such term.
+    A servo that limits its PWM duty gives ``clip(u, ±L) - (torque / w0) dq``: the back-EMF acts
+    outside the limit. A moving joint thus has less torque than L, and a joint pushed backwards has
+    more. Current-limited servos have no such term.
 
     Args:
-        table: As `tabulate` returns it.
+        table: Table from `tabulate`.
 
     Returns:
         Arrays of the table's length.
@@ -153,7 +153,7 @@ def resolve(table: Servos) -> Gains:
 
 
 def _guess(model: Any) -> Servos:
-    """Servos guessed from the URDF's efforts, for a first look at an unidentified robot."""
+    """Guess servos from the URDF's efforts, for a first look at an unidentified robot."""
     effort = [np.nan if e is None else float(e) for e in model.effort_limit]
     unknown = [name for name, e in zip(model.joint_names, effort, strict=True) if not e > 0.0]
     if unknown:
@@ -166,7 +166,7 @@ def _guess(model: Any) -> Servos:
 
 
 def guess(effort: Sequence[float]) -> Servos:
-    """Return servos of which only the effort is known [N·m]."""
+    """Return a servo table from efforts alone [N·m]."""
     torque = np.array(effort, dtype=np.float64)
     kp = torque / FULL_EFFORT_ERROR
     return Servos(

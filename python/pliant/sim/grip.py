@@ -1,4 +1,4 @@
-"""The grip between the tool and a thing, and what it carries."""
+"""The grip between the tool and an object, and the force and torque in it."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ Grip = Literal["rigid", "turning"]
 
 #: Time constant of the grip [s].
 GRIP_TIME = 0.01
-#: Share of the arm's and the thing's inertia with which the grip insists, near and far from its
-#: place: stiffer than MuJoCo's.
+#: Impedance of the grip constraint (MuJoCo's solimp), close to and far from its target: stiffer
+#: than MuJoCo's default.
 GRIP_IMPEDANCE = (0.95, 0.99)
-#: A start of the arm from rest shakes the handle while the servos take up its weight; records begin
-#: after this [s].
+#: Start of the records [s]: at a start from rest the arm shakes the handle while the servos take
+#: up its weight.
 SETTLE = 0.5
 
 
 @dataclass(kw_only=True)
 class Gripped:
-    """A thing that the arm holds by a site of it, `handle`, which is where the tool is at reset.
+    """An object that the arm holds at its site `handle`, which is where the tool is at reset.
 
     Attributes:
-        grip: `rigid` (a weld) or `turning` (the handle turns in the grip).
-        name: Unique in a scene; of all bodies and joints a prefix.
-        force, torque: In the grip now [N], [N·m]; the torque of a turning grip is 0.
+        grip: `rigid` (a weld) or `turning` (the handle rotates in the grip).
+        name: Unique in a scene; prefix of all bodies and joints.
+        force, torque: Present force and torque in the grip [N], [N·m]; 0 torque if `turning`.
         peak_force, peak_torque: Largest of any physics step since 0.5 s after the reset.
     """
 
@@ -53,7 +53,7 @@ class Gripped:
             raise ConfigError(f"{kind}.grip must be 'rigid' or 'turning', got {self.grip!r}")
 
     def add_grip(self, build: Build, body: mujoco.MjsBody, at: ArrayLike) -> None:
-        """Tie the tool to a handle at `at` (3,) of a body of the thing."""
+        """Tie the tool to a handle at `at` (3,) [m] on a body of the object."""
         spec = build.spec
         place = np.asarray(at, dtype=np.float64)
         body.add_site(name=f"{self.name}:handle", pos=place, size=(0.01, 0.0, 0.0))
@@ -68,13 +68,13 @@ class Gripped:
         grip.solimp[:2] = GRIP_IMPEDANCE
 
     def place_grip(self, plant: Plant) -> None:
-        """Turn the handle as the tool is, close the grip, and forget the records."""
+        """Align the handle with the tool, close the grip, and clear the records."""
         model = plant.mj_model
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, np.ascontiguousarray(plant.tool[:3, :3]).reshape(9))
         handle = model.site(f"{self.name}:handle")
         handle.quat[:] = quat
-        # Compiled with the body's own axes, the site would go on copying them.
+        # Without this, a site compiled with the body's axes would keep copying them.
         model.site_sameframe[handle.id] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
         self._grip = model.equality(f"{self.name}:grip").id
         self._rows = 6 if self.grip == "rigid" else 3
@@ -84,7 +84,7 @@ class Gripped:
         plant.mj_data.eq_active[self._grip] = 1
 
     def release(self, plant: Plant) -> None:
-        """Open the grip; the thing stays where it is."""
+        """Open the grip; the object stays where it is."""
         plant.mj_data.eq_active[self._grip] = 0
         self._row = None
 
@@ -107,8 +107,8 @@ class Gripped:
         if counts:
             self.peak_force = max(self.peak_force, self.force)
         if self._rows > 3:
-            # The rotational rows of a weld are written for half the rotation vector: they carry
-            # twice the torque.
+            # The rotational rows of a weld use half the rotation vector, so they carry twice the
+            # torque.
             self.torque = 0.5 * float(np.sqrt(rows[3:] @ rows[3:]))
             if counts:
                 self.peak_torque = max(self.peak_torque, self.torque)

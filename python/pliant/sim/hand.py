@@ -1,8 +1,8 @@
 """Hands that push, drag and turn the arm with a bounded force.
 
-A hand is a law: from the truth and the time to a force [N] and a torque [N·m] in base axes at one
-point of the arm. It has no state of its own, so that it can be reused, compared and printed; the
-plant records what it did.
+A hand is a force law: it maps the true state and the time to a force [N] and a torque [N·m] in base
+axes at one point of the arm. It is stateless, so that it can be reused, compared and printed; the
+plant records its forces.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ _ZERO = np.zeros(3)
 
 
 class Hand(Protocol):
-    """Anything that pulls at the arm."""
+    """Interface of everything that pulls at the arm."""
 
     @property
     def at(self) -> str:
-        """Name of the frame it holds: a link, `tool` or `wrist`."""
+        """Name of the frame on which it acts: a link, `tool` or `wrist`."""
 
     def force(self, truth: Truth, t: float) -> Wrench:
-        """Return force (3,) [N], torque (3,) [N·m] and point (3,) [m] of attack, base axes."""
+        """Return force (3,) [N], torque (3,) [N·m] and point of application (3,) [m], base axes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """When a hand acts: a ramp from 0 to 1, then 1, then gone.
+    """Time course of a hand: a ramp from 0 to 1, then constant, then released.
 
-    Times are on the clock of the plant, which is `Tick.began`: an arm of `connect` uses the first
-    half second to take up torque, before a `Loop` begins and `Tick.time` is 0.
+    Times are on the clock of the plant, like `Tick.began`. An arm of `connect` spends the first
+    half second ramping up torque, before a `Loop` begins and `Tick.time` is 0.
 
     Attributes:
         start: Beginning [s].
         rise: Length of the ramp [s].
-        end: Letting go [s].
+        end: Release [s].
     """
 
     start: float = 2.0
@@ -64,11 +64,11 @@ class Course:
             raise ConfigError(f"a hand needs rise >= 0 and end >= start, got {self!r}")
 
     def active(self, t: float) -> bool:
-        """Whether the hand holds on at time t [s]."""
+        """Return True while the hand holds on, at time t [s]."""
         return self.start <= t < self.end
 
     def share(self, t: float) -> float:
-        """How far the ramp has come at time t [s], 0 to 1."""
+        """Return the ramp value at time t [s], 0 to 1."""
         if self.rise <= 0.0:
             return 1.0 if t >= self.start else 0.0
         return min(max((t - self.start) / self.rise, 0.0), 1.0)
@@ -76,17 +76,17 @@ class Course:
 
 @dataclass(frozen=True, kw_only=True)
 class Drag:
-    """A hand that drags a point along one axis with a bounded force, free in all other ways.
+    """A hand that drags a point along one axis with a bounded force; all other axes are free.
 
     ``f = clip(stiffness (distance share(t) + offset - shift) - damping v, ±limit)`` along the axis.
 
     Attributes:
         axis: `x`, `y`, `z` or a direction (3,) in base axes.
-        distance: How far it means to go [m].
-        stiffness, damping, limit: Of the grip [N/m], [N·s/m], [N].
-        at: Frame it holds.
-        course: When.
-        offset: Shift of the frame since the start at which the hand takes hold of it [m].
+        distance: Commanded displacement [m].
+        stiffness, damping, limit: Parameters of the grip [N/m], [N·s/m], [N].
+        at: Frame on which it acts.
+        course: Time course.
+        offset: Displacement of the frame from its start at which the hand takes hold of it [m].
     """
 
     axis: str | Sequence[float] = "y"
@@ -104,7 +104,7 @@ class Drag:
         _not_negative(stiffness=self.stiffness, damping=self.damping, limit=self.limit)
 
     def force(self, truth: Truth, t: float) -> Wrench:
-        """The force at the frame's origin."""
+        """Return the wrench: a force at the frame's origin."""
         frame = truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
@@ -124,10 +124,10 @@ class Twist:
 
     Attributes:
         axis: `roll`, `pitch`, `yaw` or a direction (3,).
-        angle: How far it means to turn [rad].
-        stiffness, damping, limit: Of the grip [N·m/rad], [N·m·s/rad], [N·m].
-        at: Frame it holds.
-        course: When.
+        angle: Commanded rotation [rad].
+        stiffness, damping, limit: Parameters of the grip [N·m/rad], [N·m·s/rad], [N·m].
+        at: Frame on which it acts.
+        course: Time course.
     """
 
     axis: str | Sequence[float] = "yaw"
@@ -144,7 +144,7 @@ class Twist:
         _not_negative(stiffness=self.stiffness, damping=self.damping, limit=self.limit)
 
     def force(self, truth: Truth, t: float) -> Wrench:
-        """The torque on the frame's body."""
+        """Return the wrench: a torque on the frame's body."""
         frame = truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
@@ -156,13 +156,13 @@ class Twist:
 
 @dataclass(frozen=True, kw_only=True)
 class Push:
-    """A push that does not care where the arm is: a ramp, then constant, then gone.
+    """A push that does not depend on the arm's position: a ramp, then constant, then released.
 
     Attributes:
         force_vector: Force (3,) in base axes [N].
         torque_vector: Torque (3,) in base axes [N·m].
-        at: Frame it acts on.
-        course: When; a tap is a short one.
+        at: Frame on which it acts.
+        course: Time course; a short one is a tap.
     """
 
     force_vector: Sequence[float] = (0.0, 0.0, 0.0)
@@ -176,7 +176,7 @@ class Push:
             raise ConfigError("Push.force_vector and torque_vector have three entries each")
 
     def force(self, truth: Truth, t: float) -> Wrench:
-        """The push at the frame's origin."""
+        """Return the wrench at the frame's origin."""
         frame = truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
@@ -193,12 +193,12 @@ class Guide:
     """Springs that hold some axes of a frame, for pushes along one axis only.
 
     Attributes:
-        axes: Axis names of what is held: any of x y z roll pitch yaw.
-        stiffness: Along translations [N/m].
-        rotational: About axes [N·m/rad].
-        damping: Of translations [N·s/m] and rotations [N·m·s/rad].
+        axes: Names of the held axes: any of x y z roll pitch yaw.
+        stiffness: Translational stiffness [N/m].
+        rotational: Rotational stiffness [N·m/rad].
+        damping: Translational [N·s/m] and rotational [N·m·s/rad].
         at: Frame that is held.
-        course: When; by default always.
+        course: Time course; by default always.
     """
 
     axes: str = "x z roll pitch yaw"
@@ -218,7 +218,7 @@ class Guide:
         _not_negative(stiffness=self.stiffness, rotational=self.rotational)
 
     def force(self, truth: Truth, t: float) -> Wrench:
-        """The springs' force and torque."""
+        """Return the wrench of the springs."""
         frame = truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
@@ -232,12 +232,12 @@ class Guide:
 
 
 def tap(force: Sequence[float], *, at: str = TOOL, start: float = 1.0) -> Push:
-    """A tap of 0.12 s: up within 20 ms, held 0.1 s; force (3,) [N]."""
+    """Return a tap of 0.12 s: up within 20 ms, held 0.1 s; force (3,) [N]."""
     return Push(force_vector=force, at=at, course=Course(start=start, rise=0.02, end=start + 0.12))
 
 
 def _direction(axis: str | Sequence[float], names: dict[str, tuple[float, float, float]]) -> Vector:
-    """Unit vector (3,) of an axis given by name or by numbers."""
+    """Return the unit vector (3,) of an axis given by name or by numbers."""
     if isinstance(axis, str):
         if axis not in names:
             raise ConfigError(
@@ -251,14 +251,14 @@ def _direction(axis: str | Sequence[float], names: dict[str, tuple[float, float,
 
 
 def _not_negative(**values: float) -> None:
-    """Raise unless every value is a number at least zero."""
+    """Raise unless every value is at least zero."""
     for name, value in values.items():
         if not value >= 0.0:
             raise ConfigError(f"{name} must be at least 0, got {value!r}")
 
 
 #: The hands of the experiments: 15 N at the wrist centre, a strong one and a robust one at the
-#: tool, one that turns.
+#: tool, and one that turns the tool.
 LIGHT = Drag()
 STRONG = Drag(distance=0.15, stiffness=3000.0, limit=80.0, at=TOOL)
 ROBUST = Drag(distance=0.20, stiffness=2000.0, limit=30.0, at=TOOL)

@@ -1,4 +1,4 @@
-"""An object in the arm's grip, and a person who takes it."""
+"""An object in the arm's grip, and a person who pulls it away."""
 
 from __future__ import annotations
 
@@ -24,19 +24,20 @@ OPENS = 0.05
 
 @dataclass(kw_only=True)
 class Handed(Gripped):
-    """A ball in the grip that a person takes: a spring from the ball to a hand that goes away.
+    """A ball in the grip that a person takes: a spring from the ball to a receding hand.
 
-    The person's force is ``clip(stiffness (goal - place) - damping v, limit)``, by its norm; the
-    hand carries the ball's weight once the grip is open. Before the course starts nobody pulls.
+    The person's force is ``stiffness (goal - place) - damping v``, with its norm limited to
+    `limit`. Once the grip is open, the hand also carries the ball's weight. Before the course
+    starts there is no force.
 
     Attributes:
-        mass: Of the ball [kg].
-        way: How far the hand goes, (3,) in base axes [m].
-        stiffness, damping, limit: Of the person's arm [N/m], [N·s/m], [N].
-        course: When the hand takes hold, and how long it takes for its way.
-        effort: Force of the person now [N].
-        peak_effort: The largest so far [N].
-        released: When the grip opened [s], None before.
+        mass: Mass of the ball [kg].
+        way: Displacement of the hand (3,) in base axes [m].
+        stiffness, damping, limit: Parameters of the person's arm [N/m], [N·s/m], [N].
+        course: When the hand takes hold, and the duration of its motion.
+        effort: Present force of the person [N].
+        peak_effort: Largest force so far [N].
+        released: Time at which the grip opened [s], None before.
     """
 
     mass: float = 0.3
@@ -75,7 +76,7 @@ class Handed(Gripped):
         self.add_grip(build, ball, (0.0, 0.0, 0.0))
 
     def place(self, plant: Plant) -> None:
-        """Put the ball into the tool, and forget the records."""
+        """Put the ball into the tool, and clear the records."""
         model, data = plant.mj_model, plant.mj_data
         self._body = int(model.body(f"{self.name}:ball").id)
         joint = model.joint(f"{self.name}:free")
@@ -93,10 +94,10 @@ class Handed(Gripped):
         self.released = plant.time
 
     def before(self, plant: Plant) -> None:
-        """Nothing moves by itself."""
+        """Do nothing: no motion is prescribed."""
 
     def during(self, plant: Plant) -> None:
-        """Let the person pull, and carry the ball once the grip is open."""
+        """Apply the person's force, and the ball's weight once the grip is open."""
         data = plant.mj_data
         if not self.course.active(data.time):
             return
@@ -112,9 +113,9 @@ class Handed(Gripped):
         plant.pull(self._body, force + lift, np.zeros(3), place.copy())
 
     def after(self, plant: Plant) -> None:
-        """Record what the grip carries."""
+        """Record the force and torque in the grip."""
         self.feel_grip(plant)
 
     def place_of(self, plant: Plant) -> np.ndarray:
-        """Position of the ball (3,) [m]."""
+        """Return the position of the ball (3,) [m]."""
         return np.array(plant.mj_data.xpos[self._body])

@@ -1,6 +1,6 @@
-"""What separates a real servo and its bus from the ideal ones.
+"""Imperfections of real servos and of their bus.
 
-Everything is off by default and repeatable by seed.
+All are off by default, and repeatable by seed.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class Overload:
-    """A servo's self-protection: too much torque for too long cuts it until reset.
+    """Overload protection of a servo: cuts the torque until reset if it is too large for too long.
 
     Attributes:
         threshold: Share of the usable torque that counts as overload, in (0, 1].
-        seconds: How long it may last [s].
-        remains: Share of the usable torque left afterwards (0: limp, as Dynamixels; 0.2: STS3215).
+        seconds: Longest overload without a trip [s].
+        remains: Share of the usable torque left afterwards (0: none, as Dynamixels; 0.2: STS3215).
     """
 
     threshold: float = 0.95
@@ -45,7 +45,7 @@ class Overload:
 
 
 class Encoder:
-    """Joint readings: noise, then rounding to counts, then a count that flickers."""
+    """Joint readings: noise, then rounding to counts, then flicker by whole counts."""
 
     def __init__(
         self, n: int, *, count: ArrayLike, flicker: int, noise: ArrayLike, rng: np.random.Generator
@@ -53,15 +53,15 @@ class Encoder:
         """Prepare the encoders of n joints.
 
         Args:
-            n: Joints.
+            n: Number of joints.
             count: One count [rad], scalar or (n,); 0 is continuous.
             flicker: Counts by which a reading toggles: -flicker, 0, 0, +flicker with equal chance
                 per joint and reading.
             noise: Standard deviation of white noise before rounding [rad], scalar or (n,).
-            rng: Source of chance.
+            rng: Random generator.
 
         Raises:
-            ConfigError: A number is negative, or a flicker is asked for without counts.
+            ConfigError: A number is negative, or a flicker is given without counts.
         """
         self.count = per_joint(count, n, "count", low=0.0)
         self._noise = per_joint(noise, n, "noise", low=0.0)
@@ -80,7 +80,7 @@ class Encoder:
         return np.where(self.count > 0.0, np.round(q / self._grid) * self._grid, q)
 
     def read(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what the encoders say about the true q (n,) [rad]."""
+        """Return the readings for the true q (n,) [rad]."""
         if self._noise.any():
             q = q + self._noise * self._rng.standard_normal(q.size)
         q = self.round(q)
@@ -92,12 +92,12 @@ class Encoder:
 class Line(Generic[T]):
     """One direction of the bus: a fixed delay in ticks, and losses.
 
-    What arrives in a tick is what was sent `delay` ticks ago; when that one was lost, the last that
-    did arrive.
+    Each tick delivers the item sent `delay` ticks ago. If that item was lost, the last delivered
+    item is repeated.
     """
 
     def __init__(self, first: T, *, delay: int, loss: float, rng: np.random.Generator) -> None:
-        """Fill the line with `first`, as if it had been sent for ever."""
+        """Fill the line with `first`, as if it had always been sent."""
         self._queue: deque[tuple[bool, T]] = deque([(True, first)] * delay)
         self._last = first
         self._loss = loss
@@ -105,7 +105,7 @@ class Line(Generic[T]):
         self.fresh = True
 
     def pass_on(self, item: T | None, *, silent: bool = False) -> T:
-        """Send one item (None: nothing in this tick) and return what the other end has."""
+        """Send one item (None: nothing in this tick) and return the item at the receiving end."""
         lost = silent or (self._loss > 0.0 and self._rng.random() < self._loss)
         self._queue.append(
             (item is not None and not lost, item if item is not None else self._last)
@@ -117,10 +117,10 @@ class Line(Generic[T]):
 
 
 class Latch:
-    """Keeps the time each joint has been overloaded, and which have cut their torque."""
+    """Overload time of each joint, and the joints that have cut their torque."""
 
     def __init__(self, n: int, rule: Overload | None) -> None:
-        """Start with every joint alive."""
+        """Start with no joint tripped."""
         self._rule = rule
         self._seconds = np.zeros(n)
         self.tripped = np.zeros(n, dtype=bool)
@@ -142,12 +142,12 @@ class Latch:
 
 
 def is_whole(value: object) -> bool:
-    """Whether a value is a whole number, at least 0."""
+    """Return True for a whole number >= 0."""
     return isinstance(value, (int, float, np.integer)) and bool(value >= 0 and value == value // 1)
 
 
 def span(value: Any) -> tuple[float, float] | None:
-    """Check a time from when to when, None for never."""
+    """Check a time span (from, to) [s]; None means never."""
     if value is None:
         return None
     try:

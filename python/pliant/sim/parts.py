@@ -1,4 +1,4 @@
-"""The parts of a body in a MuJoCo specification: joints with gears, mass, a drawing, servos."""
+"""Parts of a body in a MuJoCo specification: joints with gears, mass, drawn shape, servos."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from pliant.sim.spec import Build
     from pliant.sim.tree import Group, Matrix, Robot
 
-#: Mass [kg] and inertia [kg·m²] given to a moving group for which the description knows none.
+#: Mass [kg] and inertia [kg·m²] of a moving group without inertial data.
 LEAST_MASS, LEAST_INERTIA = 1e-4, 1e-7
-#: Effort [N·m] of an off-chain joint whose description names none.
+#: Effort [N·m] of an off-chain joint without an effort in the description.
 OFF_CHAIN_EFFORT = 1.0
-#: Inertia of its servo [kg·m²] per N·m of effort, and of a follower without one [kg·m²].
+#: Armature of an off-chain servo [kg·m²] per N·m of effort, and of a mimic joint [kg·m²].
 OFF_CHAIN_ARMATURE, FOLLOWER_ARMATURE = 2e-3, 1e-4
-#: Share of a joint's rotor inertia and damping that sits behind the play of its gears.
+#: Share of a joint's rotor inertia and damping on the link side of the backlash.
 PLAY_SHARE = 0.02
-#: Teeth in contact: time constant [s], and how firmly they stop (MuJoCo's solimp).
+#: Tooth contact: time constant [s] and MuJoCo's solimp.
 PLAY_TIME, PLAY_IMPEDANCE = 0.003, (0.99, 0.999, 1e-4)
-#: Time constant [s] of the equality that makes a mimic joint follow.
+#: Time constant [s] of the equality constraint of a mimic joint.
 MIMIC_TIME = 0.005
 
 
@@ -41,7 +41,7 @@ def add_joint(
     backlash: NDArray[np.float64],
     creep: float,
 ) -> None:
-    """Add the joint a group moves about, its gears, and play between gears and link."""
+    """Add the joint that moves a group, its gears, and the backlash between gears and link."""
     joint = out.model.joints[index]
     sliding = kind_of(joint) == "prismatic"
     mj = body.add_joint(name=joint.name, axis=unit(joint.axis))
@@ -67,17 +67,18 @@ def add_joint(
 
 
 def sticking(creep: float) -> tuple[float, float]:
-    """Least and largest impedance d (MuJoCo's solimp) of dry friction that creeps so fast.
+    """Return the least and largest impedance d (MuJoCo's solimp) of friction for this creep.
 
-    A joint that friction holds against a torque τ slides at (1 - d)/d · τ/I · ½ d_max t: with
-    t = 0.02 s and MuJoCo's own d = 0.9, d_max = 0.95 at 1.06 ms · τ/I. `creep` scales (1 - d)/d.
+    A joint held by friction against a torque τ slides at (1 - d)/d · τ/I · ½ d_max t. With
+    t = 0.02 s and MuJoCo's own d = 0.9, d_max = 0.95 this is 1.06 ms · τ/I. `creep` scales
+    (1 - d)/d.
     """
     d = 9.0 / (9.0 + creep)
     return d, max(d, 0.95)
 
 
 def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Any) -> None:
-    """An off-chain joint that a servo of its own holds where the model has it, or a follower."""
+    """Set up an off-chain joint: with a servo that holds its locked angle, or as a mimic joint."""
     if joint.mimic is not None:
         mj.armature = FOLLOWER_ARMATURE
         return
@@ -94,7 +95,7 @@ def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Any) -> None:
 
 
 def off_chain_servo(effort: float | None) -> Servos:
-    """Return the servo of an off-chain joint of which only the effort is known [N·m]."""
+    """Return the servo of an off-chain joint from its effort alone [N·m]."""
     torque = effort or OFF_CHAIN_EFFORT
     return Servos(
         kp=[torque / FULL_EFFORT_ERROR],
@@ -105,7 +106,7 @@ def off_chain_servo(effort: float | None) -> Servos:
 
 
 def _limit(mj: mujoco.MjsJoint, lower: float | None, upper: float | None) -> None:
-    """Give a joint end stops, unless one is absent or infinite."""
+    """Set the end stops of a joint, unless one is missing or infinite."""
     if lower is None or upper is None or not np.isfinite([lower, upper]).all():
         mj.limited = mujoco.mjtLimited.mjLIMITED_FALSE
     else:
@@ -120,7 +121,7 @@ def add_mass(
     moving: bool,
     payload: tuple[float, NDArray[np.float64]] | None,
 ) -> None:
-    """Sum the inertials of a group and its payloads, known and unknown."""
+    """Add up the inertials of a group and its payloads, known and unknown to the controller."""
     parts: list[tuple[float, Matrix, Matrix]] = []
     for index, pose in group.members:
         inertial = model.links[index].inertial
@@ -160,13 +161,13 @@ def add_mass(
 
 
 def own_payload(model: Robot) -> tuple[float, NDArray[np.float64]] | None:
-    """Mass and centre of the load the model knows about."""
+    """Return mass [kg] and centre (3,) [m] of the model's payload, None without one."""
     load = getattr(model, "payload", None)
     return None if load is None else (float(load.mass), np.asarray(load.com, dtype=np.float64))
 
 
 def add_skin(model: Robot, body: mujoco.MjsBody, group: Group) -> None:
-    """Draw a group as capsules from its joint to the joints and the tool it carries."""
+    """Draw a group as capsules from its joint to its child joints."""
     members = dict(group.members)
     ends = [members[j.parent] @ as_matrix(j.origin) for j in model.joints if j.parent in members]
     reach = [float(np.linalg.norm(end[:3, 3])) for end in ends]
@@ -181,7 +182,7 @@ def add_skin(model: Robot, body: mujoco.MjsBody, group: Group) -> None:
 
 
 def add_mimics(out: Build, groups: list[Group]) -> None:
-    """Tie followers to their drivers; one whose driver does not move stays at its offset."""
+    """Tie mimic joints to their drivers; with a fixed driver, the angle is constant."""
     moving = {group.joint for group in groups}
     for index in sorted(j for j in moving if j is not None):
         joint = out.model.joints[index]
@@ -200,10 +201,10 @@ def add_mimics(out: Build, groups: list[Group]) -> None:
 
 
 def add_servos(out: Build, gains: Gains) -> None:
-    """One position actuator per chain joint, and one per held off-chain joint.
+    """Add a position actuator per chain joint, and one per held off-chain joint.
 
-    `forcelimited` is fixed at compile time; without it MuJoCo ignores a `forcerange` that is
-    changed later.
+    `forcelimited` is fixed at compile time; without it MuJoCo ignores later changes of
+    `forcerange`.
     """
     out.chain = list(out.model.joint_names)
     for name, kp, kv, torque in zip(out.chain, gains.kp, gains.kv, gains.torque, strict=True):
@@ -214,7 +215,7 @@ def add_servos(out: Build, gains: Gains) -> None:
 
 
 def servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, torque: float) -> None:
-    """Position servo ``clip(kp (ctrl - q) - kv dq, ±torque)``."""
+    """Add a position servo ``clip(kp (ctrl - q) - kv dq, ±torque)``."""
     act = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     act.gaintype = mujoco.mjtGain.mjGAIN_FIXED
     act.biastype = mujoco.mjtBias.mjBIAS_AFFINE
@@ -225,7 +226,7 @@ def servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, torque: float) 
 
 
 def set_damping(joint: mujoco.MjsJoint, value: float) -> None:
-    """Set a joint's linear damping; MuJoCo 4 keeps a polynomial where 3 has one number."""
+    """Set a joint's linear damping: a polynomial in MuJoCo 4, one number in MuJoCo 3."""
     if np.ndim(joint.damping):
         joint.damping = (value, 0.0, 0.0)
     else:

@@ -1,7 +1,7 @@
-"""A simulated arm behind the interface of a real one.
+"""A simulated arm with the interface of a real one.
 
-`read()` gives what the bus reports, `write()` takes goals and torque limits, `advance()` runs the
-physics of one control period.
+`read()` returns the reading of the bus, `write()` takes goals and torque limits, `advance()` runs
+the physics of one control period.
 """
 
 from __future__ import annotations
@@ -40,61 +40,62 @@ if TYPE_CHECKING:
 
 
 class Plant:
-    """A simulated arm with torque-limited position servos, their faults and the bus's.
+    """A simulated arm with torque-limited position servos and imperfections of servos and bus.
 
-    A servo is ``clip(kp (goal - q) - kv dq, ±limit)``; gear friction, damping and back-EMF act
-    outside the limit, so no limit makes a joint free. The limit holds in every physics step; a
-    command holds until the next one arrives.
+    A servo is ``clip(kp (goal - q) - kv dq, ±limit)``. Gear friction, damping and back-EMF act
+    outside the limit, so a limit of 0 does not make a joint free. The limit holds in every physics
+    step. A command holds until the next one arrives.
 
     Args:
         model: The robot; the world frame is its base frame.
-        servos: Servo table; default the model's own, or guesses from its efforts.
-        extra_servos: Servo of an off-chain joint, one entry each, by the joint's name; default
-            guesses from their efforts.
+        servos: Servo table; default the model's own, or a guess from its efforts.
+        extra_servos: Servos of off-chain joints by joint name, one entry each; default a guess from
+            their efforts.
         dt: Physics step [s].
         rate: Control rate [Hz]; a period must be a whole number of physics steps.
         delay: Ticks from sampling to read(), and from write() to the servo.
         count: Encoder count [rad]; readings and goals are rounded to it.
         flicker: Counts by which readings toggle at random.
         noise: Standard deviation of the readings before rounding [rad].
-        deadband: Error below which a servo gives no torque [rad]; beyond, it counts from the edge.
-        backlash: Full play between gear and link [rad]; the encoder sits on the link.
+        deadband: Error below which a servo gives no torque [rad]; above it, the error counts from
+            the edge of the band.
+        backlash: Full backlash between gear and link [rad]; the encoder sits on the link.
         read_loss: Share of readings lost.
         write_loss: Share of writes lost.
-        silent: From when to when the bus carries nothing at all [s].
-        kp_scale: True over tabulated stiffness, scalar or (n,).
-        friction_scale: True over tabulated friction.
-        damping_scale: True over tabulated damping, gears and back-EMF.
-        payload: Mass [kg] and centre (3,) in the tool frame [m] of a load nobody told the
-            controller of.
-        speed_limit: Speed at which servos walk to their goals [rad/s], None for at once.
+        silent: Start and end of an outage of the bus in both directions [s].
+        kp_scale: Ratio of true to tabulated stiffness, scalar or (n,).
+        friction_scale: Ratio of true to tabulated friction.
+        damping_scale: Ratio of true to tabulated damping, gears and back-EMF.
+        payload: Mass [kg] and centre (3,) in the tool frame [m] of a load unknown to the
+            controller.
+        speed_limit: Largest speed of the servos' internal goal [rad/s]; None: no limit.
         limit_type: `current` or `pwm`, overriding the table.
-        overload: Self-protection of the servos, None for none.
+        overload: Overload protection of the servos; None: no protection.
         friction: Dry friction of the gears: `coulomb`, as in the table, or by speed and load.
-        creep: How fast a joint slides that dry friction should hold, in [0.001, 1]: about
-            1 ms · creep · torque / inertia. 1 is MuJoCo's own, 0.1 nearer to steel.
+        creep: Creep of a joint that dry friction should hold, in [0.001, 1]: its speed is about
+            1 ms · creep · torque / inertia. 1 is MuJoCo's own, 0.1 closer to real gears.
         off_chain: `held` gives a gripper servos of its own, `welded` freezes it.
         scene: Hands, walls and fixtures (doors).
-        seed: Of all chance; equal seeds give equal runs.
+        seed: Seed of all random sources; equal seeds give equal runs.
 
     Attributes:
         model: The robot.
         n: Joints of the chain.
         rate, period, dt: Control rate [Hz], control period and physics step [s].
         steps: Physics steps per period.
-        gains: The true servos.
-        table: The servos as the table has them (n,): what an arm may believe.
-        extra_tables: The same of each off-chain joint that has a servo, one entry each.
-        tabulated: The numbers of `table`, without `kp_scale` and the other scales.
+        gains: The true servo parameters.
+        table: The servo table (n,), as a controller may assume it.
+        extra_tables: Servo table of each off-chain joint that has a servo, one entry each.
+        tabulated: Parameters of `table`, without `kp_scale` and the other scales.
         write_delay: From write() to the servos [s].
-        hands: What each hand did, in the order of the scene.
+        hands: Record of each hand, in the order of the scene.
         mj_model, mj_data, spec: MuJoCo's own objects, for pictures and pages.
 
     Raises:
         ConfigError: An argument is out of range; the message names it.
         OutOfRangeError: `creep` is outside its range.
-        ShapeError: An argument is no scalar and has not n entries.
-        TypeError: Model, servos, overload or something in the scene is not what it should be.
+        ShapeError: An argument is neither a scalar nor of length n.
+        TypeError: Model, servos, overload or an item of the scene has the wrong type.
 
     Example:
         >>> plant = Plant(pliant.robots.arm7(), rate=100.0)
@@ -135,7 +136,7 @@ class Plant:
         scene: Iterable[Hand | Fixture] = (),
         seed: int = 0,
     ) -> None:
-        """Build the arm; it stands in the middle of its ranges until reset."""
+        """Build the arm; until reset it stands in the middle of its joint ranges."""
         n = self.n = int(instance(model, Model, "model").n)
         self.steps = checks.physics_steps(dt, rate)
         self.model, self.dt, self.rate = model, float(dt), float(rate)
@@ -195,7 +196,7 @@ class Plant:
         finite = np.isfinite(lower) & np.isfinite(upper)
         self.reset(np.where(finite, (np.where(finite, lower, 0) + upper) / 2, 0.0))
 
-    # The bus: what hardware has too.
+    # The bus interface, which hardware also has.
 
     @property
     def sent(self) -> Order:
@@ -203,7 +204,7 @@ class Plant:
         return self._bus.sent
 
     def read(self) -> State:
-        """Return what the bus reports in this tick: delayed, rounded, or repeated when lost."""
+        """Return the reading of this tick: delayed, rounded, repeated if lost."""
         return self._bus.state
 
     def write(
@@ -217,12 +218,13 @@ class Plant:
         Args:
             goal: Joint goals (n,) [rad].
             limit: Torque limits (n,) [N·m], symmetric, at least 0, cut at the usable torque; None
-                keeps the last.
+                keeps the last limits.
             extra: Goal [rad] and limit [N·m] of off-chain joints by name.
 
         Raises:
-            ShapeError: A vector has not n entries. Nothing is sent.
-            ConfigError: Not finite, a negative limit, an unknown joint. Nothing is sent.
+            ShapeError: A vector does not have n entries. Nothing is sent.
+            ConfigError: A value is not finite, a limit is negative, or a joint is unknown. Nothing
+                is sent.
         """
         goal = self._vector(goal, "goal")
         limit = self._bus.sent.limit if limit is None else self._vector(limit, "limit")
@@ -242,7 +244,7 @@ class Plant:
     def advance(self, n_steps: int | None = None) -> None:
         """Run the physics for one control period, or `n_steps` physics steps, and sample.
 
-        Every call is one tick of the bus, however long.
+        Every call is one tick of the bus, whatever its duration.
 
         Raises:
             PliantError: The physics diverged.
@@ -270,7 +272,7 @@ class Plant:
     def reset(self, q: ArrayLike) -> State:
         """Put the arm at rest: goals at q, limits at the usable torque, time at 0.
 
-        Doors and walls are placed relative to the tool of this pose; all chance starts anew.
+        Doors and walls are placed relative to the tool of this pose; all random sources restart.
 
         Args:
             q: Joint positions (n,) [rad].
@@ -279,7 +281,7 @@ class Plant:
             The first reading.
 
         Raises:
-            ShapeError: q has not n entries.
+            ShapeError: q does not have n entries.
             ConfigError: q is not finite.
         """
         q = self._vector(q, "q")
@@ -297,7 +299,7 @@ class Plant:
         self._bus.sample(self.q, self._bank.angles(), 0.0)
         return self.read()
 
-    # The truth: what only a simulation has.
+    # The true state, which only a simulation has.
 
     @property
     def q(self) -> Array:
@@ -316,7 +318,7 @@ class Plant:
 
     @property
     def tripped(self) -> NDArray[np.bool_]:
-        """Which servos have cut their torque by overload (n,)."""
+        """Mask of the servos that have cut their torque by overload (n,)."""
         return self._bank.tripped
 
     @property
@@ -341,7 +343,7 @@ class Plant:
 
     @property
     def friction(self) -> Array:
-        """Dry friction of the joints in this state, at most (n,) [N·m]."""
+        """Largest dry friction of the joints in this state (n,) [N·m]."""
         if self._gears is None:
             return self.gains.friction.copy()
         return self._gears.update()
@@ -358,7 +360,7 @@ class Plant:
         mujoco.mj_applyFT(self.mj_model, self.mj_data, force, torque, point, body, applied)
 
     def _make_gears(self, friction: Literal["coulomb"] | Friction) -> Gears | None:
-        """What sets the friction of the joints, None where it is constant."""
+        """Return the object that sets the friction of the joints, None if friction is constant."""
         if isinstance(friction, Friction):
             dof, servo = self._bank.addresses
             return Gears(self.mj_model, self.mj_data, friction, dof, servo)
@@ -367,15 +369,15 @@ class Plant:
         return None
 
     def _is_passive(self) -> bool:
-        """Whether MuJoCo alone can run a period: nothing in the scene needs Python at every step.
+        """Return True if MuJoCo can run a whole period without Python between the steps.
 
-        `torque` is then that of the period's last step.
+        `torque` is then the torque of the period's last step.
         """
         scene = bool(self._fixtures) and all(getattr(f, "passive", False) for f in self._fixtures)
         return scene and not (self.hands or self._bank.needs_drive or self._gears)
 
     def _step(self) -> None:
-        """One physics step: servo, positions, outer forces at these positions, motion."""
+        """Run one physics step: servos, positions, external forces at these positions, motion."""
         data = self.mj_data
         self._bank.drive(self.dt)
         if self._gears is not None:
@@ -396,7 +398,7 @@ class Plant:
             fixture.after(self)
 
     def _forward(self) -> None:
-        """Bring frames up to the present joint positions."""
+        """Update the frames to the present joint positions."""
         mujoco.mj_kinematics(self.mj_model, self.mj_data)
         mujoco.mj_comPos(self.mj_model, self.mj_data)
 

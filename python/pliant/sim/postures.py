@@ -1,4 +1,4 @@
-"""Postures in which simulated arms begin, and task axes that an arm can serve."""
+"""Initial postures of simulated arms, and the task axes that an arm can serve."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def posture(*angles: float) -> Array:
-    """Joint angles (7,) [rad] as a read-only array."""
+    """Return joint angles (7,) [rad] as a read-only array."""
     q = np.array(angles)
     q.flags.writeable = False
     return q
@@ -22,7 +22,7 @@ def posture(*angles: float) -> Array:
 #: Grasp poses, tool at (0.38, 0, -0.28) m: tool axes as the base's, and turned by +90 deg about x.
 VERTICAL = posture(-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657)
 HORIZONTAL = posture(-0.0426, -0.4950, 0.5438, -1.7376, -0.4434, -0.0602, -0.5572)
-#: Starts at a door or fridge (tool at (0.54, 0, -0.25) m), the same with the horizontal grasp, and
+#: Starts at a door or fridge (tool at (0.54, 0, -0.25) m), at one with the horizontal grasp, and
 #: at an oven (tool at (0.52, 0, -0.10) m, turned by +90 deg about x).
 AT_DOOR = posture(-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115)
 AT_DOOR_HORIZONTAL = posture(-0.559, -0.343, 0.605, -1.194, -0.566, -0.039, -0.384)
@@ -30,7 +30,7 @@ AT_OVEN = posture(-0.677, -0.440, 0.523, -1.623, -0.720, 0.426, -0.547)
 
 
 def task_axes(joints: int) -> tuple[str, ...]:
-    """Axes that so many joints can serve: all for six, positions for five, x z pitch for four."""
+    """Return the task axes for n joints: all for six, positions for five, x z pitch for four."""
     if joints >= 6:
         return ("x", "y", "z", "roll", "pitch", "yaw")
     return {5: ("x", "y", "z"), 4: ("x", "z", "pitch"), 3: ("x", "y", "z")}.get(joints, ("x", "z"))

@@ -1,4 +1,4 @@
-"""A light recorder: named signals, one row per call, NumPy arrays at the end."""
+"""A simple recorder: named signals, one row per call, NumPy arrays at the end."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 class Recorder:
-    """Keeps the truth of a run, and whatever else the caller adds.
+    """Records the true state of a run, and other signals that the caller adds.
 
-    Signals of every row: `t` [s], `q`, `dq` (n,) [rad, rad/s], `tool` (4, 4), `torque` (n,) mean
+    Signals of every row: `t` [s], `q`, `dq` (n,) [rad, rad/s], `tool` (4, 4), `torque` (n,), mean
     servo torque of the period [N·m], and per hand k `force{k}`, `torque{k}` (3,), means of the
     period [N, N·m].
 

@@ -1,4 +1,4 @@
-"""What stands around the arm: the interface of things with bodies, and stiff planes."""
+"""Surroundings of the arm: the interface of things with bodies, and stiff planes."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ _ZERO = np.zeros(3)
 
 
 class Fixture(Protocol):
-    """A thing with bodies of its own (a door); hands and walls are mere force laws."""
+    """A thing with bodies of its own (a door); hands and walls are only force laws."""
 
     def add(self, build: Build) -> None:
         """Add bodies and constraints before the model is compiled."""
 
     def place(self, plant: Plant) -> None:
-        """Move everything to where it belongs at a reset, relative to the tool."""
+        """Place all bodies at a reset, relative to the tool."""
 
     def before(self, plant: Plant) -> None:
-        """Called before each physics step, for motion that is prescribed."""
+        """Prepare each physics step, e.g. prescribed motion."""
 
     def during(self, plant: Plant) -> None:
-        """Called with positions known, for outer forces (`mj_data.qfrc_applied`)."""
+        """Apply external forces (`mj_data.qfrc_applied`), with positions up to date."""
 
     def after(self, plant: Plant) -> None:
-        """Called after each physics step, for records."""
+        """Record results after each physics step."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +45,11 @@ class Wall:
     """A plane that pushes a point back with a stiffness, without friction.
 
     Attributes:
-        into: Direction (3,) in base axes in which one runs into the wall.
-        distance: From the frame's place at reset to the plane, along `into` [m].
-        stiffness: Of the plane [N/m].
-        damping: Of the plane while it is pressed [N·s/m]; it never pulls.
-        at: Frame that meets it.
+        into: Direction (3,) in base axes from free space into the wall.
+        distance: Distance along `into` from the frame's position at reset to the plane [m].
+        stiffness: Stiffness of the plane [N/m].
+        damping: Damping of the plane during contact [N·s/m]; it never pulls.
+        at: Frame on which it acts.
     """
 
     into: Sequence[float] = (1.0, 0.0, 0.0)
@@ -66,7 +66,7 @@ class Wall:
             raise ConfigError(f"Wall.stiffness and damping must be at least 0, got {self!r}")
 
     def force(self, truth: Truth, t: float) -> Wrench:
-        """The wall's push at the frame's origin."""
+        """Return the wrench at the frame's origin."""
         frame = truth.frame(self.at)
         into = np.asarray(self.into, dtype=np.float64)
         depth = float(into @ frame.shift()) - self.distance
@@ -80,12 +80,12 @@ class Wall:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A horizontal plane under one frame, at a height in base axes rather than below the start.
+    """A horizontal plane under one frame, at a given height in base axes.
 
     Attributes:
-        height: Of the plane in base axes [m].
+        height: Height of the plane in base axes [m].
         stiffness: [N/m].
-        damping: While pressed [N·s/m].
+        damping: Damping during contact [N·s/m].
         at: Frame that can rest on it.
     """
 
@@ -102,7 +102,7 @@ class Table:
             )
 
     def force(self, truth: Truth, t: float) -> Wrench:
-        """The table's push at the frame's origin."""
+        """Return the wrench at the frame's origin."""
         frame = truth.frame(self.at)
         depth = self.height - float(frame.position[2])
         if depth <= 0.0:
@@ -114,5 +114,5 @@ class Table:
 def table(
     height: float, *, stiffness: float = 2e4, frames: Sequence[str] = (TOOL, WRIST)
 ) -> list[Hand]:
-    """A table that several frames of the arm can rest on: one `Table` each."""
+    """Return a table for several frames of the arm: one `Table` each."""
     return [Table(height=height, stiffness=stiffness, at=frame) for frame in frames]

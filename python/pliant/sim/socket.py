@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Only the plug and the walls touch each other: contype and conaffinity of both.
+#: contype and conaffinity of plug and walls: they touch only each other.
 TOUCHING = {"contype": 2, "conaffinity": 2}
-#: Hardness of the contacts: time constant [s], and solimp.
+#: Contact parameters: time constant [s], and solimp.
 HARDNESS, IMPEDANCE = 0.005, (0.95, 0.99, 0.0005)
-#: Time over which contact forces are averaged [s]: hard parts rattle from step to step.
+#: Time over which contact forces are averaged [s]: hard contacts chatter from step to step.
 FELT = 0.01
 #: Length of the plug [m].
 LENGTH = 0.08
@@ -37,20 +37,20 @@ class Socket:
     """A square hole under the tool, and a round-ended plug whose tip is the tool's origin.
 
     The plug is fixed to the tool and points along the tool's -z, as the hole does at reset. Four
-    walls make the hole, four planks at 45 deg its chamfer; below `depth` is a floor.
+    walls form the hole, four planks at 45 deg its chamfer. The floor is at `depth`.
 
     Attributes:
-        offset: Middle of the mouth from the tool at reset, (3,) in its axes [m].
+        offset: Vector (3,) from the tool to the centre of the mouth at reset, in tool axes [m].
         tilt: Rotation vector (3,) by which the hole is turned, base axes [rad].
-        width: Of the plug, its diameter [m].
-        clearance: Hole less plug, on each side [m].
-        depth: Of the hole [m].
-        chamfer: How far the mouth is wider, on each side [m].
+        width: Diameter of the plug [m].
+        clearance: Gap between plug and hole on each side [m].
+        depth: Depth of the hole [m].
+        chamfer: Widening of the mouth on each side [m].
         friction: Coefficient μ of the contacts.
         name: Prefix of the bodies.
-        force: Norm of the contact force now [N].
+        force: Present norm of the contact force [N].
         peak_along, peak_across: Largest contact force along and across the hole so far [N].
-        deepest: How far the tip has come below the mouth along the hole [m].
+        deepest: Largest depth of the tip below the mouth, along the hole [m].
     """
 
     offset: Sequence[float] = (0.0, 0.0, -0.02)
@@ -78,7 +78,7 @@ class Socket:
             )
 
     def with_(self, **changes: object) -> Socket:
-        """Return another socket with these attributes changed."""
+        """Return a copy with these attributes changed."""
         return replace(self, **changes)  # type: ignore[arg-type]
 
     def add(self, build: Build) -> None:
@@ -108,10 +108,10 @@ class Socket:
         self._finish(plug, (0.85, 0.35, 0.2, 1.0))
 
     def _wall(self, frame: mujoco.MjsBody, turn: Array, half: float) -> None:
-        """One of the four walls: a block beside the hole, with a plank at 45 deg on its edge."""
+        """Add one of the four walls: a block beside the hole, with a plank at 45 deg on it."""
         quat = np.zeros(4)
         place, reach = np.zeros(3), half + WALL
-        # The block ends below the chamfer; the plank goes on from there.
+        # The block ends below the chamfer, where the plank starts.
         low = self.depth - self.chamfer
         block = frame.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(WALL / 2, reach, low / 2))
         mujoco.mju_rotVecQuat(place, np.array((half + WALL / 2, 0.0, -self.depth + low / 2)), turn)
@@ -121,7 +121,7 @@ class Socket:
             thick, long = 0.004, self.chamfer / np.sqrt(2.0)
             slope = np.array((np.cos(-np.pi / 8.0), 0.0, np.sin(-np.pi / 8.0), 0.0))
             mujoco.mju_mulQuat(quat, turn, slope)
-            # Middle of the sloping face, less half the plank's thickness along its normal.
+            # Centre of the sloping face, minus half the plank's thickness along its normal.
             normal = np.array((-1.0, 0.0, 1.0)) / np.sqrt(2.0)
             middle = np.array((half + self.chamfer / 2, 0.0, -self.chamfer / 2)) - normal * thick
             plank = frame.add_geom(
@@ -132,7 +132,7 @@ class Socket:
             self._finish(plank, (0.70, 0.72, 0.76, 1.0))
 
     def _finish(self, geom: mujoco.MjsGeom, rgba: Sequence[float]) -> None:
-        """Give a geom its contacts and its colour."""
+        """Set contact parameters and colour of a geom."""
         geom.contype, geom.conaffinity = TOUCHING["contype"], TOUCHING["conaffinity"]
         geom.friction = (self.friction, 0.0, 0.0)
         geom.condim = 3
@@ -141,7 +141,7 @@ class Socket:
         geom.rgba = rgba
 
     def place(self, plant: Plant) -> None:
-        """Put the socket under the tool, hang the plug along -z, and forget the records."""
+        """Place the socket under the tool along its -z, and clear the records."""
         model, data, tool = plant.mj_model, plant.mj_data, plant.tool
         frame = int(model.body(f"{self.name}:frame").mocapid[0])
         tilt, quat = np.zeros(4), np.zeros(4)
@@ -160,13 +160,13 @@ class Socket:
         self.force = self.peak_along = self.peak_across = self.deepest = 0.0
 
     def before(self, plant: Plant) -> None:
-        """Nothing moves by itself."""
+        """Do nothing: no motion is prescribed."""
 
     def during(self, plant: Plant) -> None:
-        """Contacts are MuJoCo's own."""
+        """Do nothing: MuJoCo computes the contacts."""
 
     def after(self, plant: Plant) -> None:
-        """Record how deep the tip is and what the contacts carry."""
+        """Record the depth of the tip and the contact force."""
         data = plant.mj_data
         total = np.zeros(3)
         for index in range(data.ncon):

@@ -1,9 +1,8 @@
-"""From a `pliant.Model` to a MuJoCo specification.
+"""Conversion of a `pliant.Model` to a MuJoCo specification.
 
-Links that never move against each other become one body; every link of the description stays as a
-site of its own name, so that frames (a fixed tool frame above all, which MuJoCo's own URDF import
-drops) can be read and pushed. Meshes are not needed: the arm is drawn as capsules between its
-joints.
+Links without relative motion become one body. Every link stays as a site of its own name, so that
+frames can be read and pushed, among them fixed tool frames, which MuJoCo's own URDF import drops.
+Meshes are not needed: the arm is drawn as capsules between its joints.
 """
 
 from __future__ import annotations
@@ -29,17 +28,16 @@ if TYPE_CHECKING:
 
 @dataclass
 class Build:
-    """A specification under construction, and the names the plant needs to find things again.
+    """A specification under construction, and the names by which the plant finds its parts.
 
     Attributes:
         spec: The MuJoCo specification; scene objects add their bodies to it.
         model: The robot.
-        chain: MuJoCo joint per chain coordinate, length n.
-        held: MuJoCo joint by name of an off-chain joint with an actuator of its own, and its angle
-            at rest.
-        extra: Servo of each off-chain joint, one entry each, by the joint's name.
-        backlash: Joints with play behind the gear.
-        groups: Links that never move against each other, parents first.
+        chain: MuJoCo joint of each chain coordinate, length n.
+        held: Rest angle of each off-chain joint that has an actuator, by joint name.
+        extra: Servo of each off-chain joint, one entry each, by joint name.
+        backlash: Joints with backlash behind the gear.
+        groups: Groups of links without relative motion, parents first.
         bodies: MuJoCo body of each group.
     """
 
@@ -64,21 +62,21 @@ def build(
     creep: float = 1.0,
     extra: Mapping[str, Servos] | None = None,
 ) -> Build:
-    """Make the specification of an arm with one torque-limited position servo per chain joint.
+    """Build the specification of an arm with one torque-limited position servo per chain joint.
 
-    The world frame is the model's base frame. Off-chain joints that ride on the chain (a gripper)
-    are `held` by actuators of their own at the model's locked angle, or `welded`; the others
-    (another arm) are always welded.
+    The world frame is the model's base frame. Off-chain joints carried by the chain (a gripper)
+    are `held` by actuators of their own at the model's locked angle, or `welded`. All others
+    (another arm) are welded.
 
     Args:
         model: The robot.
         gains: Servos of the n chain joints.
         dt: Physics step [s].
-        off_chain: What becomes of joints beyond the chain.
+        off_chain: Treatment of off-chain joints.
         payload: Mass [kg] and centre (3,) [m] in the tool frame of a load that is fixed to the
             tool.
-        backlash: Full play behind each gear (n,) [rad].
-        creep: How fast joints creep that friction holds, over what MuJoCo's do by default.
+        backlash: Full backlash behind each gear (n,) [rad].
+        creep: Creep of joints held by friction, relative to MuJoCo's default.
         extra: Servos of off-chain joints, one entry each, by name; others are guessed from their
             efforts.
 

@@ -1,4 +1,4 @@
-"""Records at the plant's interface: what is sent, what a hand did."""
+"""Records at the plant's interface: orders sent, and forces of hands."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Felt:
-    """What one hand did: means of the last period, peaks of all physics steps since reset.
+    """Record of one hand: means of the last period, peaks of all physics steps since reset.
 
     Attributes:
         hand: The hand.

@@ -18,27 +18,27 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Speed at which friction is fully there [m/s]; below, it grows with speed.
+#: Speed scale of the friction [m/s]: friction is smooth below it, and nearly full above it.
 CREEP = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """A surface below the arm whose height goes up and down, met by the four corners of a flat pad.
+    """An uneven surface below the arm, in contact with the four corners of a flat pad.
 
-    Its height is ``base - below + unevenness sin(2π y/wave) cos(2π x/wave)``, base and x, y counted
-    from where the frame is at reset, so that it is `below` under the start. Each corner is pushed
-    up by ``max(k depth - d v, 0)`` and held back by friction, opposite to its sliding.
+    Its height is ``base - below + unevenness sin(2π y/wave) cos(2π x/wave)``; base, x and y count
+    from the frame's position at reset, so that the surface is `below` under the start. Each corner
+    is pushed up by ``max(k depth - d v, 0)``; dry friction opposes its sliding.
 
     Attributes:
-        below: Height of the start above it [m].
-        unevenness: Half the height from valley to hill [m].
-        wave: Distance from hill to hill [m].
-        stiffness: Of the whole pad on the surface [N/m].
-        damping: Of the whole pad while pressed [N·s/m].
+        below: Height of the start above the surface [m].
+        unevenness: Half the height from valley to peak [m].
+        wave: Distance from peak to peak [m].
+        stiffness: Contact stiffness of the whole pad [N/m].
+        damping: Damping of the whole pad during contact [N·s/m].
         friction: Coefficient μ of dry friction.
         pad: Half the side of the square pad [m]; its axes are those of the frame.
-        at: Frame in the middle of the pad.
+        at: Frame at the centre of the pad.
     """
 
     below: float = 0.01
@@ -60,12 +60,12 @@ class Surface:
             )
 
     def height(self, x: float, y: float) -> float:
-        """Height [m] over its mean, at x, y [m] from the start."""
+        """Return the height [m] over its mean, at x, y [m] from the start."""
         k = 2.0 * np.pi / self.wave
         return self.unevenness * float(np.sin(k * y) * np.cos(k * x))
 
     def force(self, truth: Truth, t: float) -> Wrench:
-        """The surface's push and friction, summed over the corners."""
+        """Return the wrench: push and friction, summed over the corners."""
         frame = truth.frame(self.at)
         twist = frame.twist()
         total, torque = np.zeros(3), np.zeros(3)

@@ -1,4 +1,4 @@
-"""The table that an arm stands on: a plane that every moving link can touch."""
+"""The table on which an arm stands: a plane in contact with the moving links."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from pliant.sim.spec import Build
     from pliant.sim.tree import Group, Matrix, Robot
 
-#: Bit by which the plane and the arm's links find each other; a plug and its socket have another.
+#: Contact bit of the plane and the arm's links; plugs and sockets use another.
 CONTACT_BIT = 4
-#: MuJoCo's time constant [s] and damping ratio of the contact: with 1 kg behind it, as stiff as
+#: MuJoCo's time constant [s] and damping ratio of the contact: with 1 kg, the stiffness is
 #: 20 kN/m.
 CONTACT = (0.007, 1.0)
-#: A joint axis this parallel to the vertical cannot raise or lower what it carries.
+#: |z| of a joint axis above which it counts as vertical: its joint cannot raise or lower a link.
 VERTICAL = 0.999
 
 
@@ -29,15 +29,15 @@ VERTICAL = 0.999
 class Tabletop:
     """A horizontal plane that stops every link that can move up or down.
 
-    Links touch it with the capsules that draw the arm. Those that only turn about a vertical axis
-    above the base never leave their height and never touch.
+    The contact geometry of a link is the capsules that draw it. Links that only turn about a
+    vertical axis above the base never change their height and never touch.
 
     Attributes:
-        height: Of the plane in base axes [m].
+        height: Height of the plane in base axes [m].
         friction: Coefficient μ between links and plane.
         force: Normal force of all contacts in the last physics step [N].
-        peak_force: The largest since reset [N].
-        touching: Links that touched it in the last physics step.
+        peak_force: Largest normal force since reset [N].
+        touching: Links in contact in the last physics step.
     """
 
     height: float = 0.0
@@ -80,7 +80,7 @@ class Tabletop:
                 self._links[geom.name] = link
 
     def place(self, plant: Plant) -> None:
-        """Forget the records."""
+        """Find the geoms, and clear the records."""
         model = plant.mj_model
         self._plane = int(model.geom(self.name).id)
         self._link_of = {int(model.geom(name).id): link for name, link in self._links.items()}
@@ -89,13 +89,13 @@ class Tabletop:
         self.touching = ()
 
     def before(self, plant: Plant) -> None:
-        """Nothing moves by itself."""
+        """Do nothing: no motion is prescribed."""
 
     def during(self, plant: Plant) -> None:
-        """The contact is MuJoCo's own."""
+        """Do nothing: MuJoCo computes the contacts."""
 
     def after(self, plant: Plant) -> None:
-        """Record what presses on the table."""
+        """Record the contact force and the links in contact."""
         data = plant.mj_data
         if not data.ncon:
             self.force, self.touching = 0.0, ()
@@ -112,7 +112,7 @@ class Tabletop:
         self.peak_force = max(self.peak_force, total)
 
     def clearance(self) -> float:
-        """Least height of any link that can touch over the table now [m]; below 0: inside it."""
+        """Return the least height of these links over the table [m]; negative in penetration."""
         lowest = np.inf
         for geom in self._link_of:
             radius, half = self._model.geom_size[geom, :2]
@@ -122,7 +122,7 @@ class Tabletop:
 
 
 def can_rise(model: Robot, groups: list[Group], index: int) -> bool:
-    """Return whether some joint between the base and a group can raise or lower it."""
+    """Return True if a joint between the base and the group can raise or lower the group."""
     chain: list[int] = []
     at: int | None = index
     while at is not None and groups[at].joint is not None:

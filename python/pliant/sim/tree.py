@@ -1,4 +1,4 @@
-"""The tree of a robot, cut into rigid groups: what moves against what in the simulation."""
+"""The tree of a robot, cut into rigid groups."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OffChain = Literal["held", "welded"]
 
 @dataclass
 class Group:
-    """Links that never move against each other: one body, its frame the first link's."""
+    """Links without relative motion: one body, whose frame is that of its first link."""
 
     link: int
     joint: int | None
@@ -61,7 +61,7 @@ def groups(model: Robot, off_chain: OffChain) -> list[Group]:
 
 
 def _moves(model: Robot, joint: Any, carried: bool, off_chain: OffChain) -> bool:
-    """Whether a joint stays a joint in the simulation."""
+    """Return True if a joint stays a joint in the simulation."""
     kind = kind_of(joint)
     if kind == "fixed":
         return False
@@ -78,12 +78,12 @@ def _moves(model: Robot, joint: Any, carried: bool, off_chain: OffChain) -> bool
 
 
 def locked_angle(joint: Any) -> float:
-    """Where the model locks an off-chain joint [rad]."""
+    """Return the angle at which the model locks an off-chain joint [rad]."""
     return float(getattr(joint, "locked_at", None) or 0.0)
 
 
 def _moved(model: Robot, joint: Any) -> Matrix:
-    """Displacement of a welded joint at its locked angle, or its driver's."""
+    """Return the displacement (4, 4) of a welded joint at its locked angle."""
     pose = np.eye(4)
     angle = locked_angle(joint)
     if joint.mimic is not None:
@@ -109,25 +109,25 @@ def as_matrix(pose: Any) -> Matrix:
 
 
 def kind_of(joint: Any) -> str:
-    """Joint kind in lower case: revolute, continuous, prismatic, fixed or other."""
+    """Return the joint kind in lower case: revolute, continuous, prismatic, fixed or other."""
     return str(joint.kind).rsplit(".", maxsplit=1)[-1].lower()
 
 
 def unit(axis: Any) -> NDArray[np.float64]:
-    """Axis (3,) of length one."""
+    """Return the unit vector (3,) of an axis."""
     array = np.asarray(axis, dtype=np.float64)
     return array / np.linalg.norm(array)
 
 
 def quat_of(pose: Matrix) -> NDArray[np.float64]:
-    """Quaternion wxyz of a pose (4, 4)."""
+    """Return the quaternion wxyz of a pose (4, 4)."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).reshape(9))
     return quat
 
 
 def last_moving(model: Robot) -> str:
-    """Name of the last link the chain moves; its origin is the wrist centre."""
+    """Return the name of the last link that the chain moves; its origin is the wrist centre."""
     link = next(i for i, item in enumerate(model.links) if item.name == model.tip)
     while model.links[link].parent_joint is not None:
         joint = model.joints[model.links[link].parent_joint]

@@ -1,4 +1,4 @@
-"""What is true in the simulation, for hands, scenes and figures; a controller never sees it."""
+"""True state of the simulation, for hands, scenes and figures; not available to a controller."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from pliant.sim._mujoco import mujoco
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-#: Names every robot has besides its links: the tip of the chain, and the last body the chain moves.
+#: Frame names that every robot has besides its links: tip of the chain, and its last moving body.
 TOOL, WRIST = "tool", "wrist"
 
 
 class Frame:
-    """One frame of the robot, in base axes: where it is, moves, and was at the last reset."""
+    """One frame of the robot in base axes: present pose and velocity, and start pose."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, site: int) -> None:
-        """Look at a site."""
+        """Observe a site."""
         self._model, self._data, self.site = model, data, site
         self.body = int(model.site_bodyid[site])
         #: Position (3,) [m], a live view.
@@ -30,7 +30,7 @@ class Frame:
         self.remember()
 
     def remember(self) -> None:
-        """Take the present pose as the start."""
+        """Store the present pose as the start."""
         self.start = self.position.copy()
         self.start_rotation = self.rotation.copy()
 
@@ -48,11 +48,11 @@ class Frame:
         return pose
 
     def shift(self) -> NDArray[np.float64]:
-        """Displacement from the start (3,) [m]."""
+        """Return the displacement from the start (3,) [m]."""
         return self.position - self.start
 
     def turn(self) -> NDArray[np.float64]:
-        """Rotation vector (3,) [rad] of the turn from the start, in base axes."""
+        """Return the rotation vector (3,) [rad] from the start, in base axes."""
         quat, vector = np.zeros(4), np.zeros(3)
         mujoco.mju_mat2Quat(quat, (self.rotation @ self.start_rotation.T).reshape(9))
         mujoco.mju_quat2Vel(vector, quat, 1.0)
@@ -95,6 +95,6 @@ class Truth:
         return found
 
     def remember(self) -> None:
-        """Take the present poses of all frames as their start."""
+        """Store the present poses of all frames as their start."""
         for frame in self._frames.values():
             frame.remember()

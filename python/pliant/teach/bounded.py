@@ -1,4 +1,4 @@
-"""A motion within bounds of speed, acceleration and jerk; ruckig (not ours) does the work."""
+"""Motions within bounds of speed, acceleration and jerk, computed by ruckig."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from pliant.teach.motion import RATE
 if TYPE_CHECKING:
     from pliant.teach.motion import Motion
 
-#: Longest time that the end may take more than the motion [s].
+#: Longest extra time at the end of a motion [s].
 LATE = 60.0
-#: Share of the bounds that a slowed motion takes: the rest is for following it.
+#: Share of the bounds for a slowed motion; the rest is margin for tracking.
 ROOM = 0.9
 
 
 def ready(bounds: tuple[float, float, float]) -> Any:
-    """Check that motions can be held within these bounds, before one is made; return ruckig.
+    """Check the bounds and import ruckig, before a motion is made; return ruckig.
 
     Raises:
         ConfigError, ImportError: As `bounded`.
@@ -38,20 +38,20 @@ def ready(bounds: tuple[float, float, float]) -> Any:
 def bounded(motion: Motion, bounds: tuple[float, float, float], rate: float = RATE) -> Motion:
     """Follow a motion as closely as speed, acceleration and jerk of every joint allow.
 
-    A motion whose speed or acceleration is beyond its bound is first played as much slower as it
-    needs, whole, so that the joints stay on their common path. Then ruckig follows it: what is
-    within the bounds stays as it is, and corners become as round as the jerk wants.
+    A motion that exceeds a speed or acceleration bound is first slowed down as a whole, so that
+    the joints stay on their common path. Then ruckig follows it: parts within the bounds stay
+    unchanged, and corners are rounded to meet the jerk bound.
 
     Args:
-        motion: The motion; joints beside the chain keep their positions at its times.
+        motion: The motion; off-chain joints keep their positions at its times.
         bounds: Speed [rad/s], acceleration [rad/s²], jerk [rad/s³].
         rate: Samples per second of the result [Hz].
 
     Returns:
-        A motion that begins and ends at rest, where the given one does.
+        A motion from rest to rest, with the same end points.
 
     Raises:
-        ConfigError: Bounds that are not above 0, or too low for the motion.
+        ConfigError: A bound is not above 0, or the bounds are too low for the motion.
         ImportError: ruckig is not installed.
     """
     ruckig = ready(bounds)
@@ -92,7 +92,7 @@ def bounded(motion: Motion, bounds: tuple[float, float, float], rate: float = RA
 
 
 def _slowed(motion: Motion, speed: float, acceleration: float, step: float) -> Motion:
-    """The motion with its time stretched until speed and acceleration are within these."""
+    """Stretch the time of a motion until speed and acceleration are within these bounds."""
     times = np.arange(0.0, motion.duration + step, step)
     q = np.array([motion.at(time) for time in times.tolist()])
     first = float(np.abs(np.diff(q, axis=0)).max()) / step

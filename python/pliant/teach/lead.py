@@ -1,4 +1,4 @@
-"""A hand for arms that nobody can touch: it leads a simulated or emulated tool aside and up."""
+"""A scripted hand that leads a simulated or emulated tool sideways and up."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ if TYPE_CHECKING:
     from pliant.arm import Arm
     from pliant.sim import Drag
 
-#: How far it leads the tool, as shares of the arm's reach: to y, and up [1].
+#: Displacement of the tool in y and z, as shares of the arm's reach [1].
 ASIDE, UP = 0.17, 0.06
-#: When it takes hold after it was asked, how long it takes, and when it lets go [s].
+#: Delay of the start, duration of the ramp, and time of the release [s].
 AFTER, TAKES, LETS_GO = 0.5, 3.0, 4.5
-#: Of its grip [N/m], [N].
+#: Stiffness [N/m] and force limit [N] of the grip.
 STIFFNESS, LIMIT = 800.0, 30.0
 
 
 def prepare(arm: Arm) -> Callable[[], None]:
-    """Load what a hand needs: importing the simulator takes 0.6 s, too long between two ticks.
+    """Import the simulator in advance: the import takes 0.6 s, too long between two ticks.
 
     Args:
         arm: A simulated or emulated arm.
 
     Returns:
-        A function that lets the hand lead the tool, beginning then; it returns at once.
+        A function that starts the hand and returns immediately.
 
     Raises:
-        ConfigError: A real arm: there are hands enough.
+        ConfigError: The arm is real.
         ImportError: The extra `sim` is missing.
     """
     from pliant import sim  # noqa: F401 - loaded here, used in _hands
@@ -50,19 +50,19 @@ def prepare(arm: Arm) -> Callable[[], None]:
 
 
 def lead(arm: Arm) -> None:
-    """Let a hand lead the tool, beginning now.
+    """Start the hand that leads the tool.
 
     Args:
         arm: A simulated or emulated arm.
 
     Raises:
-        ConfigError: A real arm: there are hands enough.
+        ConfigError: The arm is real.
     """
     prepare(arm)()
 
 
 def _hands(now: float, reach: float) -> list[Drag]:
-    """One per direction, from `now` [s] on."""
+    """Return one hand per direction, from `now` [s] on."""
     from pliant.sim import Course, Drag
 
     course = Course(start=now + AFTER, rise=TAKES, end=now + LETS_GO)

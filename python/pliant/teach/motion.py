@@ -1,4 +1,4 @@
-"""A taught motion: joint positions over time, in a text file that any language reads."""
+"""A taught motion: joint positions over time, in a portable JSON file."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: What a file begins with.
+#: First field of a file.
 FORMAT = "pliant motion 1"
-#: Rate at which motions are kept [Hz], and digits of a position, 1e-5 rad.
+#: Sample rate of motions [Hz], and decimal digits of a position (1e-5 rad).
 RATE, DIGITS = 50.0, 5
-#: A joint within this of where it was first or last is still there [rad]; how much of the still
-#: ends is kept [s].
+#: Distance from its first or last position within which a joint counts as at rest [rad]; rest
+#: kept at both ends [s].
 STILL, KEEP = 0.02, 0.2
-#: Distance of the tool from where it was taught at which an arm is another one [m].
+#: Distance of the tool from its taught start above which the arm counts as another one [m].
 ELSEWHERE = 0.03
-#: Samples that a motion has at least, and at most after smoothing.
+#: Least number of samples, and largest number after smoothing.
 LEAST, MOST = 2, 10_000_000
 #: Shortest time between two samples and longest motion [s].
 SHORTEST, LONGEST = 1e-6, 1e5
@@ -40,19 +40,19 @@ SHORTEST, LONGEST = 1e-6, 1e5
 
 @dataclass(frozen=True)
 class Motion:
-    """Positions of joints at times, N samples of n joints. Between samples it is smooth.
+    """Joint positions over time, N samples of n joints, with smooth interpolation.
 
     Attributes:
         joints: Names, in the order of the columns.
         time: (N,) [s], rising from 0.
         q: (N, n) [rad].
-        extra: Positions (N,) of joints beside the chain, such as a gripper, by name [rad].
-        note: A line of the user's.
-        start: Where the tool was at the first sample [m], base axes, as the arm's model had it; by
-            this another arm with joints of the same names is told apart. None: not known.
+        extra: Positions (N,) of off-chain joints, such as a gripper, by name [rad].
+        note: A line of text by the user.
+        start: Position of the tool at the first sample [m], base axes, by the model of the taught
+            arm. It detects another arm with the same joint names. None: not known.
 
     Raises:
-        ConfigError: Shapes, times or numbers do not go together.
+        ConfigError: Shapes, times or numbers are inconsistent.
     """
 
     joints: tuple[str, ...]
@@ -63,7 +63,7 @@ class Motion:
     start: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check once; what is wrong must be known before an arm moves."""
+        """Check everything once, before an arm moves."""
         time, q = np.asarray(self.time, dtype=np.float64), np.asarray(self.q, dtype=np.float64)
         extra = {name: np.asarray(row, dtype=np.float64) for name, row in self.extra.items()}
         size = (time.size, len(self.joints))
@@ -106,13 +106,13 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """[s]."""
+        """Duration [s]."""
         return float(self.time[-1])
 
     def at(self, time: float) -> Array:
-        """Positions (n,) [rad] at a time [s]; beyond the ends those of the ends.
+        """Return the positions (n,) [rad] at a time [s]; constant beyond the ends.
 
-        A cubic between two samples, with the slopes of their neighbours (Catmull and Rom).
+        Cubic interpolation with the slopes of the neighbours (Catmull-Rom).
         """
         if not 0.0 < time < self.duration:
             return np.array(self.q[0 if time <= 0.0 else -1])
@@ -126,22 +126,22 @@ class Motion:
         return between
 
     def beside(self, time: float) -> dict[str, float]:
-        """Positions of the joints beside the chain at a time [rad]."""
+        """Return the positions of the off-chain joints at a time [rad]."""
         return {name: float(np.interp(time, self.time, row)) for name, row in self.extra.items()}
 
     def _slope(self, k: int) -> Array:
-        """Slope at a sample; none at the ends."""
+        """Return the slope at a sample; 0 at the ends."""
         if k in {0, len(self.time) - 1}:
             return np.zeros(len(self.joints))
         rise: Array = (self.q[k + 1] - self.q[k - 1]) / (self.time[k + 1] - self.time[k - 1])
         return rise
 
     def fits(self, model: Model) -> None:
-        """Check that an arm can do it.
+        """Check that an arm can execute the motion.
 
         Raises:
-            ConfigError: Other joints, positions beyond its limits, or a tool that would be
-                elsewhere than it was.
+            ConfigError: The joints differ, positions exceed the limits, or the tool would start
+                elsewhere.
         """
         if self.joints != tuple(model.joint_names):
             raise ConfigError(
@@ -150,7 +150,7 @@ class Motion:
             )
         beyond = np.maximum(self.q - model.upper, model.lower - self.q).max(axis=0)
         worst = int(np.argmax(beyond))
-        # An arm that is led by hand gives a little beyond its limits.
+        # A hand-guided arm can exceed its limits slightly.
         if beyond[worst] > STILL:
             raise ConfigError(
                 f"the motion takes {self.joints[worst]} {beyond[worst]:.3f} rad beyond its limits"
@@ -167,20 +167,20 @@ class Motion:
                 )
 
     def of(self, model: Model) -> Motion:
-        """The same, with the place where the tool of this model begins."""
+        """Return a copy with the start position of this model's tool."""
         q = np.clip(self.q[0], model.lower, model.upper)
         x, y, z = model.forward_kinematics(q)[:3, 3].tolist()
         return replace(self, start=(x, y, z))
 
     def trimmed(self, still: float = STILL, keep: float = KEEP) -> Motion:
-        """Without the rest before the first and after the last motion beyond `still` [rad].
+        """Return a copy without the rest before and after the motion.
 
         Args:
-            still: Distance within which a joint counts as not having moved [rad].
-            keep: How much rest stays at both ends [s].
+            still: Distance within which a joint counts as at rest [rad].
+            keep: Rest kept at both ends [s].
 
         Raises:
-            ConfigError: Nothing moved.
+            ConfigError: No joint moved.
         """
         rows = np.column_stack((self.q, *self.extra.values()))
         left = np.flatnonzero((np.abs(rows - rows[0]) > still).any(axis=1))
@@ -192,9 +192,9 @@ class Motion:
         return self._of(chosen)
 
     def smoothed(self, width: float = 0.1, rate: float = RATE) -> Motion:
-        """Even in time, and without tremor: a Gaussian of `width` [s], standard deviation.
+        """Return a copy at a constant rate, smoothed by a Gaussian.
 
-        Symmetric, so that nothing comes late; ends stay where they are.
+        The filter is symmetric, so there is no time lag; the ends keep their positions.
 
         Args:
             width: Standard deviation [s].
@@ -220,7 +220,7 @@ class Motion:
 
         def smooth(row: Array) -> Array:
             even = np.interp(time, self.time, row)
-            # Turned about its ends: a straight line stays one, and the ends stay.
+            # Odd reflection about the ends keeps straight lines straight and the ends fixed.
             padded = np.pad(even, reach, mode="reflect", reflect_type="odd")
             return np.convolve(padded, kernel / kernel.sum(), mode="valid")
 
@@ -233,13 +233,13 @@ class Motion:
         return replace(self, time=self.time[chosen], q=self.q[chosen], extra=extra, start=None)
 
     def save(self, path: str | Path) -> None:
-        """Write JSON: one sample a line, so that two versions can be compared.
+        """Write JSON, one sample per line, so that versions can be compared.
 
-        A motion that is there is replaced at the end, never left half written.
+        An existing motion is replaced only once the new file is complete.
 
         Raises:
-            ConfigError: The file is there and is no motion, or must not be written.
-            OSError: The disk does not take it.
+            ConfigError: The file exists and is no motion, or must not be written.
+            OSError: The file cannot be written.
         """
         path = Path(path)
         check_output(path, "motion")
@@ -259,10 +259,10 @@ class Motion:
 
     @classmethod
     def logged(cls, log: Log) -> Motion:
-        """The joint positions of a log, as far as it goes.
+        """Return the joint positions of a log.
 
         Raises:
-            ConfigError: It is damaged, or too short.
+            ConfigError: The log is damaged, or too short.
         """
         if log.damage:
             raise ConfigError(f"the log is damaged and is not played: {log.damage}")
@@ -275,7 +275,7 @@ class Motion:
         """Read a motion file, or the joint positions of a log (`.mcap`).
 
         Raises:
-            ConfigError: It is none, or a log that is damaged.
+            ConfigError: The file is no motion, or a damaged log.
             OSError: It cannot be read.
         """
         path = Path(path)

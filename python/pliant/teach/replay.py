@@ -1,4 +1,4 @@
-"""Playing a motion softly: what is blocked waits, and no force builds up."""
+"""Compliant replay of a motion: it waits while the arm is blocked, with bounded force."""
 
 from __future__ import annotations
 
@@ -20,46 +20,46 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Speed on the way to the motion's beginning, and back to it after a stop [rad/s].
+#: Speed toward the start of the motion, and back to the motion after a stop [rad/s].
 APPROACH = 0.4
-#: Time within which the motion's clock comes up to speed again [s].
+#: Time in which the motion's clock returns to full speed [s].
 RISE = 0.5
-#: How far from its bound a deviation begins to slow the clock, as a share.
+#: Share of its bound above which a deviation slows the clock.
 SLOW = 0.5
-#: A clock made slower than the first of these shares of its speed is blocked, until the second.
+#: The clock counts as blocked below the first share of its speed, until above the second.
 BLOCKED, FREE = 0.05, 0.3
-#: How long a force must last to be a contact [s], and after a resume is not listened to [s].
+#: Shortest duration of a contact [s], and time after a resume in which contacts are ignored [s].
 LASTING, DEAF = 0.05, 1.0
 
 State = Literal["approaching", "playing", "blocked", "stopped", "done"]
 
 
 class Replay:
-    """Steps a controller along a motion; `step` once per tick in place of the controller's.
+    """Steps a controller along a motion; call `step` once per tick in place of the controller's.
 
-    The motion has a clock of its own, of pace ``p = clip(2 (1 − m), 0, 1)`` times `speed`, where m
-    is the largest deviation of the tool over its bound `wait`: full speed up to half the bound, and
-    at the bound it stands. So the target is never farther than the bound from a tool that is held,
-    and the force there is what the axis gives at that deviation, however long it is held: the
-    cap of a soft axis, at most bound/C of a stiff one.
+    The motion has a clock of its own, with rate ``p = clip(2 (1 − m), 0, 1)`` times `speed`. m is
+    the largest ratio of the tool's deviation to its bound `wait`: the clock runs at full speed up
+    to half the bound, and stops at the bound. The target is thus never farther than the bound from
+    a blocked tool. The force there is that of the axis at this deviation, for any duration: the cap
+    of a soft axis, at most bound/C of a stiff one.
 
     Args:
-        controller: The controller, whose settings say how soft each axis is.
+        controller: The controller; its settings define the compliance of each axis.
         motion: The motion.
         speed: Factor on its speed.
-        wait: Deviation of the tool [m], [rad] at which the clock stands.
-        stop: Force [N] along a task axis that stops the arm until `resume()`; None: never. Below
-            what this arm can tell from its own friction it is refused.
+        wait: Deviation of the tool [m], [rad] at which the clock stops.
+        stop: Force [N] along a task axis that stops the arm until `resume()`; None: never. Values
+            below the uncertainty of the force estimate are rejected.
 
     Attributes:
-        time: Of the motion's clock [s].
-        pace: Of the clock in this tick, 0 to 1.
-        waited: How long the clock has been blocked so far [s].
-        stops: How often a contact stopped it.
+        time: Time of the motion's clock [s].
+        pace: Rate of the clock in this tick, 0 to 1.
+        waited: Total time for which the clock has been blocked [s].
+        stops: Number of stops by a contact.
 
     Raises:
-        ConfigError: The motion is another arm's.
-        OutOfRangeError: A number out of range, or a `stop` that cannot be felt.
+        ConfigError: The motion is of another arm.
+        OutOfRangeError: A number is out of range, or `stop` is below the uncertainty.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Replay:
 
     @property
     def state(self) -> State:
-        """What it does."""
+        """Present state of the replay."""
         if self._held is not None:
             return "stopped"
         if self.time >= self.motion.duration:
@@ -114,18 +114,18 @@ class Replay:
 
     @property
     def done(self) -> bool:
-        """Whether the motion has been played to its end."""
+        """True once the motion has been played to its end."""
         return self.state == "done"
 
     def step(
         self, q: ArrayLike, *, dt: float | None = None, load: ArrayLike | None = None
     ) -> Command:
-        """One tick.
+        """Compute the command of one tick.
 
         Args:
             q: Measured joint positions (n,) [rad].
-            dt: Since the last tick [s]; None: 1 / rate of the settings.
-            load: Torques that the servos say they exert (n,) [N·m], for `stop`.
+            dt: Time since the last tick [s]; None: 1 / rate of the settings.
+            load: Torques reported by the servos (n,) [N·m], for `stop`.
 
         Raises:
             ShapeError, OutOfRangeError: As `Controller.step`.
@@ -144,7 +144,7 @@ class Replay:
         return command
 
     def extra(self, arm: Arm) -> dict[str, tuple[float, float]]:
-        """Orders for the joints beside the chain, with the torque limits of their grippers."""
+        """Return goals and torque limits of the off-chain joints with a gripper, by name."""
         return {
             name: (position, arm.grippers[name].limit)
             for name, position in self.motion.beside(self.time).items()
@@ -152,20 +152,20 @@ class Replay:
         }
 
     def resume(self) -> None:
-        """Go on after a contact: back to where the motion was left, then along it."""
+        """Continue after a contact: return to the motion, then along it."""
         if self._held is not None:
             held, self._held, self._deaf = self._held, None, DEAF
             self._from(held)
 
     def _from(self, q: Array) -> None:
-        """Begin with a way from q to where the motion is now."""
+        """Start a transition from q to the present point of the motion."""
         self._offset = q - self.motion.at(self.time)
-        # A smooth step is at its middle 15/8 times as fast as in the mean.
+        # The peak speed of a smooth step is 15/8 of its mean speed.
         self._way = 1.875 * float(np.abs(self._offset).max()) / APPROACH
         self._left, self.pace = self._way, 0.0
 
     def _target(self) -> Array:
-        """Positions (n,) [rad] now: those of the motion, and what is left of the way to it."""
+        """Return the present target (n,) [rad]: the motion plus the rest of the transition."""
         goal = self.motion.at(self.time)
         if self._left <= 0.0 or self._offset is None:
             return goal
@@ -173,7 +173,7 @@ class Replay:
         return goal + s**3 * (10.0 - 15.0 * s + 6.0 * s * s) * self._offset
 
     def _advance(self, q: Array, dt: float) -> None:
-        """Let the clock go on as far as the tool has followed."""
+        """Advance the clock according to the tool's deviation."""
         here, there = (self._model.forward_kinematics(at) for at in (q, self._target()))
         error = pliant.functional.pose_error(here, there)[self._rows]
         share = float(np.abs(error / self._bound).max())
@@ -187,7 +187,7 @@ class Replay:
             self.time = min(self.time + self.pace * self.speed * dt, self.motion.duration)
 
     def _feel(self, q: Array, dt: float | None, load: ArrayLike | None, span: float) -> None:
-        """Stop where something pushes."""
+        """Stop on contact."""
         if self._contact is None:
             return
         felt = self._contact.update(q, dt=dt, load=load)

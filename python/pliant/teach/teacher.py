@@ -1,4 +1,4 @@
-"""Leading an arm by hand while it is written down."""
+"""Recording of hand-guided motions."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: What `teach` tells when it begins to keep.
+#: Message of `teach` when the recording begins.
 RECORDING = "recording"
-#: What `teach` tells where the caller asks the user.
+#: Message of `teach` if the caller asks the user.
 STARTS_AND_STOPS = "Enter starts and stops"
-#: Share of a gripper's range from its closed end within which it is pressed.
+#: Share of a gripper's range from its closed end within which it counts as pressed.
 PRESSED = 0.15
-#: Share of its torque limit with which a gripper follows the hand.
+#: Share of its torque limit for a gripper that follows the hand.
 LIGHT = 0.3
-#: An arm that has moved no joint by more than this [rad] for so long is at rest.
+#: Motion of every joint below which the arm counts as at rest [rad].
 MOVED = 0.02
 
 
 class Teacher:
-    """Floats an arm and keeps where it is led; `step` once per tick.
+    """Floats an arm and records its motion; call `step` once per tick.
 
-    Joints beside the chain (a gripper) follow the hand and are kept as well.
+    Off-chain joints (a gripper) follow the hand and are recorded as well.
 
     Args:
         arm: The arm, enabled.
         rate: Ticks per second [Hz].
-        floating: What makes the arm weightless; None: `pliant.HandGuiding` of the arm.
+        floating: Hand guiding of the arm; None: a new `pliant.HandGuiding`.
 
     Attributes:
-        recording: Whether ticks are being kept.
-        still: How long the arm has not moved [s], since the recording began.
-        moved: Whether it has moved since then.
+        recording: True while ticks are recorded.
+        still: Time for which the arm has been at rest [s], since the recording began.
+        moved: True if the arm has moved since then.
     """
 
     def __init__(
@@ -61,15 +61,15 @@ class Teacher:
 
     @property
     def ready(self) -> bool:
-        """Whether the first swing is over and the arm may be touched."""
+        """True once the first swing is over and the arm may be touched."""
         return self._float.ready
 
     def step(self, state: State, *, dt: float | None = None) -> Order:
-        """One tick: goals and limits that let the arm be led.
+        """Return goals and limits that let a hand lead the arm.
 
         Args:
-            state: What the arm reports.
-            dt: Time since the step before [s]; None: 1/rate.
+            state: State reported by the arm.
+            dt: Time since the last step [s]; None: 1/rate.
         """
         order = self._float.step(state.q, dt=dt)
         if self.recording:
@@ -77,7 +77,7 @@ class Teacher:
         return order
 
     def start(self) -> None:
-        """Keep from now on; what was kept before is forgotten.
+        """Start recording; an earlier recording is cleared.
 
         Raises:
             PliantError: The first swing is not over.
@@ -88,10 +88,10 @@ class Teacher:
         self.recording, self.still, self.moved, self._where = True, 0.0, False, None
 
     def stop(self) -> Motion:
-        """Keep no more; the motion as led, neither trimmed nor smoothed.
+        """Stop recording and return the motion, neither trimmed nor smoothed.
 
         Raises:
-            PliantError: Less than two ticks were kept.
+            PliantError: Fewer than two ticks were recorded.
         """
         self.recording = False
         if len(self._rows) < 2:
@@ -102,14 +102,14 @@ class Teacher:
         return Motion(names, np.array(times), np.array(positions), extra)
 
     def extra(self, state: State) -> dict[str, tuple[float, float]]:
-        """Orders for the joints beside the chain: they follow the hand."""
+        """Return goals and torque limits of the grippers, which follow the hand."""
         return {
             name: (state.extra[name], LIGHT * gripper.limit)
             for name, gripper in self._arm.grippers.items()
         }
 
     def pressed(self, state: State) -> bool:
-        """Whether a gripper has just been pressed shut: a hand's way to say start or stop."""
+        """Return True if a gripper has just been pressed shut, a signal to start or stop."""
         closed = False
         for name, gripper in self._arm.grippers.items():
             share = (state.extra[name] - gripper.closed) / (gripper.opened - gripper.closed)
@@ -137,27 +137,27 @@ def teach(
     tell: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[Motion], None] = lambda _: None,
 ) -> Motion:
-    """Float an enabled arm, record what a hand does to it, trim and smooth it.
+    """Float an enabled arm, record how a hand leads it, trim and smooth the motion.
 
-    The recording begins when the arm is ready, or `said`; it ends by `seconds`, a rest after the
-    arm was led, or `said`.
+    The recording begins when the arm is ready, or when `said` returns True. It ends after
+    `seconds`, after a rest that follows a motion, or when `said` returns True.
 
     Args:
         arm: The arm, enabled.
         seconds: Longest recording [s]; None: no bound.
-        rest: Rest that ends a recording in which something moved [s].
+        rest: Rest that ends a recording with motion [s].
         wait: Longest time to wait for a first motion [s].
         rate: Ticks per second [Hz]; None: the arm's.
-        said: Asked at every tick whether the user has just said start, or stop.
+        said: Called at every tick; True if the user has just asked to start or stop.
         tell: Gets a line at every change, for a screen.
-        interrupted: Gets the motion as led so far where an exception, Ctrl-C too, ends the
-            recording; the exception goes on. It should return at once: the arm is lowered after it.
+        interrupted: Gets the motion so far if an exception (also Ctrl-C) ends the recording; the
+            exception propagates. It should return immediately: the arm is lowered after it.
 
     Returns:
         The motion, trimmed and smoothed.
 
     Raises:
-        PliantError: Nothing was led.
+        PliantError: Nothing was recorded.
         ServoError: As in a `Loop`.
     """
     rate = arm.rate if rate is None else rate
@@ -194,7 +194,7 @@ def _record(
     said: Callable[[Teacher, State], bool] | None,
     tell: Callable[[str], None],
 ) -> None:
-    """Turns from the first swing to the end of the recording."""
+    """Run the ticks from the first swing to the end of the recording."""
     begun = 0.0
     for tick in pliant.Loop(arm, rate=rate):
         before = teacher.ready

@@ -1,1 +1,1 @@
-"""A page in the browser: push a simulated arm, or watch a real one, and see why it is soft."""
+"""Browser page to push a simulated arm or watch a real one, and to inspect its compliance."""

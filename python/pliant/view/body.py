@@ -1,4 +1,4 @@
-"""What is drawn of an arm: a MuJoCo model, and its coordinates at joint positions."""
+"""The drawn arm: a MuJoCo model, and its coordinates at joint positions."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 
 class Body:
-    """The figure of an arm, real or simulated.
+    """The drawn figure of an arm, real or simulated.
 
-    A simulated arm is drawn as it truly is, with its scene; a real one as its joints report.
+    A simulated arm is drawn in its true state with its scene, a real one by its joint readings.
 
     Attributes:
-        plant: The simulation; of a real arm it is one that never runs.
-        simulated: Whether it is where the arm is.
+        plant: The simulation; for a real arm, a simulation that never runs.
+        simulated: True if the arm is simulated.
         visuals: Shapes of the arm's URDF that can be drawn.
     """
 
     def __init__(self, arm: Arm, urdf: Path | None = None) -> None:
-        """Find the simulation, or build one to draw; `urdf` is the arm's file, if it has one."""
+        """Find the simulation, or build one for drawing; `urdf` is the arm's file, if any."""
         plant = getattr(arm.drive, "plant", None)
         self.simulated = plant is not None
         self.plant: Plant = plant if plant is not None else Plant(arm.model)
@@ -43,7 +43,7 @@ class Body:
         self._at = {mj.joint(i).name: int(mj.jnt_qposadr[i]) for i in range(mj.njnt)}
 
     def pose(self, q: Array, extra: Mapping[str, float]) -> Array:
-        """Coordinates of the figure; joints (n,) and those beside the chain [rad] of a real arm."""
+        """Return the figure's coordinates; joints (n,) and off-chain joints [rad] of a real arm."""
         if self.simulated:
             return np.array(self.plant.mj_data.qpos)
         out: Array = self.plant.mj_model.qpos0.copy()
@@ -54,13 +54,13 @@ class Body:
         return out
 
     def mocap(self) -> tuple[Array, Array]:
-        """Positions (m, 3) [m] and quaternions wxyz (m, 4) of what is moved by prescription."""
+        """Return positions (m, 3) [m] and quaternions wxyz (m, 4) of the mocap bodies."""
         data = self.plant.mj_data
         return data.mocap_pos.copy(), data.mocap_quat.copy()
 
 
 def _followers(model: Model, known: Mapping[str, float]) -> dict[str, float]:
-    """Angles of mimic joints whose drivers are known."""
+    """Return the angles of mimic joints whose drivers are known."""
     out = {}
     for joint in model.joints:
         rule = joint.mimic

@@ -1,4 +1,4 @@
-"""Checks of what a page asks for: the same bounds as for a target or a force on a command line."""
+"""Checks of the page's orders, with the same bounds as for targets or forces on a command line."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Longest push that one order may ask for [s].
+#: Longest push per order [s].
 LONGEST = 10.0
-#: Farthest place that a hand may pull toward [m].
+#: Largest coordinate of a point toward which a hand pulls [m].
 FARTHEST = 100.0
-#: Largest entry by which a rotation may fail to be orthogonal.
+#: Largest entry of R Rᵀ - I for a rotation.
 ORTHOGONAL = 1e-6
-#: Largest share by which rounding may take a force over its bound.
+#: Relative rounding tolerance of a force bound.
 ROUNDING = 1e-3
 
 

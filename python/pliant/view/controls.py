@@ -1,4 +1,4 @@
-"""What a visitor can turn: scene, settings, push."""
+"""Controls of the page: scene, settings, push."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     Tell = Callable[[orders.Order], None]
 
-#: What an axis gives way to: the word of the page, and that of `pliant.Axis`.
+#: Labels of the page for the pushes to which an axis yields, with the values of `pliant.Axis`.
 YIELDS = {
     "holds": "none",
     "gives way": "both",
@@ -26,30 +26,30 @@ YIELDS = {
     "gives way to −": "-",
 }
 WORDS = {value: key for key, value in YIELDS.items()}
-#: How often a button that is held down says so [Hz], and how long one word counts [s].
+#: Repetition rate of a held button [Hz], and the time for which one message counts [s].
 HOLDING, COUNTS = 10.0, 0.4
-#: Length of a push that needs no holding [s].
+#: Duration of a push without a held button [s].
 PUSH = 2.0
-#: Share of the largest push at which its slider begins.
+#: Initial value of the push slider, as a share of the largest push.
 FIRST = 0.15
 
 
 class Controls:
-    """The panel of controls; everything in it is said to the arm and shown as the arm has it."""
+    """The control panel: sends changes to the arm and shows the arm's present state."""
 
     def __init__(self, server: viser.ViserServer, stage: Stage, tell: Tell) -> None:
-        """Add them to the container that is open."""
+        """Add the controls to the open container."""
         self._gui, self._stage, self._tell = server.gui, stage, tell
         self._numbers = itertools.count(1)
         self._said = 0
-        #: Values that controls were last brought to, by the arm or by a visitor, by id.
+        #: Last known values of the controls, set by the arm or a visitor, by id.
         self._known: dict[int, Any] = {}
         self._scene()
         self._softness()
         if stage.strong is not None:
             self._push(stage.strong)
 
-    # Building.
+    # Construction.
 
     def _scene(self) -> None:
         gui, stage = self._gui, self._stage
@@ -98,7 +98,7 @@ class Controls:
                     self._strengths(name)
 
     def _strengths(self, name: str) -> None:
-        """Fields of one axis."""
+        """Add the fields of one axis."""
         gui = self._gui
         unit = "N" if name in {"x", "y", "z"} else "N·m"
         step = 0.5 if unit == "N" else 0.05
@@ -135,7 +135,7 @@ class Controls:
             timed.on_click(lambda _: self._tell(self._pushing(PUSH)))
 
     def _scale(self, strong: tuple[float, float]) -> None:
-        """Newtons along an axis, newton metres about one."""
+        """Set range and unit of the push: newtons along an axis, newton metres about one."""
         turning = self.side.value[1:] not in {"x", "y", "z"}
         label = "Torque [N·m]" if turning else "Force [N]"
         if self.force.label != label or self.force.value == 0.0:
@@ -153,10 +153,10 @@ class Controls:
         x, y, z, *turn = wrench.tolist()
         return orders.Push((x, y, z), (turn[0], turn[1], turn[2]), seconds)
 
-    # Saying and showing.
+    # Sending and display.
 
     def _change(self, axis: str, word: str, handle: Any) -> Callable[[int], orders.Edit]:
-        """A change of one field of an axis."""
+        """Return a function that makes the edit of one field of an axis."""
 
         def made(number: int) -> orders.Edit:
             value = handle.value
@@ -169,7 +169,7 @@ class Controls:
         return made
 
     def _edits(self, handle: Any, make: Callable[[int], orders.Edit]) -> None:
-        """Whoever moves a control tells the arm."""
+        """Send an edit when a visitor moves a control."""
 
         def tell() -> None:
             self._said = next(self._numbers)
@@ -178,10 +178,10 @@ class Controls:
         self._by_hand(handle, tell)
 
     def _by_hand(self, handle: Any, act: Callable[[], None]) -> None:
-        """Act on what a visitor changes, not on what the page itself sets."""
+        """Act on a visitor's change, not on a change by the page itself."""
         self._known[id(handle)] = handle.value
 
-        # On the server's own thread: in order, and right after the control has its new value.
+        # Run in the server's own thread: in order, right after the control has its new value.
         async def moved(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
                 self._known[id(handle)] = handle.value
@@ -190,10 +190,10 @@ class Controls:
         handle.on_update(moved)
 
     def show(self, now: Snapshot) -> None:
-        """Bring controls to what is in force, unless a visitor's edit is still on its way.
+        """Show the settings in force, unless a visitor's edit is still pending.
 
-        Snapshots come on another thread than visitors: a control that is not where it was left has
-        been moved by one who is about to be heard.
+        Snapshots come in another thread than the visitors' changes. If a control differs from its
+        last known value, its edit is about to arrive.
         """
         self._places.content = meters.places(now)
         if now.shown is not None and now.edit >= self._said:
@@ -214,7 +214,7 @@ class Controls:
                     self._put(self.strength[name, word], axis[word])
 
     def _put(self, handle: Any, value: Any) -> None:
-        """Show what the arm has in a control that nobody has moved."""
+        """Show the arm's value in a control that no visitor has changed."""
         if handle.value == self._known[id(handle)]:
             handle.value = value
             self._known[id(handle)] = handle.value

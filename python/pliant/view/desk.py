@@ -1,4 +1,4 @@
-"""The settings that a page changes: presets, law, one axis after the other, soft or firm."""
+"""Settings that the page can change: presets, law, single axes, soft or firm."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 LAWS = ("cap", "impedance", "paper")
-#: Preset that stands for the settings of a configuration file.
+#: Preset with the settings of a configuration file.
 OWN = "from the file"
 #: All fields of an axis.
 FIELDS = (
@@ -39,34 +39,34 @@ FIELDS = (
     "deviation_limit",
     "on_deviation_limit",
 )
-#: Those that depend on the law.
+#: Fields that depend on the law.
 OF_THE_LAW = ("soft", "firm", "hold", "stiffness", "damping")
 
 
 class Desk:
-    """Holds settings, passes changes to a controller, and keeps the old ones where it refuses.
+    """Holds settings, applies changes to a controller, and restores the old ones after a rejection.
 
     Args:
         axes: Task axes, as of `pliant.Task`.
-        rate: Of the controller [Hz].
+        rate: Rate of the controller [Hz].
         own: Settings of a configuration file, None without one.
 
     Attributes:
-        settings: The settings, whatever `firm` says.
-        preset: Name of the preset they began with.
-        firm: Whether nothing yields for now.
+        settings: The settings, without the effect of `firm`.
+        preset: Name of the initial preset.
+        firm: True while no axis yields.
         presets: Names of presets.
     """
 
     def __init__(self, axes: str, rate: float, own: Settings | None = None) -> None:
-        """Begin with the file's settings; soft in y where no file says anything of an axis."""
+        """Start with the file's settings; soft in y if the file does not define the axes."""
         self._rate = rate
         self._makers = _presets(axes)
         self.preset = next(iter(self._makers))
         if own is not None:
             self._makers = {OWN: lambda: own, **_within(self._makers, own)}
             if _is_plain(own):
-                # All the rest is as in the file.
+                # The other settings are those of the file.
                 first = self._axes(self._makers[self.preset]())
                 self._makers[self.preset] = lambda: own.replace(axes=first)
             else:
@@ -80,16 +80,16 @@ class Desk:
         return tuple(self._makers)
 
     def begin(self, preset: str) -> None:
-        """Start over with a preset.
+        """Start again from a preset.
 
         Raises:
-            ConfigError: There is none of that name.
+            ConfigError: There is no preset of that name.
         """
         self.settings, self.preset, self.firm = self._make(preset), preset, False
 
     @property
     def effective(self) -> Settings:
-        """The settings that a controller shall have."""
+        """Return the settings for the controller."""
         if not self.firm:
             return self.settings
         axes: dict[str, pliant.Axis] = {
@@ -102,7 +102,7 @@ class Desk:
         """Change the settings of a controller.
 
         Raises:
-            ConfigError: They are refused; controller and settings are as before.
+            ConfigError: They are rejected; controller and settings are as before.
         """
         before = self.settings, self.preset, self.firm
         try:
@@ -110,7 +110,7 @@ class Desk:
             controller.update(self.effective)
         except (PliantError, TypeError, ValueError) as error:
             self.settings, self.preset, self.firm = before
-            # The core calls an axis that is made by itself "Axis".
+            # The core names a single axis "Axis" in its errors.
             where = f"axes.{order.axis}" if isinstance(order, orders.Change) else "Axis"
             raise ConfigError(str(error).replace("Axis.", f"{where}.", 1)) from error
 
@@ -125,7 +125,7 @@ class Desk:
                     axes[name] = pliant.Axis(
                         **{**fields_of(axis), **bare, "yields": yields_of(axis)}
                     )
-                # A word from a page: another than the three is what the core refuses.
+                # The core rejects an unknown law.
                 known = cast("Literal['cap', 'impedance', 'paper']", law)
                 self.settings = self.settings.replace(law=known, axes=axes)
             case orders.Change(axis=name, fields=fields):
@@ -152,7 +152,7 @@ class Desk:
                 self.firm = on
 
     def show(self, controller: Controller, q: Array | None = None) -> Shown:
-        """The settings in force, for the controls; q (n,) [rad] where there was no step yet."""
+        """Return the settings in force, for the controls; q (n,) [rad] if there was no step yet."""
         axes: dict[str, dict[str, Any]] = {
             name: fields_of(axis) for name, axis in controller.axes.items()
         }
@@ -169,7 +169,7 @@ class Desk:
 
     @staticmethod
     def _axes(settings: Settings) -> dict[str, pliant.Axis]:
-        """Axes of the task: `Settings.axes` lists all six, and refuses changes of the others."""
+        """Return the axes of the task; `Settings.axes` lists all six, but only these may change."""
         return {name: a for name, a in settings.axes.items() if name in settings.task.names}
 
     def _make(self, name: str) -> Settings:
@@ -179,26 +179,26 @@ class Desk:
 
 
 def fields_of(axis: pliant.Axis) -> dict[str, Any]:
-    """What an axis is made of."""
+    """Return the fields of an axis."""
     return {name: getattr(axis, name) for name in FIELDS}
 
 
 def yields_of(axis: pliant.Axis) -> Literal["both", "+", "-", "none"]:
-    """The pushes it gives way to, said in full."""
+    """Return the pushes to which an axis yields, also if not set explicitly."""
     if axis.yields is not None:
         return axis.yields
     return "none" if axis.soft is None and axis.firm is None else "both"
 
 
 def _is_plain(settings: Settings) -> bool:
-    """Tell whether the settings say nothing of any axis of their task."""
+    """Return True if the settings define no axis of their task."""
     return all(settings.axes[name] == pliant.Axis() for name in settings.task.names)
 
 
 def _within(
     makers: dict[str, Callable[[], Settings]], own: Settings
 ) -> dict[str, Callable[[], Settings]]:
-    """Let presets go no faster than the file says."""
+    """Limit the speeds of presets to those of the file."""
 
     def slow(make: Callable[[], Settings]) -> Callable[[], Settings]:
         def made() -> Settings:
@@ -212,7 +212,7 @@ def _within(
 
 
 def _presets(axes: str) -> dict[str, Callable[[], Settings]]:
-    """What can be chosen; presets that speak of rotations need a task that has them."""
+    """Return the presets; presets with rotations need a task that has them."""
     task = pliant.Task(axes=axes)
     names = task.names
 

@@ -59,7 +59,7 @@ SCRIPT = """<script>
   };
 })();
 </script>"""
-#: Headers of every answer: no cache, no referrer, no frame of another page.
+#: Headers of every response: no cache, no referrer, no embedding in another page.
 HEADERS = {
     "Cache-Control": "no-store",
     "Referrer-Policy": "no-referrer",
@@ -69,21 +69,21 @@ HEADERS = {
 
 
 class Gate:
-    """Answers every request to the page's server, and lets in web sockets that carry the token.
+    """Answers every request to the page's server, and accepts web sockets with the token.
 
     Attributes:
         token: Random, new in each run.
     """
 
     def __init__(self) -> None:
-        """Draw a token."""
+        """Generate a token."""
         self.token = secrets.token_urlsafe(BYTES)
 
     def judge(self, request: Request) -> Response | None:
-        """Return the answer to a request; None lets a web socket in.
+        """Return the response to a request; None accepts a web socket.
 
-        A web socket needs the token, and the origin of the page itself. Everything else gets the
-        page's document, which holds no secret, or a refusal.
+        A web socket needs the token and the page's own origin. Every other request gets the page's
+        document, which contains no secret, or a rejection.
         """
         address = urlsplit(request.path)
         if ",".join(request.headers.get_all("Upgrade")).lower() == "websocket":
@@ -96,7 +96,7 @@ class Gate:
         return _answer(http.HTTPStatus.OK, "text/html", _document(zipped), zipped=zipped)
 
     def _own(self, request: Request, query: str) -> bool:
-        """Tell whether a web socket is of this run's page."""
+        """Return True if a web socket belongs to this run's page."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if len(hosts) != 1 or len(origins) != 1 or urlsplit(origins[0]).netloc != hosts[0]:
             return False
@@ -104,10 +104,10 @@ class Gate:
         return len(sent) == 1 and hmac.compare_digest(sent[0].encode(), self.token.encode())
 
     def close(self) -> None:
-        """Let every server that this process starts from now on ask.
+        """Apply this gate to every server that the process starts from now on.
 
-        viser has no hook for requests, so the function by which it starts is replaced; `viser<1.2`,
-        and a test opens a web socket without the token.
+        viser has no hook for requests, so the function that starts its server is replaced. Hence
+        `viser<1.2`, and a test that opens a web socket without the token.
         """
         inner = websockets.asyncio.server.serve
 
@@ -118,15 +118,15 @@ class Gate:
 
             return inner(*args, process_request=ask, **more)
 
-        # A request that is none (a port scan) is no traceback on the terminal.
+        # A malformed request (a port scan) must not print a traceback.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        # A class of that name, of which viser uses the call alone: a function will do.
+        # `serve` is a class, but viser only calls it, so a function can replace it.
         vars(websockets.asyncio.server)["serve"] = serve
 
 
 @functools.cache
 def _document(zipped: bool) -> bytes:
-    """Viser's page with our script before its own."""
+    """Return viser's page with our script before its own."""
     text = INDEX.read_text(encoding="utf-8")
     body = text.replace("<head>", f"<head>{SCRIPT}", 1).replace("<title>Viser<", "<title>pliant<")
     return gzip.compress(body.encode()) if zipped else body.encode()
@@ -146,7 +146,7 @@ def _answer(status: http.HTTPStatus, kind: str, body: bytes, *, zipped: bool = F
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is reached from this machine alone."""
+    """Return True for an address that only this machine can reach."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -1,4 +1,4 @@
-"""The hand of whoever looks at the page: it pushes the tool, or holds a point and pulls."""
+"""The visitor's hand: it pushes the tool, or holds a point and pulls."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ if TYPE_CHECKING:
 
     Vector = NDArray[np.float64]
 
-#: Time in which a push comes up and goes away [s].
+#: Rise and fall time of a push [s].
 RISE = 0.1
-#: Distance of the hand from its grip at which it pulls with all its strength [m], and its damping
-#: as the time in which a grip that runs ahead is braked [s].
+#: Distance of the hand from its grip at full force [m], and the damping, as the time constant of
+#: the grip's motion [s].
 REACH, BRAKE = 0.15, 0.05
 
 
 class VisitorHand:
-    """A hand in the sense of `pliant.sim.Hand`, led from outside while the physics runs.
+    """A `pliant.sim.Hand` that is controlled from outside while the physics runs.
 
     Attributes:
-        at: Frame it acts on.
+        at: Frame on which it acts.
         strong: Largest force [N].
-        felt: Point of attack (3,) [m] and force (3,) [N] of the last physics step; None: none.
+        felt: Point of application (3,) [m] and force (3,) [N] of the last physics step; None: none.
     """
 
     def __init__(self, strong: float) -> None:
-        """Nobody pushes yet."""
+        """Start without a force."""
         self.at, self.strong = TOOL, strong
         self._zero = np.zeros(3)
         self.let_go()
 
     def let_go(self) -> None:
-        """No force from now on, at the tool."""
+        """Release: no force, at the tool."""
         self.at, self._local = TOOL, self._zero
         self._toward: Vector | None = None
         self._wrench, self._now, self._until = np.zeros(6), np.zeros(6), -np.inf
@@ -55,9 +55,9 @@ class VisitorHand:
         self._until = until
 
     def grab(self, plant: Plant, body: int, point: ArrayLike | None, toward: ArrayLike) -> None:
-        """Hold a point (3,) [m] of a body of the arm, None for the one held, and pull.
+        """Hold a point (3,) [m] of a body of the arm, None for the present one, and pull.
 
-        A body without a frame of its own (a door) is nothing that the hand can hold.
+        A body without a frame (a door) cannot be held.
         """
         if point is not None:
             frame = frame_of(plant, body)
@@ -72,7 +72,7 @@ class VisitorHand:
         self._toward = np.asarray(toward, dtype=np.float64)
 
     def force(self, truth: Truth, t: float) -> Wrench:
-        """Force (3,), torque (3,) and point of attack (3,)."""
+        """Return force (3,), torque (3,) and point of application (3,)."""
         frame = truth.frame(self.at)
         if self._toward is None:
             if t < self._until or self.felt is not None:
@@ -91,7 +91,7 @@ class VisitorHand:
         return pull, self._zero, place
 
     def _ease(self, t: float, place: Vector) -> None:
-        """Let the push at a place (3,) come up or go away."""
+        """Ramp the push at a point (3,) up or down."""
         wish = self._wrench if t < self._until else np.zeros(6)
         most = np.abs(self._wrench).max() * min(max(t - self._before, 0.0) / RISE, 1.0)
         self._now = self._now + np.clip(wish - self._now, -most, most)
@@ -99,7 +99,7 @@ class VisitorHand:
 
 
 def frame_of(plant: Plant, body: int) -> str | None:
-    """Name of a frame of the robot that is fixed to a body of the simulation, None without one."""
+    """Return the name of a robot frame fixed to a simulated body, None without one."""
     model = plant.mj_model
     links = {link.name for link in plant.model.links}
     for site in np.flatnonzero(model.site_bodyid == body).tolist():

@@ -1,8 +1,8 @@
-"""The pipe between the loop and the page, which is a process of its own.
+"""The pipe between the loop and the page, which is a separate process.
 
-The loop never waits for the page: a snapshot is sent only when the last one has been taken, so the
-pipe never holds more than one. The page cannot starve the loop: its orders are coalesced on both
-sides, and a tick takes a bounded number of them.
+The loop never waits for the page: it sends a snapshot only after the page has taken the last one,
+so the pipe holds at most one. The page cannot starve the loop: orders are merged at both ends, and
+a tick takes a bounded number of them.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
     from pliant.view.snapshot import Snapshot, Stage
 
-#: Snapshots per second at most [Hz].
+#: Largest rate of snapshots [Hz].
 FRAMES = 30.0
-#: How long the page may take to come up, and to go [s].
+#: Timeout for the start and the end of the page [s].
 PATIENCE = 30.0
-#: How often the page passes orders on at most [s], and the words that one look at the pipe takes.
+#: Least period of orders from the page [s], and messages taken per poll of the pipe.
 PASSED, WORDS = 0.02, 4
 #: Least time between two edits of the settings [s].
 EDITS = 0.05
@@ -41,41 +41,41 @@ class PageGone(PliantError):
 
 
 class Taken:
-    """The page's word that it has taken a snapshot."""
+    """Message of the page: it has taken a snapshot."""
 
 
 class Heard:
-    """The loop's word that it has taken orders, and may be sent the next."""
+    """Message of the loop: it has taken the orders, and the next may be sent."""
 
 
 class Ready:
-    """The page's first word: where it can be reached."""
+    """First message of the page: its link."""
 
     def __init__(self, link: str) -> None:
-        """With the token in it."""
+        """Store the link, with the token."""
         self.link = link
 
 
 class Failed:
-    """The page's only word where it cannot come up."""
+    """Only message of a page that cannot start."""
 
     def __init__(self, text: str) -> None:
-        """Why."""
+        """Store the reason."""
         self.text = text
 
 
 class Link:
-    """The loop's end. `with` starts the page and ends it.
+    """The loop's end of the pipe. `with` starts the page and ends it.
 
     Args:
-        host: Address that the page listens on.
+        host: Address on which the page listens.
         port: Port; the next free one is taken.
 
     Attributes:
-        address: Where the page can be reached.
+        address: Link of the page.
 
     Raises:
-        PliantError: The page does not come up; says why.
+        PliantError: The page does not start; the message gives the reason.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
@@ -86,7 +86,7 @@ class Link:
             pass_fds=(theirs.fileno(),),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
-            # Ctrl-C is for the loop; the page ends with its pipe.
+            # Ctrl-C must only reach the loop; the page ends with its pipe.
             start_new_session=True,
         )
         theirs.close()
@@ -108,10 +108,10 @@ class Link:
         raise PliantError("the page's process did not come up; its own words stand above")
 
     def orders(self) -> list[Order]:
-        """Return what the page asks for next: `orders.PER_TICK` at most, and edits not too often.
+        """Return the next orders of the page: at most `orders.PER_TICK`, edits at a bounded rate.
 
         Raises:
-            PageGone: Its process has ended.
+            PageGone: The page's process has ended.
         """
         if not self._listen():
             raise PageGone(
@@ -124,7 +124,7 @@ class Link:
         return out
 
     def _listen(self) -> bool:
-        """Take what has come in, within bounds; return whether the page is still there."""
+        """Receive messages, within bounds; return False if the page has ended."""
         try:
             for _ in range(WORDS):
                 if not self._pipe.poll():
@@ -141,14 +141,14 @@ class Link:
         return True
 
     def due(self) -> bool:
-        """Whether a snapshot is wanted now; never of a page that has ended."""
+        """Return True if a snapshot is due now; False if the page has ended."""
         return time.perf_counter() >= self._due and self._listen() and self._free
 
     def send(self, snapshot: Snapshot | Stage) -> None:
-        """Hand over a snapshot when one is `due`, or a stage at any time.
+        """Send a snapshot when one is `due`, or a stage at any time.
 
         Raises:
-            PageGone: Its process has ended.
+            PageGone: The page's process has ended.
         """
         self._due, self._free = time.perf_counter() + 1.0 / FRAMES, False
         try:
@@ -157,7 +157,7 @@ class Link:
             raise PageGone("the page's process has ended") from None
 
     def close(self) -> None:
-        """Let the page end."""
+        """Close the pipe and wait for the page to end."""
         self._pipe.close()
         try:
             self._process.wait(PATIENCE)
@@ -178,9 +178,9 @@ class Link:
 
 
 class Ear:
-    """The page's end. Orders pass only after the loop has taken those before: the pipe stays empty.
+    """The page's end of the pipe. It sends orders only after the loop has taken the last ones.
 
-    Otherwise a page that floods would fill it, and both ends would wait for each other.
+    Otherwise a flood of orders could fill the pipe, and both ends would block.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -193,25 +193,25 @@ class Ear:
             threading.Thread(target=work, daemon=True).start()
 
     def say(self, word: Ready | Failed | Taken | list[Order]) -> None:
-        """Tell the loop; nothing where it has ended."""
+        """Send a message to the loop; ignore errors if the loop has ended."""
         with self._lock, contextlib.suppress(OSError):
             self._pipe.send(word)
 
     def ask(self, order: Order) -> None:
-        """Pass an order on soon, unless a later one replaces it before; never blocks."""
+        """Queue an order, which a later one may replace; never blocks."""
         with self._changed:
             self._waiting.put(order)
             self._changed.notify()
 
     def listen(self) -> Any:
-        """Return the next stage or snapshot, which is then taken; None once the loop has ended."""
+        """Return the next stage or snapshot and acknowledge it; None once the loop has ended."""
         word = self._words.get()
         if word is not None:
             self.say(Taken())
         return word
 
     def _receive(self) -> None:
-        """Sort what the loop says."""
+        """Receive and sort messages of the loop."""
         while True:
             try:
                 word = self._pipe.recv()
@@ -226,7 +226,7 @@ class Ear:
                 self._changed.notify()
 
     def _pass_on(self) -> None:
-        """Send the orders that wait, a few at a time."""
+        """Send queued orders, a few at a time."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._free and len(self._waiting) > 0)

@@ -1,4 +1,4 @@
-"""What the page is told of an arm: after steps of its controller, and while there are none."""
+"""Snapshots for the page, with and without steps of a controller."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Cause of a message: a refused order of one kind, or what ended the arm's life.
+#: Cause of a message: a refused order of one kind, or the error that ended a run.
 Cause = Literal["target", "hand", "settings", "fault"]
-#: How often the report is made anew [s].
+#: Period of the report [s].
 REPORT = 1.0
-#: How long a refused order stays on the page, where nothing takes it away before [s].
+#: Longest display time of a refused order [s].
 REFUSED = 12.0
 
 
 class Look:
-    """Gathers snapshots of one arm after the other and sends those that are wanted.
+    """Collects snapshots of successive arms and sends them when due.
 
     Attributes:
-        phase: Of the arm's life.
-        said: How many errors and news there were, the last, and whether it is an error.
-        edit: Number of the last edit that was dealt with.
+        phase: Phase of the arm's life.
+        said: Number of errors and messages so far, the last one, and True if it is an error.
+        edit: Number of the last processed edit.
         shown: The settings in force; None before the first.
-        hand: The visitor's, on a simulated arm.
+        hand: The visitor's hand, on a simulated arm.
     """
 
     def __init__(self, link: Link, rate: float) -> None:
-        """There is no arm yet."""
+        """Start without an arm."""
         self._link, self._health = link, Health(rate=rate)
         self.phase: Phase = "starting"
         self.said: tuple[int, str, bool] = (0, "", False)
@@ -60,7 +60,7 @@ class Look:
     shown: Shown | None
 
     def at(self, arm: Arm, body: Body, tap: Tap, pace: Pace | None) -> None:
-        """Look at a new life of the arm from now on."""
+        """Observe a new arm from now on."""
         self._arm, self._body, self._tap, self._pace = arm, body, tap, pace
         self._step: Step | None = None
         self._contact: pliant.ContactEstimator | None = None
@@ -73,22 +73,22 @@ class Look:
         self._cause, self._said_at = cause, time.perf_counter()
 
     def settle(self, *causes: Cause) -> None:
-        """Take the error away if it has one of these causes."""
+        """Remove the error if it has one of these causes."""
         if self._cause in causes:
             self.said, self._cause = (self.said[0] + 1, "", False), None
 
     def forget_report(self) -> None:
-        """Make it anew: settings have changed."""
+        """Request a new report after a change of settings."""
         self._report: tuple[float, tuple[str, ...]] = (-np.inf, ())
 
     # With a controller.
 
     def feel(self, controller: Controller) -> None:
-        """Estimate, from now on, what pushes at the tool of this controller's arm."""
+        """Start to estimate the force at the tool for this controller."""
         self._contact, self._restarts = pliant.ContactEstimator(controller), -1
 
     def before_step(self, tick: Tick, loop: Loop) -> None:
-        """Take the reading of a tick; what was felt before a restart is void."""
+        """Update the contact estimate with a tick; reset it after a restart."""
         if self._contact is None:
             return
         if self._restarts != loop.restarts:
@@ -99,7 +99,7 @@ class Look:
     def after_step(
         self, tick: Tick, controller: Controller, command: Command, target: Array, loop: Loop
     ) -> None:
-        """Show a tick, where the page wants one; the report once a second."""
+        """Send a snapshot of a tick if due; renew the report once a second."""
         if not self._link.due():
             return
         now = time.perf_counter()
@@ -123,7 +123,7 @@ class Look:
         self._link.send(self._snapshot(tick.q, dict(tick.state.extra), tick.began))
 
     def _punctuality(self, loop: Loop) -> Health:
-        """Of the loop; where simulated time is paced, of that."""
+        """Return the timing of the loop, or of the paced simulation."""
         late = loop.lateness if self._pace is None else self._pace.lateness
         return Health(
             rate=1.0 / loop.period,
@@ -139,19 +139,19 @@ class Look:
             speed=1.0 if self._pace is None else self._pace.speed,
         )
 
-    # Without one.
+    # Without a controller.
 
     def on_read(self) -> None:
-        """After every reading: simulated time waits for life; the page sees the arm come down."""
+        """Handle every reading: pace simulated time, and show the descent."""
         if self._pace is not None:
             self._pace.wait()
         if self.phase == "lowering":
-            # Whoever looks on, the arm comes down.
+            # The descent continues without the page.
             with contextlib.suppress(PageGone):
                 self.still()
 
     def still(self) -> None:
-        """Show where the arm is without a step of the controller, where the page wants to know."""
+        """Send a snapshot without a controller step, if due."""
         last, names = self._tap.last, self._arm.drive.names
         if last is None or not self._link.due():
             return

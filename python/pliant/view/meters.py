@@ -1,4 +1,4 @@
-"""Small pictures in HTML: what each axis does, what each joint may use, the activation matrix."""
+"""HTML displays of the axes, the joints and the activation matrix."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Colours that are the same in words, bars and plots.
+#: Colours shared by texts, bars and plots.
 SOFT, STIFF, FULL, TRACK = "#1c64c8", "#5b6675", "#d9480f", "rgba(130,140,155,0.18)"
 #: Curves of axes and joints, in their order.
 COLOURS = ("#d6336c", "#2f9e44", "#1c64c8", "#e8890c", "#7048e8", "#0b8a9a", "#5b6675", "#a61e4d")
 FONT = "font:12px/1.35 system-ui,sans-serif;font-variant-numeric:tabular-nums"
-#: Phase of the arm's life: what the page says, and the colour of the sign.
+#: Text and colour of each phase of the arm's life.
 PHASES = {
     "starting": ("torque is coming on", "#b7791f"),
     "running": ("under control", "#2f855a"),
@@ -30,17 +30,17 @@ PHASES = {
     "down": ("torque is off", "#5b6675"),
 }
 LINEAR = ("x", "y", "z")
-#: Full scales of deviation bars [mm, °], softness from which an axis counts as soft, and the sides
-#: to which an axis gives way.
+#: Full scales of deviation bars [mm, °], softness above which an axis counts as soft, and labels of
+#: the directions in which an axis yields.
 STEPS = (20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0)
 SOFT_ENOUGH = 0.01
 SIDES = {"both": (-1.0, 1.0), "+": (1.0,), "-": (-1.0,)}
-#: Bound of a force from which on nothing is said of it [N].
+#: Uncertainty of a force above which it is not shown [N].
 UNKNOWN = 1000.0
 
 
 def status(stage: Stage, now: Snapshot) -> str:
-    """One line: which arm, and what it is doing."""
+    """Return a line with the arm's name and its state."""
     words, colour = PHASES[now.phase]
     return _box(
         f'<span style="display:inline-block;width:9px;height:9px;border-radius:50%;'
@@ -50,7 +50,7 @@ def status(stage: Stage, now: Snapshot) -> str:
 
 
 def health(h: Health) -> str:
-    """One line on the loop's punctuality."""
+    """Return a line on the loop's timing."""
     if not h.ticks:
         return _box("<span>the loop has not run yet</span>")
     late = _hint("ticks late by", "How long after its time a tick of the loop begins")
@@ -75,7 +75,7 @@ def _troubles(h: Health) -> tuple[tuple[str, int], ...]:
 
 
 def places(now: Snapshot) -> str:
-    """Where the tool is, and where it shall be."""
+    """Return the positions of the tool and its target."""
     target = "" if now.step is None else f"<br>target {_point(now.step.target)}"
     return _box(f"tool {_point(now.tool)}{target}")
 
@@ -88,8 +88,8 @@ def _point(pose: Array) -> str:
 def ranges(stage: Stage, shown: Shown, step: Step, before: Mapping[str, float]) -> dict[str, float]:
     """Return the full scale of the deviation bars [mm, °], one for all axes of a unit.
 
-    A scale holds the largest deviation and the first threshold of every soft axis. It grows at
-    once, and shrinks only when less than a third of it is used.
+    A scale holds the largest deviation and the first threshold of every soft axis. It grows
+    immediately, and shrinks only when less than a third of it is used.
 
     Args:
         stage: The axes.
@@ -164,7 +164,7 @@ def axes(stage: Stage, shown: Shown, step: Step, full: Mapping[str, float]) -> s
 
 
 def felt(stage: Stage, what: Felt) -> str:
-    """What pushes at the tool, with its bound, as far as joint positions tell; base axes."""
+    """Return the estimated force at the tool with its uncertainty, base axes."""
     words = []
     for i, name in enumerate(("x", "y", "z")):
         if name not in stage.axes and not np.isfinite(what.bound[i]):
@@ -182,7 +182,7 @@ def felt(stage: Stage, what: Felt) -> str:
 
 
 def joints(stage: Stage, step: Step) -> str:
-    """A row per joint: torque limit as a share of what the servo can do."""
+    """Return a row per joint: torque limit as a share of the usable torque."""
     rows = []
     for i, name in enumerate(stage.joints):
         share = float(step.limit[i] / max(stage.usable[i], 1e-9))
@@ -201,7 +201,7 @@ def joints(stage: Stage, step: Step) -> str:
 
 
 def matrix(stage: Stage, step: Step) -> str:
-    """The activation matrix: how much of each axis' strength each joint gets."""
+    """Return the activation matrix: share of each joint in each axis' strength."""
     names = (*stage.axes, "null")[: step.activation.shape[1]]
     rows = []
     for i, joint in enumerate(stage.joints):
@@ -215,13 +215,13 @@ def matrix(stage: Stage, step: Step) -> str:
 
 
 def summary(lines: Sequence[str]) -> str:
-    """The report."""
+    """Return the report as a list."""
     items = "".join(f'<li style="margin:3px 0">{escape(line)}</li>' for line in lines)
     return _box(f'<ul style="margin:0;padding-left:16px">{items}</ul>')
 
 
 def notice(text: str, wrong: bool) -> str:
-    """The last error, or news; nothing where there is none."""
+    """Return the last error or message; empty without one."""
     if not text:
         return ""
     colour = FULL if wrong else "#2f855a"
@@ -232,7 +232,7 @@ def notice(text: str, wrong: bool) -> str:
 
 
 def _offset(share: float, colour: str, marks: Sequence[float] = ()) -> str:
-    """A bar from the middle to -1 or +1, with thin lines at the marks that are on the scale."""
+    """Return a bar from the middle to -1 or +1, with thin lines at the marks within the scale."""
     width = 50.0 * min(abs(share), 1.0)
     left = 50.0 if share >= 0.0 else 50.0 - width
     lines = "".join(
@@ -249,12 +249,12 @@ def _offset(share: float, colour: str, marks: Sequence[float] = ()) -> str:
 
 
 def _hint(word: str, text: str) -> str:
-    """A word that is explained where the mouse rests on it."""
+    """Return a word with a tooltip."""
     return f'<span title="{escape(text)}" style="cursor:help">{word}</span>'
 
 
 def _bar(share: float, colour: str) -> str:
-    """A bar that is full at 1."""
+    """Return a bar that is full at 1."""
     width = 100.0 * min(max(share, 0.0), 1.0)
     return (
         f'<div style="position:relative;height:8px;border-radius:4px;background:{TRACK}">'
@@ -279,12 +279,12 @@ def _box(content: str) -> str:
 
 
 def faded(content: str) -> str:
-    """What was true before the torque went off."""
+    """Return content in grey, from before torque off."""
     return f'<div style="opacity:0.35">{content}</div>'
 
 
 def caption(title: str, names: Sequence[str]) -> str:
-    """Title of a plot with the names of its curves in their colours."""
+    """Return the title of a plot with the names of its curves in their colours."""
     legend = " ".join(
         f'<span style="color:{colour};white-space:nowrap">━ {escape(name)}</span>'
         for name, colour in zip(names, itertools.cycle(COLOURS), strict=False)
@@ -293,7 +293,7 @@ def caption(title: str, names: Sequence[str]) -> str:
 
 
 def big_stop() -> str:
-    """Style of the button that follows: the biggest of the page."""
+    """Return the style of the next button, the largest of the page."""
     return (
         '<i id="pliant-stop"></i><style>div:has(> #pliant-stop) + div button'
         "{height:56px;font-size:22px;font-weight:700;letter-spacing:0.12em}</style>"

@@ -1,4 +1,4 @@
-"""What a page may ask of the arm: small frozen messages, one class each."""
+"""Orders of the page to the arm: small frozen messages, one class each."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-#: Orders that wait at most, and that are carried out in one tick.
+#: Largest number of queued orders, and of orders carried out in one tick.
 MOST, PER_TICK = 64, 8
-#: Fields of an axis that another law replaces.
+#: Fields of an axis that a change of the law resets.
 STRENGTHS = frozenset({"soft", "firm", "hold", "stiffness", "damping"})
 
 
 class Order:
-    """Anything a page asks for."""
+    """Base class of all orders."""
 
 
 @dataclass(frozen=True)
 class Target(Order):
-    """The tool shall go to a pose (4, 4), base axes."""
+    """Move the tool to a pose (4, 4), base axes."""
 
     pose: Array
 
 
 @dataclass(frozen=True)
 class Push(Order):
-    """A simulated hand pushes the tool, and stops unless it is told again in time.
+    """Push the tool with a simulated hand, until a timeout or the next push.
 
     Attributes:
         force: (3,) [N], base axes.
         torque: (3,) [N·m], base axes.
-        seconds: For how long.
+        seconds: Duration [s].
     """
 
     force: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -47,12 +47,12 @@ class Push(Order):
 
 @dataclass(frozen=True)
 class Grab(Order):
-    """A simulated hand holds a point of the arm and pulls it toward a place.
+    """Hold a point of the arm with a simulated hand, and pull it toward a place.
 
     Attributes:
         body: Number of the body in the simulation.
-        point: What is held (3,) [m], base axes, at the moment of the order; None: as before.
-        toward: Where the hand is (3,) [m], base axes.
+        point: Held point (3,) [m], base axes, at the time of the order; None: unchanged.
+        toward: Position of the hand (3,) [m], base axes.
     """
 
     body: int
@@ -62,15 +62,15 @@ class Grab(Order):
 
 @dataclass(frozen=True)
 class LetGo(Order):
-    """No hand any more."""
+    """Release the hand."""
 
 
 @dataclass(frozen=True)
 class Edit(Order):
-    """A change of the settings; the arm answers with its number.
+    """A change of the settings; the arm acknowledges its number.
 
     Attributes:
-        number: Counts up in the page.
+        number: Increasing number from the page.
     """
 
     number: int
@@ -78,21 +78,21 @@ class Edit(Order):
 
 @dataclass(frozen=True)
 class Preset(Edit):
-    """Settings by the name of a preset."""
+    """Change to the settings of a preset."""
 
     name: str
 
 
 @dataclass(frozen=True)
 class Law(Edit):
-    """Another law; strengths go back to the arm's own."""
+    """Change the law; strengths return to the arm's own."""
 
     law: str
 
 
 @dataclass(frozen=True)
 class Change(Edit):
-    """Other fields of one task axis, as of `pliant.Axis`."""
+    """Change fields of one task axis, as of `pliant.Axis`."""
 
     axis: str
     fields: Mapping[str, Any] = field(default_factory=dict)
@@ -100,61 +100,61 @@ class Change(Edit):
 
 @dataclass(frozen=True)
 class Eta(Edit):
-    """Another target adaptation of every axis that yields."""
+    """Change the target adaptation of every axis that yields."""
 
     value: float
 
 
 @dataclass(frozen=True)
 class Firm(Edit):
-    """Nothing yields while this is on; off brings the former settings back."""
+    """Let no axis yield while on; off restores the settings."""
 
     on: bool
 
 
 @dataclass(frozen=True)
 class Home(Order):
-    """The target goes back to where the arm started."""
+    """Return the target to the start pose."""
 
 
 @dataclass(frozen=True)
 class Play(Order):
-    """What the scene is for: the target opens the door, a person takes the object."""
+    """Run the action of the scene: the target opens the door, or a person takes the object."""
 
 
 @dataclass(frozen=True)
 class Scene(Order):
-    """Another scene, by name; only a simulated arm has them."""
+    """Change to another scene, by name; only for a simulated arm."""
 
     name: str
 
 
 @dataclass(frozen=True)
 class Stop(Order):
-    """Leave: the arm is lowered, torque goes off."""
+    """Stop: lower the arm and switch torque off."""
 
 
 @dataclass(frozen=True)
 class Start(Order):
-    """Torque on again."""
+    """Switch torque on again."""
 
 
 class Queue:
-    """Orders that wait to be carried out: bounded, and without those that a later one replaces.
+    """A bounded queue of orders in which later orders replace obsolete ones.
 
-    A slider says everything thrice, and a page that floods must neither starve the loop nor fill
-    the memory.
+    A slider sends each value several times, and a flood of orders must neither starve the loop nor
+    fill the memory.
     """
 
     def __init__(self) -> None:
-        """Hold no order."""
+        """Start empty."""
         self._waiting: list[Order] = []
 
     def __len__(self) -> int:
         return len(self._waiting)
 
     def put(self, order: Order) -> None:
-        """Add an order, in place of those that it makes pointless; the oldest go beyond `MOST`."""
+        """Add an order and remove obsolete ones; beyond `MOST` the oldest are dropped."""
         left = [held for held in self._waiting if not _replaces(order, held)]
         if len(left) >= MOST:
             del left[next(i for i, held in enumerate(left) if not isinstance(held, Stop))]
@@ -164,7 +164,7 @@ class Queue:
         """Remove and return the next orders: a stop first, at most `PER_TICK`, at most one edit.
 
         Args:
-            edit: Whether an edit may be among them. One of another set of axes takes milliseconds.
+            edit: True if an edit may be among them. A change of the task axes takes milliseconds.
         """
         out: list[Order] = [held for held in self._waiting if isinstance(held, Stop)]
         rest: list[Order] = []
@@ -182,7 +182,7 @@ class Queue:
 
 
 def _replaces(new: Order, old: Order) -> bool:
-    """Tell whether an order makes an earlier one pointless."""
+    """Return True if an order makes an earlier one obsolete."""
     match new, old:
         case Preset(), Edit():
             return True

@@ -1,7 +1,7 @@
-"""Simulated time as fast as life, or slower where the computer cannot keep up.
+"""Simulated time in step with real time, or slower if the computer is too slow.
 
-A simulated arm in real time would miss ticks on a busy computer and behave worse than it is. Here
-every tick happens, and the page says that it shows slow motion.
+A simulated arm in real time would miss ticks on a busy computer and behave worse than it is. With
+`Pace` no tick is missed, and the page shows that it runs in slow motion.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from pliant.arm.lateness import Lateness
 if TYPE_CHECKING:
     from pliant.arm.drive import Clock
 
-#: Delay that is made up for; of a longer one the rest is never made up [s].
+#: Largest delay that is caught up [s]; the rest of a longer delay is not.
 SLACK = 0.03
-#: Time over which the speed is taken [s].
+#: Time window of the speed measurement [s].
 WINDOW = 2.0
 
 
 class Pace:
-    """Waits, after every reading, until life has come as far as the simulation.
+    """Waits after every reading until real time has caught up with the simulation.
 
     Attributes:
-        lateness: Of every reading.
+        lateness: Lateness of every reading.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -37,7 +37,7 @@ class Pace:
         self.lateness = Lateness()
 
     def wait(self) -> None:
-        """Sleep, or let life run ahead."""
+        """Sleep, or accept the delay if the simulation is late."""
         now = self._clock.now()
         late = self._wall.now() - (now + self._lag)
         self.lateness.add(late)
@@ -51,6 +51,6 @@ class Pace:
 
     @property
     def speed(self) -> float:
-        """Simulated seconds per second of life, over the last two."""
+        """Return the simulated seconds per real second, over the last two seconds."""
         (wall, first), (end, last) = self._seen[0], self._seen[-1]
         return min((last - first) / (end - wall), 1.0) if end - wall > 0.5 * WINDOW else 1.0

@@ -25,24 +25,24 @@ if TYPE_CHECKING:
 
     from pliant.view.orders import Order
 
-#: How long the page says that the loop has ended before it ends too [s].
+#: Time for which the page shows that the loop has ended, before it ends [s].
 FAREWELL = 2.0
 
 
 class Page:
-    """The server with all that is on it.
+    """The server with all parts of the page.
 
     Args:
-        tell: Where orders go.
+        tell: Receiver of the orders.
         host, port: Where to listen; the next free port is taken.
 
     Attributes:
-        server: viser's.
-        link: The link to open it by.
+        server: viser's server.
+        link: Link of the page.
     """
 
     def __init__(self, tell: Callable[[Order], None], host: str, port: int) -> None:
-        """Listen; there is nothing to see yet."""
+        """Start to listen, with an empty page."""
         gate = Gate()
         gate.close()
         self.server = viser.ViserServer(host=host, port=port, verbose=False, label="pliant")
@@ -57,12 +57,12 @@ class Page:
         self.server.on_client_disconnect(self._left)
 
     def _left(self, client: viser.ClientHandle) -> None:
-        """Whoever holds the arm is no longer there to let go; a push ends by itself."""
+        """Release the hand of a visitor who has left; a push ends by its timeout."""
         if self.world is not None and self.world.held_by == client.client_id:
             self._tell(LetGo())
 
     def hear(self, word: Stage | Snapshot) -> None:
-        """Show what the loop says."""
+        """Process a message of the loop."""
         if isinstance(word, Stage):
             self.world = World(self.server, word, self._tell)
             self.panel = Panel(self.server, word, self._tell)
@@ -73,7 +73,7 @@ class Page:
             self.panel.show(word)
 
     def farewell(self) -> None:
-        """Say that the loop has ended."""
+        """Show that the loop has ended."""
         if self.panel is not None:
             self.panel.stop.farewell()
         self.server.flush()
@@ -86,7 +86,7 @@ def main(descriptor: int, host: str, port: int) -> int:
     ear = Ear(descriptor)
     step_back()
     try:
-        # viser tries a thousand ports and then waits for ever.
+        # viser tries a thousand ports and then blocks.
         family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, socket.SOCK_STREAM) as probe:
             probe.bind(address)

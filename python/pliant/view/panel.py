@@ -1,4 +1,4 @@
-"""The page's panels: controls at the right, what the arm does at the left."""
+"""The page's panels: controls on the right, state of the arm on the left."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 #: Widths of the panels [px].
 LEFT, RIGHT = 400, 330
-#: How often bars and numbers are drawn [s].
+#: Least redraw period of bars and numbers [s].
 DRAWN = 0.12
 
 
 class Panel:
-    """Everything beside the scene, until the stage changes."""
+    """All panels of the page, until the stage changes."""
 
     def __init__(
         self, server: viser.ViserServer, stage: Stage, tell: Callable[[Order], None]
     ) -> None:
-        """Build both panels anew."""
+        """Build both panels."""
         self._stage, gui = stage, server.gui
         gui.reset()
         self._drawn = -np.inf
@@ -57,7 +57,7 @@ class Panel:
         side.set_width(LEFT)
 
     def show(self, now: Snapshot) -> None:
-        """Bring everything up to a moment."""
+        """Update all panels to a snapshot."""
         self.stop.show(now)
         self.controls.show(now)
         if 0.0 <= now.time - self._drawn < DRAWN:

@@ -1,4 +1,4 @@
-"""Curves of the last 20 seconds: the tool off its target, softness, torque limits."""
+"""Plots of the last 20 seconds: deviation of the tool, softness, torque limits."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LIMITS = "Torque limits [%], joints coloured as above"
 
 
 class Plot:
-    """Some curves over time."""
+    """A plot with several curves over time."""
 
     def __init__(
         self,
@@ -37,7 +37,7 @@ class Plot:
         *,
         named: bool = True,
     ) -> None:
-        """Add it; its scale holds `low` to `high` at least."""
+        """Add the plot; its scale covers at least `low` to `high`."""
         self._low, self._high = low, high
         self._rows: deque[Array] = deque(maxlen=int(LENGTH * POINTS))
         empty = np.zeros(2)
@@ -60,7 +60,7 @@ class Plot:
         )
 
     def add(self, time: float, values: Array) -> None:
-        """A point of every curve."""
+        """Add a point to every curve."""
         if self._rows and time < self._rows[-1][0]:
             self._rows.clear()
         self._rows.append(np.concatenate(((time,), values)))
@@ -88,7 +88,7 @@ class Plots:
     """The three plots of the page."""
 
     def __init__(self, gui: viser.GuiApi, stage: Stage) -> None:
-        """Add them, empty."""
+        """Add the plots, empty."""
         self._linear = [i for i, name in enumerate(stage.axes) if name in {"x", "y", "z"}]
         names = tuple(stage.axes[i] for i in self._linear)
         self._usable, self._last = stage.usable, -np.inf
@@ -97,7 +97,7 @@ class Plots:
         self._limit = Plot(gui, LIMITS, stage.joints, 0.0, 100.0, named=False)
 
     def show(self, now: Snapshot) -> None:
-        """Add a moment, not more than ten per second."""
+        """Add a snapshot, at most ten per second."""
         step = now.step
         if step is None or 0.0 <= now.time - self._last < 1.0 / POINTS:
             return

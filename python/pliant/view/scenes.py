@@ -1,4 +1,4 @@
-"""Simulated scenes: where the arm stands, what is around it, what happens there."""
+"""Simulated scenes: posture of the arm, surroundings, scripted events."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Speed of a target that plays [m/s], how far it goes [m], and how long it rests there [s].
+#: Speed of a scripted target [m/s], its distance [m], and its rest at the end [s].
 SPEED, WAY, REST = 0.06, 0.26, 1.5
-#: Where small arms stand: the gripper ahead, with room to every side [rad].
+#: Postures of small arms: gripper ahead, with room on all sides [rad].
 AHEAD = {"so101": (0.0, -0.3, 0.3, 0.9, 0.0), "koch": (0.0, -0.3, 0.3, 0.9, 0.0)}
-#: Way into the wall, and its distance [m].
+#: Distance of the target's motion into the wall, and of the wall [m].
 INTO, DISTANCE = 0.12, 0.05
-#: When a person who is asked takes the object, and how long the pull lasts [s].
+#: Time course of a person who takes the object [s].
 TAKES = Course(start=0.3, rise=1.5, end=30.0)
-#: Nobody takes anything yet.
+#: Time course before that: no force.
 NEVER = Course(start=1e9, rise=1.0, end=2e9)
 
 
@@ -39,11 +39,11 @@ class Scene:
 
     Attributes:
         about: One sentence.
-        preset: Name of the settings it begins with.
-        q: Where the arm stands (n,) [rad].
-        make: What is around it.
-        play: What the button says; empty: there is none.
-        way: Where the target goes and comes back from when it is played (3,) [m].
+        preset: Name of the initial settings.
+        q: Initial posture (n,) [rad].
+        make: Makes the surroundings.
+        play: Label of the button; empty: no button.
+        way: Displacement of the scripted target, there and back (3,) [m].
     """
 
     about: str
@@ -54,7 +54,7 @@ class Scene:
     way: tuple[float, float, float] | None = None
 
     def target(self, home: Array, time: float) -> Array | None:
-        """Target (4, 4) so long [s] after the button was pressed; None once it is over."""
+        """Return the target (4, 4) at a time [s] after the button was pressed; None at the end."""
         if self.way is None:
             return None
         length = float(np.linalg.norm(self.way))
@@ -68,7 +68,7 @@ class Scene:
 
 
 def scenes(robot: str) -> tuple[pliant.Model, Mapping[str, Scene]]:
-    """A built-in arm and its scenes; doors and drawers were measured for `arm7` alone.
+    """Return a built-in arm and its scenes; only `arm7` has doors and drawers.
 
     Raises:
         ConfigError: No such arm.
@@ -119,7 +119,7 @@ def scenes(robot: str) -> tuple[pliant.Model, Mapping[str, Scene]]:
 
 
 def of_any(q: Array) -> Mapping[str, Scene]:
-    """Scenes that suit any arm at a posture (n,) [rad]."""
+    """Return scenes for any arm at a posture (n,) [rad]."""
     return {
         "free": Scene(
             about="Nothing around it: push the arm, or drag its target.", preset="soft y", q=q
@@ -136,7 +136,7 @@ def of_any(q: Array) -> Mapping[str, Scene]:
 
 
 def take(plant: Plant) -> bool:
-    """Let a person take what the arm holds; whether there is such a thing."""
+    """Let a person take the object in the grip; return False without one."""
     for thing in plant.fixtures:
         if isinstance(thing, Handed):
             start = plant.time + TAKES.start
@@ -146,7 +146,7 @@ def take(plant: Plant) -> bool:
 
 
 def let_go_when_taken(plant: Plant, home: Array) -> None:
-    """Open the hand once the tool was drawn away from where it began (4, 4)."""
+    """Open the grip once the tool was pulled away from its start (4, 4)."""
     for thing in plant.fixtures:
         if isinstance(thing, Handed) and thing.released is None:
             taken = np.linalg.norm(plant.tool[:3, 3] - home[:3, 3]) > OPENS
@@ -155,7 +155,7 @@ def let_go_when_taken(plant: Plant, home: Array) -> None:
 
 
 def planes(plant: Plant) -> tuple[tuple[Array, Array], ...]:
-    """Walls of the scene: a point (3,) and the direction (3,) into each."""
+    """Return the walls of the scene: a point (3,) and the direction (3,) into each."""
     out = []
     for felt in plant.hands:
         if isinstance(felt.hand, Wall):
@@ -170,6 +170,6 @@ def _wall() -> Wall:
 
 
 def _beside(degrees: float) -> tuple[float, float, float]:
-    """Direction of a slide that opens toward the robot, turned in the horizontal plane."""
+    """Return the direction of a slide toward the robot, turned in the horizontal plane."""
     angle = np.deg2rad(degrees)
     return -float(np.cos(angle)), float(np.sin(angle)), 0.0

@@ -1,4 +1,4 @@
-"""The loop behind a page: one arm, its controller, and the orders that come in between ticks."""
+"""The loop behind a page: one arm, its controller, and the orders between ticks."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Next = Literal["stop", "start", "scene"]
 
-#: How often orders are looked for while no loop runs [s].
+#: Polling period of orders while no loop runs [s].
 IDLE = 0.03
-#: Arms of the package, by the name in their URDF.
+#: Display names of built-in arms, by the name in their URDF.
 NAMES = {"so101_like": "SO-101 (simplified)", "koch_like": "Koch (simplified)"}
-#: Share of `hold` with which a visitor may push.
+#: Largest push of a visitor, as a share of `hold`.
 STRONG = 1.0
 
 
@@ -45,19 +45,19 @@ class Session:
     """Runs an arm for a page.
 
     Args:
-        source: Where arms come from.
+        source: Source of the arm.
         link: The page.
-        log: MCAP file to write; of later lives of the arm `-2`, `-3`, ... are added to its name.
+        log: MCAP file to write; later runs of the arm add `-2`, `-3`, ... to its name.
 
     Attributes:
-        look: What the page is told.
+        look: Snapshots for the page.
         desk: The settings.
-        target: Pose (4, 4) that the controller gets.
-        loop: The loop of this life, or the last.
+        target: Target pose (4, 4) of the controller.
+        loop: The present loop, or the last.
     """
 
     def __init__(self, source: Source, link: Link, log: Path | None = None) -> None:
-        """Nothing moves yet."""
+        """Prepare a session; the arm does not move yet."""
         self._source, self._link, self._log = source, link, log
         self._life = 0
         self.loop: Loop | None = None
@@ -69,14 +69,14 @@ class Session:
         self._fresh = True
 
     def run(self, lives: int | None = None) -> None:
-        """Live, until the page or the program ends.
+        """Run until the page or the program ends.
 
         Args:
-            lives: How many lives of the arm, from torque on to torque off; None: any number.
+            lives: Number of runs, from torque on to torque off; None: unlimited.
 
         Raises:
             PageGone: The page has ended; the arm has been lowered.
-            PliantError: There is no arm to begin with.
+            PliantError: There is no arm.
         """
         for self._life in itertools.count(1):
             self._next: Next | None = None
@@ -85,40 +85,40 @@ class Session:
             except ServoError as error:
                 if self.look.shown is None:
                     raise
-                # Whoever looks at the page shall read it, and may try again.
+                # Show the error on the page; the visitor may try again.
                 self.look.say(str(error), "fault")
             self.look.phase = "down"
             if self._life == lives:
                 return
             self._wait()
 
-    # One life.
+    # One run.
 
     def _live(self) -> None:
-        """Torque on, control, torque off."""
+        """Switch torque on, control the arm, and lower it."""
         arm = self._source.arm()
         tap = arm.drive = Tap(arm.drive)
         self._arm, self._body = arm, Body(arm, self._source.urdf)
         self._pace = Pace(arm.clock) if self._source.paced else None
         self.look.at(arm, self._body, tap, self._pace)
         tap.on_read = self.look.on_read
-        # What does not go together is said before torque comes on.
+        # Check the settings before torque comes on.
         pliant.Controller(arm.model, self.desk.effective, arm.servos)
         with arm:
             try:
                 self._control(arm)
             except ServoError as error:
-                # Not only once it is down: it may take a minute.
+                # Show the error before the descent, which may take a minute.
                 self.look.say(str(error), "fault")
                 raise
             finally:
-                # Whatever ends it, the page sees the arm come down.
+                # The page shows the descent, whatever the cause.
                 self.look.phase = "lowering"
             if self._next == "scene":
                 arm.disable_torque()
 
     def _control(self, arm: Arm) -> None:
-        """The loop, with its log."""
+        """Run the loop, with its log."""
         controller = self._begin(arm)
         recorder = None
         if self._log is not None:
@@ -143,7 +143,7 @@ class Session:
                 return
 
     def _step(self, tick: Tick, controller: Controller) -> Command:
-        """Step toward the target, or toward the one before where the controller refuses it."""
+        """Step toward the target, or toward the last one if the controller refuses it."""
         try:
             command = controller.step(tick.q, self.target, dt=tick.dt)
         except ServoError:
@@ -158,7 +158,7 @@ class Session:
         return command
 
     def _begin(self, arm: Arm) -> Controller:
-        """The controller, the hand, and what the page must know first."""
+        """Make the controller and the hand, and send the stage."""
         q = arm.read().q
         if self._source.scene is not None and self._fresh:
             self.desk.begin(self._source.scene.preset)
@@ -207,12 +207,12 @@ class Session:
     # Orders.
 
     def _take(self, controller: Controller | None) -> None:
-        """Do what the page has asked for since the last tick."""
+        """Carry out the page's orders since the last tick."""
         for order in self._link.orders():
             self.take(order, controller)
 
     def take(self, order: orders.Order, controller: Controller | None) -> None:
-        """Do one thing; say why where it is refused, and change nothing."""
+        """Carry out one order; if it is refused, report why and change nothing."""
         if self._next == "stop" and not isinstance(order, orders.Edit):
             return
         match order:
@@ -228,7 +228,7 @@ class Session:
             case orders.Stop():
                 self._next = "stop"
             case orders.Start():
-                # A click that comes late must not end the life that it asked for.
+                # A late click must not end the new run.
                 if self.look.phase == "down":
                     self._next = "start"
             case orders.Scene(name=name):
@@ -240,7 +240,7 @@ class Session:
                 self._touch(order)
 
     def _lead(self, order: orders.Target) -> None:
-        """Take a new target that the arm can reach."""
+        """Set a new target if the arm can reach it."""
         try:
             pose = checks.target(order, self._arm.model)
         except ConfigError as error:
@@ -250,7 +250,7 @@ class Session:
         self.look.settle("target")
 
     def _touch(self, order: orders.Order) -> None:
-        """The visitor's hand."""
+        """Apply an order to the visitor's hand."""
         hand = self._hand
         if hand is None:
             return
@@ -285,7 +285,7 @@ class Session:
         self._played = self._arm.clock.now()
 
     def _scripted(self, now: float) -> None:
-        """The target of a scene that plays; hands that open."""
+        """Update the scripted target of a scene, and release objects."""
         scene = self._source.scene
         if scene is None:
             return
@@ -298,7 +298,7 @@ class Session:
                 self.target = pose
 
     def _wait(self) -> None:
-        """Torque is off; until somebody wants it on again."""
+        """Wait with torque off until the next start."""
         if self._next == "scene":
             return
         self._next = None
@@ -312,5 +312,5 @@ class Session:
 
 
 def display_name(name: str) -> str:
-    """Return the name of an arm as people write it; a simplified arm of ours says so."""
+    """Return the display name of an arm; a simplified model is marked as such."""
     return NAMES.get(name, name)

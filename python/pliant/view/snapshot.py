@@ -1,4 +1,4 @@
-"""What the arm tells a page: once per scene, once per change of settings, thirty times a second."""
+"""Data from the arm to the page: per scene, per change of settings, thirty times a second."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """What stays the same until the scene changes.
+    """Data that stay constant until the scene changes.
 
     Attributes:
-        figure: The arm and its scene as a MuJoCo model, to be drawn.
+        figure: The arm and its scene as a MuJoCo model, for drawing.
         arm: Name of the arm.
-        where: `simulated`, or what drives the joints.
+        where: `simulated`, or the backend of the joints.
         axes: Task axes in their order.
         joints: Joint names.
-        start: Generalised positions of the figure at the beginning.
+        start: Initial generalised positions of the figure.
         usable: Largest torque of each joint (n,) [N·m].
         scene: Name of the scene; empty without scenes.
-        scenes: Name and one sentence of every scene there is.
-        play: What `Play` does here; empty: nothing.
+        scenes: Name and one sentence of every scene.
+        play: Description of `Play` in this scene; empty: none.
         presets: Names of presets.
         walls: Planes to be drawn: a point (3,) [m] and the direction (3,) into it.
         home: First pose of the tool (4, 4).
-        strong: Force [N] and torque [N·m] that fill the push sliders; None: nobody can push.
-        force: Force [N] that the longest arrow stands for.
-        reach: Of the arm [m].
+        strong: Largest force [N] and torque [N·m] of the push sliders; None: no pushing.
+        force: Force [N] of the longest arrow.
+        reach: Reach of the arm [m].
         visuals: Shapes of the arm's URDF.
-        table: Height of the table that the arm stands on [m]; None: not known.
+        table: Height of the table under the arm [m]; None: not known.
     """
 
     figure: Any
@@ -68,10 +68,10 @@ class Shown:
     """The settings in force, as controls show them.
 
     Attributes:
-        law: Of the controller.
-        preset: The last one that was chosen.
-        firm: Whether nothing yields for now.
-        axes: Per task axis the fields of `pliant.Axis`, all that depends on the arm filled in.
+        law: Law of the controller.
+        preset: The last chosen preset.
+        firm: True while no axis yields.
+        axes: Fields of `pliant.Axis` per task axis, with all arm-dependent values filled in.
         thresholds: Effective d- and d+ of each axis (k, 2) [m or rad].
     """
 
@@ -84,15 +84,15 @@ class Shown:
 
 @dataclass(frozen=True, kw_only=True)
 class Health:
-    """How the loop has kept its time since torque came on.
+    """Timing of the loop since torque on.
 
     Attributes:
-        rate: Ticks per second that were asked for [Hz].
-        ticks: So far.
+        rate: Requested ticks per second [Hz].
+        ticks: Ticks so far.
         p50, p99, largest: Lateness of ticks [s].
         missed, stale, refused, restarts: Counts of `pliant.Loop`.
-        delay: From positions to the arrival of the goal [s]; None: not yet measured.
-        speed: Simulated seconds per second; 1 where time is real.
+        delay: Time from a reading to the arrival of the goal [s]; None: not yet measured.
+        speed: Simulated seconds per real second; 1 for a real arm.
     """
 
     rate: float
@@ -110,7 +110,7 @@ class Health:
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """What the controller knows after a step; arrays as of `pliant.Controller`."""
+    """Controller state after a step; arrays as of `pliant.Controller`."""
 
     target: Array
     reference: Array
@@ -127,11 +127,11 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class Felt:
-    """What the positions of the joints say of the force at the tool, base axes.
+    """Force at the tool, estimated from joint positions, base axes.
 
     Attributes:
         force: Force and torque (6,) of the surroundings on the tool [N, N·m].
-        bound: How far each may be off (6,); inf where nothing can be told.
+        bound: Uncertainty of each (6,); inf if it cannot be estimated.
     """
 
     force: Array
@@ -145,22 +145,22 @@ class Felt:
 
 @dataclass(frozen=True, kw_only=True)
 class Snapshot:
-    """One moment.
+    """State of the arm at one time.
 
     Attributes:
         time: On the arm's clock [s].
-        phase: Of the arm's life.
+        phase: Phase of the arm's life.
         qpos: Generalised positions of the figure.
-        mocap: Positions and quaternions wxyz of what is moved by prescription.
+        mocap: Positions and quaternions wxyz of the mocap bodies.
         tool: Pose of the tool (4, 4).
-        step: The controller's step; None while there is none.
-        pull: Point of attack (3,) [m] and force (3,) [N] of the hand on the arm; of a real arm
-            what is felt at the tool beyond doubt. None: no hand.
-        felt: What is felt at the tool; None while there is no controller.
-        health: Of the loop.
+        step: The controller's step; None without one.
+        pull: Point of application (3,) [m] and force (3,) [N] of the hand; for a real arm, the
+            estimated force at the tool above its uncertainty. None: no hand.
+        felt: Estimated force at the tool; None without a controller.
+        health: Timing of the loop.
         report: Sentences on the present pose.
-        said: How many errors and news there were, the last of them, and whether it is an error.
-        edit: Number of the last edit that was dealt with.
+        said: Number of errors and messages so far, the last one, and True if it is an error.
+        edit: Number of the last processed edit.
         shown: The settings in force; None before the first.
     """
 

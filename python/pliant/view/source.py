@@ -1,4 +1,4 @@
-"""Where the arm behind a page comes from: a configuration, or the simulator with its scenes."""
+"""Sources of the arm behind a page: a configuration, or the simulator with its scenes."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
 
 class Source(Protocol):
-    """What a session needs to know.
+    """Interface of a source of arms for a session.
 
     Attributes:
-        where: `simulated`, or what drives the joints.
+        where: `simulated`, or the backend of the joints.
         axes: Task axes.
         rate: Control rate [Hz].
-        settings: Those to begin with; None: a preset of the scene.
-        scenes: By name; empty without.
-        name: Of the scene.
+        settings: Initial settings; None: a preset of the scene.
+        scenes: Scenes by name; empty without.
+        name: Name of the scene.
         config: The configuration; None without one.
-        paced: Whether its time is simulated and shall be as fast as life.
-        urdf: File of the arm's URDF; None where the package has it.
-        table: Height of the table that it stands on [m]; None: not known.
+        paced: True if its time is simulated and runs in step with real time.
+        urdf: File of the arm's URDF; None if the package contains it.
+        table: Height of the table under the arm [m]; None: not known.
     """
 
     where: str
@@ -48,10 +48,10 @@ class Source(Protocol):
 
     @property
     def scene(self) -> Scene | None:
-        """The scene, None without."""
+        """The present scene, None without scenes."""
 
     def arm(self) -> Arm:
-        """The arm, with torque as it was."""
+        """Return the arm, with its torque unchanged."""
 
 
 class Simulated:
@@ -59,18 +59,18 @@ class Simulated:
 
     Args:
         robot: Its name.
-        scene: Where it begins.
+        scene: Initial scene.
         rate: Control rate [Hz].
-        paced: Whether simulated time is as fast as life, and not as fast as it goes.
+        paced: True: simulated time in step with real time; False: as fast as possible.
     """
 
     def __init__(
         self, robot: str, scene: str = "free", rate: float = 100.0, *, paced: bool = True
     ) -> None:
-        """Look the arm up.
+        """Load the arm and its scenes.
 
         Raises:
-            ConfigError: No such arm or scene.
+            ConfigError: The arm or scene does not exist.
         """
         from pliant.view.scenes import scenes
 
@@ -87,11 +87,11 @@ class Simulated:
 
     @property
     def scene(self) -> Scene | None:
-        """The scene."""
+        """The present scene."""
         return self.scenes[self.name]
 
     def arm(self) -> Arm:
-        """A new simulation."""
+        """Return an arm in a new simulation."""
         from pliant.sim import Plant, SimDrive
 
         scene = self.scenes[self.name]
@@ -101,15 +101,15 @@ class Simulated:
 
 
 class Configured:
-    """The arm of a configuration, on whatever backend it names.
+    """The arm of a configuration, on its backend.
 
     Args:
         config: The configuration.
-        **options: Of `pliant.Arm`, in place of the file's.
+        **options: Options of `pliant.Arm`, in place of the file's.
     """
 
     def __init__(self, config: Config, **options: Any) -> None:
-        """Read what is needed before anything is opened."""
+        """Read the configuration before any port is opened."""
         self.where: str = config.backend
         self.rate = config.loop.rate
         self.settings: Settings | None = config.settings()
@@ -123,6 +123,6 @@ class Configured:
         self._options, self.paced = options, config.backend == "sim"
 
     def arm(self) -> Arm:
-        """The arm, on a port that the one before has let go of."""
+        """Return the arm, on the port that the previous one has closed."""
         assert self.config is not None
         return pliant.connect(self.config, **self._options)

@@ -1,4 +1,4 @@
-"""The one big stop: floats over the scene, wherever the panels are scrolled to."""
+"""The stop button, which floats over the scene independent of scrolling."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 #: Width of its window, and its distance from the corner [px].
 WIDTH, GAP = 290, 12
-#: Its key.
+#: Keyboard shortcut.
 KEY: Literal["S"] = "S"
 
 
 class StopPanel:
-    """A window with the arm's state, and the button that changes it."""
+    """A window with the arm's state, and the buttons for stop and start."""
 
     def __init__(
         self, server: viser.ViserServer, stage: Stage, tell: Callable[[orders.Order], None]
     ) -> None:
-        """Put it into the lower left corner of the scene."""
+        """Place it in the lower left corner of the scene."""
         gui = server.gui
         self._stage = stage
         panel = gui.add_panel()
@@ -49,14 +49,14 @@ class StopPanel:
         panel.float(x=GAP, y=-GAP, width=WIDTH)
 
     def show(self, now: Snapshot) -> None:
-        """State of the arm."""
+        """Show the state of the arm."""
         self._status.content = meters.status(self._stage, now)
         self.stop.visible, self.start.visible = now.phase != "down", now.phase == "down"
         self.stop.disabled = now.phase == "lowering"
         self._notice.content = meters.notice(now.said[1], now.said[2])
 
     def farewell(self) -> None:
-        """The loop has ended."""
+        """Show that the loop has ended."""
         self.stop.disabled = self.start.disabled = True
         self._notice.content = meters.notice(
             "The loop has ended. Servos that still have torque keep their last goal and limit.",

@@ -1,4 +1,4 @@
-"""A drive whose readings somebody else sees too: the page, while the arm is on its way down."""
+"""A drive wrapper that shares its readings with the page, also during the descent."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class Tap:
-    """A drive in whose place it stands.
+    """Wraps a drive.
 
     Attributes:
         last: The last reading; None before the first.
@@ -19,13 +19,13 @@ class Tap:
     """
 
     def __init__(self, drive: Drive) -> None:
-        """Pass everything on."""
+        """Wrap a drive."""
         self._drive = drive
         self.last: Sampled | None = None
         self.on_read: Callable[[], None] = _nobody
 
     def read(self) -> Sampled:
-        """Positions of this cycle."""
+        """Read the positions of this cycle."""
         self.last = self._drive.read()
         self.on_read()
         return self.last
@@ -35,4 +35,4 @@ class Tap:
 
 
 def _nobody() -> None:
-    """Nobody wants to know."""
+    """Do nothing."""

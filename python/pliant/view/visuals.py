@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Colour of a shape whose file names none: shares of red, green, blue, opacity.
+#: Default colour of a shape: red, green, blue, opacity, 0 to 1.
 PLAIN = (0.42, 0.48, 0.56, 1.0)
-#: Exponent of a screen.
+#: Gamma of a screen.
 GAMMA = 2.2
-#: Largest mesh file that is drawn [bytes], and how many folders above a URDF are searched.
+#: Largest drawn mesh file [bytes], and number of searched folders above a URDF.
 LARGEST, ABOVE = 40_000_000, 4
 
 
@@ -35,12 +35,12 @@ class Visual:
 
     Attributes:
         body: Number of the body.
-        pose: In the frame of the body (4, 4).
-        kind: Of the shape.
+        pose: Pose in the frame of the body (4, 4).
+        kind: Kind of the shape.
         size: box: edges (3,) [m]; cylinder: radius and length [m]; sphere: radius [m]; mesh: scale
             (3,).
-        path: Of a mesh file.
-        colour: Shares of red, green, blue, opacity.
+        path: Path of a mesh file.
+        colour: Red, green, blue, opacity, 0 to 1.
     """
 
     body: int
@@ -70,9 +70,9 @@ class Visual:
             out = read
             out.apply_transform(np.diag((*self.size, 1.0)))
         out.apply_transform(self.pose)
-        # Every face gets its own corners: edges are drawn sharp.
+        # Separate vertices per face, so that edges are drawn sharp.
         out.unmerge_vertices()
-        # Vertex colours are linear in the light, those of a URDF are as a screen shows them.
+        # Vertex colours are linear, URDF colours are gamma-encoded.
         rgba = np.round(255 * np.asarray(self.colour) ** (GAMMA, GAMMA, GAMMA, 1.0)).astype(
             np.uint8
         )
@@ -84,8 +84,8 @@ class Visual:
 def visuals(model: Model, figure: mujoco.MjModel, urdf: Path | None = None) -> tuple[Visual, ...]:
     """Read the shapes of a model's URDF that can be drawn.
 
-    A mesh is looked for relative to the file; ``package://name/path`` in a folder `name`, or as
-    `path`, beside the file and in the folders above it. A link with a mesh that is not there has no
+    A mesh is searched relative to the file; ``package://name/path`` in a folder `name`, or as
+    `path`, beside the file and in the folders above it. If a mesh is missing, its link has no
     shapes.
 
     Args:
@@ -121,7 +121,7 @@ def _visual(
     colours: dict[str, tuple[float, ...]],
     urdf: Path | None,
 ) -> Visual | None:
-    """Read one element; None for what cannot be drawn."""
+    """Read one element; None if it cannot be drawn."""
     geometry = element.find("geometry")
     shape = None if geometry is None else next(iter(geometry), None)
     if shape is None:
@@ -151,7 +151,7 @@ def _visual(
 
 
 def find(name: str, urdf: Path | None) -> Path | None:
-    """Return the path of a mesh file that a URDF names; None where there is none."""
+    """Return the path of a mesh file of a URDF; None if it does not exist."""
     if urdf is None or not name:
         return None
     scheme, _, rest = name.rpartition("://")
@@ -191,7 +191,7 @@ def _rotation(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def _colour(material: ElementTree.Element) -> tuple[float, ...] | None:
-    """Return the colour that a material says, None for one that refers to another."""
+    """Return the colour of a material, None for a reference to another."""
     colour = material.find("color")
     rgba = () if colour is None else _numbers(colour.get("rgba", ""))
     return tuple(np.clip(rgba, 0.0, 1.0).tolist()) if len(rgba) == 4 else None

@@ -1,4 +1,4 @@
-"""The scene in three dimensions: arm, target gizmo, walls, the arrow of the hand, dragging."""
+"""The 3-D scene: arm, target gizmo, walls, arrow of the hand, dragging."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Tell = Callable[[orders.Order], None]
 
-#: Reach of an arm [m] for which lengths are given here; those of smaller ones shrink with them.
+#: Reach of an arm [m] for the lengths given here; smaller arms scale them down.
 REACH = 0.71
-#: Length of an arrow that stands for the largest push, thickness of its shaft and head, length of
-#: its head [m].
+#: Length of the arrow of the largest push, thickness of its shaft and head, length of its head
+#: [m].
 LONGEST, SHAFT, HEAD, POINT = 0.6, 0.006, 0.016, 0.035
 #: Colours: the hand's arrow, the line from tool to target, walls.
 HAND, LEASH, WALL, POST = (235, 87, 60), (46, 125, 220), (150, 165, 180), (205, 211, 219)
@@ -34,36 +34,36 @@ HAND, LEASH, WALL, POST = (235, 87, 60), (46, 125, 220), (150, 165, 180), (205, 
 #: of colour that is worth sending.
 LINK = (0.42, 0.48, 0.56)
 COOL, WARM, NOTICED = (52, 62, 78), (255, 106, 19), 6
-#: Group of shapes that are not drawn.
+#: Group of hidden shapes.
 HIDDEN = 5
-#: Least depth below its base from which an arm hangs, instead of standing on a table [m].
+#: Depth below the base from which an arm counts as hanging, not standing on a table [m].
 STANDS = 0.05
 #: Length of the axes on the floor [m].
 AXES = 0.32
-#: Size of a wall that is drawn [m].
+#: Size of a drawn wall [m].
 EXTENT = 0.5
-#: Size of the arrows at the target, as drawn [m].
+#: Drawn size of the arrows at the target [m].
 GIZMO = 0.16
-#: Least share to which lengths shrink.
+#: Smallest scale of the lengths.
 SMALLEST = 0.3
 #: Angle of view from top to bottom [rad], least width over height of what the panels leave of the
 #: window, and where the eye is from the middle of the arm.
 FOV, ASPECT = 0.75, 0.75
 SIDE = np.array((0.532, -0.745, 0.404))
-#: A tool this near to its target needs no line [m].
+#: Distance to the target below which no line is drawn [m].
 NEAR = 0.002
 
 
 class World:
-    """What stands in the scene, until the stage changes.
+    """The 3-D scene, until the stage changes.
 
     Attributes:
-        gizmo: The target, to be dragged.
-        held_by: Number of the tab that drags the arm; None: none does.
+        gizmo: The draggable target.
+        held_by: Number of the browser tab that drags the arm; None: no tab.
     """
 
     def __init__(self, server: viser.ViserServer, stage: Stage, tell: Tell) -> None:
-        """Draw the stage; whoever drags something in it tells the arm."""
+        """Draw the stage; dragging sends orders by `tell`."""
         self._server, self._tell, self._stage = server, tell, stage
         size = self._size = float(np.clip(stage.reach / REACH, SMALLEST, 1.0))
         scene = server.scene
@@ -76,7 +76,7 @@ class World:
         self._figure = ViserMujocoScene(server, stage.figure, num_envs=1)
         self._figure.camera_tracking_enabled = False
         scene.configure_environment_map(environment_intensity=0.35)
-        # What stands on a body is a child of its node, and cannot lag behind it.
+        # Child nodes of a body's node cannot lag behind it.
         moved = {int(stage.figure.jnt_bodyid[stage.figure.joint(j).id]) for j in stage.joints}
         self._nodes: dict[int, viser.SceneNodeHandle] = {
             body: scene.add_mesh_trimesh(f"/arm/{body}", shapes[body])
@@ -135,7 +135,7 @@ class World:
                     node.on_drag("left")(self._pulled((body,)))
 
     def show(self, now: Snapshot) -> None:
-        """Move everything to where it is."""
+        """Update the scene to a snapshot."""
         self._data.qpos[:] = now.qpos
         self._data.mocap_pos[:], self._data.mocap_quat[:] = now.mocap
         mujoco.mj_kinematics(self._stage.figure, self._data)
@@ -155,7 +155,7 @@ class World:
         self._leash.points = ends.astype(np.float32)
 
     def _place_nodes(self) -> None:
-        """Put the bodies of the arm where they are."""
+        """Update the nodes of the arm's bodies."""
         for body, node in self._nodes.items():
             node.position, node.wxyz = self._data.xpos[body], self._data.xquat[body]
 
@@ -166,17 +166,17 @@ class World:
             way = force * (self._size * LONGEST / max(self._stage.force, 1e-9))
             shown = bool(np.linalg.norm(way) > 0.004)
             if shown:
-                # Its head is at the point of attack: a hand pushes.
+                # Its head is at the point of application, as for a push.
                 self._arrow.points = np.stack((point - way, point))[None].astype(np.float32)
         self._arrow.visible = shown
 
     def _handles(self, target: Array) -> Array:
-        """How the arrows of a target (4, 4) stand: as it, or along the axes if nothing turns."""
+        """Return the gizmo's orientation: the target's, or the base's if it cannot turn."""
         turned = target[:3, :3] if self._turns else np.eye(3)
         return np.asarray(tf.SO3.from_matrix(turned).wxyz)
 
     async def _led(self, event: viser.TransformControlsEvent) -> None:
-        """The gizmo: in order, hence on the server's own thread."""
+        """Send the gizmo's pose: in order, hence in the server's own thread."""
         self._dragging = event.phase != "end"
         pose = self._stage.home.copy()
         if self._turns:
@@ -185,7 +185,7 @@ class World:
         self._tell(orders.Target(pose))
 
     def _pulled(self, bodies: Any) -> Callable[[Any], Any]:
-        """What follows where a body of the arm is dragged."""
+        """Return the handler for dragging a body of the arm."""
 
         async def pulled(event: Any) -> None:
             body = int(bodies[event.instance_index or 0])
@@ -201,15 +201,15 @@ class World:
 
 
 class Hinges:
-    """The joints as drums on the bodies that they move: the warmer, the larger their limit."""
+    """Joints drawn as drums on the bodies that they move; the colour shows the torque limit."""
 
     def __init__(self, scene: viser.SceneApi, stage: Stage) -> None:
-        """Put a drum on the axis of every joint of the chain."""
+        """Place a drum on the axis of every joint of the chain."""
         figure = stage.figure
         self._usable = stage.usable
         arm = [figure.body(int(b)).name.startswith("body:") for b in figure.geom_bodyid]
         thick = float(figure.geom_size[arm, 0].max(initial=0.008))
-        # Beside shapes of its own an arm shows only the ends of its drums.
+        # With URDF shapes, only the ends of the drums are visible.
         radius, height = (0.7, 3.2) if stage.visuals else (1.2, 2.5)
         drum = trimesh.creation.cylinder(radius=radius * thick, height=height * thick, sections=40)
         drum.unmerge_vertices()
@@ -243,7 +243,7 @@ class Hinges:
 
 
 def _upright_to(axes: Array) -> Array:
-    """Quaternions wxyz (n, 4) that turn z into unit vectors (n, 3)."""
+    """Return quaternions wxyz (n, 4) that turn z into unit vectors (n, 3)."""
     quats = np.stack((1.0 + axes[:, 2], -axes[:, 1], axes[:, 0], np.zeros(len(axes))), axis=1)
     quats[axes[:, 2] < -1.0 + 1e-9] = (0.0, 1.0, 0.0, 0.0)
     out: Array = quats / np.linalg.norm(quats, axis=1, keepdims=True)
@@ -268,7 +268,7 @@ def _shapes(stage: Stage) -> dict[int, trimesh.Trimesh]:
         try:
             parts.setdefault(visual.body, []).append(visual.mesh())
         except Exception:
-            # A mesh file of the user's may hold anything; shapes of ours may not.
+            # Only mesh files of users may be invalid.
             if visual.kind != "mesh":
                 raise
             broken.add(visual.body)
@@ -277,14 +277,14 @@ def _shapes(stage: Stage) -> dict[int, trimesh.Trimesh]:
 
 
 def _height(stage: Stage) -> float:
-    """Return the height of what the arm stands or hangs over [m]."""
+    """Return the height of the floor under the arm [m]."""
     figure = stage.figure
     planes = np.flatnonzero(figure.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
     if planes.size:
         return float(figure.geom_pos[planes[0], 2])
     if stage.table is not None:
         return stage.table
-    # A base that is drawn down to its frame stands on a table, wherever the tool is.
+    # A base drawn down to its frame stands on a table.
     standing = [v for v in stage.visuals if figure.body(v.body).parentid[0] == 0]
     lows = [v.mesh().bounds[0, 2] for v in standing if v.kind != "mesh"]
     if lows and abs(min(lows)) < STANDS:
@@ -294,7 +294,7 @@ def _height(stage: Stage) -> float:
 
 
 def _ground(scene: viser.SceneApi, stage: Stage, size: float) -> None:
-    """A floor with the axes of the base, and a post under an arm that hangs above it."""
+    """Draw a floor with the base axes, and a post for an arm that hangs above it."""
     low = _height(stage)
     scene.add_grid(
         "/floor",
@@ -329,16 +329,17 @@ def _ground(scene: viser.SceneApi, stage: Stage, size: float) -> None:
 def overlook(
     figure: mujoco.MjModel, data: mujoco.MjData, tool: Array, room: float
 ) -> tuple[Array, Array]:
-    """Where to look (3,), and from where (3,) [m]: front and side, so far that all is seen.
+    """Return look-at point (3,) and camera position (3,) [m], in front and to the side.
 
-    All is the sphere around the links, as the data have them, and `room` [m] around the tool (3,).
+    The camera sees the sphere around the links at the data's positions, and `room` [m] around the
+    tool (3,).
     """
     arm = [figure.body(int(b)).name.startswith("body:") for b in figure.geom_bodyid]
     points = np.vstack((data.geom_xpos[arm], tool))
     sizes = np.append(figure.geom_rbound[arm], room)
     middle = 0.5 * ((points - sizes[:, None]).min(axis=0) + (points + sizes[:, None]).max(axis=0))
     around = float((np.linalg.norm(points - middle, axis=1) + sizes).max())
-    # Panels leave less of the width than of the height.
+    # Panels take more of the width than of the height.
     half = np.arctan(np.tan(0.5 * FOV) * ASPECT)
     return middle, middle + around / np.sin(half) * SIDE
 

@@ -1,4 +1,4 @@
-"""The file that `pliant log plot` and `pliant log export` write."""
+"""Checks of the output file of `pliant log plot` and `pliant log export`."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 def check_output(output: Path | None, command: str, suffixes: tuple[str, ...], hint: str) -> None:
-    """Check that `--output` has a suffix that the command writes, and a folder that exists.
+    """Check that `--output` has a supported suffix and an existing folder.
 
     Raises:
-        ConfigError: It has not.
+        ConfigError: It does not.
     """
     if output is None:
         return
@@ -34,7 +34,7 @@ def check_data(log: Path, data: Log, file: Path, kind: str) -> None:
     """Check that a log has ticks and that the file may be written.
 
     Raises:
-        ConfigError: It has no ticks, or see `pliant.outputs.check_output`.
+        ConfigError: The log has no ticks, or see `pliant.outputs.check_output`.
     """
     check_written(file, kind, [log])
     if not len(data):

@@ -44,7 +44,7 @@ def run(log: LogFile, *, output: Output = None, parquet: bool = False) -> None:
 
 
 def _parquet(file: Path, log: Log) -> None:
-    """One column per number; joints and axes by name."""
+    """Write one column per number, with the names of joints and axes."""
     try:
         import pyarrow as pa
         from pyarrow import parquet

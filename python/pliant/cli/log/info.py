@@ -30,7 +30,7 @@ def run(log: LogFile) -> None:
 
 
 def _lines(path: Path, log: Log) -> list[str]:
-    """Return the contents of a log, a line each."""
+    """Return lines that describe the contents of a log."""
     run, axes = log.run, log.run["axes"]
     span = float(log.time[-1] - log.time[0]) if len(log) else 0.0
     lines = [

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     from pliant.log import Log
 
-#: Kinds of picture.
+#: Supported suffixes.
 PICTURES = (".png", ".svg", ".pdf")
-#: Figures of a log: column, and what its axis says.
+#: Figures of a log: columns and axis labels.
 FIGURES = {
     "joints": (
         ("q", "position [rad]"),
@@ -52,7 +52,7 @@ def run(log: LogFile, *, output: Output = None) -> None:
 
 
 def _plot(file: Path, log: Log) -> None:
-    """Joints on the left, the task on the right."""
+    """Plot the joints on the left, the task on the right."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Old values that `pliant servos setup` keeps: whose they are, whether they may be restored."""
+"""Backups of `pliant servos setup`: saving, loading, and checks before a restore."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
 
     from pliant.servo import ServoSpec
 
-#: What a file says it is; before, it was the bare list of changes without models.
+#: Format of a file; before, it was the bare list of changes without models.
 FORMAT = "pliant servos setup 2"
 _KINDS = {"joint": str, "id": int, "register": str, "old": int, "new": int, "why": str}
 
 
 def save(path: Path, arm: str, wanted: Sequence[Change]) -> None:
-    """Write what will be changed.
+    """Save the old values before a change.
 
     Args:
-        path: The file, which must not be there: old values would be lost.
-        arm: What the command was given as its arm.
+        path: The file, which must not exist: old values would be lost.
+        arm: ARM argument of the command.
         wanted: The changes.
 
     Raises:
-        ConfigError: The file is there.
+        ConfigError: The file exists.
         OSError: It cannot be written.
     """
     if path.exists():
@@ -40,15 +40,15 @@ def save(path: Path, arm: str, wanted: Sequence[Change]) -> None:
 
 
 def load(path: Path, arm: str) -> list[Change]:
-    """Read what was changed.
+    """Load the changes of a backup.
 
     Args:
         path: The file.
-        arm: What the command was given as its arm.
+        arm: ARM argument of the command.
 
     Raises:
         ConfigError: It is another arm's.
-        FileNotFoundError: It is not there.
+        FileNotFoundError: It does not exist.
         ServoError: It is no backup.
     """
     try:
@@ -64,18 +64,18 @@ def load(path: Path, arm: str) -> list[Change]:
             data = data["changes"]
         return [_change(entry) for entry in data]
     except FileNotFoundError:
-        raise  # the command line says which files there are
+        raise  # the command line lists the existing files
     except (OSError, LookupError, RecursionError, TypeError, ValueError) as error:
         why = f"it has no {error}" if isinstance(error, KeyError) else error
         raise ServoError(f"{path} is no backup of pliant servos setup: {why}") from error
 
 
 def check(path: Path, former: Sequence[Change], specs: Sequence[ServoSpec]) -> None:
-    """See that every old value belongs to a servo of the arm, and could be written to it.
+    """Check that every old value belongs to a servo of the arm and can be written to it.
 
     Args:
-        path: The file, for the words.
-        former: What was changed.
+        path: The file, for error messages.
+        former: The changes to undo.
         specs: Servos of the configuration.
 
     Raises:
@@ -116,7 +116,7 @@ def check(path: Path, former: Sequence[Change], specs: Sequence[ServoSpec]) -> N
 
 
 def _change(entry: Any) -> Change:
-    """One entry, with every field of its kind."""
+    """Parse one entry; all fields are required, except the model."""
     kinds = {**_KINDS, "model": str}
     if not isinstance(entry, dict) or not set(_KINDS) <= set(entry) <= set(kinds):
         raise TypeError(f"an entry has {', '.join(f.name for f in fields(Change))}")

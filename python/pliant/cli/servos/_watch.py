@@ -1,4 +1,4 @@
-"""`pliant servos doctor --watch`: joints moved by hand with torque off, and their readings."""
+"""`pliant servos doctor --watch`: readings of joints moved by hand with torque off."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: From reading to reading [s].
+#: Period of the readings [s].
 PERIOD = 0.1
-#: A joint that turns by this much counts as being moved [rad].
+#: Rotation above which a joint counts as moved [rad].
 MOVED = 0.05
-#: Beyond its limits by less than this it stands at one [rad].
+#: Distance beyond a limit up to which a joint counts as at the limit [rad].
 BESIDE = 0.01
 
 
 class Watch:
-    """What the joints did since they were first read.
+    """Motion of the joints since their first reading.
 
     Attributes:
         model: The robot.
         names: Joints of the drive, grippers included.
-        position: As read last (N,) [rad]; NaN for one that has not answered yet.
-        said: What the last joint that was moved did, and what the tool should have done.
+        position: Last readings (N,) [rad]; NaN for a joint without a reply so far.
+        said: Sentence on the last moved joint and the expected motion of the tool.
     """
 
     def __init__(self, config: Config, model: Model, names: tuple[str, ...]) -> None:
-        """Nothing is read yet."""
+        """Start without readings."""
         self.model, self.names = model, names
         self._up = -np.array(config.robot.gravity)
         self._limits = {
@@ -60,7 +60,7 @@ class Watch:
         self.said = ""
 
     def update(self, position: Array, ok: NDArray[np.bool_]) -> bool:
-        """Take a reading; whether a joint has been moved since the last one that was."""
+        """Take a reading; return True if a joint has moved since the last report."""
         self.position = np.where(ok, position, self.position)
         self._from = np.where(np.isnan(self._from), self.position, self._from)
         way = np.nan_to_num(self.position - self._from)
@@ -73,7 +73,7 @@ class Watch:
 
     @property
     def rows(self) -> Iterator[tuple[str, str, str, str]]:
-        """Joint, angle, limits, and what the tool does as the angle grows."""
+        """Joint, angle, limits, and expected motion of the tool as the angle grows."""
         phrases = self._ways()
         for name, q in zip(self.names, self.position, strict=True):
             low, high = self._limits.get(name, (-np.inf, np.inf))
@@ -84,13 +84,13 @@ class Watch:
 
     @property
     def tool(self) -> str:
-        """Where the model believes the tool to be."""
+        """Position of the tool by the model."""
         x, y, z = self.model.forward_kinematics(self._chain())[:3, 3]
         return f"tool at x {x:+.3f}, y {y:+.3f}, z {z:+.3f} m in {self.model.base}"
 
     @property
     def rest(self) -> str:
-        """The pose as a line for a configuration file; empty while a joint has not answered."""
+        """The pose as a line for a configuration file; empty until all joints have replied."""
         known = dict(zip(self.names, self.position.tolist(), strict=True))
         pose = [known[name] for name in self.model.joint_names]
         if np.isnan(pose).any():
@@ -110,18 +110,18 @@ class Watch:
         return dict(zip(self.model.joint_names, phrases, strict=True))
 
     def _chain(self) -> Array:
-        """Angles of the chain (n,) [rad]; 0 for those that have not answered."""
+        """Return the angles of the chain (n,) [rad]; 0 for joints without a reply."""
         known = dict(zip(self.names, np.nan_to_num(self.position), strict=True))
         return np.array([known[name] for name in self.model.joint_names])
 
 
 def watch(config: Config, console: Console, seconds: float | None) -> None:
-    """Show the joints until Ctrl-C, or for some seconds; nothing is written to the servos.
+    """Show the joints until Ctrl-C, or for a time; nothing is written to the servos.
 
     Args:
         config: The arm.
-        console: Where to; one that is no terminal gets a line whenever a joint has been moved.
-        seconds: How long [s]; None: until Ctrl-C.
+        console: Output; without a terminal it gets a line whenever a joint has been moved.
+        seconds: Duration [s]; None: until Ctrl-C.
 
     Raises:
         ServoError: A port cannot be opened, or a servo is missing or cannot be driven.
@@ -146,14 +146,14 @@ def watch(config: Config, console: Console, seconds: float | None) -> None:
                 first = False
                 time.sleep(PERIOD)
     except KeyboardInterrupt:
-        pass  # how it ends
+        pass  # the usual end
     finally:
         drive.close()
         _end(console, look)
 
 
 def _end(console: Console, look: Watch | None) -> None:
-    """The pose in which the arm was left, to paste."""
+    """Print the final pose, to copy into the configuration."""
     if look is not None and look.rest:
         console.print(
             "If this is where the arm shall rest, write it under [life] of its file:",
@@ -165,7 +165,7 @@ def _end(console: Console, look: Watch | None) -> None:
 
 
 def _begin(console: Console, on: list[str]) -> None:
-    """What to do, and whose torque is in the way of it."""
+    """Print instructions, and the joints whose torque is on."""
     console.print(
         "Nothing is switched on. Hold the arm and move one joint at a time, from the base outward: "
         "as its angle grows the tool must go where its line says. If it goes the other way, turn "

@@ -1,4 +1,4 @@
-"""`pliant servos doctor`: what stands between a configuration and a soft arm."""
+"""`pliant servos doctor`: check an arm's configuration, ports and servos."""
 
 from __future__ import annotations
 

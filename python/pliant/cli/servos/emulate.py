@@ -1,4 +1,4 @@
-"""`pliant servos emulate`: the servos of a configuration on a port that is not there."""
+"""`pliant servos emulate`: emulate the servos of a configuration on a virtual port."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pliant.background import step_forward
 from pliant.cli.flags import ArmName, Files, Seconds
 from pliant.emulator import Faults, Timing
 
-#: Signals of a service's manager, a terminal that closes, and Ctrl-\\.
+#: Signals of a service manager, of a closing terminal, and Ctrl-\\.
 ENDS = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
 )
 
-#: An answer that is later than this is said: LeRobot gives up after 50 ms [s].
+#: Reply latency above which a warning is printed [s]; LeRobot's timeout is 50 ms.
 LATE = 0.020
 
 
@@ -54,7 +54,7 @@ def run(
     latency = 0.016 if timing == "usb" else 0.0
     chosen = Timing(wire=timing != "off", usb_latency=latency)
     console = Console()
-    # However it is ended, its ports go with it, as after Ctrl-C.
+    # Remove the ports after any signal, as after Ctrl-C.
     step_forward()
     former = {number: signal.signal(number, _ended) for number in ENDS}
     try:
@@ -68,7 +68,7 @@ def run(
             while end is None or time.monotonic() < end:
                 time.sleep(0.1)
                 if (late := bus.late) > told:
-                    told = 2.0 * late  # not for every millisecond more
+                    told = 2.0 * late  # a warning only per doubling of the latency
                     console.print(
                         f"this computer is busy: an answer left {late * 1e3:.0f} ms late, and "
                         "drivers may take that for a lost one",
@@ -80,5 +80,5 @@ def run(
 
 
 def _ended(number: int, _: object) -> None:
-    """Leave as a shell says that a signal ended a program."""
+    """Exit with the shell's code for a signal."""
     raise SystemExit(128 + number)

@@ -1,4 +1,4 @@
-"""`pliant servos scan`: which servos are on which port, at which speed, under which id."""
+"""`pliant servos scan`: find servos by port, speed and id."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _show(console: Console, found: list[Seen]) -> None:
 
 
 def _model(seen: Seen) -> str:
-    """Name of the model; variants that answer alike share the part of their names."""
+    """Return the model name; variants with the same reply share the first part of their names."""
     if len(seen.models) > 1:
         return f"{seen.models[0].partition('-')[0]} (one of {len(seen.models)} variants)"
     if seen.models:

@@ -93,7 +93,7 @@ def run(
 
 
 def _ids(text: str) -> tuple[int, int]:
-    """Old and new id.
+    """Parse old and new id.
 
     Raises:
         ConfigError: The text is no such pair.
@@ -127,7 +127,7 @@ def _rename(
 
 
 def _agreed(console: Console) -> bool:
-    """Whether the user says yes; nobody there is no."""
+    """Ask the user; without an answer (end of input) it is no."""
     try:
         return console.input("write this? [y/N] ").strip().lower() in {"y", "yes"}
     except EOFError:
@@ -141,12 +141,12 @@ def _cancel() -> NoReturn:
 
 
 def _say(console: Console, line: str) -> None:
-    """A line with a command to be typed again: not broken, not coloured, brackets as they are."""
+    """Print a command to copy: not wrapped, not coloured, without markup."""
     console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 class _Ports:
-    """The open ports by path; a request that is not answered is sent again."""
+    """The open ports by path; a request without a reply is repeated."""
 
     def __init__(self, config: Config, specs: list[ServoSpec]) -> None:
         paths = assemble.paths(config)
