@@ -23,7 +23,7 @@ class Recorder:
 
     Example:
         >>> record = Recorder(plant)
-        >>> record.add(compliance=controller.compliance)
+        >>> record.add(compliance=controller.diagnostics.compliance)
         >>> record["tool"][:, 1, 3]  # y of the tool over time
     """
 
