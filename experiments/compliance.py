@@ -116,7 +116,15 @@ def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Blocked:
         if abs(time - GONE) < 0.5 * plant.period:
             plant.set_hands([])
         if GONE - 2.0 < time < GONE:
-            flags.append(bool(np.any(getattr(controller, "deviation_limited", False))))
+            flags.append(
+                bool(
+                    np.any(
+                        getattr(
+                            getattr(controller, "diagnostics", None), "deviation_limited", False
+                        )
+                    )
+                )
+            )
 
     trace = run(plant, controller, target, 9.0, q=VERTICAL, on_tick=take_away)
     last, free = trace.between(GONE - 1.0, GONE), trace.t > GONE

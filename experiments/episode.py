@@ -140,7 +140,11 @@ def run(
                 tool[:3, 3],
                 pliant.functional.pose_error(tool, wanted),
                 pliant.functional.pose_error(start, tool),
-                np.asarray(getattr(controller, "compliance", np.full(6, np.nan))),
+                np.asarray(
+                    getattr(
+                        getattr(controller, "diagnostics", None), "compliance", np.full(6, np.nan)
+                    )
+                ),
                 np.zeros(3) if felt is None else felt.force,
                 np.zeros(3) if felt is None else felt.torque,
                 np.zeros(2) if door is None else np.array([door.peak_force, door.peak_torque]),

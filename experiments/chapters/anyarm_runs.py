@@ -90,7 +90,9 @@ def _loop(
 def activation(source: Source) -> Array:
     """Activation matrix (n, k + 1) at the pose."""
     arm = anyarm.load(source)
-    controller = pliant.Controller(arm.model, arm.law(soft="", damping=0.0), arm.servos)
+    controller = pliant.Controller(
+        arm.model, arm.law(soft="", tracking=pliant.Tracking(damping=0.0)), arm.servos
+    )
     controller.reset(arm.pose)
     controller.step(arm.pose, arm.model.forward_kinematics(arm.pose))
     return np.asarray(controller.diagnostics.activation)

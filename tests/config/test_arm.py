@@ -66,7 +66,7 @@ def test_a_ready_arm_moves_over_real_bytes(name):
     with emulated(read, clock="steps") as bus:
         chain = ServoBus(assemble.specs(read, bus.ports), patience=0.2, clock=StepClock(bus))
         options = {"rate": 50.0, "grippers": assemble.grippers(read), "signals": False}
-        with pliant.connect(read.model(), chain, **options) as arm:
+        with pliant.Arm(read.model(), chain, **options) as arm:
             target, reached = move(arm, name)
             arm.disable_torque()
         order = bus.log.order(chain.specs[0].id)

@@ -46,7 +46,7 @@ def test_help_of_the_demo_explains_its_flags(demo_command):
 
 
 ONE_LINE = [
-    (main, ["teech"], "did you mean 'teach'"),
+    (main, ["teech"], "did you mean `pliant teach`"),
     (main, ["--verson"], "no flag '--verson'"),
     (demo, ["--only", "x"], "such as 1,3; got 'x'"),
     (demo, ["--only", "1,9"], "no experiment 9; choose from 1"),

@@ -151,5 +151,5 @@ def test_a_mixed_chain_counts_back_emf_as_damping():
     mixed = Servos.of(["XL430-W250", "XL330-M288"])
     assert alone.limit_type == "pwm"
     assert mixed.limit_type == "current"
-    back_emf = alone.torque[0] / alone.no_load_speed[0]
+    back_emf = alone.max_torque[0] / alone.no_load_speed[0]
     assert mixed.damping[0] == pytest.approx(alone.damping[0] + back_emf)
