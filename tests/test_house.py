@@ -208,7 +208,7 @@ def test_wheel_is_complete_and_small(wheel):
     ]
     expected = {p.relative_to(ROOT / "python").as_posix() for p in sources} | {"pliant/py.typed"}
     assert expected <= names
-    # What measures the package is not in it.
+    # Experiments and benchmarks are not in the wheel.
     assert {name.partition("/")[0].partition("-")[0] for name in names} == {"pliant"}
     assert not any("experiments" in Path(name).parts for name in names)
     for licence in ("LICENSE", "THIRD_PARTY_LICENSES"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 from pliant import ConfigError
 
@@ -110,29 +110,28 @@ def connect(
         >>> with pliant.connect("so101", backend="sim") as arm:
         ...     state = arm.read()
     """
-    from pliant.config import assemble, load
+    from pliant.config import Config, assemble, load
 
     check_options(options, ALL_OPTIONS)
-    given = {"backend": backend, "port": port, "urdf": urdf, "calibration": calibration}
-    replaced = {name: value for name, value in given.items() if value is not None}
     if isinstance(config, str | Path):
-        config = load(config, **replaced)  # type: ignore[arg-type]
-    elif not hasattr(config, "model_dump_json"):
+        config = load(config, port=port, backend=backend, urdf=urdf, calibration=calibration)
+    elif not isinstance(config, Config):
         raise ConfigError(
             f"cannot connect to {config!r}: give the name of a ready arm, the path of a "
             "configuration file or a Config; with a model and a drive use pliant.Arm(model, drive)"
         )
-    elif replaced:
-        name = next(iter(replaced))
-        raise ConfigError(
-            f"{name}= replaces a word of a file, and this is a Config: give it to "
-            f"pliant.config.load(..., {name}=...)"
-        )
-    if q is not None:
-        options = {**options, "q": q}  # type: ignore[typeddict-unknown-key]
+    else:
+        given = {"backend": backend, "port": port, "urdf": urdf, "calibration": calibration}
+        for name, value in given.items():
+            if value is not None:
+                raise ConfigError(
+                    f"{name}= replaces a word of a file, and this is a Config: give it to "
+                    f"pliant.config.load(..., {name}=...)"
+                )
+    start: dict[str, Any] = {} if q is None else {"q": q}
     if real_time:
-        options = {**options, "real_time": True}  # type: ignore[typeddict-unknown-key]
-    return assemble.arm(config, **options)
+        start["real_time"] = True
+    return assemble.arm(config, **start, **options)
 
 
 def check_options(options: Iterable[str], known: Iterable[str]) -> None:

@@ -808,7 +808,7 @@ class Servos:
         """
 
     def replace(self, **changes: Unpack[_ServoFields]) -> Servos:
-        """The same with some fields changed."""
+        """Return a copy with some fields changed."""
 
     def __len__(self) -> int: ...
     def __eq__(self, other: object, /) -> bool: ...
@@ -861,7 +861,7 @@ class Task:
         """Length [m] that counts as much as one radian."""
 
     def replace(self, **changes: Unpack[_TaskFields]) -> Task:
-        """The same with some fields changed."""
+        """Return a copy with some fields changed."""
 
     def __len__(self) -> int: ...
     def __eq__(self, other: object, /) -> bool: ...
@@ -996,7 +996,7 @@ class Axis:
         """What the target does beyond it."""
 
     def replace(self, **changes: Unpack[_AxisFields]) -> Axis:
-        """The same with some fields changed."""
+        """Return a copy with some fields changed."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
@@ -1059,7 +1059,7 @@ class Tracking:
     @property
     def integrate(self) -> float: ...
     def replace(self, **changes: Unpack[_TrackingFields]) -> Tracking:
-        """The same with some fields changed."""
+        """Return a copy with some fields changed."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
@@ -1123,7 +1123,7 @@ class NullSpace:
     @property
     def projector(self) -> Literal["exact", "paper"]: ...
     def replace(self, **changes: Unpack[_NullSpaceFields]) -> NullSpace:
-        """The same with some fields changed."""
+        """Return a copy with some fields changed."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
@@ -1165,7 +1165,7 @@ class Compensation:
     @property
     def delay(self) -> float: ...
     def replace(self, **changes: Unpack[_CompensationFields]) -> Compensation:
-        """The same with some fields changed."""
+        """Return a copy with some fields changed."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
@@ -1215,7 +1215,7 @@ class TorqueLimits:
     @property
     def max_host_loss_force(self) -> float | None: ...
     def replace(self, **changes: Unpack[_TorqueLimitsFields]) -> TorqueLimits:
-        """The same with some fields changed."""
+        """Return a copy with some fields changed."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
@@ -1319,7 +1319,7 @@ class PaperOptions:
     @property
     def lead_limit(self) -> float | None: ...
     def replace(self, **changes: Unpack[_PaperOptionsFields]) -> PaperOptions:
-        """The same with some fields changed."""
+        """Return a copy with some fields changed."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
@@ -1482,7 +1482,7 @@ class Settings:
         """
 
     def replace(self, **changes: Unpack[_SettingsFields]) -> Settings:
-        """The same with some fields changed; `axes` replaces all axes."""
+        """Return a copy with some fields changed; `axes` replaces all axes."""
 
     @property
     def task(self) -> Task: ...
@@ -1976,7 +1976,7 @@ class Controller:
         """
 
     def report(self, q: ArrayLike | None = None) -> PoseReport:
-        """What a pose can do: forces per axis and side, margins, and what a lost host would leave.
+        """Forces per axis and side that a pose allows, margins, and the force of a host loss.
 
         Args:
             q: Posture (n,) [rad], the arm at rest on its target; None: pose and limits of the last

@@ -120,8 +120,8 @@ class Tick:
             TypeError: Not a command.
             ServoError: Torque is off, or the connection is gone.
         """
-        self.command = command
         self.answered = self._loop._write(self, command, extra)
+        self.command = command
         return self.answered
 
     def skip(self) -> None:
@@ -148,7 +148,7 @@ class Loop:
         max_step_time: Longest time that the program may take in one tick [s]; None:
             `arm.comm_timeout`.
         recorder: A `pliant.log.Recorder`, or an object with its `start`, `add` and `close`. It
-            receives every tick with its command, and is closed when the loop ends.
+            receives every tick with its command. It is started here and closed when the loop ends.
 
     Attributes:
         controller: Controller to step. With a recorder, a wrapper that records its calls. Pass this

@@ -166,7 +166,7 @@ def test_identify_servos_prints_a_table_for_the_file(so101, capsys):
         assert servo[joint]["friction"] == model.servos.friction[i]
     before = config.load("so101").model().servos
     assert abs(model.servos.kp / before.kp - 1.0).max() < 0.2
-    # What the file said of a servo beside these stays.
+    # The other fields of a servo are unchanged.
     assert servo["shoulder_pan"] | {"id": 1, "gain": 16, "sign": -1} == servo["shoulder_pan"]
 
 

@@ -26,7 +26,7 @@ def toml(port, *, joints=JOINTS, model="STS3215-7.4V", more=""):
 
 @pytest.fixture
 def said(tmp_path, capsys):
-    """What `pliant run`, `pliant servos doctor` and `connect` say of a file, all in one."""
+    """Return the messages of `run`, `servos doctor` and `connect` about a file as one text."""
 
     def ask(text):
         file = tmp_path / "arm.toml"

@@ -1,5 +1,6 @@
 """What a recorder is given, and when."""
 
+import numpy as np
 import pytest
 
 pytest.importorskip("mcap", reason="logs need the extra log")
@@ -62,3 +63,13 @@ def test_a_loop_without_a_controller_cannot_step(arm):
         with pytest.raises(pliant.ConfigError, match=r"tick\.step\(...\) needs a controller"):
             tick.step(arm.model.forward_kinematics(tick.q))
         tick.skip()
+
+
+def test_an_error_of_the_program_is_not_hidden_by_the_recorder(arm, tmp_path):
+    recorder = Recorder(tmp_path / "x.mcap")
+    with pytest.raises(TypeError, match="command must be a Command"):
+        [tick.write(5) for tick in pliant.Loop(arm, recorder=recorder)]
+    log = read(tmp_path / "x.mcap")
+    assert log.whole
+    assert len(log) == 1
+    assert np.isnan(log.goal).all()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pliant.sim.plant import Plant
     from pliant.sim.spec import Build
 
-#: Distance of the tool from its target at which the gripper opens [m].
+#: Distance of the tool from its start at which the gripper opens [m].
 OPENS = 0.05
 
 
