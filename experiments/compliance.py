@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import pliant
 from experiments import metrics
 from experiments.conditions import NOMINAL
 from experiments.episode import Trace, run
@@ -17,7 +18,6 @@ from pliant.sim.postures import VERTICAL
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    import pliant
     from experiments.conditions import Conditions
     from pliant.sim import Plant
 
@@ -105,6 +105,7 @@ def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Blocked:
     """
     plant = conditions.build(Wall(distance=GAP, stiffness=2e4, damping=50.0))
     controller = conditions.controller(law)
+    assert isinstance(controller, pliant.Controller)  # law is Settings
     start = tool(VERTICAL)
     flags: list[bool] = []
 
@@ -116,15 +117,7 @@ def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Blocked:
         if abs(time - GONE) < 0.5 * plant.period:
             plant.set_hands([])
         if GONE - 2.0 < time < GONE:
-            flags.append(
-                bool(
-                    np.any(
-                        getattr(
-                            getattr(controller, "diagnostics", None), "deviation_limited", False
-                        )
-                    )
-                )
-            )
+            flags.append(bool(controller.diagnostics.deviation_limited.any()))
 
     trace = run(plant, controller, target, 9.0, q=VERTICAL, on_tick=take_away)
     last, free = trace.between(GONE - 1.0, GONE), trace.t > GONE

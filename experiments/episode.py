@@ -129,6 +129,8 @@ def run(
         plant.advance()
         tool = plant.tool
         felt = plant.hands[0] if plant.hands else None
+        # Controllers of the comparison have no diagnostics.
+        known = getattr(controller, "diagnostics", None)
         rows.append(
             (
                 np.array(plant.time),
@@ -140,11 +142,7 @@ def run(
                 tool[:3, 3],
                 pliant.functional.pose_error(tool, wanted),
                 pliant.functional.pose_error(start, tool),
-                np.asarray(
-                    getattr(
-                        getattr(controller, "diagnostics", None), "compliance", np.full(6, np.nan)
-                    )
-                ),
+                np.full(6, np.nan) if known is None else known.compliance,
                 np.zeros(3) if felt is None else felt.force,
                 np.zeros(3) if felt is None else felt.torque,
                 np.zeros(2) if door is None else np.array([door.peak_force, door.peak_torque]),
