@@ -8,16 +8,13 @@ use std::path::Path;
 
 mod bodies;
 mod chain;
-mod elements;
 mod names;
 mod options;
 mod parts;
 mod roles;
 mod targets;
-mod text;
 mod tree;
 mod urdf;
-mod values;
 
 pub use chain::Chain;
 pub use options::{ModelOptions, Payload};
@@ -30,8 +27,8 @@ use names::some;
 pub(crate) use options::finite_vector;
 use options::{need_limits, override_limits};
 pub(crate) use targets::{Workspace, joint_targets};
-use text::Source;
 use tree::Tree;
+use urdf::text::{self, Source};
 
 /// One kinematic chain with all bodies that it carries; immutable.
 #[derive(Debug, Clone, PartialEq)]
@@ -130,7 +127,7 @@ impl Model {
             payload.validate()?;
         }
         let source = Source::new(name, text);
-        let mut tree = Tree::build(&source, urdf::read(&source)?)?;
+        let mut tree = Tree::read(&source)?;
         override_limits(&mut tree, &options.limits)?;
         let base = options.base.as_deref().map_or(Ok(tree.root), |name| tree.frame(name))?;
         let tip = match &options.tip {
