@@ -10,10 +10,10 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant import config
-from pliant._connect import ARM_OPTIONS, PLANT_OPTIONS
 from pliant.arm.points import Points
 from pliant.arm.rest import STEPS, obstacle
-from pliant.config import assemble
+from pliant.config import factory
+from pliant.config.factory import ARM_OPTIONS, PLANT_OPTIONS
 from pliant.sim import Plant, Tabletop
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
@@ -162,11 +162,11 @@ def test_an_arm_that_would_start_inside_its_table_is_refused(backend):
 
 
 def test_an_emulated_arm_stands_on_the_table_of_its_file():
-    from pliant.config.emulation import emulated
+    from pliant.config.factory import make_emulator
 
-    bus = emulated(config.load("koch", backend="emulator"), clock="steps")
+    bus = make_emulator(config.load("koch", backend="emulator"), clock="steps")
     assert [fixture.height for fixture in bus.plant.fixtures] == [0.0]
-    bus = emulated(config.load("koch", backend="emulator", table=False), clock="steps")
+    bus = make_emulator(config.load("koch", backend="emulator", table=False), clock="steps")
     assert bus.plant.fixtures == ()
 
 
@@ -175,7 +175,7 @@ def test_a_simulated_arm_begins_at_its_rest_pose_where_zero_is_in_the_table():
         'backend = "sim"\nrobot = { builtin = "so101", table = 0.3 }\n[life]\n'
         "rest_q = [0.0, -0.3, -1.0, 0.0, 0.0]\n"
     )
-    np.testing.assert_array_equal(assemble.start(read, read.model()), read.life.rest_q)
+    np.testing.assert_array_equal(factory.start_pose(read, read.model()), read.life.rest_q)
 
 
 def test_backend_sim_takes_the_options_of_the_simulator():

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pliant import ConfigError, ServoError
-from pliant.arguments import instance, real
+from pliant._core import ConfigError, ServoError
+from pliant._validation import instance, real
 from pliant.arm.budget import Budget
 from pliant.arm.checks import posture, times
 from pliant.arm.cycle import Cycle
@@ -33,10 +33,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Model
-    from pliant.arm.drive import Clock, Drive
+    from pliant._core import Model
     from pliant.arm.gripper import GripperConfig
-    from pliant.arm.state import State
+    from pliant.drive import Clock, Drive, State
 
     Array = NDArray[np.float64]
     Exit = Literal["lower", "leave_enabled"]

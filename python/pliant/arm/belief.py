@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pliant.arm.drive import Sampled
+    from pliant.drive import JointReadings
 
     Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class Belief:
         self._refused: NDArray[np.int_] = np.zeros(fastest.size, dtype=np.int_)
         self._way: Array = np.zeros(fastest.size)
 
-    def take(self, sample: Sampled) -> NDArray[np.bool_]:
+    def take(self, sample: JointReadings) -> NDArray[np.bool_]:
         """Accept the plausible positions of a sample; return a mask (N,) of the accepted joints."""
         read = np.asarray(sample.ok, dtype=bool) & np.isfinite(sample.position)
         first = np.isnan(self.position)

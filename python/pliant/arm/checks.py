@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError, OutOfRangeError, ShapeError
-from pliant.arguments import given, real
+from pliant._core import ConfigError, OutOfRangeError, ShapeError
+from pliant._validation import given, real
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Model
+    from pliant._core import Model
 
     Array = NDArray[np.float64]
 

@@ -7,24 +7,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import OutOfRangeError, ServoError, ServoTimeoutError
+from pliant._core import OutOfRangeError, ServoError, ServoTimeoutError
 from pliant.arm.belief import Belief
 from pliant.arm.budget import Meter
 from pliant.arm.checks import vector
-from pliant.arm.drive import MonotonicClock
 from pliant.arm.lowering import SUPPORT, margin
 from pliant.arm.roster import Roster
 from pliant.arm.shortfall import Shortfall
-from pliant.arm.state import State
+from pliant.drive import MonotonicClock, State
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Model
+    from pliant._core import Model
     from pliant.arm.budget import Budget
-    from pliant.arm.drive import Clock, Drive, Reported
+    from pliant.drive import Clock, Drive, ServoStatus
 
     Array = NDArray[np.float64]
 
@@ -257,7 +256,7 @@ class Cycle:
         speeds = None if velocity is None else self.roster.join(velocity, beside)
         self.drive.write(goals, limits, speeds)
         self._spoke = self.clock.now()
-        self._learn(self.drive.slow())
+        self._learn(self.drive.poll_status())
 
     def _all(self, goal: Array, limit: Array) -> tuple[Array, Array]:
         """Return goals and limits (N,) in drive order; limits off the chain are bounded by heat."""
@@ -279,7 +278,7 @@ class Cycle:
             self.meter.use(torque, now - self._used)
         self._used = now
 
-    def _learn(self, health: Reported | None) -> None:
+    def _learn(self, health: ServoStatus | None) -> None:
         """Store voltage, temperature and faults from one slow read."""
         if health is None:
             return

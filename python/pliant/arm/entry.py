@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ServoError, ServoTimeoutError
+from pliant._core import ServoError, ServoTimeoutError
 from pliant.arm.checks import outside
 from pliant.arm.cycle import EASE
 from pliant.arm.lowering import SUPPORT, margin

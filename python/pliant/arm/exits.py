@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ServoError
+from pliant._core import ServoError
 from pliant.arm.lowering import SUPPORT, Lowering, margin
 
 if TYPE_CHECKING:

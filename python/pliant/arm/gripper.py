@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError
-from pliant.arguments import instance, mapping, real
+from pliant._core import ConfigError
+from pliant._validation import instance, mapping, real
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from pliant import Model
+    from pliant._core import Model
     from pliant.arm.cycle import Cycle
 
 #: Default limit as a share of the largest torque, and of the overload threshold.

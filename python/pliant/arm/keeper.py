@@ -9,7 +9,7 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
-from pliant import ServoError, ServoTimeoutError
+from pliant._core import ServoError, ServoTimeoutError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -32,7 +32,7 @@ from pliant.arm.points import Points
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant import Model, Servos
+    from pliant._core import Model, Servos
     from pliant.arm.points import Geometry
 
     Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from pliant.arm.bodies import carried, held, path
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Model
+    from pliant._core import Model
 
     Array = NDArray[np.float64]
 

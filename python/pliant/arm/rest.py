@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import OutOfRangeError
+from pliant._core import OutOfRangeError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant import Model
+    from pliant._core import Model
     from pliant.arm.points import Points
 
     Array = NDArray[np.float64]

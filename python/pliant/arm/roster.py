@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError, OutOfRangeError
-from pliant.arguments import given, mapping, real
+from pliant._core import ConfigError, OutOfRangeError
+from pliant._servo_tables import take
+from pliant._validation import given, mapping, real
 from pliant.arm.belief import FASTEST
-from pliant.arm.tables import take
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-    from pliant import Model, Servos
-    from pliant.arm.drive import Drive
+    from pliant._core import Model, Servos
+    from pliant.drive import Drive
 
     Array = NDArray[np.float64]
     Orders = Mapping[str, tuple[float, float]]

@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant import Model, Servos
+    from pliant._core import Model, Servos
 
     Array = NDArray[np.float64]
 

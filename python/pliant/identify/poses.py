@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import OutOfRangeError, ShapeError
-from pliant.arguments import given
+from pliant._core import OutOfRangeError, ShapeError
+from pliant._validation import given
 from pliant.identify.rig import ROOM
 from pliant.identify.slides import bare_gravity, payload_rows
 

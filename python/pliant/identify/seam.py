@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
-from pliant import ConfigError, ServoError, ShapeError
-from pliant.arguments import given, vector
+from pliant._core import ConfigError, ServoError, ShapeError
+from pliant._validation import given, vector
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -5,7 +5,6 @@ Needs the extra ``servo`` only where a serial port is opened.
 
 from __future__ import annotations
 
-from pliant.arm.drive import Health, Sample
 from pliant.servo.bus import ServoBus
 from pliant.servo.models import ServoModel, find, names
 from pliant.servo.spec import ServoSpec
@@ -16,9 +15,7 @@ from pliant.servo.wire import wire_bytes, wire_time
 
 __all__ = [
     "BusError",
-    "Health",
     "RustypotTransport",
-    "Sample",
     "ServoBus",
     "ServoModel",
     "ServoSpec",

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError, ServoError, ShapeError
-from pliant.arm.drive import Clock, Health, Sample
+from pliant._core import ConfigError, ServoError, ShapeError
+from pliant.drive import Clock, JointReadings, ServoStatus
 from pliant.servo import enable as enabling
 from pliant.servo.device import Device
 from pliant.servo.identify import Found, identify
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Servos
+    from pliant._core import Servos
     from pliant.servo.guard import Counters
     from pliant.servo.models.row import Protocol as Wire
     from pliant.servo.transport import Transport
@@ -236,7 +236,7 @@ class ServoBus:
 
     # The cycle.
 
-    def read(self) -> Sample:
+    def read(self) -> JointReadings:
         """Read all joints; a joint without an answer has `ok` False and keeps its last position.
 
         Raises:
@@ -291,7 +291,7 @@ class ServoBus:
                     port.write(packets[id(port)])
         self._see_what_is_left()
 
-    def slow(self) -> Health | None:
+    def poll_status(self) -> ServoStatus | None:
         """Read voltage, temperature, faults or limit of the next servo.
 
         Call it once per cycle, after `read` and `write`.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from pliant import ServoError
+from pliant._core import ServoError
 from pliant.servo import status as words
 from pliant.servo.units import Units
 

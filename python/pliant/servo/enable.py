@@ -6,7 +6,7 @@ import time
 import warnings
 from typing import TYPE_CHECKING, NamedTuple
 
-from pliant import ServoError, ServoFaultError
+from pliant._core import ServoError, ServoFaultError
 from pliant.servo.identify import Image, read_image
 from pliant.servo.status import refusal
 from pliant.servo.transport import BusError

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from pliant import ServoError
+from pliant._core import ServoError
 from pliant.servo import calibration
 from pliant.servo import status as words
 from pliant.servo.device import TRIPPED

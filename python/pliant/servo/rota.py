@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant.arm.drive import Health
+from pliant.drive import ServoStatus
 from pliant.servo.transport import BusError
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Rota:
         self._again = False
         self._echo = self._count = 0
 
-    def step(self, ports: Mapping[int, Port]) -> Health | None:
+    def step(self, ports: Mapping[int, Port]) -> ServoStatus | None:
         """Read one block; return the slow data of its joint.
 
         Three kinds of servos are read first: those with a new alert, with an urgent fault, and with
@@ -128,13 +128,13 @@ class Rota:
         self._next = (self._next + 1) % len(self._steps)
         return step
 
-    def _health(self, joint: int) -> Health:
+    def _health(self, joint: int) -> ServoStatus:
         devices = self._joints[joint]
         volts = [d.voltage for d in devices if d.voltage is not None]
         heat = [d.temperature for d in devices if d.temperature is not None]
         first = devices[0]
         limit = None if first.limit_read is None else first.units.torque(first.limit_read)
-        return Health(
+        return ServoStatus(
             first.spec.name,
             min(volts) if volts else None,
             max(heat) if heat else None,

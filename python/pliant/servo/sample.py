@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant.arm.drive import Sample
+from pliant.drive import JointReadings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,7 +33,7 @@ def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
                 secondary.set_range()
 
 
-def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -> Sample:
+def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -> JointReadings:
     """Return one reading of all joints.
 
     Args:
@@ -64,4 +64,4 @@ def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -
             )
         )
     position, ok, times, velocity, load, current = (np.array(c) for c in zip(*rows, strict=True))
-    return Sample(position, ok, times, velocity, load, current)
+    return JointReadings(position, ok, times, velocity, load, current)

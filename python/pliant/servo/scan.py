@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from pliant import ServoError
+from pliant._core import ServoError
 from pliant.servo.guard import NOISY
 from pliant.servo.models import by_number
 from pliant.servo.port import latency_timer

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pliant import ServoError
+from pliant._core import ServoError
 from pliant.servo.models import by_number
 from pliant.servo.transport import BusError
 

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import pliant
-from pliant import ConfigError
-from pliant.arguments import real
+from pliant._core import ConfigError, Servos
+from pliant._validation import real
 from pliant.servo.models import by_number
 from pliant.servo.spec import ServoSpec
 from pliant.servo.units import Units
@@ -28,7 +27,7 @@ def servos_of(
     *,
     voltage: float | None = None,
     gains: Sequence[int | None] | None = None,
-) -> pliant.Servos:
+) -> Servos:
     """Return the servo parameters of these models, one entry per joint.
 
     Args:
@@ -76,7 +75,7 @@ def _bears(row: ServoModel, volts: float) -> bool:
     return low <= volts <= high
 
 
-def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]) -> pliant.Servos:
+def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]) -> Servos:
     """Return the servo parameters of joints at their present voltage, gains and ceilings.
 
     Values identified on the arm (`ServoSpec.kp`, `friction`, `damping`) replace those of the table.
@@ -103,7 +102,7 @@ def servos(units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]
         damping = damping + np.where(duty, stall / speed, 0.0)
     friction = np.array([unit.row.mechanics.friction for unit in units]) * passes
     stiffness = np.array([u.stiffness(g) for u, g in zip(units, gains, strict=True)])
-    return pliant.Servos(
+    return Servos(
         kp=_identified(stiffness, [unit.spec.kp for unit in units]),
         max_torque=torque,
         friction=_identified(friction, [unit.spec.friction for unit in units]),

@@ -15,7 +15,7 @@ from itertools import pairwise
 from math import floor, pi
 from typing import TYPE_CHECKING
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 
 if TYPE_CHECKING:
     from pliant.servo.models import ServoModel

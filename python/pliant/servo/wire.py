@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from pliant import ConfigError
-from pliant.arguments import real
+from pliant._core import ConfigError
+from pliant._validation import real
 
 if TYPE_CHECKING:
     from pliant.servo.models.row import Protocol

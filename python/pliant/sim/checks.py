@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import ConfigError, Servos
-from pliant.arguments import given, instance, number
-from pliant.arm.tables import spread
+from pliant._core import ConfigError, Servos
+from pliant._servo_tables import spread
+from pliant._validation import given, instance, number
 from pliant.sim.imperfections import Overload
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pliant import ConfigError, ServoError
+from pliant._core import ConfigError, ServoError
 from pliant.servo.models import find
 from pliant.servo.settle import SETS, Change
 

@@ -10,10 +10,10 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.cli.flags import ArmName, File, Ids, Wired
 from pliant.cli.servos import _backup as kept
-from pliant.config import assemble
+from pliant.config import factory
 from pliant.servo import RustypotTransport
 from pliant.servo.guard import Guard
 from pliant.servo.port import latency_timer
@@ -54,7 +54,7 @@ def run(
     former = None if undo is None else kept.load(undo, arm)
     read = override.load(arm)
     console = Console()
-    specs = assemble.specs(read, assemble.paths(read))
+    specs = factory.servo_specs(read, factory.port_paths(read))
     if ids is not None:
         _rename(read, specs, *ids, console, yes=yes)
         return
@@ -149,7 +149,7 @@ class _Ports:
     """The open ports by path; a request without a reply is repeated."""
 
     def __init__(self, config: Config, specs: list[ServoSpec]) -> None:
-        paths = assemble.paths(config)
+        paths = factory.port_paths(config)
         bauds = {paths[port.name]: port.baud for port in config.port}
         protocols = {spec.port: spec.row.family.protocol for spec in specs}
         self._wanted = {path: (bauds[path], protocol) for path, protocol in protocols.items()}

@@ -9,7 +9,7 @@ import os
 NICE = 10
 
 
-def step_back() -> None:
+def lower_priority() -> None:
     """Lower the priority of this process, so that it never delays the control loop.
 
     On Linux it also becomes a batch process, which does not preempt others when it wakes up. The
@@ -21,7 +21,7 @@ def step_back() -> None:
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
-def step_forward() -> None:
+def raise_priority() -> None:
     """Raise the priority of threads started from here, if the system permits it."""
     with contextlib.suppress(OSError):
         os.nice(-NICE)

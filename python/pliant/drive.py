@@ -8,25 +8,27 @@ control policy.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
-    from pliant import Servos
+    from pliant._core import Servos
 
     Array = NDArray[np.float64]
+
 
 #: Last part of a wait that is spent in a busy loop [s], because sleep wakes up this late.
 SPIN = 1e-4
 
 
 @dataclass(frozen=True)
-class Sample:
+class JointReadings:
     """One reading of all N joints of a drive, in its order.
 
     Attributes:
@@ -49,7 +51,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Health:
+class ServoStatus:
     """Slow data of one servo: voltage, temperature, faults and limit.
 
     Attributes:
@@ -65,54 +67,6 @@ class Health:
     temperature: float | None = None
     faults: tuple[str, ...] = ()
     limit: float | None = None
-
-
-class Sampled(Protocol):
-    """Protocol of a reading: the fields of `Sample`."""
-
-    @property
-    def position(self) -> Array:
-        """Positions (N,) [rad]."""
-
-    @property
-    def ok(self) -> NDArray[np.bool_]:
-        """Mask of the positions that were read (N,)."""
-
-    @property
-    def time(self) -> Array | float:
-        """Sample times [s]."""
-
-    @property
-    def velocity(self) -> Array | None:
-        """Velocities (N,) [rad/s]."""
-
-    @property
-    def load(self) -> Array | None:
-        """Torques (N,) [N·m]."""
-
-    @property
-    def current(self) -> Array | None:
-        """Currents (N,) [A]."""
-
-
-class Reported(Protocol):
-    """Protocol of slow data: the fields of `Health`."""
-
-    @property
-    def name(self) -> str:
-        """Joint name."""
-
-    @property
-    def voltage(self) -> float | None:
-        """Supply voltage at the servo [V]."""
-
-    @property
-    def temperature(self) -> float | None:
-        """Temperature of the servo [°C]."""
-
-    @property
-    def faults(self) -> tuple[str, ...]:
-        """Faults, one sentence each."""
 
 
 class Clock(Protocol):
@@ -165,7 +119,7 @@ class Drive(Protocol):
     def close(self) -> None:
         """Close the port; the servos hold their last goal and limit."""
 
-    def read(self) -> Sampled:
+    def read(self) -> JointReadings:
         """Return the positions of this cycle; `ok` is False for joints that did not answer.
 
         Raises:
@@ -179,7 +133,7 @@ class Drive(Protocol):
         inf, or None: no speed limit.
         """
 
-    def slow(self) -> Reported | None:
+    def poll_status(self) -> ServoStatus | None:
         """Read slow data (voltage, temperature, faults) of the next servo; None: nothing new."""
 
     def enable(self, goal: Array, limit: Array) -> None:
@@ -214,3 +168,39 @@ class MonotonicClock:
             time.sleep(rest)
         while time.perf_counter() < deadline:
             pass
+
+
+@dataclass(frozen=True)
+class State:
+    """State of an arm in one cycle, joints in chain order; None if the servos do not report it.
+
+    Attributes:
+        q: Joint positions (n,) [rad]; the last good ones if this tick brought none.
+        dq: Joint velocities (n,) [rad/s].
+        time: Sample time of the positions, on the arm's clock [s].
+        fresh: Whether every joint's position is new in this tick.
+        extra: Positions of the joints off the chain (a gripper) by name [rad].
+        age: Age of each position (n,) [s].
+        load: Torque as each servo estimates it (n,) [N·m].
+        current: Current of each servo (n,) [A].
+        voltage: Supply voltage at each servo (n,) [V]; NaN before the first reading.
+        temperature: Temperature of each servo (n,) [°C]; NaN before the first reading.
+        faults: Present faults, one sentence each; empty if healthy.
+    """
+
+    q: Array
+    dq: Array | None = None
+    time: float = 0.0
+    fresh: bool = True
+    extra: Mapping[str, float] = field(default_factory=dict)
+    age: Array = field(default_factory=lambda: np.zeros(0))
+    load: Array | None = None
+    current: Array | None = None
+    voltage: Array | None = None
+    temperature: Array | None = None
+    faults: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Set the ages to 0 if they are not given."""
+        if self.age.shape != self.q.shape:
+            object.__setattr__(self, "age", np.zeros_like(self.q))

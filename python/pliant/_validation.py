@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pliant import ConfigError, Model, OutOfRangeError, Servos, ShapeError
+from pliant._core import ConfigError, Model, OutOfRangeError, Servos, ShapeError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 T = TypeVar("T")
+
+#: Task axes in their order: translations [m], then rotations [rad].
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 #: How to create an argument of each type.
 HINTS: dict[type, str] = {

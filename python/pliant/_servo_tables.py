@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Servos
+    from pliant._core import Servos
 
 #: Fields of a servo table with one number per joint.
 COLUMNS = (

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from pliant import ConfigError
-from pliant.config import ready
-from pliant.config.fields import check_preset, resolve
-from pliant.config.messages import explain, suggest
+from pliant._core import ConfigError
+from pliant._files import read_text
+from pliant.config._messages import explain, suggest
+from pliant.config._settings_table import check_preset, resolve
 from pliant.config.schema import Config, Loop
-from pliant.inputs import read_text
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
 
 
 def load(
@@ -49,14 +52,13 @@ def load(
     name = str(source)
     if path.is_file():
         text, folder, label = _read(path), path.resolve().parent, str(source)
-    elif path.suffix != ".toml" and name in ready.names():
-        text, folder, label = ready.text(name), Path.cwd(), f"{name} (ready file)"
+    elif path.suffix != ".toml" and name in names():
+        text, folder, label = builtin_text(name), Path.cwd(), f"{name} (ready file)"
     elif path.suffix == ".toml" or len(path.parts) > 1:
-        raise ConfigError(f"there is no file {name}; ready files: {', '.join(ready.names())}")
+        raise ConfigError(f"there is no file {name}; ready files: {', '.join(names())}")
     else:
         raise ConfigError(
-            f"{name!r} is neither a file nor the name of a ready one; "
-            f"{suggest(name, ready.names())}"
+            f"{name!r} is neither a file nor the name of a ready one; {suggest(name, names())}"
         )
     overrides = Overrides(port, backend, urdf, calibration, table)
     return parse(text, source=label, folder=folder, overrides=overrides)
@@ -187,3 +189,29 @@ def _read(path: Path) -> str:
         return read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from error
+
+
+def _builtin_files() -> dict[str, Traversable]:
+    folder = files("pliant.config").joinpath("arms")
+    found = {f.name.removesuffix(".toml"): f for f in folder.iterdir() if f.name.endswith(".toml")}
+    return dict(sorted(found.items()))
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of the ready files."""
+    return tuple(_builtin_files())
+
+
+def builtin_text(name: str) -> str:
+    """Return the text of a ready file."""
+    return _builtin_files()[name].read_text(encoding="utf-8")
+
+
+def describe(name: str) -> str:
+    """Return the description of a ready file: the comment at its top."""
+    lines = []
+    for line in builtin_text(name).splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.removeprefix("#").strip())
+    return " ".join(lines)

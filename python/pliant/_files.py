@@ -1,16 +1,50 @@
-"""Atomic writing of output files, without overwriting inputs or files of another kind."""
+"""Bounded reading of input files and atomic writing of output files."""
 
 from __future__ import annotations
 
 import os
+import stat
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+
+
+#: Largest size of a settings file, and of a file with samples [bytes].
+SMALL, LARGE = 1 << 20, 1 << 28
+
+
+def read_text(path: Path, most: int = SMALL) -> str:
+    """Read a text file.
+
+    Args:
+        path: The file.
+        most: Largest size [bytes].
+
+    Raises:
+        ConfigError: A pipe, a device or a folder, or too large.
+        OSError: Missing, or not readable.
+        UnicodeDecodeError: Not UTF-8 text.
+    """
+    mode = path.stat().st_mode
+    if not stat.S_ISREG(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
+        raise ConfigError(f"{path} is {kind}: name a file")
+    with path.open("rb") as stream:
+        data = stream.read(most + 1)
+    if len(data) > most:
+        raise ConfigError(f"{path} is larger than {most / 1e6:.0f} MB: it is another kind of file")
+    return data.decode("utf-8")
+
+
+def printable(text: str) -> str:
+    """Remove control characters from a text, because a terminal would execute them."""
+    return "".join(c if c.isprintable() or c in " \n\t" else "�" for c in text)
+
 
 #: Number of leading bytes that identify the kind of a file.
 HEAD = 4096

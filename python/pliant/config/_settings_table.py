@@ -5,24 +5,32 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
-import pliant
-from pliant import ConfigError, PliantError
-from pliant.config.messages import suggest
+from pliant._core import (
+    Axis,
+    Compensation,
+    ConfigError,
+    NullSpace,
+    PliantError,
+    Settings,
+    Task,
+    TorqueLimits,
+    Tracking,
+)
+from pliant.config._messages import suggest
 from pliant.functional import PaperOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pliant import Settings
 
 #: Presets; `soft` also needs axes.
 PRESETS = ("paper", "firm", "door", "drawer", "hand_guiding", "hand_over", "plug", "soft", "wipe")
 #: Groups of settings, each a table of its own.
 GROUPS = {
-    "tracking": pliant.Tracking,
-    "null_space": pliant.NullSpace,
-    "compensation": pliant.Compensation,
-    "torque_limits": pliant.TorqueLimits,
+    "tracking": Tracking,
+    "null_space": NullSpace,
+    "compensation": Compensation,
+    "torque_limits": TorqueLimits,
     "paper_options": PaperOptions,
 }
 #: Fields on which the meaning of others depends; if one is wrong, the others are not checked.
@@ -61,7 +69,7 @@ def resolve(
         left["axes"] = _axes(left["axes"], wrong)
     if isinstance(left.get("task"), dict):
         try:
-            left["task"] = pliant.Task(**left["task"])
+            left["task"] = Task(**left["task"])
         except (PliantError, TypeError) as error:
             wrong.append(f"task.{str(error).removeprefix('task.')}")
             del left["task"]
@@ -85,12 +93,12 @@ def _make(fields: dict[str, Any], preset: str | dict[str, Any] | None, rate: flo
     given = {"rate": rate, **fields}
     name, arguments = _preset(preset)
     if name is None:
-        return pliant.Settings(**given)
+        return Settings(**given)
     if name == "soft":
         if "axes" not in arguments:
             raise ConfigError('preset "soft" needs its axes: { name = "soft", axes = "y yaw" }')
-        return pliant.Settings.soft(arguments.pop("axes"), **arguments, **given)
-    made: Settings = getattr(pliant.Settings, name)(**arguments, **given)
+        return Settings.soft(arguments.pop("axes"), **arguments, **given)
+    made: Settings = getattr(Settings, name)(**arguments, **given)
     return made
 
 
@@ -102,7 +110,7 @@ def _preset(preset: str | dict[str, Any] | None) -> tuple[Any, dict[str, Any]]:
     return preset, {}
 
 
-def _axes(table: Any, wrong: list[str]) -> dict[str, pliant.Axis]:
+def _axes(table: Any, wrong: list[str]) -> dict[str, Axis]:
     """Return the valid axes; append the errors of the others to `wrong`."""
     if not isinstance(table, dict):
         wrong.append(f"axes is a table of axis keys, got {table!r}")
@@ -110,7 +118,7 @@ def _axes(table: Any, wrong: list[str]) -> dict[str, pliant.Axis]:
     return {key: axis for key, value in table.items() if (axis := _axis(key, value, wrong))}
 
 
-def _axis(key: str, value: Any, wrong: list[str]) -> pliant.Axis | None:
+def _axis(key: str, value: Any, wrong: list[str]) -> Axis | None:
     """Return one axis, or None with an error appended to `wrong`."""
     if not isinstance(value, dict):
         wrong.append(f"axes.{key} is a table such as {{ soft = 4.0 }}, got {value!r}")
@@ -119,7 +127,7 @@ def _axis(key: str, value: Any, wrong: list[str]) -> pliant.Axis | None:
     good = True
     while True:
         try:
-            axis = pliant.Axis(**left)
+            axis = Axis(**left)
         except (PliantError, TypeError) as error:
             # `Axis` does not know its name.
             said = str(error).removeprefix("Axis.")
