@@ -25,7 +25,7 @@ HINTS: dict[type, str] = {
 }
 
 
-def given(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Format a value with its type for an error message."""
     text = repr(value)
     return f"{text if len(text) <= 80 else text[:77] + '...'} ({type(value).__name__})"
@@ -41,14 +41,14 @@ def instance(value: Any, kind: type[T], name: str, hint: str = "") -> T:
         hint = hint or HINTS.get(kind, "")
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         wanted = f"{name} must be {article} {kind.__name__}" + (f", {hint}" if hint else "")
-        raise TypeError(f"{wanted}, got {given(value)}")
+        raise TypeError(f"{wanted}, got {format_value(value)}")
     return value
 
 
 def mapping(value: Any, name: str, hint: str) -> Mapping[Any, Any]:
     """Return `value` if it is a mapping; errors as in `instance`."""
     if not isinstance(value, Mapping):
-        raise TypeError(f"{name} must be a mapping, {hint}, got {given(value)}")
+        raise TypeError(f"{name} must be a mapping, {hint}, got {format_value(value)}")
     return value
 
 
@@ -59,11 +59,11 @@ def real(value: Any, name: str) -> float:
         ConfigError: Not a number.
     """
     if isinstance(value, (bool, str, bytes)) or np.ndim(value) != 0:
-        raise ConfigError(f"{name} must be a number, got {given(value)}")
+        raise ConfigError(f"{name} must be a number, got {format_value(value)}")
     try:
         return float(value)
     except (TypeError, ValueError):
-        raise ConfigError(f"{name} must be a number, got {given(value)}") from None
+        raise ConfigError(f"{name} must be a number, got {format_value(value)}") from None
 
 
 def number(value: Any, name: str, low: float, high: float = np.inf, unit: str = "") -> float:
@@ -102,7 +102,7 @@ def vector(value: ArrayLike, n: int, name: str, unit: str = "") -> NDArray[np.fl
     except (TypeError, ValueError):
         array = np.array(np.nan)
     if array.shape != (n,) or not np.isfinite(array).all():
-        raise ShapeError(f"{name} must be {n} finite numbers{of}, got {given(value)}")
+        raise ShapeError(f"{name} must be {n} finite numbers{of}, got {format_value(value)}")
     return array
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from pliant._core import Command, ConfigError, ServoError, ServoFaultError, ServoTimeoutError
-from pliant._validation import given, real
-from pliant.arm.checks import vector
+from pliant._validation import format_value, real
+from pliant.arm._checks import vector
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -246,12 +246,12 @@ class Loop:
         """Check the arguments."""
         if not hasattr(arm, "clock"):
             raise TypeError(
-                f"arm must be an Arm, as pliant.connect(...) makes one, got {given(arm)}"
+                f"arm must be an Arm, as pliant.connect(...) makes one, got {format_value(arm)}"
             )
         if controller is not None and not callable(getattr(controller, "reset", None)):
             raise TypeError(
                 f"controller must be a Controller, or have reset(q), or be None, got "
-                f"{given(controller)}"
+                f"{format_value(controller)}"
             )
         wanted = getattr(getattr(controller, "settings", None), "rate", arm.rate)
         rate = real(wanted if rate is None else rate, "rate")
@@ -287,7 +287,7 @@ class Loop:
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
         ended = False
         try:
-            with self._arm.watched(patience) as self._check:
+            with self._arm.supervised(patience) as self._check:
                 yield from self._turns()
             ended = True
         finally:
@@ -377,7 +377,7 @@ class Loop:
         controller = self.controller
         if not first:
             self.restarts += 1
-            self._arm.ease()
+            self._arm.ramp_limits()
         if controller is None:
             return
         if first:
@@ -406,7 +406,8 @@ class Loop:
         if not (hasattr(command, "goal") and hasattr(command, "torque_limit")):
             raise TypeError(
                 "command must be a Command, as Controller.step makes one, or have goal and "
-                f"torque_limit, got {given(command)}; arm.write(goal, limit) takes bare numbers"
+                f"torque_limit, got {format_value(command)}; arm.write(goal, limit) "
+                "takes bare numbers"
             )
         model = self._arm.model
         goal = vector(model, command.goal, "goal", finite=False)

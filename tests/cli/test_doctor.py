@@ -7,7 +7,7 @@ import pytest
 
 import pliant
 from pliant import config
-from pliant.arm.checks import posture
+from pliant.arm._checks import posture
 from pliant.cli import main
 from pliant.cli.servos import doctor
 from pliant.config import factory

@@ -10,8 +10,8 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant import config
-from pliant.arm.points import Points
-from pliant.arm.rest import STEPS, obstacle
+from pliant.arm._checks import STEPS, path_obstacle
+from pliant.arm._points import Points
 from pliant.config import factory
 from pliant.config.factory import ARM_OPTIONS, PLANT_OPTIONS
 from pliant.sim import Plant, Tabletop
@@ -101,15 +101,17 @@ def test_a_way_through_the_table_is_found():
 
     way = [lowest(share) for share in np.linspace(0.0, 1.0, STEPS)]
     assert min(way[0], way[-1]) > 0.0 > -0.008 > min(way)
-    said = obstacle(model, points, np.array(BARRED), rest, 0.0)
+    said = path_obstacle(model, points, np.array(BARRED), rest, 0.0)
     assert said == f"the way to the rest pose leads the tool {-min(way):.3f} m into the table"
     for free, table in ((np.zeros(5), 0.0), (np.array(BARRED), None), (np.array(BARRED), -0.1)):
-        assert obstacle(model, points, free, rest, table) is None
+        assert path_obstacle(model, points, free, rest, table) is None
     # A point that begins below the table may come out, and no deeper.
     inside, out = np.array([0.0, 1.3, 0.9, 0.0, 0.0]), np.array([0.0, 1.3, 1.7, 0.0, 0.0])
     assert points(inside).position[:, 2].min() < -0.09
-    assert obstacle(model, points, inside, out, 0.0) is None
-    assert "the tool 0.1" in obstacle(model, points, inside, np.array([0.0, 1.3, 0.3, 0, 0]), 0.0)
+    assert path_obstacle(model, points, inside, out, 0.0) is None
+    assert "the tool 0.1" in path_obstacle(
+        model, points, inside, np.array([0.0, 1.3, 0.3, 0, 0]), 0.0
+    )
 
 
 def test_an_arm_whose_way_to_rest_is_barred_is_lowered_straight_down():

@@ -1,9 +1,9 @@
 """Life cycle of an arm over any drive: torque on, read and write, lower, torque off."""
 
 from pliant.arm.arm import Arm
-from pliant.arm.budget import Budget
 from pliant.arm.gripper import Gripper, GripperConfig
 from pliant.arm.lowering import Lowering
+from pliant.arm.thermal import Budget
 from pliant.drive import Clock, Drive, JointReadings, MonotonicClock, ServoStatus, State
 
 __all__ = [

@@ -207,7 +207,7 @@ def _explain(message: str) -> int:
 
 def _signalled(error: BaseException) -> int | None:
     """Return the exit code of the signal behind an exception, None without a signal."""
-    from pliant.arm.signals import signal_of
+    from pliant.arm._signals import signal_of
 
     number = signal_of(error)
     return None if number is None else 128 + number

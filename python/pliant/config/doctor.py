@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pliant._core import Controller, PliantError, ServoError
-from pliant.arm.checks import outside, posture
-from pliant.arm.points import Points
-from pliant.arm.rest import check_rest
+from pliant.arm._checks import check_rest, outside, posture
+from pliant.arm._points import Points
 from pliant.config import factory
 from pliant.config.schema import servos, zeros
 from pliant.drive import MonotonicClock

@@ -10,8 +10,8 @@ import numpy as np
 from pliant._core import ConfigError, OutOfRangeError, ServoError, ShapeError
 from pliant._validation import real
 from pliant.arm import Arm, Budget, GripperConfig
-from pliant.arm.checks import posture, vector
-from pliant.arm.points import Points
+from pliant.arm._checks import posture, vector
+from pliant.arm._points import Points
 from pliant.config._messages import suggest
 from pliant.config.loader import load
 from pliant.config.schema import (

@@ -14,7 +14,7 @@ from pliant import robots
 from pliant._core import ConfigError, Model, Servos
 from pliant._core import Payload as ToolPayload
 from pliant._servo_tables import take
-from pliant.arm.checks import LONGEST_HOLD
+from pliant.arm._checks import MAX_COMM_TIMEOUT
 from pliant.config._messages import suggest
 from pliant.config._settings_table import check_preset, resolve
 from pliant.config.lerobot import read_calibration
@@ -212,7 +212,7 @@ class Loop(StrictModel):
     """
 
     rate: Annotated[float, Field(gt=0.0, le=2000.0, strict=True)] = 100.0
-    comm_timeout: Annotated[float, Field(gt=0.0, le=LONGEST_HOLD, strict=True)] = 0.5
+    comm_timeout: Annotated[float, Field(gt=0.0, le=MAX_COMM_TIMEOUT, strict=True)] = 0.5
     patience: Annotated[float, Field(gt=0.0, le=LONGEST_PATIENCE, strict=True)] = 0.01
 
 

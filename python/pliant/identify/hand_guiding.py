@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import ConfigError, Model, Payload, Servos
-from pliant._validation import given, instance, number, vector
+from pliant._validation import format_value, instance, number, vector
 from pliant.identify.guided import wide_enough
 from pliant.identify.rig import Rig
 from pliant.identify.seam import Order
@@ -300,6 +300,6 @@ def as_payload(value: Payload | tuple[float, ArrayLike]) -> Payload:
     if not isinstance(value, tuple | list) or len(value) != 2:
         raise ConfigError(
             "payload must be a Payload, or mass [kg] and centre [m] as in (0.3, (0, 0, 0.05)), "
-            f"got {given(value)}"
+            f"got {format_value(value)}"
         )
     return Payload(*value)

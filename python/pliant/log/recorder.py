@@ -13,7 +13,7 @@ import numpy as np
 
 from pliant._core import ConfigError, Controller, __version__
 from pliant._files import check_output
-from pliant._validation import given, instance
+from pliant._validation import format_value, instance
 from pliant.log import frames, layout, words
 from pliant.log.journal import Journal
 
@@ -59,9 +59,11 @@ class Recorder:
     def __init__(self, path: str | Path, *, config: Config | None = None, note: str = "") -> None:
         instance(note, str, "note")
         if not isinstance(path, str | PathLike):
-            raise TypeError(f"path must be that of a file, got {given(path)}")
+            raise TypeError(f"path must be that of a file, got {format_value(path)}")
         if config is not None and not hasattr(config, "model_dump_json"):
-            raise TypeError(f"config must be what pliant.config.load gives, got {given(config)}")
+            raise TypeError(
+                f"config must be what pliant.config.load gives, got {format_value(config)}"
+            )
         self.path, self.ticks = Path(path), 0
         self._config, self._note = config, note
         self._process: subprocess.Popen[bytes] | None = None

@@ -15,7 +15,7 @@ import numpy as np
 
 from pliant import functional
 from pliant._core import Axis, ConfigError, Controller, Settings
-from pliant._validation import given, positive, vector
+from pliant._validation import format_value, positive, vector
 from pliant.reactions.moment import indices
 from pliant.reactions.poses import moved
 
@@ -130,7 +130,7 @@ class Yield(Action):
         if not isinstance(self.fields, Mapping):
             raise ConfigError(
                 'Yield.fields must be a dict of fields of Axis, as in {"soft": 2.0}, '
-                f"got {given(self.fields)}"
+                f"got {format_value(self.fields)}"
             )
         Axis(**self.fields)
 
@@ -264,7 +264,7 @@ class Call(Action):
         """Check that it is callable."""
         if not callable(self.function):
             raise TypeError(
-                f"Call.function must be a function of a Moment, got {given(self.function)}"
+                f"Call.function must be a function of a Moment, got {format_value(self.function)}"
             )
 
     def begin(self, now: Moment) -> Running:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from pliant._validation import given, number
+from pliant._validation import format_value, number
 
 if TYPE_CHECKING:
     from pliant._core import ContactEstimator, Controller
@@ -70,7 +70,7 @@ def condition(value: object, name: str) -> Condition:
     """
     if not isinstance(value, Condition):
         wanted = "a condition, as Force('z', above=8.0) or Elapsed(1.0)"
-        raise TypeError(f"{name} must be {wanted}, got {given(value)}")
+        raise TypeError(f"{name} must be {wanted}, got {format_value(value)}")
     return value
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pliant._core import ConfigError, ContactEstimator, Controller, OutOfRangeError
-from pliant._validation import AXES, given, number, positive, rounded_up
+from pliant._validation import AXES, format_value, number, positive, rounded_up
 from pliant.reactions.conditions import Condition, Judge
 from pliant.reactions.moment import indices
 
@@ -253,7 +253,8 @@ class Saturated(Condition):
         """Check that it is a list of names, not a string, which is a list of letters."""
         if isinstance(self.joints, str) or not isinstance(self.joints, Iterable):
             raise ConfigError(
-                f"Saturated.joints must be names, as in ('elbow_pitch',), got {given(self.joints)}"
+                f"Saturated.joints must be names, as in ('elbow_pitch',), got "
+                f"{format_value(self.joints)}"
             )
 
     def check(self, contact: ContactEstimator | None, controller: Controller) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pliant import functional
 from pliant._core import ConfigError, ContactEstimator, Controller, WrenchEstimate
-from pliant._validation import given, instance, number
+from pliant._validation import format_value, instance, number
 from pliant.reactions.actions import Action, Running, Stop
 from pliant.reactions.conditions import Condition, Judge, condition
 from pliant.reactions.moment import Moment
@@ -49,7 +49,7 @@ class Reaction:
         if not (listed and self.actions and all(isinstance(one, Action) for one in self.actions)):
             raise ConfigError(
                 "Reaction.then must be an action, as Hold() or Retract(0.05), or several in a "
-                f"list, got {given(self.then)}"
+                f"list, got {format_value(self.then)}"
             )
         if self.until is not None and any(isinstance(one, Stop) for one in self.actions):
             raise ConfigError("a Stop ends by ReactionMonitor.resume() alone; use Hold with until")
@@ -158,7 +158,7 @@ class ReactionMonitor:
         if contact is not None:
             instance(contact, ContactEstimator, "contact")
         if not isinstance(reactions, Iterable):
-            raise TypeError(f"reactions must be a list of Reaction, got {given(reactions)}")
+            raise TypeError(f"reactions must be a list of Reaction, got {format_value(reactions)}")
         self.reactions = tuple(instance(one, Reaction, "a reaction") for one in reactions)
         if contact is None and any(reaction.feels for reaction in self.reactions):
             contact = ContactEstimator(controller)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pliant._core import ConfigError, Model, PliantError, ShapeError
-from pliant._validation import given, instance
+from pliant._validation import format_value, instance
 from pliant.drive import State
 from pliant.sim import checks
 from pliant.sim import spec as spec_module
@@ -407,7 +407,9 @@ class Plant:
         try:
             array = np.array(value, dtype=np.float64)
         except (TypeError, ValueError):
-            raise ShapeError(f"{name} must be {self.n} numbers, got {given(value)}") from None
+            raise ShapeError(
+                f"{name} must be {self.n} numbers, got {format_value(value)}"
+            ) from None
         if array.shape != (self.n,):
             raise ShapeError(f"{name} has shape {array.shape}, expected ({self.n},)")
         if not np.isfinite(array).all():

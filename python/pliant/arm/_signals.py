@@ -2,11 +2,11 @@
 
 - While no arm is being lowered, SIGINT raises `KeyboardInterrupt`, and SIGTERM, SIGHUP and SIGQUIT
   raise `SystemExit`; these exceptions lower the arms. A repetition of the same signal within
-  `PAUSE` is ignored.
-  - While an arm is being lowered, a handler raises nothing. The exception follows once the arm is
+  `REPEAT_TIME` is ignored.
+- While an arm is being lowered, a handler raises nothing. The exception follows once the arm is
   down.
-  - Only SIGINT aborts a descent. This takes a second SIGINT, at least `PAUSE` after the one before,
-  and after the message that announces the effect.
+- Only SIGINT aborts a descent. This takes a second SIGINT, at least `REPEAT_TIME` after the one
+  before, and after the message that announces the effect.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ import time
 import warnings
 from typing import TYPE_CHECKING, Any
 
-from pliant.arm.speaker import SPEAKER
+from pliant.arm._messages import MESSAGES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType
 
-    from pliant.arm.speaker import Message
+    from pliant.arm._messages import Message
 
 #: Handled signals, as far as this system has them.
-CAUGHT = tuple(
+HANDLED = tuple(
     getattr(signal, name)
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
     if hasattr(signal, name)
 )
 #: A signal this soon after the same one is a key repeat [s]: keyboards begin to repeat a key that
 #: is held down after 0.25 to 0.66 s.
-PAUSE = 0.75
+REPEAT_TIME = 0.75
 #: A descent still running this long after it was aborted hangs [s]; a third Ctrl-C then leaves it.
-HANGS = 1.0
+HANG_TIMEOUT = 1.0
 
 
 class Signals:
@@ -64,7 +64,7 @@ class Signals:
         return self in _REGISTRY.arms
 
     @property
-    def heard(self) -> bool:
+    def has_pending(self) -> bool:
         """Return True if a signal is pending until the arms are down."""
         return _REGISTRY.pending is not None
 
@@ -89,10 +89,10 @@ class Signals:
         _REGISTRY.remove(self)
         self.leaving = False
 
-    def begin(self, told: Message) -> None:
-        """Mark the start of a descent; `told` is the message that announces it."""
+    def begin(self, announcement: Message) -> None:
+        """Mark the start of a descent; `announcement` is the message that announces it."""
         if self.installed:
-            _REGISTRY.begin(self, told)
+            _REGISTRY.begin(self, announcement)
 
     def deliver(self) -> None:
         """Raise the exception for a signal that came during the descent.
@@ -121,9 +121,9 @@ class Registry:
 
     def _forget(self) -> None:
         """Reset the state of earlier signals."""
-        self._last: tuple[int, float] = (0, -PAUSE)
+        self._last: tuple[int, float] = (0, -REPEAT_TIME)
         self.pending: int | None = None
-        self._told: Message | None = None
+        self._announced: Message | None = None
         self._stopped_at: float | None = None
 
     def add(self, arm: Signals) -> None:
@@ -133,9 +133,9 @@ class Registry:
             self.arms.clear()
             self._forget()
         self._process = os.getpid()
-        self._last = (0, -PAUSE)
+        self._last = (0, -REPEAT_TIME)
         self.arms.append(arm)
-        for number in CAUGHT:
+        for number in HANDLED:
             handler = signal.getsignal(number)
             if handler not in (self._catch, signal.SIG_IGN):
                 self._before[number] = handler
@@ -147,7 +147,7 @@ class Registry:
             return
         self.arms.remove(arm)
         if not any(other.leaving for other in self.arms):
-            self._told = self._stopped_at = None
+            self._announced = self._stopped_at = None
         if self.arms:
             return
         # Python sets handlers in the main thread only; elsewhere, `_catch` calls the former ones.
@@ -158,11 +158,11 @@ class Registry:
                     # substitute.
                     signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
-    def begin(self, arm: Signals, told: Message) -> None:
+    def begin(self, arm: Signals, announcement: Message) -> None:
         """Suppress exceptions from signals until the arm is removed."""
         arm.leaving = True
-        if self._told is None and is_interrupted(sys.exception()):
-            self._told = told
+        if self._announced is None and is_interrupted(sys.exception()):
+            self._announced = announcement
 
     def deliver(self, arm: Signals) -> None:
         """Raise the exception for a pending signal once no arm is being lowered."""
@@ -188,7 +188,7 @@ class Registry:
             self._pass_on(number, frame)
             return
         now = time.monotonic()
-        is_repeated = self._last[0] == number and now - self._last[1] < PAUSE
+        is_repeated = self._last[0] == number and now - self._last[1] < REPEAT_TIME
         self._last = (number, now)
         if not any(arm.leaving for arm in self.arms):
             if not is_repeated:
@@ -196,7 +196,7 @@ class Registry:
         elif number != signal.SIGINT:
             if self.pending in (None, signal.SIGINT):
                 self.pending = number
-                SPEAKER.say(
+                MESSAGES.post(
                     f"{name_of(number)}: the arm is being lowered; the program ends once it is "
                     "down",
                     logging.WARNING,
@@ -207,16 +207,16 @@ class Registry:
     def _interrupt(self, now: float, *, is_repeated: bool) -> None:
         """Handle Ctrl-C while an arm is being lowered."""
         if self._stopped_at is not None:
-            if now - self._stopped_at > HANGS and not is_repeated:
+            if now - self._stopped_at > HANG_TIMEOUT and not is_repeated:
                 raise SystemExit(128 + signal.SIGINT)
-        elif self._told is None:
+        elif self._announced is None:
             self.pending = self.pending or signal.SIGINT
-            self._told = SPEAKER.say(
+            self._announced = MESSAGES.post(
                 "Ctrl-C: the arm is being lowered, and the program ends once it is down; once more "
                 "leaves at once, torque ON",
                 logging.WARNING,
             )
-        elif self._told.told and not is_repeated:
+        elif self._announced.is_written and not is_repeated:
             self._stopped_at = now
             for arm in self.arms:
                 if arm.leaving:
@@ -260,7 +260,7 @@ def signal_of(error: BaseException | None) -> int | None:
             return int(signal.SIGINT)
         if isinstance(error, SystemExit) and isinstance(error.code, int):
             number = error.code - 128
-            if number in CAUGHT:
+            if number in HANDLED:
                 return number
         error = error.__context__
     return None

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import ServoError, ServoTimeoutError
-from pliant.arm.checks import outside
-from pliant.arm.cycle import EASE
+from pliant.arm._checks import outside
+from pliant.arm._io import EASE
 from pliant.arm.lowering import SUPPORT, margin
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant.arm.cycle import Cycle
+    from pliant.arm._io import ArmIO
 
     Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ AHEAD = 2.0
 #: Time in which leads rise to that, stay there, and shrink to zero [s].
 RISE, STAY, SHRINK = 0.04, 0.2, 1.2
 #: Delay until the sinking of a joint is detected [s].
-SEEN = 0.1
+DETECTION_DELAY = 0.1
 #: Time in which the limit of a sinking joint rises from zero to the servo's maximum [s].
 RAISED = 0.1
 #: Time of the same rise for a joint that stays below its first position [s].
@@ -39,40 +39,40 @@ SINKS, SUNK = 0.002, 0.005
 #: largest such speed [rad/s].
 BACK, RETURN = 8.0, 0.1
 #: Displacement at which a joint is back, at least 0.6 of a count [rad]; longest torque on [s].
-HOME, LONGEST = 1.5e-4, 3.0
+RETURNED, LONGEST = 1.5e-4, 3.0
 #: Longest silence of a joint during torque on [s].
-SILENT = 0.5
+MAX_SILENCE = 0.5
 #: Ratio of measured to assumed stiffness, or its inverse, from which on there is a warning.
-OFF = 1.5
+MISMATCH = 1.5
 
 
-def hear_all(cycle: Cycle, rate: float) -> None:
+def wait_for_all(io: ArmIO, rate: float) -> None:
     """Read at `rate` [Hz] until every joint has answered once.
 
     Raises:
         ServoTimeoutError: Joints do not answer; the message names them.
     """
-    belief, roster = cycle.belief, cycle.roster
-    belief.forget()
+    positions, joints = io.positions, io.joints
+    positions.reset()
     for _ in range(ATTEMPTS):
-        cycle.sample()
-        silent = [roster.names[i] for i in np.flatnonzero(np.isnan(belief.position))]
+        io.sample()
+        silent = [joints.names[i] for i in np.flatnonzero(np.isnan(positions.position))]
         if not silent:
             return
-        cycle.clock.wait_until(cycle.clock.now() + 1.0 / rate)
+        io.clock.wait_until(io.clock.now() + 1.0 / rate)
     raise ServoTimeoutError(
         f"no answer from {', '.join(silent)}: torque stays off; check their power, cable and id"
     )
 
 
-def stand_within(cycle: Cycle, on: NDArray[np.bool_]) -> None:
+def check_within_limits(io: ArmIO, on: NDArray[np.bool_]) -> None:
     """Check before torque on that every joint of the chain reads within its limits.
 
     A reading far outside the limits means a wrong zero, so gravity torques and paths would be wrong
     too.
 
     Args:
-        cycle: The arm; all joints have answered.
+        io: The arm; all joints have answered.
         on: Mask of the chain's joints whose torque is on already (n,).
 
     Raises:
@@ -80,7 +80,7 @@ def stand_within(cycle: Cycle, on: NDArray[np.bool_]) -> None:
     """
     found = [
         f"{name} stands at {q:.2f} rad, outside its {low:.2f} to {high:.2f}"
-        for name, q, low, high in outside(cycle.model, cycle.q)
+        for name, q, low, high in outside(io.model, io.q)
     ]
     if found:
         raise ServoError(
@@ -91,33 +91,33 @@ def stand_within(cycle: Cycle, on: NDArray[np.bool_]) -> None:
         )
 
 
-def first_orders(cycle: Cycle, on: NDArray[np.bool_]) -> tuple[Array, Array, NDArray[np.bool_]]:
+def initial_commands(io: ArmIO, on: NDArray[np.bool_]) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return first goals (n,) [rad], first limits (n,) [N·m], and a mask (n,) of joints taken over.
 
     Joints without torque start at their present positions. Joints with torque keep the goals and
     limits stored in their servos, which hold them. If these are unknown, the limit is the weight.
 
     Args:
-        cycle: The arm; all joints have answered.
+        io: The arm; all joints have answered.
         on: Mask of the chain's joints whose torque is on already (n,).
     """
-    servos, q, weight = cycle.servos, cycle.q, cycle.gravity()
+    servos, q, weight = io.servos, io.q, io.gravity()
     kp, usable = np.asarray(servos.kp), np.asarray(servos.max_torque)
     friction = np.asarray(servos.friction)
     trusted = SUPPORT * np.abs(weight) + 2.0 * friction
     limit = trusted if servos.stiffness_known else np.abs(weight) + 0.5 * friction
     limit = np.minimum(limit, usable)
-    ahead = 1.0 if servos.stiffness_known else AHEAD
-    goal = q + np.where(on, np.clip(ahead * weight / kp, -LEAD, LEAD), 0.0)
-    goals, limits = cycle.standing()
+    factor = 1.0 if servos.stiffness_known else AHEAD
+    goal = q + np.where(on, np.clip(factor * weight / kp, -LEAD, LEAD), 0.0)
+    goals, limits = io.stored_commands()
     taken = on & np.isfinite(goals) & np.isfinite(limits)
     limit = np.where(taken, np.minimum(limits, usable), limit)
-    most = AHEAD * limit / kp
-    goal = np.where(taken, q + np.clip(goals - q, -most, most), goal)
+    max_lead = AHEAD * limit / kp
+    goal = np.where(taken, q + np.clip(goals - q, -max_lead, max_lead), goal)
     return goal, limit, taken
 
 
-def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -> Array:
+def transfer_weight(io: ArmIO, start_q: Array, taken: NDArray[np.bool_], rate: float) -> Array:
     """Transfer the weight of a standing arm to its servos, and measure the leads that carry it.
 
     A servo with a goal far ahead exerts its limit, whatever its stiffness. So goals first lead by
@@ -128,8 +128,8 @@ def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -
     to the servo's maximum, and the joint is moved back slowly.
 
     Args:
-        cycle: The arm, torque on.
-        stood: Joint positions before torque on (n,) [rad].
+        io: The arm, torque on.
+        start_q: Joint positions before torque on (n,) [rad].
         taken: Mask of joints that the present goals and limits carry already (n,).
         rate: Rate of this loop [Hz].
 
@@ -140,59 +140,59 @@ def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -
         ServoTimeoutError: A joint was silent for 0.5 s; goals and limits stayed unchanged
             meanwhile.
     """
-    servos, clock = cycle.servos, cycle.clock
+    servos, clock = io.servos, io.clock
     kp, usable = np.asarray(servos.kp), np.asarray(servos.max_torque)
     friction = np.asarray(servos.friction)
     count = np.asarray(servos.encoder_step)
     still, far = np.maximum(SINKS, 2.0 * count), np.maximum(SUNK, 3.0 * count)
-    home = np.maximum(HOME, 0.6 * count)
-    weight = cycle.gravity()
+    returned = np.maximum(RETURNED, 0.6 * count)
+    weight = io.gravity()
     down = -np.sign(weight)
     trusted = servos.stiffness_known
     full = (1.0 if trusted else AHEAD) * weight / kp
-    lead, first = cycle.goal - stood, cycle.limit
+    lead, first = io.goal - start_q, io.limit
     led, limit = lead, first
-    more, pull = np.zeros(stood.size), np.zeros(stood.size)
-    before, level = stood, stood
+    more, pull = np.zeros(start_q.size), np.zeros(start_q.size)
+    before, level = start_q, start_q
     found = np.where(taken, lead, np.nan)
     begin = heard = clock.now()
     while True:
         now = clock.now()
         clock.wait_until(now + 1.0 / rate)
-        ok = cycle.sample()
+        ok = io.sample()
         if not ok.all():
             # Without positions, sinking and rising cannot be told apart: keep goals and limits.
-            if clock.now() - heard > SILENT:
+            if clock.now() - heard > MAX_SILENCE:
                 raise ServoTimeoutError(
-                    f"no position of {_named(cycle, ~ok)} for {SILENT:g} s while torque came "
-                    "on: check their power, cable and id"
+                    f"no position of {_joint_names(io, ~ok)} for {MAX_SILENCE:g} s while torque "
+                    "came on: check their power, cable and id"
                 )
-            cycle.send(cycle.goal, cycle.limit)
+            io.send(io.goal, io.limit)
             begin += clock.now() - now
             continue
         heard = clock.now()
-        passed, q = heard - begin, cycle.q
+        passed, q = heard - begin, io.q
         if passed < STAY:
             rise = min(passed / RISE, 1.0) * (full - lead)
             lead = lead + np.where(taken, 0.0, rise)
             level = q
         elif trusted:
             found = np.where(np.isnan(found), lead, found)
-        away = (q - stood) * down
+        away = (q - start_q) * down
         moves = (q - before) * down
         # A joint that goes on sinking lacks torque; one that rises has more than it needs.
         change = usable / (RAISED * rate)
         more += np.where((away > far) & (moves > 0.0), change, 0.0)
         fast = moves < -np.maximum(RETURN / rate, 0.5 * count)
         # A joint that stays below its first position with its servo at the limit gets more, slowly.
-        stays = np.isfinite(found) & (away > home) & (kp * np.abs(led) > 0.9 * limit)
+        stays = np.isfinite(found) & (away > returned) & (kp * np.abs(led) > 0.9 * limit)
         more += np.where(stays & (moves >= 0.0), change * RAISED / HELD, 0.0)
         more = np.maximum(more - np.where(fast, change, 0.0), 0.0)
         shrinking = np.isnan(found) & (passed >= STAY)
         held = shrinking & ((q - level) * down > still) & (moves >= 0.0)
         step = (np.abs(full) + more / kp) / SHRINK
         # Compensate the detection delay: the joint began to sink earlier.
-        lead = np.where(held, lead + np.sign(lead) * SEEN * step, lead)
+        lead = np.where(held, lead + np.sign(lead) * DETECTION_DELAY * step, lead)
         found = np.where(held, lead, found)
         left = np.maximum(np.abs(lead) - step / rate, 0.0)
         lead = np.where(shrinking & ~held, np.sign(lead) * left, lead)
@@ -205,46 +205,46 @@ def take_up(cycle: Cycle, stood: Array, taken: NDArray[np.bool_], rate: float) -
             taken, first + min(passed / STAY, 1.0) * np.maximum(firm - first, 0.0), firm
         )
         limit = np.minimum(firm + more, usable)
-        drawn = np.isfinite(found) & (np.abs(away) > home)
-        pull += np.where(drawn, np.clip(BACK * (stood - q), -RETURN, RETURN), 0.0) / rate
+        returning = np.isfinite(found) & (np.abs(away) > returned)
+        pull += np.where(returning, np.clip(BACK * (start_q - q), -RETURN, RETURN), 0.0) / rate
         # Anti-windup: bound the lead to what the limit can use.
-        most = AHEAD * limit / kp
-        pull = np.clip(lead + pull, q - stood - most, q - stood + most) - lead
-        led = stood + lead + pull - q
-        cycle.send(stood + lead + pull, limit)
+        max_lead = AHEAD * limit / kp
+        pull = np.clip(lead + pull, q - start_q - max_lead, q - start_q + max_lead) - lead
+        led = start_q + lead + pull - q
+        io.send(start_q + lead + pull, limit)
         before = q
-        arrived = not drawn.any() or passed > LONGEST
+        arrived = not returning.any() or passed > LONGEST
         if passed >= EASE and bool(known.all()) and arrived:
             break
-    cycle.ease(limit)
-    return np.where(np.isfinite(found), cycle.goal - cycle.q, np.nan)
+    io.ramp_limits(limit)
+    return np.where(np.isfinite(found), io.goal - io.q, np.nan)
 
 
-def _named(cycle: Cycle, joints: NDArray[np.bool_]) -> str:
-    return ", ".join(cycle.model.joint_names[i] for i in np.flatnonzero(joints))
+def _joint_names(io: ArmIO, joints: NDArray[np.bool_]) -> str:
+    return ", ".join(io.model.joint_names[i] for i in np.flatnonzero(joints))
 
 
-def strange_leads(cycle: Cycle, leads: Array) -> str | None:
+def stiffness_mismatch(io: ArmIO, leads: Array) -> str | None:
     """Return a sentence on joints whose lead differs from that of the servo table, or None.
 
     Joints with a gravity torque that is small against friction and encoder step are left out.
 
     Args:
-        cycle: The arm, at rest.
-        leads: Leads from `take_up` (n,) [rad].
+        io: The arm, at rest.
+        leads: Leads from `transfer_weight` (n,) [rad].
     """
-    servos, weight = cycle.servos, cycle.gravity()
-    believed = weight / np.asarray(servos.kp)
+    servos, weight = io.servos, io.gravity()
+    expected = weight / np.asarray(servos.kp)
     clear = (np.abs(weight) > 3.0 * np.asarray(servos.friction)) & (
         np.abs(leads) > 3.0 * np.asarray(servos.encoder_step)
     )
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = believed / leads
-    strange = clear & np.isfinite(ratio) & ((ratio > OFF) | (ratio < 1.0 / OFF))
-    if not strange.any():
+        ratio = expected / leads
+    differs = clear & np.isfinite(ratio) & ((ratio > MISMATCH) | (ratio < 1.0 / MISMATCH))
+    if not differs.any():
         return None
-    names = cycle.model.joint_names
-    found = [f"{names[i]} {ratio[i]:.2g} x" for i in np.flatnonzero(strange)]
+    names = io.model.joint_names
+    found = [f"{names[i]} {ratio[i]:.2g} x" for i in np.flatnonzero(differs)]
     return (
         f"servos are stiffer or softer than their table, or weights differ from the model: "
         f"{', '.join(found)} the believed k_p; forces are wrong by as much: "

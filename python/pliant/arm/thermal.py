@@ -50,7 +50,7 @@ class Budget:
             raise ConfigError(f"Budget.hottest must be above 0 °C, got {self.hottest!r}")
 
 
-class Meter:
+class ThermalModel:
     """Thermal model of N servos, and the torque limits that follow from it.
 
     ``ḣ = ((τ/usable)²/continuous² − h) / seconds``, where h is the share of the thermal budget in
@@ -83,7 +83,7 @@ class Meter:
         self.heat = np.zeros_like(usable)
         self.temperature = np.full_like(usable, np.nan)
 
-    def use(self, torque: Array, dt: float) -> None:
+    def update(self, torque: Array, dt: float) -> None:
         """Update the heat with torques (N,) [N·m] exerted over dt [s]."""
         share = torque / (self._usable * self._budget.continuous)
         gain = 1.0 - np.exp(-dt / self._budget.seconds)
@@ -96,13 +96,13 @@ class Meter:
         left = (self._budget.hottest - MARGIN - self.temperature) / SPAN
         return np.where(np.isnan(left), ceiling, ceiling * np.clip(left, 0.0, 1.0))
 
-    def ration(self, torque: Array, limit: Array, least: Array) -> Array:
+    def limit_current(self, torque: Array, limit: Array, support: Array) -> Array:
         """Return limits (N,) [N·m] that keep the current within the supply.
 
         Args:
             torque: Expected torques without limits (N,) [N·m].
             limit: Requested limits (N,) [N·m].
-            least: Limits that are never reduced (N,) [N·m]: the weight of the arm.
+            support: Limits that are never reduced (N,) [N·m]: the weight of the arm.
 
         Returns:
             ``least + s (limit − least)`` with the largest s in [0, 1] that the supply allows.
@@ -110,11 +110,11 @@ class Meter:
         supply = self._budget.supply
         if supply is None or self._current is None:
             return limit
-        least = np.minimum(least, limit)
+        support = np.minimum(support, limit)
         low, high = 0.0, 1.0
         share = high
         for _ in range(12):
-            drawn = np.minimum(np.abs(torque), least + share * (limit - least))
+            drawn = np.minimum(np.abs(torque), support + share * (limit - support))
             if self._current @ drawn <= supply:
                 low = share
             else:
@@ -122,7 +122,7 @@ class Meter:
             if low == high:
                 break
             share = (low + high) / 2.0
-        return least + low * (limit - least)
+        return support + low * (limit - support)
 
     def faults(self, names: tuple[str, ...]) -> list[str]:
         """Return a sentence for each servo that is too hot."""

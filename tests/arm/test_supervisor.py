@@ -9,8 +9,8 @@ import pytest
 from bare_arm import bare_arm
 
 import pliant
-from pliant.arm.keeper import Keeper
-from pliant.arm.speaker import SPEAKER
+from pliant.arm._messages import MESSAGES
+from pliant.arm._supervisor import Supervisor
 
 
 def until(condition):
@@ -23,44 +23,44 @@ def until(condition):
 
 def test_silence_is_noticed_once_and_told_at_the_next_call():
     left = []
-    keeper = Keeper(lambda: left.append(sys.getswitchinterval()))
+    supervisor = Supervisor(lambda: left.append(sys.getswitchinterval()))
     usual = sys.getswitchinterval()
-    with keeper.watched(0.05) as check:
+    with supervisor.supervised(0.05) as check:
         for _ in range(5):
-            with keeper:
+            with supervisor:
                 assert not left
         until(lambda: left)
-        with keeper.alone():
+        with supervisor.exclusive():
             pass
         with pytest.raises(pliant.ServoTimeoutError, match="did not come back"):
             check()
-        with pytest.raises(pliant.ServoTimeoutError, match=r"enable\(\) starts anew"), keeper:
+        with pytest.raises(pliant.ServoTimeoutError, match=r"enable\(\) starts anew"), supervisor:
             pass
     assert len(left) == 1
     assert left[0] <= 1e-4 < usual == sys.getswitchinterval()
 
 
 def test_nobody_is_watched_outside_a_loop_or_in_simulated_time(make, grasp):
-    SPEAKER.start()
+    MESSAGES.start()
     before = threading.active_count()
     with make() as arm:
         for tick in pliant.Loop(arm, duration=0.05):
             tick.skip()
             assert threading.active_count() == before
-    keeper = Keeper(lambda: None)
-    with keeper.watched(10.0):
+    supervisor = Supervisor(lambda: None)
+    with supervisor.supervised(10.0):
         assert threading.active_count() == before + 1
-    assert keeper.reason is None
+    assert supervisor.reason is None
 
 
 def test_errors_of_the_bus_are_kept_for_the_program():
     def leave():
         raise pliant.ServoError("unplugged")
 
-    keeper = Keeper(leave)
-    with keeper.watched(0.02):
-        until(lambda: keeper.reason is not None and "unplugged" in keeper.reason)
-    with pytest.raises(pliant.ServoTimeoutError, match="unplugged"), keeper:
+    supervisor = Supervisor(leave)
+    with supervisor.supervised(0.02):
+        until(lambda: supervisor.reason is not None and "unplugged" in supervisor.reason)
+    with pytest.raises(pliant.ServoTimeoutError, match="unplugged"), supervisor:
         pass
 
 
@@ -68,23 +68,23 @@ def test_any_exception_is_kept_for_the_program():
     def leave():
         raise ZeroDivisionError("a bug")
 
-    keeper = Keeper(leave)
-    with keeper.watched(0.02):
-        until(lambda: keeper.reason is not None and "a bug" in keeper.reason)
-    with pytest.raises(pliant.ServoTimeoutError, match="a bug"), keeper:
+    supervisor = Supervisor(leave)
+    with supervisor.supervised(0.02):
+        until(lambda: supervisor.reason is not None and "a bug" in supervisor.reason)
+    with pytest.raises(pliant.ServoTimeoutError, match="a bug"), supervisor:
         pass
 
 
 def test_an_exception_does_not_end_the_watch_and_dismissal_does():
     left = []
-    keeper = Keeper(lambda: left.append(1))
-    with pytest.raises(KeyError), keeper.watched(0.02):
+    supervisor = Supervisor(lambda: left.append(1))
+    with pytest.raises(KeyError), supervisor.supervised(0.02):
         raise KeyError("policy")
     until(lambda: left)
-    keeper.reason = None
-    with pytest.raises(KeyError), keeper.watched(0.05):
+    supervisor.reason = None
+    with pytest.raises(KeyError), supervisor.supervised(0.05):
         raise KeyError("policy")
-    keeper.dismiss()
+    supervisor.end_supervision()
     time.sleep(0.2)
     assert left == [1]
 
@@ -94,13 +94,13 @@ def test_an_exit_waits_for_a_descent_and_limp_ends_it():
 
     def leave():
         order.append("begins")
-        keeper.unwanted.wait(10.0)
+        supervisor.abort.wait(10.0)
         order.append("ends")
 
-    keeper = Keeper(leave)
-    with keeper.watched(0.02):
+    supervisor = Supervisor(leave)
+    with supervisor.supervised(0.02):
         until(lambda: order)
-        with keeper.alone(at_once=True):
+        with supervisor.exclusive(at_once=True):
             order.append("exit")
     assert order == ["begins", "ends", "exit"]
 

@@ -7,14 +7,118 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant.arm.bodies import carried, held, path
-
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant._core import Model
+    from pliant.model import Joint
 
     Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """One rigid body, in the frame that its joint moves.
+
+    Attributes:
+        mass: [kg].
+        com: Centre of mass (3,) [m].
+        inertia: About the centre of mass (3, 3) [kg·m²].
+    """
+
+    mass: float
+    com: Array
+    inertia: Array
+
+
+def link_bodies(model: Model, tool: Array) -> list[Body]:
+    """Return the body that each moving joint between base and tip carries, in chain order.
+
+    Joints off the chain are fixed at the model's values. The payload is a point mass in the last
+    body.
+
+    Args:
+        model: The arm.
+        tool: Pose (4, 4) of the tool in the frame that the last joint moves.
+    """
+    moving = [joint for joint in chain_joints(model) if joint.q_index is not None]
+    chain = {joint.child: k for k, joint in enumerate(moving)}
+    parts: list[list[tuple[float, Array, Array]]] = [[] for _ in moving]
+    for index, link in enumerate(model.links):
+        found = _attachment(model, index, chain)
+        if link.inertial is None or found is None:
+            continue
+        k, pose = found
+        turn = pose[:3, :3] @ np.asarray(link.inertial.rotation)
+        com = pose[:3, :3] @ np.asarray(link.inertial.com) + pose[:3, 3]
+        inertia = turn @ np.asarray(link.inertial.inertia) @ turn.T
+        parts[k].append((link.inertial.mass, com, inertia))
+    if model.payload is not None:
+        com = tool[:3, :3] @ np.asarray(model.payload.com) + tool[:3, 3]
+        parts[-1].append((model.payload.mass, com, np.zeros((3, 3))))
+    return [_combine(part) for part in parts]
+
+
+def chain_joints(model: Model) -> list[Joint]:
+    """Return the joints from base to tip, fixed joints included."""
+    found: list[Joint] = []
+    link = next(item for item in model.links if item.name == model.tip)
+    while link.name != model.base and link.parent_joint is not None:
+        joint = model.joints[link.parent_joint]
+        found.append(joint)
+        link = model.links[joint.parent]
+    return found[::-1]
+
+
+def fixed_pose(model: Model, joint: Joint) -> Array:
+    """Return the pose (4, 4) of the link below a joint off the chain, in the link above it."""
+    here = displacement(np.asarray(joint.axis), joint.kind == "prismatic", _rest(model, joint))
+    pose: Array = np.asarray(joint.origin.matrix) @ here
+    return pose
+
+
+def displacement(axis: Array, slides: bool, value: float) -> Array:
+    """Return the pose (4, 4) of a joint displaced by `value` [rad or m]."""
+    pose = np.eye(4)
+    if slides:
+        pose[:3, 3] = value * axis
+    elif value:
+        cross = np.cross(axis, np.eye(3)).T
+        pose[:3, :3] += np.sin(value) * cross + (1.0 - np.cos(value)) * (cross @ cross)
+    return pose
+
+
+def _attachment(model: Model, index: int, chain: dict[int, int]) -> tuple[int, Array] | None:
+    """Return the chain joint that moves a link, and the link's pose (4, 4) in its frame."""
+    pose = np.eye(4)
+    while index not in chain:
+        above = model.links[index].parent_joint
+        if above is None:
+            return None
+        joint = model.joints[above]
+        pose, index = fixed_pose(model, joint) @ pose, joint.parent
+    return chain[index], pose
+
+
+def _combine(parts: list[tuple[float, Array, Array]]) -> Body:
+    """Combine rigid parts into one body."""
+    mass = sum(part[0] for part in parts)
+    if mass <= 0.0:
+        return Body(mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)))
+    com = sum((part[0] * part[1] for part in parts), np.zeros(3)) / mass
+    inertia = np.zeros((3, 3))
+    for each, place, own in parts:
+        arm = place - com
+        inertia += own + each * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return Body(mass=mass, com=com, inertia=inertia)
+
+
+def _rest(model: Model, joint: Joint) -> float:
+    """Return the fixed value of a joint off the chain [rad or m]."""
+    if joint.mimic is None:
+        return joint.locked_at or 0.0
+    leader = model.joints[joint.mimic.joint]
+    return joint.mimic.offset + joint.mimic.multiplier * (leader.locked_at or 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +190,9 @@ class Points:
         """
         self._steps: list[_Step] = []
         fixed = np.eye(4)
-        for joint in path(model):
+        for joint in chain_joints(model):
             if joint.q_index is None:
-                fixed = fixed @ held(model, joint)
+                fixed = fixed @ fixed_pose(model, joint)
                 continue
             fixed = fixed @ np.asarray(joint.origin.matrix)
             axis = np.asarray(joint.axis, dtype=np.float64)
@@ -101,11 +205,11 @@ class Points:
             fixed = np.eye(4)
         count = len(self._steps)
         self._tool = fixed[:3, 3].copy()
-        bodies = carried(model, fixed)
+        bodies = link_bodies(model, fixed)
         self._com = np.array([body.com for body in bodies])
         self._root_mass = np.sqrt([body.mass for body in bodies])[:, None, None]
         # A square root of each body's inertia turns ωᵀIω into a sum of squares.
-        self._root_inertia = np.array([_root(body.inertia).T for body in bodies])
+        self._root_inertia = np.array([_matrix_root(body.inertia).T for body in bodies])
         self._armature = np.diag(np.broadcast_to(np.asarray(armature, dtype=np.float64), model.n))
         self._slides = np.array([step.slides for step in self._steps])
         # Coordinates: joints that mimic others share a column.
@@ -157,7 +261,7 @@ class Points:
         return lever.transpose(0, 2, 1)
 
 
-def _root(inertia: Array) -> Array:
+def _matrix_root(inertia: Array) -> Array:
     """Return R (3, 3) with R Rᵀ = I for a symmetric, semi-definite I."""
     values, vectors = np.linalg.eigh(inertia)
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))

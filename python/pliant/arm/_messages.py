@@ -14,11 +14,11 @@ from typing import NoReturn
 #: Logger of all messages. Without a handler, INFO and above go to standard error.
 LOGGER = logging.getLogger("pliant.arm")
 #: Least time between a progress line and the line before it, without a terminal [s].
-SPARSE = 5.0
+PROGRESS_PERIOD = 5.0
 #: Width of a terminal that does not report one [columns].
 WIDTH = 80
 #: Longest wait for messages at the end of a descent [s].
-FLUSH = 0.3
+FLUSH_TIMEOUT = 0.3
 
 
 class Message:
@@ -28,20 +28,20 @@ class Message:
         text: The line.
         level: As in `logging`.
         progress: Whether a later line may overwrite it on a terminal.
-        told: Whether the line was written, or writing failed.
+        is_written: Whether the line was written, or writing failed.
     """
 
-    __slots__ = ("level", "progress", "text", "told")
+    __slots__ = ("is_written", "level", "progress", "text")
 
     def __init__(self, text: str, level: int, *, progress: bool = False) -> None:
         """Store the line; it is not written yet."""
-        self.text, self.level, self.progress, self.told = text, level, progress, False
+        self.text, self.level, self.progress, self.is_written = text, level, progress, False
 
 
-class Speaker:
+class MessageQueue:
     """Queue of messages and the thread that writes them.
 
-    `say` never blocks and never raises: signal handlers and the thread that lowers an arm call it.
+    `post` never blocks and never raises: signal handlers and the thread that lowers an arm call it.
     """
 
     def __init__(self) -> None:
@@ -49,8 +49,8 @@ class Speaker:
         self._process = 0
         self._queue: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._last: Message | None = None
-        self._stuck: Message | None = None
-        self._line_open, self._written = False, -SPARSE
+        self._blocked: Message | None = None
+        self._line_open, self._written = False, -PROGRESS_PERIOD
 
     def start(self) -> None:
         """Start the thread, once per process; this is not possible in a signal handler."""
@@ -60,29 +60,29 @@ class Speaker:
         # Without a thread the arm is still lowered, but without messages.
         with contextlib.suppress(RuntimeError):
             threading.Thread(
-                target=self._run, args=(self._queue,), name="pliant-speaker", daemon=True
+                target=self._run, args=(self._queue,), name="pliant-messages", daemon=True
             ).start()
             self._process = os.getpid()
 
-    def say(self, text: str, level: int = logging.INFO, *, progress: bool = False) -> Message:
+    def post(self, text: str, level: int = logging.INFO, *, progress: bool = False) -> Message:
         """Queue a line."""
         message = Message(text, level, progress=progress)
         if self._process == os.getpid():
             self._last = message
             self._queue.put(message)
         else:
-            message.told = True
+            message.is_written = True
         return message
 
-    def flush(self, within: float = FLUSH) -> None:
+    def flush(self, within: float = FLUSH_TIMEOUT) -> None:
         """Wait until all lines are written, at most `within` [s]; once per blocked stream."""
         last = self._last
-        if last is None or (self._stuck is not None and not self._stuck.told):
+        if last is None or (self._blocked is not None and not self._blocked.is_written):
             return
         deadline = time.monotonic() + within
-        while not last.told and time.monotonic() < deadline:
+        while not last.is_written and time.monotonic() < deadline:
             time.sleep(0.002)
-        self._stuck = None if last.told else last
+        self._blocked = None if last.is_written else last
 
     def _run(self, lines: queue.SimpleQueue[Message]) -> NoReturn:
         """Write one line after another."""
@@ -90,12 +90,12 @@ class Speaker:
             message = lines.get()
             with contextlib.suppress(Exception):
                 self._write(message)
-            message.told = True
+            message.is_written = True
 
     def _write(self, message: Message) -> None:
         """Pass a line to `logging`, or write it to standard error."""
         now = time.monotonic()
-        sparse = message.progress and now - self._written < SPARSE
+        sparse = message.progress and now - self._written < PROGRESS_PERIOD
         if LOGGER.hasHandlers():
             if not sparse:
                 self._written = now
@@ -140,4 +140,4 @@ def _is_enabled(level: int) -> bool:
 
 
 #: Speaker of this process.
-SPEAKER = Speaker()
+MESSAGES = MessageQueue()
