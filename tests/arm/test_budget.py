@@ -15,10 +15,10 @@ def meter(**options):
 def test_full_torque_is_over_after_five_seconds_and_continuous_torque_never():
     it = meter()
     for _ in range(500):
-        it.use(np.array([10.0, 4.0]), 0.01)
+        it.update(np.array([10.0, 4.0]), 0.01)
     assert it.heat[0] == pytest.approx(1.0, abs=0.05)
     for _ in range(60000):
-        it.use(np.array([0.0, 4.0]), 0.01)
+        it.update(np.array([0.0, 4.0]), 0.01)
     assert it.heat[1] == pytest.approx(1.0)
     assert it.ceiling()[1] == pytest.approx(4.0)
     assert it.faults(("a", "b")) == []
@@ -73,7 +73,7 @@ def test_limits_of_an_arm_come_down_with_its_heat_but_carry_its_weight(make):
 
 def test_a_servo_that_reports_a_fault_ends_the_loop(make):
     arm = make()
-    arm.drive.slow = lambda: ServoStatus("elbow_pitch", 11.1, 30.0, ("elbow_pitch: overload",))
+    arm.drive.poll_status = lambda: ServoStatus("elbow_pitch", 11.1, 30.0, ("elbow_pitch: overload",))
     arm.enable()
     assert arm.read().voltage[3] == 11.1
     with pytest.raises(pliant.ServoFaultError, match="overload"):

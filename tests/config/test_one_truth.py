@@ -108,7 +108,7 @@ def test_the_gripper_of_the_simulator_has_the_servo_of_the_file():
     servo = drive.plant.mj_model.actuator("gripper")
     assert drive.servos.kp[at] == pytest.approx(0.72, rel=0.01)
     assert servo.gainprm[0] == pytest.approx(drive.servos.kp[at])
-    assert arm.gripper.largest == pytest.approx(drive.servos.max_torque[at])
+    assert arm.gripper.max_limit == pytest.approx(drive.servos.max_torque[at])
 
 
 @pytest.mark.parametrize("kp", [True, False])

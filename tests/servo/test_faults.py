@@ -152,7 +152,7 @@ def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
                 chain.disable()
             assert not bus.servo(1).enabled
             bus.pull("main")
-            for call in (chain.read, chain.slow):
+            for call in (chain.read, chain.poll_status):
                 with pytest.raises(BusError, match="is gone"):
                     call()
 
