@@ -73,7 +73,9 @@ def test_limits_of_an_arm_come_down_with_its_heat_but_carry_its_weight(make):
 
 def test_a_servo_that_reports_a_fault_ends_the_loop(make):
     arm = make()
-    arm.drive.poll_status = lambda: ServoStatus("elbow_pitch", 11.1, 30.0, ("elbow_pitch: overload",))
+    arm.drive.poll_status = lambda: ServoStatus(
+        "elbow_pitch", 11.1, 30.0, ("elbow_pitch: overload",)
+    )
     arm.enable()
     assert arm.read().voltage[3] == 11.1
     with pytest.raises(pliant.ServoFaultError, match="overload"):

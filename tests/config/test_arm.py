@@ -7,7 +7,7 @@ from pliant.config import factory
 from pliant.config.factory import make_emulator
 from pliant.emulator import StepClock
 from pliant.servo import ServoBus
-from pliant.servo.units import Units
+from pliant.servo.spec import Units
 
 
 def test_specs_are_what_the_file_says(tmp_path):

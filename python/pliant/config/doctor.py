@@ -19,14 +19,14 @@ from pliant.config.schema import servos, zeros
 from pliant.drive import MonotonicClock
 from pliant.loop import LatenessHistogram
 from pliant.servo import ServoBus, wire_time
-from pliant.servo.port import latency_timer
+from pliant.servo._port import latency_timer
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pliant._core import Model
     from pliant.config.schema import Config
-    from pliant.servo.identify import Found
+    from pliant.servo._handshake import ServoInfo
 
 Level = Literal["good", "note", "bad"]
 #: Largest acceptable latency timer of an FTDI adapter [s].
@@ -176,7 +176,7 @@ def _ports(chain: ServoBus) -> Iterator[Diagnosis]:
             )
 
 
-def _servos(found: tuple[Found, ...]) -> Iterator[Diagnosis]:
+def _servos(found: tuple[ServoInfo, ...]) -> Iterator[Diagnosis]:
     """Report the identified servos and their notes."""
     volts = [f.voltage for f in found]
     yield Diagnosis(

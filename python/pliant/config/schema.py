@@ -18,11 +18,9 @@ from pliant.arm._checks import MAX_COMM_TIMEOUT
 from pliant.config._messages import suggest
 from pliant.config._settings_table import check_preset, resolve
 from pliant.config.lerobot import read_calibration
+from pliant.servo._transactions import MAX_PATIENCE
 from pliant.servo.models import find
-from pliant.servo.spec import ServoSpec
-from pliant.servo.table import servos as servos_from_units
-from pliant.servo.units import Units
-from pliant.servo.wire import LONGEST_PATIENCE
+from pliant.servo.spec import ServoSpec, Units, servos_from_units
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -213,7 +211,7 @@ class Loop(StrictModel):
 
     rate: Annotated[float, Field(gt=0.0, le=2000.0, strict=True)] = 100.0
     comm_timeout: Annotated[float, Field(gt=0.0, le=MAX_COMM_TIMEOUT, strict=True)] = 0.5
-    patience: Annotated[float, Field(gt=0.0, le=LONGEST_PATIENCE, strict=True)] = 0.01
+    patience: Annotated[float, Field(gt=0.0, le=MAX_PATIENCE, strict=True)] = 0.01
 
 
 class Life(StrictModel):

@@ -13,7 +13,7 @@ from pliant._core import ServoError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pliant.servo.models.row import Protocol as Wire
+    from pliant.servo.models.base import Protocol as Wire
 
 Reason = Literal["timeout", "corrupt", "stale", "refused", "late", "noisy", "gone"]
 

@@ -6,21 +6,21 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pliant._core import ServoError
-from pliant.servo import status as words
-from pliant.servo.units import Units
+from pliant.servo import _status as status
+from pliant.servo.spec import Units
 
 if TYPE_CHECKING:
-    from pliant.servo.guard import Reply
+    from pliant.servo._transactions import Reply
     from pliant.servo.models import Block, Family, ServoModel
     from pliant.servo.spec import ServoSpec
 
 #: Longest undervoltage without a fault [s].
-SAG = 0.5
+UNDERVOLTAGE_GRACE = 0.5
 #: Jump that is always accepted, in addition to the distance at twice the no-load speed [rad].
 JUMP = 0.1
 #: A register that reads back wrong is a fault after this time [s] and this many packets; a
 #: silent servo is given the same time.
-UNHEARD, MISMATCHES = 0.5, 3
+MISMATCH_TIME, MISMATCHES = 0.5, 3
 #: Implausible readings in a row that are a fault; and the gap between readings after which the
 #: joint may have moved in between [s].
 IMPOSSIBLE, PAUSE = 3, 0.1
@@ -29,17 +29,17 @@ TRIPPED = 255
 
 
 @dataclass
-class Echo:
+class ReadBack:
     """Comparison of a register with the value written.
 
     Attributes:
         wrong: Number of packets in a row after which it read a wrong value.
-        agreed: Time at which it last read as written [s].
+        matched: Time at which it last read as written [s].
         write: Number of the last packet after which it read wrong.
     """
 
     wrong: int = 0
-    agreed: float = 0.0
+    matched: float = 0.0
     write: int = -1
 
 
@@ -57,11 +57,11 @@ class Device:
         ceiling: Largest limit register that the servo accepts.
         gain: Gain register as read.
         low, high: Range of goals [counts].
-        starved: Lowest voltage at which it can be driven [V].
+        min_voltage: Lowest voltage at which it can be driven [V].
         alerts: Number of errors that appeared in its status, even if the next answer cleared them.
         multi_turn: Whether goals may exceed one turn.
         overload: Share of the full torque above which it protects itself; None: never.
-        seam: Counts per turn after which positions wrap around; None: they do not.
+        wraparound: Counts per turn after which positions wrap around; None: they do not.
         enabled: Whether this program switched its torque on, or took it over.
         torque_on: Whether torque was on at the last reading of that register.
         goal, limit: Goal and limit register as last written; goal is None before the first.
@@ -72,13 +72,14 @@ class Device:
         limit_read: Limit register as last read.
         conditions: Errors in the status of the last answer.
         hardware: Errors in the hardware error register (Protocol 2.0).
-        rota: Other faults, by topic.
+        other_faults: Other faults, by topic.
         watchdog: Bus watchdog as last read [units of 20 ms].
         tripped: Whether its bus watchdog has tripped, so that it refuses goals.
         trips: Number of trips found.
-        found: Values at open of the RAM registers that are written, to restore them.
-        standing: Goal and limit registers of a servo whose torque was on at open; None otherwise.
-        unbound: Registers that bound torque or motion, and their values while driven.
+        initial_values: Values at open of the RAM registers that are written, to restore them.
+        stored_command: Goal and limit registers of a servo whose torque was on at open; None
+            otherwise.
+        drive_values: Registers that bound torque or motion, and their values while driven.
         mismatches: Number of times a register did not read back as written.
     """
 
@@ -91,11 +92,11 @@ class Device:
         self.ceiling = self.units.full
         self.gain = self.row.gain_default
         self.low, self.high = 0, self.row.counts
-        whole = self.row.resolution == self.row.counts + 1
-        self.seam: int | None = self.row.counts + 1 if whole else None
+        is_full_turn = self.row.resolution == self.row.counts + 1
+        self.wraparound: int | None = self.row.counts + 1 if is_full_turn else None
         self.multi_turn = self.family.multi_turn
         self.overload: float | None = self.row.overload
-        self.starved, self._fed = 0.0, 0.0
+        self.min_voltage, self._last_good_voltage = 0.0, 0.0
         self.alerts = 0
         self.turns = 0
         self.enabled = self.torque_on = False
@@ -110,15 +111,15 @@ class Device:
         self.limit_read: int | None = None
         self.conditions: tuple[str, ...] = ()
         self.hardware: tuple[str, ...] = ()
-        self.rota: dict[str, str] = {}
-        self.found: dict[str, int] = {}
-        self.standing: tuple[int, int] | None = None
-        self.unbound: dict[str, int] = {}
+        self.other_faults: dict[str, str] = {}
+        self.initial_values: dict[str, int] = {}
+        self.stored_command: tuple[int, int] | None = None
+        self.drive_values: dict[str, int] = {}
         self.mismatches = 0
         self._writes = 0
-        self._echoes = {"goal": Echo(), "limit": Echo()}
+        self._read_backs = {"goal": ReadBack(), "limit": ReadBack()}
         self.tripped, self.trips, self.watchdog = False, 0, 0
-        self._refused, self._allowed, self._last = 0, 0.0, 0.0
+        self._rejected, self._allowed, self._last = 0, 0.0, 0.0
 
     def set_range(self) -> None:
         """Narrow the goal range to that of the joint.
@@ -127,10 +128,10 @@ class Device:
             ServoError: The joint's range crosses the seam of a single-turn encoder.
         """
         spec = self.spec
-        given = [bound for bound in (spec.lower, spec.upper) if bound is not None]
-        if len(given) < 2:
+        bounds = [bound for bound in (spec.lower, spec.upper) if bound is not None]
+        if len(bounds) < 2:
             return
-        low, high = sorted(self.units.counts(bound) for bound in given)
+        low, high = sorted(self.units.counts(bound) for bound in bounds)
         if self.multi_turn:
             self.low, self.high = low, high
             return
@@ -151,7 +152,7 @@ class Device:
     @property
     def faults(self) -> tuple[str, ...]:
         """Present faults, one sentence each, with the joint name."""
-        found = (self.hardware or self.conditions) + tuple(self.rota.values())
+        found = (self.hardware or self.conditions) + tuple(self.other_faults.values())
         return tuple(f"{self.name}: {text}" for text in found)
 
     def angle(self, position: float) -> float:
@@ -166,7 +167,7 @@ class Device:
         """
         if self.turns and not self.multi_turn:
             return 0 if self.turns > 0 else self.row.counts
-        return self.clamp(self.units.counts(angle)) - self.turns * (self.seam or 0)
+        return self.clamp(self.units.counts(angle)) - self.turns * (self.wraparound or 0)
 
     def clamp(self, counts: int) -> int:
         """Clamp a count to the goal range; a multi-turn servo outside the range may stay there."""
@@ -208,31 +209,31 @@ class Device:
     def note(self, reply: Reply) -> None:
         """Store voltage, temperature, limit and health from a block that was read."""
         family, block = self.family, reply.block
-        before, self.conditions = self.conditions, words.conditions(family, reply.status)
+        before, self.conditions = self.conditions, status.conditions(family, reply.status)
         self.alerts += bool(set(self.conditions) - set(before))
-        if self._spans(block, "voltage"):
+        if self._contains(block, "voltage"):
             self.set_voltage(family.decode(block, reply.data, "voltage") / 10.0, reply.time)
-        if self._spans(block, "temperature"):
+        if self._contains(block, "temperature"):
             self.temperature = float(family.decode(block, reply.data, "temperature"))
-        if self._spans(block, "limit"):
+        if self._contains(block, "limit"):
             self.limit_read = found = family.decode(block, reply.data, "limit")
             read, written = (f"{self.units.torque(n):.3g} N·m" for n in (found, self.limit))
             self._compare("limit", found, self.limit, reply.time, (read, written))
-        if self._spans(block, "goal") and self.goal is not None:
+        if self._contains(block, "goal") and self.goal is not None:
             found = family.decode(block, reply.data, "goal")
             read, written = (f"{self.angle(n):.3g} rad" for n in (found, self.goal))
             self._compare("goal", found, self.goal, reply.time, (read, written))
-        if self._spans(block, "torque_enable"):
+        if self._contains(block, "torque_enable"):
             self.torque_on = bool(family.decode(block, reply.data, "torque_enable"))
-            went_off = (self.enabled or "torque" in self.rota) and not self.torque_on
+            went_off = (self.enabled or "torque" in self.other_faults) and not self.torque_on
             self.fault("torque", went_off, "its torque went off by itself")
             if went_off:
                 # Send no more goals: some servos would switch torque on at a goal far from the
                 # position.
                 self.enabled = False
-        if self._spans(block, "hardware_error"):
-            self.hardware = words.hardware(family.decode(block, reply.data, "hardware_error"))
-        if self._spans(block, "watchdog"):
+        if self._contains(block, "hardware_error"):
+            self.hardware = status.hardware(family.decode(block, reply.data, "hardware_error"))
+        if self._contains(block, "watchdog"):
             self.watchdog = family.decode(block, reply.data, "watchdog")
             tripped = self.watchdog == TRIPPED
             self.trips += tripped and not self.tripped
@@ -241,7 +242,7 @@ class Device:
     @property
     def is_refusing(self) -> bool:
         """True if goals are known not to arrive or to be rejected."""
-        return self.enabled and (self.tripped or self._echoes["goal"].wrong >= MISMATCHES)
+        return self.enabled and (self.tripped or self._read_backs["goal"].wrong >= MISMATCHES)
 
     @property
     def torque(self) -> float:
@@ -256,13 +257,13 @@ class Device:
         A brief undervoltage is tolerated, a longer one is a fault.
         """
         self.voltage = volts
-        if volts >= self.starved:
-            self._fed = time
+        if volts >= self.min_voltage:
+            self._last_good_voltage = time
         self.fault(
             "voltage",
-            time - self._fed > SAG,
-            f"its supply is {volts:.1f} V and it needs {self.starved:.1f} V: a supply that is too "
-            "weak, or thin or long wires",
+            time - self._last_good_voltage > UNDERVOLTAGE_GRACE,
+            f"its supply is {volts:.1f} V and it needs {self.min_voltage:.1f} V: a supply that is "
+            "too weak, or thin or long wires",
         )
         if volts != self.units.voltage and volts > 0.0:
             self.units = replace(self.units, voltage=volts)
@@ -274,31 +275,31 @@ class Device:
         these in a row are a fault and are never accepted.
         """
         if self.position is None or self._allowed == float("inf"):
-            self._refused, self._allowed, self._last = 0, 0.0, time
+            self._rejected, self._allowed, self._last = 0, 0.0, time
             self.fault("jump", False, "")
             return True
         gap, self._last = time - self._last, time
-        if not self._refused or gap > PAUSE:
+        if not self._rejected or gap > PAUSE:
             self._allowed += gap
-        way = abs(position - self.position) * self.units.count
-        if way <= 2.0 * self.units.no_load_speed * self._allowed + JUMP:
-            self._refused, self._allowed = 0, 0.0
+        jump = abs(position - self.position) * self.units.count
+        if jump <= 2.0 * self.units.no_load_speed * self._allowed + JUMP:
+            self._rejected, self._allowed = 0, 0.0
             return True
-        self._refused += 1
-        if self._refused >= IMPOSSIBLE:
+        self._rejected += 1
+        if self._rejected >= IMPOSSIBLE:
             self.fault(
                 "jump",
                 True,
-                f"its position jumped by {way:.2f} rad, which it cannot have moved: encoder fault, "
-                "slipped horn or loose gear. Torque off, then check its zero",
+                f"its position jumped by {jump:.2f} rad, which it cannot have moved: encoder "
+                "fault, slipped horn or loose gear. Torque off, then check its zero",
             )
         return False
 
-    def settle_dispute(self) -> None:
+    def accept_any_position(self) -> None:
         """Accept any position next: without torque the joint may be moved by hand."""
         self._allowed = float("inf")
 
-    def _spans(self, block: Block, name: str) -> bool:
+    def _contains(self, block: Block, name: str) -> bool:
         register = self.family.registers.get(name)
         if register is None:
             return False
@@ -308,50 +309,52 @@ class Device:
     def fault(self, key: str, is_wrong: bool, text: str) -> None:
         """Set or clear a fault."""
         if is_wrong:
-            self.rota[key] = text
+            self.other_faults[key] = text
         else:
-            self.rota.pop(key, None)
+            self.other_faults.pop(key, None)
 
     @property
-    def doubted(self) -> bool:
+    def has_suspect_register(self) -> bool:
         """True if goal or limit read back wrong, but not long enough for a fault."""
-        return any(e.wrong > 0 and key not in self.rota for key, e in self._echoes.items())
+        return any(
+            e.wrong > 0 and key not in self.other_faults for key, e in self._read_backs.items()
+        )
 
-    def sent(self, goal: int, limit: int) -> None:
+    def record_sent(self, goal: int, limit: int) -> None:
         """Record a packet that is sent with this goal and limit."""
         self.goal, self.limit = goal, limit
         self._writes += 1
 
     def _compare(
-        self, key: str, found: int, written: int, time: float, words: tuple[str, str]
+        self, key: str, found: int, written: int, time: float, status: tuple[str, str]
     ) -> None:
         """Compare a register with the value written, since a servo rejects a packet silently.
 
         Packets also get lost, so a mismatch is a fault only after several packets and a minimum
         time.
         """
-        echo = self._echoes[key]
+        read_back = self._read_backs[key]
         if not self.enabled or found == written:
-            echo.wrong, echo.agreed = 0, time
-        elif echo.write != self._writes:
-            echo.wrong += 1
-            echo.write = self._writes
+            read_back.wrong, read_back.matched = 0, time
+        elif read_back.write != self._writes:
+            read_back.wrong += 1
+            read_back.write = self._writes
             self.mismatches += 1
         name = "torque limit" if key == "limit" else "goal"
         self.fault(
             key,
-            echo.wrong >= MISMATCHES and time - echo.agreed > UNHEARD,
-            f"its {name} reads {found} ({words[0]}), written was {written} ({words[1]}): it does "
+            read_back.wrong >= MISMATCHES and time - read_back.matched > MISMATCH_TIME,
+            f"its {name} reads {found} ({status[0]}), written was {written} ({status[1]}): it does "
             "not hear, or refuses",
         )
 
     def _unwrap(self, raw: int) -> tuple[int, float]:
         """Return turns and unwrapped count of a position register, nearest to the last position."""
-        if self.seam is None:
+        if self.wraparound is None:
             return 0, float(raw)
-        near = self.position if self.position is not None else (self.low + self.high) / 2
-        turns = round((near - raw) / self.seam) if self.position is not None else 0
+        reference = self.position if self.position is not None else (self.low + self.high) / 2
+        turns = round((reference - raw) / self.wraparound) if self.position is not None else 0
         if self.position is None and not self.low <= raw <= self.high:
-            candidate = round((near - raw) / self.seam)
+            candidate = round((reference - raw) / self.wraparound)
             turns = candidate if self.multi_turn else 0
-        return turns, float(raw + turns * self.seam)
+        return turns, float(raw + turns * self.wraparound)

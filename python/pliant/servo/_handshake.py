@@ -9,28 +9,41 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pliant._core import ServoError
-from pliant.servo import calibration
-from pliant.servo import status as words
-from pliant.servo.device import TRIPPED
+from pliant.servo import _status as status
+from pliant.servo._device import TRIPPED
+from pliant.servo._transactions import RESPONSE_DELAY
 from pliant.servo.models import by_number
 from pliant.servo.transport import BusError
-from pliant.servo.wire import TURN
 
 if TYPE_CHECKING:
-    from pliant.servo.device import Device
-    from pliant.servo.guard import Guard, Reply
-    from pliant.servo.port import Port
+    from pliant.servo._device import Device
+    from pliant.servo._port import Port
+    from pliant.servo._transactions import Reply, TransactionGuard
 
 #: Number of low ids that are tried if one is missing, to name the servos that are present.
 NEARBY = 20
 OVERLOAD_BIT = 5
 #: Shortest reply delay that means that the adapter holds replies back [s].
-HELD_BACK = 0.008
+MIN_HOLD_BACK = 0.008
 SPEED_UNIT_BIT = 2  # of Feetech's Phase: set for 1 step/s
 
 
+#: Remedy for a file that does not fit.
+CALIBRATION_REMEDY = (
+    "the file is of another arm, or older than its last calibration: name the file of this arm, or "
+    "run lerobot-calibrate, which writes file and servos alike"
+)
+#: Register names in LeRobot's file.
+LEROBOT_NAMES = {
+    "homing_offset": "homing_offset",
+    "position_min": "range_min",
+    "position_max": "range_max",
+    "drive_mode": "drive_mode",
+}
+
+
 @dataclass(frozen=True)
-class Found:
+class ServoInfo:
     """Identification of one servo.
 
     Attributes:
@@ -56,7 +69,7 @@ class Found:
     notes: tuple[str, ...] = ()
 
 
-class Image:
+class RegisterImage:
     """Registers of one servo, read at one time.
 
     Attributes:
@@ -84,26 +97,26 @@ class Image:
         raise KeyError(name)
 
 
-def read_image(guard: Guard, device: Device, *names: str) -> Image:
+def read_image(guard: TransactionGuard, device: Device, *names: str) -> RegisterImage:
     """Read registers of a servo by name, all by default.
 
     Raises:
         BusError: It did not answer.
     """
     blocks = device.family.blocks(*names)
-    return Image(device, *(guard.read(device.id, block) for block in blocks))
+    return RegisterImage(device, *(guard.read(device.id, block) for block in blocks))
 
 
-def identify(port: Port) -> tuple[Found, ...]:
+def identify(port: Port) -> tuple[ServoInfo, ...]:
     """Read and check every servo of a port, and store the values of its registers.
 
     Raises:
         ServoError: A servo is missing or is another model, its settings do not allow control, or
             its supply does not fit. The message lists all errors.
     """
-    port.guard.begin()
-    port.guard.find_absent({device.id for device in port.devices}, port.highest)
-    images: list[tuple[Device, Image]] = []
+    port.guard.start_cycle()
+    port.guard.find_unused_id({device.id for device in port.devices}, port.highest)
+    images: list[tuple[Device, RegisterImage]] = []
     missing: list[Device] = []
     broken: list[tuple[Device, BusError]] = []
     for device in port.devices:
@@ -120,9 +133,9 @@ def identify(port: Port) -> tuple[Found, ...]:
                 broken.append((device, error))
             continue
         images.append((device, image))
-    wrong = _broken(port, broken, all_of_them=not images and not missing)
+    errors = _broken(port, broken, all_of_them=not images and not missing)
     if missing:
-        wrong.insert(0, _missing(port, missing))
+        errors.insert(0, _missing(port, missing))
     found = []
     faulty: dict[str, list[str]] = {}
     for device, image in images:
@@ -131,22 +144,22 @@ def identify(port: Port) -> tuple[Found, ...]:
             faulty.setdefault(text, []).append(f"{device.spec.name} (id {device.id})")
         if not faults:
             try:
-                found.append(_take(device, image))
+                found.append(_store_registers(device, image))
             except ServoError as error:
-                wrong.append(str(error))
-    wrong += [f"{', '.join(names)} on {port.path}: {text}" for text, names in faulty.items()]
-    if wrong:
-        raise ServoError("\n".join(wrong))
-    port.guard.turn = TURN + max(one.return_delay for one in found)
-    if note := _held_back(port):
-        found = [replace(one, notes=(*one.notes, note)) for one in found]
+                errors.append(str(error))
+    errors += [f"{', '.join(names)} on {port.path}: {text}" for text, names in faulty.items()]
+    if errors:
+        raise ServoError("\n".join(errors))
+    port.guard.response_delay = RESPONSE_DELAY + max(info.return_delay for info in found)
+    if note := _adapter_note(port):
+        found = [replace(info, notes=(*info.notes, note)) for info in found]
     return tuple(found)
 
 
-def _held_back(port: Port) -> str:
+def _adapter_note(port: Port) -> str:
     """Describe an adapter that holds replies back, as its driver reports or as measured."""
     guard = port.guard
-    if guard.held_back > HELD_BACK and guard.held_back > (port.latency or 0.0):
+    if guard.held_back > MIN_HOLD_BACK and guard.held_back > (port.latency or 0.0):
         port.latency = guard.latency = round(guard.held_back, 3)
         return (
             f"every answer on {port.path} comes {guard.held_back * 1e3:.0f} ms later than the wire "
@@ -195,67 +208,67 @@ def _missing(port: Port, missing: list[Device]) -> str:
     )
 
 
-def _check(device: Device, image: Image) -> list[str]:
+def _check(device: Device, image: RegisterImage) -> list[str]:
     """Return all errors of one servo that do not allow control."""
     row = device.row
     number = image["model"]
     if number != row.number:
         known = by_number(number)
-        said = " or ".join(r.name for r in known)
-        said = (
-            said
+        present = " or ".join(r.name for r in known)
+        present = (
+            present
             or f"no {row.name} (it reads as model number {number}; `pliant servos scan` names it)"
         )
-        return [f"it is {said}, the configuration says {row.name} ({row.number})"]
-    wrong = [*_check_mode(device, image), *calibration.differences(device, image)]
+        return [f"it is {present}, the configuration says {row.name} ({row.number})"]
+    errors = [*_check_mode(device, image), *_calibration_differences(device, image)]
     if image["return_level"] < (1 if device.family.status == "feetech" else 2):
-        wrong.append(
+        errors.append(
             "it does not acknowledge writes: `pliant servos setup` sets its Status Return Level"
         )
     volts = image["voltage"] / 10.0
     low, high = _supply(device, image)
     if not low <= volts <= high:
-        wrong.append(
+        errors.append(
             f"its supply is {volts:.1f} V and {row.name} takes {low:g} to {high:g} V: wrong "
             "supply (take the power off), or another variant than the configuration says (name it "
             "there)"
         )
-    return wrong
+    return errors
 
 
-def _remember(device: Device, image: Image) -> None:
+def _store_initial_values(device: Device, image: RegisterImage) -> None:
     """Record the registers to restore after torque off, and those to set while driven.
 
     If torque is on, or a limit is 0, the registers come from an ended program or an overload. Such
     a servo gets the values that a power-up would set.
     """
     family = device.family
-    device.unbound = {
+    device.drive_values = {
         name: value if isinstance(value, int) else image[value]
-        for name, value in family.unbound.items()
+        for name, value in family.drive_values.items()
     }
-    device.found = {name: image[name] for name in family.borrowed}
-    if device.torque_on or device.found["limit"] == 0:
-        device.found |= {"limit": image[family.ceiling], "speed_cap": 0}
-    if device.found.get("watchdog") == TRIPPED:
-        device.found["watchdog"] = 0
+    device.initial_values = {name: image[name] for name in family.restored_registers}
+    if device.torque_on or device.initial_values["limit"] == 0:
+        device.initial_values |= {"limit": image[family.ceiling], "speed_cap": 0}
+    if device.initial_values.get("watchdog") == TRIPPED:
+        device.initial_values["watchdog"] = 0
 
 
-def _supply(device: Device, image: Image) -> tuple[float, float]:
+def _supply(device: Device, image: RegisterImage) -> tuple[float, float]:
     """Return lowest and highest supply [V]: the servo's limits, at most 0.5 V past the maker's."""
     lowest, highest = device.row.voltage
     low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
     return max(low, lowest - 0.5), min(high, highest + 0.5)
 
 
-def _check_mode(device: Device, image: Image) -> list[str]:
+def _check_mode(device: Device, image: RegisterImage) -> list[str]:
     """Return errors of operating mode and drive mode."""
-    wrong = []
+    errors = []
     family = device.family
     if family.status == "p2":
         modes = (5,) if device.row.kind == "current" else (3, 4)
         if image["mode"] not in modes:
-            wrong.append(
+            errors.append(
                 f"operating mode {image['mode']}, needed is {' or '.join(map(str, modes))}: "
                 "`pliant servos setup` changes it"
             )
@@ -265,47 +278,47 @@ def _check_mode(device: Device, image: Image) -> list[str]:
             (3, "switches its torque on by a goal"),
         ):
             if image["drive_mode"] & 1 << bit:
-                wrong.append(
+                errors.append(
                     f"its Drive Mode {text} (bit {bit}): clear it with `pliant servos setup`"
                 )
         shadow = image["shadow_id"]
         if shadow <= 252:
-            wrong.append(
+            errors.append(
                 f"it obeys id {shadow} as well (Secondary ID): clear that with `pliant servos "
                 "setup` and name it as the joint's secondary"
             )
     elif family.status == "feetech":
         if image["mode"] != 0:
-            wrong.append(
+            errors.append(
                 f"operating mode {image['mode']}, needed is 0: `pliant servos setup` changes it"
             )
     else:
         if image["position_min"] == image["position_max"]:
-            wrong.append(
+            errors.append(
                 "its angle limits are equal, which is wheel or multi-turn mode: `pliant servos "
                 "setup` sets them"
             )
         if "drive_mode" in image and image["drive_mode"] & 2:
-            wrong.append(
+            errors.append(
                 "it is the slave of a dual joint: `pliant servos setup` ends that; name it as the "
                 "joint's secondary"
             )
-    return wrong
+    return errors
 
 
-def _take(device: Device, image: Image) -> Found:
+def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     """Store ceilings, limits and gain; return the identification with notes."""
     row, family = device.row, device.family
     device.ceiling = min(image[family.ceiling], device.units.full)
     if row.kind == "current" and image["pwm_limit"] < family.full_duty:
         # The PWM limit bounds the torque too, in proportion at stall.
-        most = image["pwm_limit"] / family.full_duty * device.units.usable(device.units.full)
-        device.ceiling = min(device.ceiling, device.units.register(most))
+        torque = image["pwm_limit"] / family.full_duty * device.units.usable(device.units.full)
+        device.ceiling = min(device.ceiling, device.units.register(torque))
     device.gain = image["gain"]
     device.torque_on = bool(image["torque_enable"])
-    device.standing = (image["goal"], image["limit"]) if device.torque_on else None
-    _remember(device, image)
-    device.starved, _ = _supply(device, image)
+    device.stored_command = (image["goal"], image["limit"]) if device.torque_on else None
+    _store_initial_values(device, image)
+    device.min_voltage, _ = _supply(device, image)
     device.set_voltage(image["voltage"] / 10.0, image.time)
     device.temperature = float(image["temperature"])
     device.multi_turn = family.multi_turn or (family.status == "p2" and image["mode"] == 4)
@@ -316,8 +329,8 @@ def _take(device: Device, image: Image) -> Found:
     if "overload_torque" in image:
         device.overload = image["overload_torque"] / 100.0
     if "hardware_error" in image:
-        device.hardware = words.hardware(image["hardware_error"])
-    notes = calibration.notes(device)
+        device.hardware = status.hardware(image["hardware_error"])
+    notes = _calibration_notes(device)
     if device.torque_on:
         notes.append(
             "its torque is on already: another program may be using the arm, or has left it up. "
@@ -344,7 +357,7 @@ def _take(device: Device, image: Image) -> Found:
             f"its PWM Limit is set to {share:.0%}, which bounds torque and speed: "
             f"{device.units.usable(device.ceiling):.3g} N·m are left"
         )
-    return Found(
+    return ServoInfo(
         device.spec.name,
         device.id,
         row.name,
@@ -355,3 +368,50 @@ def _take(device: Device, image: Image) -> Found:
         device.torque_on,
         tuple(notes),
     )
+
+
+def _calibration_differences(device: Device, image: RegisterImage) -> list[str]:
+    """Describe the registers in which a servo differs from its joint's calibration file.
+
+    Each sentence has the value of the file and of the servo, and the resulting error of the joint's
+    zero. A second servo of the joint is not in the file.
+    """
+    file = device.spec.calibration
+    if file is None or device.id != device.spec.id:
+        return []
+    known = device.family.registers
+    said = []
+    for name, wanted in file.registers(known).items():
+        have = image[name] & 1 if name == "drive_mode" else image[name]
+        if have == (wanted & 1 if name == "drive_mode" else wanted):
+            continue
+        if name == "homing_offset":
+            effect = f"its zero would be off by {_degrees(device, wanted - have):.3g}°"
+        elif name == "drive_mode":
+            effect = "it counts the other way round"
+        else:
+            middle = (image["position_min"] + image["position_max"]) / 2.0
+            effect = f"its zero would be off by {_degrees(device, file.middle - middle):.3g}°"
+        said.append(
+            f"the calibration file says {LEROBOT_NAMES[name]} {wanted}, the servo {have}: "
+            f"{effect}; {CALIBRATION_REMEDY}"
+        )
+    return said
+
+
+def _calibration_notes(device: Device) -> list[str]:
+    """Return notes about a file that fits."""
+    file = device.spec.calibration
+    if file is None or device.id != device.spec.id or not file.drive_mode:
+        return []
+    if "drive_mode" in device.family.registers:
+        return []
+    return [
+        "the calibration file has drive_mode 1: LeRobot turns this joint's values round, pliant "
+        "counts as its `sign` says; compare with `pliant servos doctor ARM --watch`"
+    ]
+
+
+def _degrees(device: Device, counts: float) -> float:
+    """Return the joint angle of a number of counts [°]."""
+    return abs(counts) * device.units.count * 57.29577951308232

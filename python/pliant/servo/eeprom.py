@@ -16,11 +16,11 @@ from pliant.servo.transport import BusError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from pliant.servo.guard import Guard
+    from pliant.servo._transactions import TransactionGuard
     from pliant.servo.models import Family, ServoModel
 
 #: Registers that a setup writes.
-SETS = (
+SETUP_REGISTERS = (
     "return_level", "return_delay", "shutdown", "mode", "drive_mode", "shadow_id",
     "position_min", "position_max",
 )  # fmt: skip
@@ -28,15 +28,15 @@ OVERLOAD_BIT = 5
 #: Operating modes: current-based position, position.
 CURRENT_POSITION, POSITION = 5, 3
 #: Secondary ID that disables it.
-NO_SHADOW = 255
+NO_SECONDARY = 255
 #: Unwanted bits of the Drive Mode: follower, time-based profile, torque on by goal.
-UNWANTED = 0b1110
+UNWANTED_BITS = 0b1110
 #: Slave bit of the Drive Mode of Protocol 1.0.
 SLAVE = 0b10
 
 
 @dataclass(frozen=True)
-class Change:
+class RegisterChange:
     """Change of one register.
 
     Attributes:
@@ -57,9 +57,9 @@ class Change:
     model: str = ""
 
 
-def changes(
-    io: Guard, joint: str, id: int, row: ServoModel, *, overload: bool = True
-) -> list[Change]:
+def plan_setup(
+    io: TransactionGuard, joint: str, id: int, row: ServoModel, *, overload: bool = True
+) -> list[RegisterChange]:
     """Return the changes that a setup needs on one servo.
 
     Args:
@@ -72,14 +72,14 @@ def changes(
     Raises:
         ServoError: No answer, or another model.
     """
-    _is(io, joint, id, row)
-    wanted = _wanted(io, id, row, overload)
-    return _differing(io, joint, id, row, wanted)
+    _check_model(io, joint, id, row)
+    required = _required_values(io, id, row, overload)
+    return _differences(io, joint, id, row, required)
 
 
-def restore(
-    io: Guard, joint: str, id: int, row: ServoModel, former: Iterable[Change]
-) -> list[Change]:
+def plan_restore(
+    io: TransactionGuard, joint: str, id: int, row: ServoModel, former: Iterable[RegisterChange]
+) -> list[RegisterChange]:
     """Return the changes that restore one servo to its former values.
 
     Args:
@@ -95,12 +95,12 @@ def restore(
     own = [change for change in former if (change.joint, change.id) == (joint, id)]
     if not own:
         return []
-    _is(io, joint, id, row)
-    wanted = {change.register: (change.old, "is as it was before") for change in own}
-    return _differing(io, joint, id, row, wanted)
+    _check_model(io, joint, id, row)
+    required = {change.register: (change.old, "is as it was before") for change in own}
+    return _differences(io, joint, id, row, required)
 
 
-def _is(io: Guard, joint: str, id: int, row: ServoModel) -> None:
+def _check_model(io: TransactionGuard, joint: str, id: int, row: ServoModel) -> None:
     """Check that a servo is of the configured model."""
     number = read(io, id, row.family, "model")
     if number != row.number:
@@ -108,19 +108,25 @@ def _is(io: Guard, joint: str, id: int, row: ServoModel) -> None:
         raise ServoError(f"{joint} (id {id}) is {known}, the configuration says {row.name}")
 
 
-def _differing(
-    io: Guard, joint: str, id: int, row: ServoModel, wanted: Mapping[str, tuple[int, str]]
-) -> list[Change]:
+def _differences(
+    io: TransactionGuard,
+    joint: str,
+    id: int,
+    row: ServoModel,
+    required: Mapping[str, tuple[int, str]],
+) -> list[RegisterChange]:
     """Return a change for each register that differs from its wanted value."""
     out = []
-    for register, (new, why) in wanted.items():
+    for register, (new, why) in required.items():
         old = read(io, id, row.family, register)
         if old != new:
-            out.append(Change(joint, id, register, old, new, why, row.name))
+            out.append(RegisterChange(joint, id, register, old, new, why, row.name))
     return out
 
 
-def _wanted(io: Guard, id: int, row: ServoModel, overload: bool) -> dict[str, tuple[int, str]]:
+def _required_values(
+    io: TransactionGuard, id: int, row: ServoModel, overload: bool
+) -> dict[str, tuple[int, str]]:
     """Return wanted values and reasons by register."""
     family = row.family
     out: dict[str, tuple[int, str]] = {}
@@ -135,9 +141,9 @@ def _wanted(io: Guard, id: int, row: ServoModel, overload: bool) -> dict[str, tu
     if family.status == "p2":
         mode = CURRENT_POSITION if row.kind == "current" else POSITION
         out["mode"] = (mode, "position control whose torque the limit bounds")
-        drive = read(io, id, family, "drive_mode") & ~UNWANTED
+        drive = read(io, id, family, "drive_mode") & ~UNWANTED_BITS
         out["drive_mode"] = (drive, "follows goals of its own, at once, with torque as told")
-        out["shadow_id"] = (NO_SHADOW, "obeys its own id only")
+        out["shadow_id"] = (NO_SECONDARY, "obeys its own id only")
     elif family.status == "feetech":
         out["mode"] = (0, "position control")
     else:
@@ -150,15 +156,15 @@ def _wanted(io: Guard, id: int, row: ServoModel, overload: bool) -> dict[str, tu
     return out
 
 
-def apply(io: Guard, family: Family, wanted: Sequence[Change]) -> None:
+def write_changes(io: TransactionGuard, family: Family, required: Sequence[RegisterChange]) -> None:
     """Write the changes of one servo: torque off, write, read back.
 
     Raises:
         ServoError: Torque is on, or a register did not take its value; earlier ones were written.
     """
-    if not wanted:
+    if not required:
         return
-    first = wanted[0]
+    first = required[0]
     if read(io, first.id, family, "torque_enable"):
         raise ServoError(
             f"the torque of {first.joint} (id {first.id}) is on: EEPROM is locked, and the arm may "
@@ -166,7 +172,7 @@ def apply(io: Guard, family: Family, wanted: Sequence[Change]) -> None:
         )
     _lock(io, first.id, family, locked=False)
     try:
-        for change in wanted:
+        for change in required:
             _write(io, change.id, family, change.register, change.new)
             if (found := read(io, change.id, family, change.register)) != change.new:
                 raise ServoError(
@@ -177,7 +183,7 @@ def apply(io: Guard, family: Family, wanted: Sequence[Change]) -> None:
         _lock(io, first.id, family, locked=True)
 
 
-def rename(io: Guard, joint: str, row: ServoModel, old: int, new: int) -> None:
+def set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int) -> None:
     """Change the id of the only servo that answers to `old`.
 
     Args:
@@ -191,24 +197,24 @@ def rename(io: Guard, joint: str, row: ServoModel, old: int, new: int) -> None:
         ServoError: No answer, another model, torque is on, the new id is taken, or the servo did
             not accept it.
     """
-    check_rename(io, joint, row, old, new)
+    check_set_id(io, joint, row, old, new)
     family = row.family
     _lock(io, old, family, locked=False)
     _write(io, old, family, "id", new)
     try:
-        _is(io, joint, new, row)
+        _check_model(io, joint, new, row)
     except ServoError as error:
         raise ServoError(f"id {old} did not become id {new}: {error}") from error
     _lock(io, new, family, locked=True)
 
 
-def check_rename(io: Guard, joint: str, row: ServoModel, old: int, new: int) -> None:
-    """Check the conditions of `rename`; nothing is written.
+def check_set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int) -> None:
+    """Check the conditions of `set_id`; nothing is written.
 
     Raises:
-        ServoError: As `rename`.
+        ServoError: As `set_id`.
     """
-    _is(io, joint, old, row)
+    _check_model(io, joint, old, row)
     if read(io, old, row.family, "torque_enable"):
         raise ServoError(f"the torque of id {old} is on: switch it off first")
     if io.ping(new):
@@ -218,7 +224,7 @@ def check_rename(io: Guard, joint: str, row: ServoModel, old: int, new: int) -> 
         )
 
 
-def read(io: Guard, id: int, family: Family, name: str) -> int:
+def read(io: TransactionGuard, id: int, family: Family, name: str) -> int:
     """Return the value of a register.
 
     Raises:
@@ -232,7 +238,7 @@ def read(io: Guard, id: int, family: Family, name: str) -> int:
     return register.decode(reply.data)
 
 
-def _write(io: Guard, id: int, family: Family, name: str, value: int) -> None:
+def _write(io: TransactionGuard, id: int, family: Family, name: str, value: int) -> None:
     """Write a register and read it back, because not every write is answered."""
     register = family.registers[name]
     try:
@@ -242,7 +248,7 @@ def _write(io: Guard, id: int, family: Family, name: str, value: int) -> None:
             raise
 
 
-def _lock(io: Guard, id: int, family: Family, *, locked: bool) -> None:
+def _lock(io: TransactionGuard, id: int, family: Family, *, locked: bool) -> None:
     """Lock or unlock EEPROM: Feetech by a register; on Dynamixel, torque locks it."""
     if "lock" in family.registers:
         _write(io, id, family, "lock", int(locked))

@@ -63,11 +63,11 @@ class Block:
     size: int
 
 
-def windows(least: Block, within: Block) -> tuple[Block, ...]:
-    """Blocks of every length from `least` to `within`, each around the one before."""
-    end = within.address + within.size
-    sizes = range(least.size, within.size + 1)
-    return tuple(Block(min(least.address, end - size), size) for size in sizes)
+def nested_blocks(inner: Block, outer: Block) -> tuple[Block, ...]:
+    """Blocks of every length from `inner` to `outer`, each around the one before."""
+    end = outer.address + outer.size
+    sizes = range(inner.size, outer.size + 1)
+    return tuple(Block(min(inner.address, end - size), size) for size in sizes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +77,7 @@ class Family:
     Attributes:
         name: As in the documentation.
         protocol: `p1` (Dynamixel 1.0, Feetech STS) or `p2` (Dynamixel 2.0).
-        status: Which reading of the status byte holds, see `pliant.servo.status`.
+        status: Which reading of the status byte holds, see `pliant.servo._status`.
         registers: Control table by field name.
         read: Blocks with position, speed and load, from short to long: the shortest is read, a
             longer one while an answer as long as that is missing.
@@ -89,7 +89,8 @@ class Family:
         speed_max: Largest value of the speed cap.
         ceiling: EEPROM field that bounds the limit from above.
         multi_turn: Whether goals may leave one turn, so that software keeps the position limits.
-        unbound: Further registers in RAM that limit torque or motion, and what they are while we
+        drive_values: Further registers in RAM that limit torque or motion, and what they are while
+            we
             drive: a number, or the field that holds their value.
     """
 
@@ -105,14 +106,14 @@ class Family:
     speed_max: int
     ceiling: str
     multi_turn: bool = False
-    unbound: Mapping[str, int | str] = field(default_factory=dict)
+    drive_values: Mapping[str, int | str] = field(default_factory=dict)
 
     @property
-    def borrowed(self) -> tuple[str, ...]:
+    def restored_registers(self) -> tuple[str, ...]:
         """Registers that are written while we drive, the goal aside: to be handed back."""
         cyclic = [name for names in self.write for name in names if name != "goal"]
         watchdog = ["watchdog"] if "watchdog" in self.registers else []
-        return (*cyclic, *self.unbound, *watchdog)
+        return (*cyclic, *self.drive_values, *watchdog)
 
     def block(self, *names: str) -> Block:
         """The block that spans some fields."""
@@ -159,7 +160,7 @@ class Mechanics:
     identified: bool = True
 
 
-def scaled(stall: float) -> Mechanics:
+def estimated_mechanics(stall: float) -> Mechanics:
     """Gears of a servo that nobody has identified, from its stall torque at rated voltage [N·m].
 
     Shares that the identified servos (MX-64, MX-106, XL330, STS3215) have, to a factor of two.
