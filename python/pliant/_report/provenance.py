@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pliant._core import __version__
 
-#: Packages whose versions decide numbers or pictures.
+#: Packages whose versions affect numbers or pictures.
 PACKAGES = ("numpy", "mujoco", "matplotlib")
 
 
@@ -44,7 +44,7 @@ def collect() -> Facts:
 def commit(folder: Path) -> str | None:
     """Short hash of this package's commit, with `+` for uncommitted changes; None if none."""
     top = _git(folder, "rev-parse", "--show-toplevel")
-    # An installed copy may lie inside somebody else's repository: only our own source tree counts.
+    # An installed copy may be inside another repository: only this project's tree counts.
     if top is None or not (Path(top) / "python" / "pliant").is_dir():
         return None
     head = _git(folder, "rev-parse", "--short=10", "HEAD")

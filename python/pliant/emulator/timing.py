@@ -12,7 +12,7 @@ USB_PACKET = 62
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """Latencies between servos and host; by default none.
+    """Latencies between servos and host; default without.
 
     Attributes:
         wire: True: bytes take ten bits each at the port's speed, and servos their return delay.

@@ -77,7 +77,7 @@ def names() -> tuple[str, ...]:
     return tuple(_ARMS)
 
 
-#: Rest pose of each arm [rad], and the height of the table that it stands on [m], if any.
+#: Rest pose of each arm [rad], and the height of its table [m], if any.
 _REST: dict[str, tuple[float, ...]] = {
     "arm7": (0.0, 0.0, 0.0, -0.04, 0.0, 0.0, 0.0),
     "so101": (0.0, -1.74, 1.57, 0.85, 0.0),
@@ -97,7 +97,7 @@ def rest(name: str) -> NDArray[np.float64]:
 
 
 def table(name: str) -> float | None:
-    """Return the height of the table [m] that a built-in arm stands on; None: it hangs.
+    """Return the height of the table under a built-in arm [m]; None: it hangs.
 
     Raises:
         ConfigError: The name is unknown.
@@ -123,7 +123,7 @@ def load(name: str, **options: Any) -> Model:
         A fresh model with servos attached.
 
     Raises:
-        ConfigError: The name is unknown; the message lists those there are.
+        ConfigError: The name is unknown; the message lists the known ones.
     """
     _check(name)
     return _ARMS[name](**options)
@@ -173,7 +173,7 @@ def _koch_servos() -> Servos:
     """XL430-W250 at 11.1 V, XL330-M288 at 5 V: kp = 0.00576 P stall, factory P 640 and 400.
 
     Stall and no-load speed are the maker's, 1.4 N·m and 57 rpm, 0.52 N·m and 103 rpm; friction,
-    gear damping and rotor inertia are not published and are guesses.
+    gear damping and rotor inertia are not published and are assumed.
     """
     return Servos(
         kp=[5.2] * 2 + [1.2] * 3,
