@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from pliant import config
 from pliant.arm import Arm
-from pliant.config import assemble
-from pliant.config.emulation import emulated
+from pliant.config import factory
+from pliant.config.factory import make_emulator
 from pliant.emulator import StepClock, Timing
 from pliant.servo import ServoBus
 from pliant.sim.postures import VERTICAL
@@ -96,7 +96,7 @@ def configuration(family: str, q: Array = VERTICAL) -> Config:
 
 def emulator(family: str, *, q: Array = VERTICAL, **options: Any) -> ArmEmulator:
     """Return the servos of a family with the arm behind them, wire timing on, not yet started."""
-    return emulated(configuration(family, q), q=q, **{"timing": Timing(wire=True), **options})
+    return make_emulator(configuration(family, q), q=q, **{"timing": Timing(wire=True), **options})
 
 
 @contextmanager
@@ -122,7 +122,7 @@ def stepped(
     read = configuration(family, q)
     with emulator(family, q=q, clock="steps", **options) as bus:
         drive = chain(
-            assemble.specs(read, bus.ports),
+            factory.servo_specs(read, bus.ports),
             patience=patience,
             clock=StepClock(bus),
         )

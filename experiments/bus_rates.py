@@ -18,7 +18,7 @@ import numpy as np
 import pliant
 from experiments.bus_arm import FAMILIES, configuration, emulator
 from pliant.arm import Arm
-from pliant.config import assemble
+from pliant.config import factory
 from pliant.emulator import Device, Emulator, Remote, Timing
 from pliant.loop import Loop
 from pliant.servo import ServoBus, ServoSpec, wire_time
@@ -96,7 +96,7 @@ def share(family: str, seconds: float) -> float:
     """Return the processor share of control of the arm at 100 Hz in the host's process."""
     read = configuration(family)
     with Remote(emulator, family) as bus:
-        chain = ServoBus(assemble.specs(read, bus.ports), patience=0.05)
+        chain = ServoBus(factory.servo_specs(read, bus.ports), patience=0.05)
         arm = Arm(read.model(), chain, comm_timeout=5.0, signals=False)
         with chain:
             arm.enable()

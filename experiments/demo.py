@@ -16,9 +16,9 @@ from rich.table import Table
 
 from experiments.runner import draw_off_screen
 from pliant import ConfigError, PliantError
+from pliant._extras import missing
 from pliant.cli import program
 from pliant.cli.flags import File, Frame
-from pliant.extras import missing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

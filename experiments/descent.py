@@ -21,8 +21,8 @@ from experiments.parallel import parallel
 from experiments.sheet import POSES
 from pliant import config
 from pliant.arm.arm import Arm
-from pliant.config import assemble
-from pliant.config.emulation import PATIENCE, emulated
+from pliant.config import factory
+from pliant.config.factory import PATIENCE, make_emulator
 from pliant.emulator import StepClock, Timing
 from pliant.servo import ServoBus
 from pliant.sim import Plant, SimDrive, table
@@ -244,7 +244,7 @@ def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
     plant.reset(job.q)
     watch = Watch(job, plant)
     drive = SimDrive(plant, servos=model.servos.replace(stiffness_known=False))
-    arm = Arm(model, drive, grippers=assemble.grippers(configuration(job.arm)), signals=False)
+    arm = Arm(model, drive, grippers=factory.gripper_configs(configuration(job.arm)), signals=False)
     lead = _needed(model, np.asarray(job.q), truth.load) / plant.gains.kp
     goal = np.concatenate((job.q + lead, drive.read().position[model.n :]))
     drive.write(goal, np.asarray(drive.servos.max_torque))
@@ -258,7 +258,7 @@ def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
     """Return the arm of a job on emulated servos, held by a hand until they have torque."""
     own, truth = configuration(job.arm), job.truth
     model = own.model()
-    bus = emulated(
+    bus = make_emulator(
         own,
         q=job.q,
         clock="steps",
@@ -277,8 +277,10 @@ def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
 
     bus.world.physics.step = watched  # type: ignore[method-assign]
     with bus:
-        drive = ServoBus(assemble.specs(own, bus.ports), patience=PATIENCE, clock=StepClock(bus))
-        arm = Arm(model, drive, grippers=assemble.grippers(own), signals=False)
+        drive = ServoBus(
+            factory.servo_specs(own, bus.ports), patience=PATIENCE, clock=StepClock(bus)
+        )
+        arm = Arm(model, drive, grippers=factory.gripper_configs(own), signals=False)
         try:
             yield arm, watch
         finally:

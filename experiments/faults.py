@@ -224,7 +224,7 @@ def _run(
     if mishap.after is not None:
         mishap.after(bus)
         arm.drive.close()
-        arm._keeper.owner, arm._opened = None, False
+        arm._supervisor.owner, arm._opened = None, False
         arm.enable()
         watcher.end()
         arm.lower()

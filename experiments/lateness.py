@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
 from pliant import config
-from pliant.arm.lateness import Lateness
+from pliant.loop import LatenessHistogram
 from pliant.view.link import Link
 from pliant.view.orders import Stop
 from pliant.view.session import Session
@@ -51,7 +51,7 @@ class Way:
 
     page: bool
     log: bool
-    late: Lateness = field(default_factory=Lateness)
+    late: LatenessHistogram = field(default_factory=LatenessHistogram)
     missed: int = 0
     sent: int = 0
     seconds: float = 0.0

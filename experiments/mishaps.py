@@ -10,7 +10,7 @@ import numpy as np
 import pliant
 from experiments.setups import arm, displaced, tool
 from pliant.arm.arm import Arm
-from pliant.arm.drive import Sample
+from pliant.drive import JointReadings
 from pliant.loop import Loop, Tick
 from pliant.sim import Guide, Plant, SimDrive
 from pliant.sim.hand import Course
@@ -48,12 +48,12 @@ class SickDrive(SimDrive):
         self.powerless: set[str] = set()
         self.deaf = False
 
-    def read(self) -> Sample:
+    def read(self) -> JointReadings:
         """Return readings of the joints that answer."""
         sample = super().read()
         lost = np.isin(self.names, [*self.silent, *self.powerless])
         position = np.where(lost, np.nan, sample.position)
-        return Sample(position, sample.ok & ~lost, sample.time)
+        return JointReadings(position, sample.ok & ~lost, sample.time)
 
     def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
         """Send orders to the joints that receive them."""

@@ -6,7 +6,7 @@ import sys
 from time import monotonic
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from pliant.extras import missing
+from pliant._extras import missing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

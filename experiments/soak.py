@@ -21,7 +21,7 @@ from experiments.bus_arm import FAMILIES, configuration, emulator, stepped
 from experiments.bus_audit import Audit
 from experiments.setups import displaced
 from pliant.arm import Arm
-from pliant.config import assemble
+from pliant.config import factory
 from pliant.emulator import Faults
 from pliant.emulator.faults import KINDS
 from pliant.emulator.process import Remote
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant.arm.drive import Sample
+    from pliant.drive import JointReadings
     from pliant.emulator import ArmEmulator
 
     Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ class Recorder(ServoBus):
         self.asked: list[Array] = []
         self.ceilings = np.zeros(self.n)
 
-    def read(self) -> Sample:
+    def read(self) -> JointReadings:
         """Read, and record."""
         sample = super().read()
         now = time.perf_counter() if self.clock is None else self.clock.now()
@@ -278,7 +278,7 @@ def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> 
     """Soak in real time, servos and arm in a process of their own."""
     read = configuration(family)
     with Remote(audited, family, seed) as bus:
-        chain = Recorder(assemble.specs(read, bus.ports), rate=rate, patience=PATIENCE)
+        chain = Recorder(factory.servo_specs(read, bus.ports), rate=rate, patience=PATIENCE)
         try:
             arm = Arm(
                 read.model(),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-import pliant
+from pliant._core import __version__
 
 #: Packages whose versions affect numbers or pictures.
 PACKAGES = ("numpy", "mujoco", "matplotlib")
@@ -31,7 +31,7 @@ class Facts:
 
 def collect() -> Facts:
     """Collect the facts."""
-    versions = {"pliant": pliant.__version__, "Python": platform.python_version()}
+    versions = {"pliant": __version__, "Python": platform.python_version()}
     for package in PACKAGES:
         try:
             versions[package] = metadata.version(package)

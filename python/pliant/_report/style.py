@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import PliantError
-from pliant.extras import missing
+from pliant._core import PliantError
+from pliant._extras import missing
 
 try:
     import matplotlib

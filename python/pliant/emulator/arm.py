@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import ConfigError, Servos
+from pliant._core import ConfigError, Servos
 from pliant.emulator.device import Device
 from pliant.emulator.emulator import Emulator
 from pliant.emulator.models import find

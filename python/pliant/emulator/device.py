@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.dxl1 import Dxl1Servo
 from pliant.emulator.models import find
 from pliant.emulator.sts import StsServo

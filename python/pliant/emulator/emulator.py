@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal, Self
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.device import Device
 from pliant.emulator.faults import Faults
 from pliant.emulator.line import Line

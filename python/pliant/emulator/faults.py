@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.wire import HEADER_2, STATUS, packet_1, packet_2
 
 Kind = Literal["deaf", "lose", "late", "corrupt", "truncate", "wrong_id", "noise"]

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator import tables
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from pliant import PliantError, ServoError
+from pliant._core import PliantError, ServoError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -9,7 +9,7 @@ import struct
 import tempfile
 from pathlib import Path
 
-from pliant import ServoError
+from pliant._core import ServoError
 
 try:
     import fcntl

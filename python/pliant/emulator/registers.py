@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
-from pliant import ServoError
+from pliant._core import ServoError
 from pliant.emulator.pty import Pty
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.log import Write
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 BIT_CURRENT = 0x08

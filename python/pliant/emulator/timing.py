@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 
 #: Payload of one packet of a full-speed FTDI adapter [bytes].
 USB_PACKET = 62
