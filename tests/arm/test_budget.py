@@ -1,4 +1,4 @@
-"""Heat, temperature and supply: limits come down before the hardware trips."""
+"""Heat, temperature and supply: limits fall before the hardware trips."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_the_supply_is_shared_above_the_weight():
     limit = it.limit_current(np.array([10.0, -10.0]), np.array([10.0, 10.0]), np.array([3.0, 1.0]))
     assert 0.2 * limit.sum() == pytest.approx(2.0, abs=0.01)
     assert np.all(limit >= [3.0, 1.0])
-    # What is not drawn is not cut.
+    # Joints that draw nothing are not cut.
     assert it.limit_current(np.array([4.0, 4.0]), np.full(2, 10.0), np.zeros(2)) == pytest.approx(
         [10, 10]
     )

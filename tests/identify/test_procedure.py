@@ -1,4 +1,4 @@
-"""Procedures run in any loop, and put back what they changed."""
+"""Procedures run in any loop, and restore what they changed."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from pliant.identify import Procedure, ServoCommand, run_procedure
 
 
 class Still:
-    """The least an arm can be: it is where it was told to be, one tick later."""
+    """A minimal arm: it reaches its goal one tick later."""
 
     def __init__(self, n=2):
         self.q, self.sent = np.zeros(n), []
@@ -50,7 +50,7 @@ def test_drive_runs_an_arm_that_advances():
     arm = Still()
     result = run_procedure(arm, Procedure(counting(4, []), 2))
     np.testing.assert_array_equal(result, [4.0, 4.0])
-    assert len(arm.sent) == 5  # the last order holds
+    assert len(arm.sent) == 5  # the last command holds
 
 
 def test_what_was_changed_is_put_back_when_the_arm_fails():

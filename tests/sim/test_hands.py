@@ -1,4 +1,4 @@
-"""Hands and walls: the force they promise, where they promise it, and what was felt."""
+"""Hands and walls: promised force, its place, and the recorded force."""
 
 import numpy as np
 import pytest

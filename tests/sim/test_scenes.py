@@ -1,4 +1,4 @@
-"""Drawer, surface, hand-over, socket: what is promised of them, against numbers by hand."""
+"""Drawer, surface, hand-over, socket: their promises, against numbers by hand."""
 
 import mujoco
 import numpy as np
@@ -45,7 +45,7 @@ def test_a_drawer_binds_under_a_force_across(arm, floating, across, opens):
 
 
 def pressed(arm, surface, height, grasp):
-    """Force and torque on a pad that is held at a height over its start."""
+    """Return force and torque on a pad that is held at a height over its start."""
     plant = scene(arm, surface)
     plant.reset(grasp)
     frame = plant.ground_truth.frame("tool")
@@ -103,7 +103,7 @@ def test_an_object_is_carried_taken_and_let_go(arm, grasp):
 
 
 def down(arm, socket, grasp, depth, ticks=150):
-    """Walk the plug straight down with servos that are told the joints of the way."""
+    """Move the plug straight down with servos that get the joint positions of the path."""
     plant = Plant(arm, friction_scale=0.0, scene=[socket])
     plant.reset(grasp)
     pose, q = plant.tool, grasp

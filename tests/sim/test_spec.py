@@ -1,4 +1,4 @@
-"""From a model to physics: same kinematics, same gravity, every robot at hand."""
+"""From a model to physics: equal kinematics and gravity, for every available robot."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""The table that an arm stands on: every link that can rise or sink touches it."""
+"""The table under an arm: every link that can move vertically touches it."""
 
 import numpy as np
 import pytest
@@ -80,7 +80,7 @@ def test_a_slide_touches_and_clearance_is_the_lowest_link():
         plant.write([0.2], [0.0])
         plant.advance()
     assert table.touching == ("arm",)
-    # The weight, less what the gears' friction carries.
+    # The weight, less the gears' friction.
     assert 9.81 - 1.1 < table.force < 9.81 + 1.1
 
 
