@@ -13,8 +13,7 @@ from bare_arm import bare_arm
 import pliant
 from pliant.log import Recorder, read
 from pliant.reactions import Call, Force, Reaction, ReactionMonitor
-
-from .test_over_bytes import arm_over_bytes
+from tests.arm.test_over_bytes import arm_over_bytes
 
 START = np.array([0.0, -0.3, 0.3, 0.9, 0.0])
 
@@ -42,7 +41,7 @@ def test_time_begins_with_the_loop(backend, tmp_path):
             arm.model, pliant.Settings.firm(task="xyz").replace(rate=50.0), arm.servos
         )
         watch = ReactionMonitor(controller, [Reaction(Force("z", above=90.0), Call(called.append))])
-        arm.clock.wait_until(arm.clock.now() + 0.7)  # the program does something else before
+        arm.clock.wait_until(arm.clock.now() + 0.7)  # the program does something else first
         ticks, watched, began = [], [], []
         target = None
         recorder = Recorder(tmp_path / "run.mcap")

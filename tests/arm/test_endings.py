@@ -1,4 +1,4 @@
-"""Endings speak, and happen whatever becomes of the reader: each in a process of its own."""
+"""Endings print messages, and complete whatever happens to the reader: each in its own process."""
 
 import contextlib
 import logging
@@ -17,8 +17,8 @@ pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extr
 
 import pliant
 import pliant.arm.arm
-from pliant.arm.ending import Ending
-from pliant.arm.speaker import LOGGER, SPEAKER, Speaker
+from pliant.arm._messages import LOGGER, MESSAGES, MessageQueue
+from pliant.arm._shutdown import ExitMessages
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 
@@ -67,7 +67,7 @@ def begin(program, stderr=subprocess.PIPE):
     try:
         yield process
     finally:
-        process.kill()  # one that never ends is what some of these tests ask about
+        process.kill()  # some of these tests examine whether it ends
         process.communicate()
 
 
@@ -79,7 +79,7 @@ def run(program, stderr=subprocess.PIPE):
 
 @contextlib.contextmanager
 def reader(kind):
-    """The write end of a standard error that is gone, full, or that nobody drains."""
+    """Return the write end of a standard error that is closed, full, or never drained."""
     if kind == "full":
         with open("/dev/full", "w", encoding="utf-8") as file:
             yield file
@@ -196,7 +196,7 @@ def test_no_signals_but_two_deliberate_interrupts_leave_torque_on(signals, code)
     assert "torque OFF" in complained
 
 
-def test_a_second_interrupt_says_what_it_leaves_and_how_to_go_on():
+def test_a_second_interrupt_reports_the_state_and_the_next_step():
     said, complained, code = run("""
         try:
             with connect():
@@ -315,7 +315,7 @@ def test_what_breaks_on_the_way_down_leaves_the_arm_carried(make, grasp, monkeyp
     caplog.set_level(logging.DEBUG)
     with pytest.raises(ZeroDivisionError), arm:
         arm.write(grasp, np.zeros(7))
-    SPEAKER.flush(5.0)
+    MESSAGES.flush(5.0)
     arm.clock.wait_until(arm.clock.now() + 3.0)
     assert np.abs(arm.drive.plant.read().q - grasp).max() < 0.1
     assert arm.drive.enabled.all()
@@ -324,42 +324,42 @@ def test_what_breaks_on_the_way_down_leaves_the_arm_carried(make, grasp, monkeyp
 
 def test_progress_never_disturbs_a_descent(make, monkeypatch):
     arm = make()
-    ending = Ending("arm", arm._cycle, None)
-    monkeypatch.setattr(pliant.arm.ending, "PROGRESS", 0.0)
-    ending.progress(None)
-    monkeypatch.setattr(SPEAKER, "say", lambda *_, **__: 1 / 0)
-    ending.progress(None)
+    messages = ExitMessages("arm", arm._io, None)
+    monkeypatch.setattr(pliant.arm._shutdown, "PROGRESS", 0.0)
+    messages.progress(None)
+    monkeypatch.setattr(MESSAGES, "post", lambda *_, **__: 1 / 0)
+    messages.progress(None)
 
 
 def test_a_blocked_reader_is_waited_for_once():
     with reader("blocked") as stderr:
         said, _, _ = run(
             """
-            from pliant.arm.speaker import SPEAKER
-            SPEAKER.start()
-            message = SPEAKER.say("text", 40)
+            from pliant.arm._messages import MESSAGES
+            MESSAGES.start()
+            message = MESSAGES.post("text", 40)
             for _ in range(20):
-                SPEAKER.flush(0.05)
-            print(message.told)
+                MESSAGES.flush(0.05)
+            print(message.is_written)
             """,
             stderr,
         )
     assert said == ["False"]
 
 
-def test_a_message_of_a_process_without_the_thread_counts_as_told():
-    assert Speaker().say("nothing is started").told
+def test_a_message_of_a_process_without_the_thread_counts_as_written():
+    assert MessageQueue().post("nothing is started").is_written
 
 
 def test_progress_comes_seldom_where_it_cannot_be_overwritten(capfd, monkeypatch):
     monkeypatch.setattr(LOGGER, "hasHandlers", lambda: False)
     monkeypatch.setattr(sys, "stderr", sys.__stderr__)
-    speaker = Speaker()
-    speaker.start()
+    messages = MessageQueue()
+    messages.start()
     for second in range(12):
         monkeypatch.setattr(time, "monotonic", lambda second=second: float(second))
-        message = speaker.say(f"second {second}", progress=True)
-        while not message.told:
+        message = messages.post(f"second {second}", progress=True)
+        while not message.is_written:
             pass
     assert capfd.readouterr().err.splitlines() == [
         "pliant: second 0",

@@ -1,4 +1,4 @@
-"""Any sequence of life-cycle calls and signals, with one arm or two: what a signal does, always."""
+"""Random sequences of life-cycle calls and signals, with one arm or two: effects of a signal."""
 
 import signal
 import threading
@@ -22,16 +22,16 @@ from hypothesis.stateful import (
 )
 
 import pliant
+import pliant.arm._signals
 import pliant.arm.arm
-import pliant.arm.signals
 from pliant.sim import Plant, SimDrive
 
-CAUGHT = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
-NUMBERS = [getattr(signal, name) for name in CAUGHT if hasattr(signal, name)]
-#: Two signals this near to each other are one request, and this far two [s].
+HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+NUMBERS = [getattr(signal, name) for name in HANDLED if hasattr(signal, name)]
+#: Two signals this close to each other are one request, and this far apart two [s].
 REPEATED, DELIBERATE = 0.1, 2.0
 LOW = np.array([0.0, 1.5, 0.0, 0.0, 0.0])
-#: Turns of a descent in this test; what a real one does is asked elsewhere.
+#: Turns of a descent in this test; real descents are tested elsewhere.
 TURNS = 12
 
 
@@ -40,16 +40,18 @@ def expected(number):
 
 
 class Life(RuleBasedStateMachine):
-    """Beside the arms a model of them: who has torque, and what has come."""
+    """A model beside the arms: which have torque, and which signals came."""
 
     def __init__(self):
         super().__init__()
         self.patch = pytest.MonkeyPatch()
         self.time, self.during, self.heard = 100.0, [], []
         clock = SimpleNamespace(monotonic=lambda: self.time)
-        self.patch.setattr(pliant.arm.signals, "time", clock, raising=False)
+        self.patch.setattr(pliant.arm._signals, "time", clock, raising=False)
         self.patch.setattr(pliant.arm.arm, "descend", self.descend)
-        self.patch.setattr(pliant.arm.arm, "take_up", lambda _, stood, *__: np.full(5, np.nan))
+        self.patch.setattr(
+            pliant.arm.arm, "transfer_weight", lambda _, start_q, *__: np.full(5, np.nan)
+        )
         self.former = lambda number, _: self.heard.append(number)
         self.before = {number: signal.signal(number, self.former) for number in NUMBERS}
         self.last = (0, -10.0)
@@ -71,22 +73,22 @@ class Life(RuleBasedStateMachine):
             self.arms.append(pliant.arm.Arm(plant.model, SimDrive(plant)))
         self.on = [False] * len(self.arms)
 
-    def descend(self, cycle, points, rest, rate, unwanted, **_):
+    def descend(self, io, points, rest, rate, is_aborted, **_):
         """Wait for some turns, in which signals come."""
         for _ in range(TURNS):
             if self.during:
                 number, gap = self.during.pop(0)
                 self.wait(gap)
                 signal.raise_signal(number)
-            if unwanted():
+            if is_aborted():
                 return False
-            cycle.clock.wait_until(cycle.clock.now() + 1.0 / rate)
+            io.clock.wait_until(io.clock.now() + 1.0 / rate)
         return True
 
     def wait(self, seconds):
         self.time += seconds
-        if speaker := getattr(pliant.arm.signals, "SPEAKER", None):
-            speaker.flush(5.0)
+        if messages := getattr(pliant.arm._signals, "MESSAGES", None):
+            messages.flush(5.0)
 
     def which(self, data):
         return data.draw(st.integers(0, len(self.arms) - 1), label="arm")
@@ -138,7 +140,7 @@ class Life(RuleBasedStateMachine):
         self.during = []
 
     def foresee(self, come):
-        """What signals during a descent must lead to: an exception, and whether torque stays on."""
+        """Predict the effect of signals during a descent: an exception, torque on or off."""
         time, last, interrupts, kind = self.time, self.last, 0, None
         for number, gap in come:
             time += gap
@@ -173,7 +175,7 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: len(getattr(self, "arms", [])) == 2)
     @rule(number=st.sampled_from(NUMBERS), swap=st.booleans())
     def with_both(self, number, swap):
-        """A signal in the body of nested `with` lowers both, whoever is inside."""
+        """A signal in the body of nested `with` lowers both, in either order."""
         first, second = self.arms[::-1] if swap else self.arms
         self.last = (0, -10.0)
 
@@ -190,7 +192,7 @@ class Life(RuleBasedStateMachine):
 
     @rule(data=st.data())
     def lower_elsewhere(self, data):
-        """Another thread lowers it; signals in the main thread are for those that are left."""
+        """Another thread lowers it; signals in the main thread are for the remaining ones."""
         index = self.which(data)
         thread = threading.Thread(target=self.arms[index].lower)
         thread.start()

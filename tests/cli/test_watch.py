@@ -1,4 +1,4 @@
-"""`pliant servos doctor --watch`: joints moved by hand, torque off, and the tool's way."""
+"""`pliant servos doctor --watch`: joints moved by hand, torque off, and the tool's direction."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import pytest
 import pliant
 from pliant import config
 from pliant.cli import main
-from pliant.config.emulation import emulated
-from pliant.config.ways import ways
+from pliant.cli.servos._watch import joint_directions
+from pliant.config.factory import make_emulator
 
 UP = (0.0, 0.0, 1.0)
 
@@ -25,7 +25,7 @@ def test_ways_are_those_of_finite_differences(name):
     model = getattr(pliant.robots, name)()
     q = 0.5 * np.ones(model.n) * np.where(np.arange(model.n) % 2, 1.0, -1.0)
     for falling, sign in ((False, 1.0), (True, -1.0)):
-        for joint, phrase in enumerate(ways(model, q, up=UP, falling=falling)):
+        for joint, phrase in enumerate(joint_directions(model, q, up=UP, falling=falling)):
             step = 1e-5 * np.eye(model.n)[joint] * sign
             here, there = (model.forward_kinematics(p)[:3, 3] for p in (q, q + step))
             moved = (there - here) / 1e-5
@@ -38,18 +38,18 @@ def test_ways_are_those_of_finite_differences(name):
             assert ("(down)" in phrase) == bool(-moved[2] >= 0.3 * np.linalg.norm(moved))
 
 
-def test_what_moves_the_tool_nowhere_says_about_what_it_turns():
+def test_a_joint_that_turns_the_tool_in_place_names_its_axis():
     model = pliant.robots.so101()
-    roll = ways(model, np.zeros(5), up=UP)[4]
+    roll = joint_directions(model, np.zeros(5), up=UP)[4]
     assert roll == "turns in place about +x, as a screw goes in"
 
 
 @pytest.fixture
 def arm(tmp_path):
-    """An emulated SO-101 and a file for it whose shoulder_lift has the wrong sign."""
+    """Return an emulated SO-101 and its file with a wrong sign for shoulder_lift."""
     ready = config.load("so101", backend="emulator")
-    with emulated(ready) as bus:
-        text = config.ready.text("so101").replace('path = "auto"', f'path = "{bus.port}"')
+    with make_emulator(ready) as bus:
+        text = config.loader.builtin_text("so101").replace('path = "auto"', f'path = "{bus.port}"')
         file = tmp_path / "arm.toml"
         file.write_text(text)
         mirrored = tmp_path / "mirrored.toml"
@@ -58,7 +58,7 @@ def arm(tmp_path):
 
 
 def watch_while_lifted(bus, file, capsys):
-    """What it prints while a hand turns shoulder_lift by +0.4 rad, and back."""
+    """Return the output while a hand turns shoulder_lift by +0.4 rad, and back."""
 
     def lift():
         for angle in (0.4, 0.0):
@@ -85,7 +85,7 @@ def test_a_moved_joint_is_named_with_the_way_of_the_tool(arm, capsys):
     assert "elbow_flex grew" not in out
     assert not bus.log.writes("torque_enable")
     assert not bus.log.eeprom_writes()
-    # The arm sank; the mirrored file says that it should have risen.
+    # The arm sank; by the file with the wrong sign it should have risen.
     out = watch_while_lifted(bus, mirrored, capsys)
     first, second = (
         line for line in out.splitlines() if "shoulder_lift" in line and " by " in line
@@ -101,13 +101,13 @@ def test_torque_that_is_on_is_in_the_way(capsys):
     )
     out = capsys.readouterr().out
     assert "torque is on already" in out
-    # Markup swallowed the name of the table.
+    # Markup must not remove the name of the table.
     assert "under [life] of its file" in out
     assert "-0.00" not in out.splitlines()[-1]
 
 
 def test_ctrl_c_is_how_it_ends():
-    # A test run in the background is told to ignore Ctrl-C, and would hand that on.
+    # A test run in the background ignores Ctrl-C, and its children would inherit that.
     program = (
         "import signal, sys, pliant.cli as cli; "
         "signal.signal(signal.SIGINT, signal.default_int_handler); "

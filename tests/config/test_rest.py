@@ -1,4 +1,4 @@
-"""Ready arms stand on a table and know where to lie down on it."""
+"""Ready arms stand on a table and have a rest pose on it."""
 
 from inspect import signature
 from pathlib import Path
@@ -10,10 +10,10 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant import config
-from pliant._connect import ARM_OPTIONS, PLANT_OPTIONS
-from pliant.arm.points import Points
-from pliant.arm.rest import STEPS, obstacle
-from pliant.config import assemble
+from pliant.arm._checks import STEPS, path_obstacle
+from pliant.arm._points import Points
+from pliant.config import factory
+from pliant.config.factory import ARM_OPTIONS, PLANT_OPTIONS
 from pliant.sim import Plant, Tabletop
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
@@ -29,7 +29,7 @@ def load(name, **options):
     return config.load(name, urdf=urdf, **options)
 
 
-def test_every_ready_file_has_a_rest_pose_and_says_whether_it_stands_on_a_table():
+def test_every_ready_file_has_a_rest_pose_and_a_table_or_none():
     for name in config.names():
         read = config.load(name)
         assert read.life.rest_q is not None, name
@@ -88,7 +88,7 @@ def test_an_arm_of_a_ready_file_is_parked_and_lies_on_its_table(name):
     assert not arm.enabled
 
 
-#: Bent over forward: half way to the rest pose the tool would be 5 cm below the table.
+#: Bent forward: half way to the rest pose the tool would be 5 cm below the table.
 BARRED = [0.0, 1.24, 1.23, 1.24, 0.0]
 
 
@@ -101,18 +101,20 @@ def test_a_way_through_the_table_is_found():
 
     way = [lowest(share) for share in np.linspace(0.0, 1.0, STEPS)]
     assert min(way[0], way[-1]) > 0.0 > -0.008 > min(way)
-    said = obstacle(model, points, np.array(BARRED), rest, 0.0)
+    said = path_obstacle(model, points, np.array(BARRED), rest, 0.0)
     assert said == f"the way to the rest pose leads the tool {-min(way):.3f} m into the table"
     for free, table in ((np.zeros(5), 0.0), (np.array(BARRED), None), (np.array(BARRED), -0.1)):
-        assert obstacle(model, points, free, rest, table) is None
-    # A point that begins below the table may come out, and no deeper.
+        assert path_obstacle(model, points, free, rest, table) is None
+    # A point that starts below the table may move out, but no deeper.
     inside, out = np.array([0.0, 1.3, 0.9, 0.0, 0.0]), np.array([0.0, 1.3, 1.7, 0.0, 0.0])
     assert points(inside).position[:, 2].min() < -0.09
-    assert obstacle(model, points, inside, out, 0.0) is None
-    assert "the tool 0.1" in obstacle(model, points, inside, np.array([0.0, 1.3, 0.3, 0, 0]), 0.0)
+    assert path_obstacle(model, points, inside, out, 0.0) is None
+    assert "the tool 0.1" in path_obstacle(
+        model, points, inside, np.array([0.0, 1.3, 0.3, 0, 0]), 0.0
+    )
 
 
-def test_an_arm_whose_way_to_rest_is_barred_is_lowered_straight_down():
+def test_an_arm_with_a_blocked_path_to_rest_is_lowered_straight_down():
     arm = pliant.connect("so101", backend="sim", q=BARRED, signals=False)
     plant = arm.drive.plant
     (table,) = plant.fixtures
@@ -162,11 +164,11 @@ def test_an_arm_that_would_start_inside_its_table_is_refused(backend):
 
 
 def test_an_emulated_arm_stands_on_the_table_of_its_file():
-    from pliant.config.emulation import emulated
+    from pliant.config.factory import make_emulator
 
-    bus = emulated(config.load("koch", backend="emulator"), clock="steps")
+    bus = make_emulator(config.load("koch", backend="emulator"), clock="steps")
     assert [fixture.height for fixture in bus.plant.fixtures] == [0.0]
-    bus = emulated(config.load("koch", backend="emulator", table=False), clock="steps")
+    bus = make_emulator(config.load("koch", backend="emulator", table=False), clock="steps")
     assert bus.plant.fixtures == ()
 
 
@@ -175,7 +177,7 @@ def test_a_simulated_arm_begins_at_its_rest_pose_where_zero_is_in_the_table():
         'backend = "sim"\nrobot = { builtin = "so101", table = 0.3 }\n[life]\n'
         "rest_q = [0.0, -0.3, -1.0, 0.0, 0.0]\n"
     )
-    np.testing.assert_array_equal(assemble.start(read, read.model()), read.life.rest_q)
+    np.testing.assert_array_equal(factory.start_pose(read, read.model()), read.life.rest_q)
 
 
 def test_backend_sim_takes_the_options_of_the_simulator():
@@ -222,8 +224,8 @@ def test_joint_targets_lead_an_arm_out_of_its_rest_pose(name, soft):
         for tick in pliant.Loop(arm, controller, duration=5.0):
             tick.write(controller.step_joints(tick.q, target, dt=tick.dt))
         arm.leave_enabled()
-    # Friction keeps the null space, which the task leaves free, from its very end.
+    # Friction holds the null space, which the task leaves free, from its very end.
     np.testing.assert_allclose(tick.q, target, atol=0.3)  # [rad] (.01 to .22; 1.4 when stuck)
     tool, there = (arm.model.forward_kinematics(q)[:3, 3] for q in (tick.q, target))
-    # A soft axis stops short of its target by what its cap does not move of the gears.
+    # A soft axis stops short of its target by the friction above its cap.
     assert np.linalg.norm(tool - there) < (0.04 if soft else 0.02)  # [m] (.027, .014)

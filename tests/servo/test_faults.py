@@ -1,4 +1,4 @@
-"""Faults on the bus and in the servos: nothing stale, partial results, sentences, no lunge."""
+"""Faults on the bus and in the servos: no stale data, partial results, messages, no jump."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ PROTOCOLS = ["sts", "xm", "mx"]
 
 
 def sweep(bus, chain, limit, ticks, *, speed=1.0):
-    """Move all joints; yield each sample with where the shafts stood as it was taken."""
+    """Move all joints; yield each sample with the shaft positions at that time."""
     for k in range(ticks):
         truth = np.array([servo.shaft.angle for servo in bus.servos])
         sample = chain.read()
@@ -20,7 +20,7 @@ def sweep(bus, chain, limit, ticks, *, speed=1.0):
         yield sample, angle
         goal = 0.8 * np.sin(0.01 * k * speed * np.arange(1, chain.n + 1))
         chain.write(goal, limit)
-        chain.slow()
+        chain.poll_status()
         bus.advance(0.01)
 
 
@@ -97,7 +97,7 @@ def test_a_servo_that_lost_its_torque_is_noticed(emulated, enabled):
             found = []
             for _ in range(30):
                 chain.read()
-                found += getattr(chain.slow(), "faults", ())
+                found += getattr(chain.poll_status(), "faults", ())
             assert any("joint0: its torque went off by itself" in text for text in found)
             assert not any("joint1" in text for text in found)
 
@@ -110,15 +110,15 @@ def test_torque_that_went_off_is_noticed_within_a_few_ticks(emulated, enabled, k
             for k in range(12 + place):
                 chain.read()
                 chain.write(np.full(6, 0.001 * k), limit)
-                chain.slow()
+                chain.poll_status()
                 bus.advance(0.01)
             bus.servo(place).put("torque_enable", 0)
             bus.log.clear()
             said = ""
-            # Protocol 1.0 and Feetech go round all servos in six ticks.
+            # Protocol 1.0 and Feetech poll all servos within six ticks.
             for _ in range(4 if kind == "xm" else 6):
                 chain.read()
-                said += str(chain.slow())
+                said += str(chain.poll_status())
                 bus.advance(0.01)
             assert f"joint{place - 1}: its torque went off" in said
             bus.servo(place).put("torque_enable", 1)
@@ -143,7 +143,7 @@ def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
                 sample = chain.read()
                 assert sample.ok.tolist() == [True, False, False]
                 chain.write(np.full(3, 0.01 * k), limit)
-                found += getattr(chain.slow(), "faults", ())
+                found += getattr(chain.poll_status(), "faults", ())
                 bus.advance(0.01)
             assert "joint1: its port" in str(found[:2])
             moved = bus.servo(1).get("goal_position") - 2048
@@ -152,7 +152,7 @@ def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
                 chain.disable()
             assert not bus.servo(1).enabled
             bus.pull("main")
-            for call in (chain.read, chain.slow):
+            for call in (chain.read, chain.poll_status):
                 with pytest.raises(BusError, match="is gone"):
                     call()
 
@@ -165,7 +165,7 @@ def test_overload_comes_as_a_sentence(emulated, enabled):
             found = []
             for _ in range(4):
                 chain.read()
-                found += getattr(chain.slow(), "faults", ())
+                found += getattr(chain.poll_status(), "faults", ())
             assert any("joint1: overload" in text for text in found), kind
             chain.write([0.0, 0.0], limit)
 
@@ -200,12 +200,12 @@ def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
         for _ in range(70):
             chain.read()
             chain.write([0.0, 0.0], limit / 2)
-            found += getattr(chain.slow(), "faults", ())
+            found += getattr(chain.poll_status(), "faults", ())
             bus.advance(0.01)
         said = "torque limit reads 1000 (1.91 N·m), written was 250 (0.478 N·m)"
         assert any(said in text for text in found)
         assert chain.counters["mismatches"] >= 2
-        # Its goals arrive: the way down is not in question.
+        # Its goals arrive: the descent is not in question.
         assert not chain.refusing.any()
         with pytest.raises(ServoError, match="did not take the torque limit"):
             enabled(chain)
@@ -224,7 +224,7 @@ def test_lost_writes_are_waited_for_as_long_as_lost_answers(emulated, enabled, k
             for k in range(ticks):
                 chain.read()
                 chain.write([0.003 * k, 0.003 * k], limit * (1.0 - 0.004 * k))
-                found = getattr(chain.slow(), "faults", found)
+                found = getattr(chain.poll_status(), "faults", found)
                 bus.advance(0.01)
                 yield found
 
@@ -250,16 +250,16 @@ def test_a_lost_packet_is_no_limit_refused(emulated, enabled):
         found = []
         for k in range(40):
             chain.read()
-            # Two packets in a row, which no servo hears, each with a limit of its own.
+            # Two packets in a row that no servo receives, each with a limit of its own.
             if k in {20, 21}:
                 bus.faults.inject("deaf", 1)
             chain.write([0.0, 0.0], limit * (1.0 - 0.01 * k))
-            found += getattr(chain.slow(), "faults", ())
+            found += getattr(chain.poll_status(), "faults", ())
         assert not found
         assert chain.counters["mismatches"] <= 2
 
 
-def test_an_overload_of_a_moment_is_counted(emulated, enabled):
+def test_a_short_overload_is_counted(emulated, enabled):
     for kind in ["sts", "mx"]:
         with emulated(kind, 2, clock="steps") as (bus, chain):
             limit = enabled(chain)
@@ -281,7 +281,7 @@ def test_a_supply_that_stays_too_low_is_a_fault(emulated, enabled):
             for _ in range(round(seconds / 0.01)):
                 chain.read()
                 chain.write([0.0, 0.0], limit)
-                found += getattr(chain.slow(), "faults", ())
+                found += getattr(chain.poll_status(), "faults", ())
                 bus.advance(0.01)
             return found
 
@@ -310,7 +310,7 @@ def test_a_pulled_adapter_ends_reading_and_writing_at_once(emulated, enabled):
         assert chain.read().ok.all()
 
 
-def test_a_joint_that_would_jump_is_not_believed(emulated, enabled):
+def test_a_reading_that_jumps_is_rejected(emulated, enabled):
     with emulated("sts", 1, clock="steps") as (bus, chain):
         enabled(chain)
         bus.advance(0.01)
@@ -321,14 +321,14 @@ def test_a_joint_that_would_jump_is_not_believed(emulated, enabled):
         assert not sample.ok[0]
         assert sample.position[0] == before
         assert chain.counters["stale"] == 1
-        # Where nothing was read for long enough, it may have come there.
+        # After a long enough gap the joint may have moved there.
         bus.advance(2.0)
         assert chain.read().ok[0]
 
 
 @pytest.mark.parametrize("step", [0.35, 0.6, 1.5])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
-def test_an_encoder_that_steps_is_a_fault_and_never_believed(emulated, enabled, kind, step):
+def test_an_encoder_that_steps_is_a_fault_and_always_rejected(emulated, enabled, kind, step):
     with emulated(kind, 2, clock="steps") as (bus, chain):
         limit = enabled(chain)
         for _ in sweep(bus, chain, limit, 5, speed=0.0):
@@ -342,7 +342,7 @@ def test_an_encoder_that_steps_is_a_fault_and_never_believed(emulated, enabled, 
             assert not sample.ok[0]
             assert sample.position[0] == before
             chain.write([0.0, 0.0], limit)
-            said.append(getattr(chain.slow(), "faults", ()))
+            said.append(getattr(chain.poll_status(), "faults", ()))
             bus.advance(0.01)
         assert "joint0: its position jumped by" in str(said[:10])
         # Once torque is off the joint may be anywhere.
@@ -367,7 +367,7 @@ def test_a_watchdog_that_trips_is_cleared_as_soon_as_it_is_seen(emulated, enable
         for _ in range(15):
             chain.read()
             chain.write([0.1, 0.1], limit)
-            assert not getattr(chain.slow(), "faults", ())
+            assert not getattr(chain.poll_status(), "faults", ())
             bus.advance(0.01)
         assert [servo.get("bus_watchdog") for servo in bus.servos] == [5, 5]
         assert bus.servos[0].get("goal_position") > 2048
@@ -410,7 +410,7 @@ def test_a_servo_outside_its_range_is_not_switched_on(emulated):
 
 
 def test_positions_go_on_across_the_seam(emulated, enabled):
-    # A multi-turn servo with its zero near the seam, 96 counts before the turn is full.
+    # A multi-turn servo with its zero near the seam, 96 counts before the end of the turn.
     spec = {"zero": 4000.0, "lower": -1.0, "upper": 1.0}
     with emulated("xm", 1, clock="steps", spec=spec) as (bus, chain):
         bus.servos[0].shaft.angle = 3900 * bus.servos[0].model.count

@@ -1,17 +1,17 @@
-"""The guard against a scripted bus: drains, one retry, no stale answer, nothing after time."""
+"""The guard on a scripted bus: drains, one retry, no stale reply, no overrun."""
 
 import pytest
 
 from pliant.servo import BusError
-from pliant.servo.guard import Guard
+from pliant.servo._transactions import TransactionGuard
 from pliant.servo.models import Block
 
 SHORT, LONG, LONGER = Block(56, 15), Block(55, 16), Block(54, 17)
 
 
 def guarded(bus, **options):
-    options = {"baudrate": 1_000_000, "absent": 200, **options}
-    return Guard(bus, "p1", clock=bus.clock, **options)
+    options = {"baudrate": 1_000_000, "unused_id": 200, **options}
+    return TransactionGuard(bus, "p1", clock=bus.clock, **options)
 
 
 def failure(reason, id=None):
@@ -37,7 +37,7 @@ def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):
     bus.plan = [failure("timeout", 1)]
     bus.late = 3
     assert guard.read(1, SHORT, LONG).status == 0
-    # Three pings came back early because bytes were still arriving; the fourth heard nothing.
+    # Three pings returned early because bytes were still arriving; the fourth met silence.
     assert [call[0] for call in bus.calls] == ["read", *["ping"] * 4, "read"]
     assert all(call[1] == 200 for call in bus.calls if call[0] == "ping")
     counters = guard.counters
@@ -48,7 +48,7 @@ def test_two_failures_are_reported(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
     bus.plan = [failure("timeout"), failure("corrupt")]
-    guard.begin(1.0)
+    guard.start_cycle(1.0)
     with pytest.raises(BusError) as caught:
         guard.read(1, SHORT, LONG)
     assert caught.value.reason == "corrupt"
@@ -60,17 +60,17 @@ def test_nothing_is_asked_before_a_noisy_line_is_silent(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
     bus.plan, bus.late = [failure("timeout")], 10**6
-    guard.begin(0.03)
+    guard.start_cycle(0.03)
     with pytest.raises(BusError):
         guard.read(1, SHORT)
     sent = len(requests(bus))
-    guard.begin(0.03)
+    guard.start_cycle(0.03)
     with pytest.raises(BusError) as caught:
         guard.read(1, SHORT)
     assert caught.value.reason == "late"
     assert len(requests(bus)) == sent == 1
     bus.late = 0
-    guard.begin(0.03)
+    guard.start_cycle(0.03)
     assert guard.read(1, SHORT, LONG).status == 0
 
 
@@ -101,21 +101,21 @@ def test_a_stale_sync_read_is_kept_out(fake_bus):
     assert caught.value.reason == "stale"
 
 
-def test_a_length_is_not_asked_for_while_it_is_owed(fake_bus):
+def test_a_length_is_not_requested_while_it_is_outstanding(fake_bus):
     bus = fake_bus([1, 2])
     guard = guarded(bus)
-    guard.begin(10.0)
+    guard.start_cycle(10.0)
     bus.plan = [failure("timeout"), failure("corrupt")]
     with pytest.raises(BusError):
         guard.read(1, SHORT, LONG)
-    # Both lengths are owed now, by this servo only.
+    # Both lengths are now outstanding, by this servo only.
     with pytest.raises(BusError) as caught:
         guard.read(1, SHORT, LONG)
     assert caught.value.reason == "late"
     assert guard.read(2, SHORT, LONG).block == SHORT
     with pytest.raises(BusError):
         guard.sync_read([1, 2], SHORT, LONG)
-    # An answer of a third length settles them; they stay avoided where there is a choice.
+    # A reply of a third length settles them; they stay avoided where there is a choice.
     assert guard.read(1, SHORT, LONG, LONGER).block == LONGER
     assert guard.read(1, SHORT, LONG, LONGER).block == LONGER
     assert guard.read(1, SHORT, LONG).block == SHORT
@@ -126,7 +126,7 @@ def test_a_length_is_not_asked_for_while_it_is_owed(fake_bus):
 def test_a_servo_that_was_silent_for_long_is_asked_again(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
-    guard.begin(10.0)
+    guard.start_cycle(10.0)
     bus.plan = [failure("timeout")]
     with pytest.raises(BusError):
         guard.read(1, SHORT, again=False)
@@ -137,7 +137,7 @@ def test_a_servo_that_was_silent_for_long_is_asked_again(fake_bus):
     assert guard.read(1, SHORT).block == SHORT
 
 
-def test_without_hurry_a_reading_of_another_length_settles_what_is_owed(fake_bus):
+def test_a_reading_of_another_length_settles_an_outstanding_one(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
     bus.plan = [failure("timeout")]
@@ -155,7 +155,7 @@ def test_a_ping_of_protocol_2_looks_like_three_bytes(fake_bus):
     guard._protocol = "p2"
     assert not guard.ping(1)
     bus.memory[1] = bytearray(256)
-    guard.begin(1.0)
+    guard.start_cycle(1.0)
     with pytest.raises(BusError) as caught:
         guard.read(1, Block(144, 3))
     assert caught.value.reason == "late"
@@ -165,7 +165,7 @@ def test_no_retry_that_could_not_be_answered_in_time(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
     bus.plan = [failure("timeout")]
-    guard.begin(0.016)  # 10 ms are lost, 3 ms are drained, 10 ms more would be needed
+    guard.start_cycle(0.016)  # 10 ms are lost, 3 ms are drained, 10 ms more would be needed
     with pytest.raises(BusError):
         guard.read(1, SHORT)
     assert len(requests(bus)) == 1
@@ -192,10 +192,10 @@ def test_a_refused_read_is_not_mistaken_for_a_stale_one(fake_bus):
     assert caught.value.reason == "refused"
 
 
-def test_drains_listen_behind_an_id_that_nobody_has(fake_bus):
+def test_drains_ping_an_unused_id(fake_bus):
     bus = fake_bus([253, 252, 1])
-    guard = guarded(bus, absent=0)
-    guard.find_absent({1}, 253)
+    guard = guarded(bus, unused_id=0)
+    guard.find_unused_id({1}, 253)
     bus.calls.clear()
     bus.plan = [failure("timeout")]
     guard.read(1, SHORT)
@@ -205,7 +205,7 @@ def test_drains_listen_behind_an_id_that_nobody_has(fake_bus):
 def test_timeouts_follow_the_wire(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus, baudrate=57_600, cycle=0.1)
-    guard.begin(1.0)
+    guard.start_cycle(1.0)
     guard.read(1, SHORT)
     # 8 + 21 bytes at 57600 baud are 5.0 ms: twice that, twice the latency of 1 ms, and 5 ms.
     assert bus.timeout == pytest.approx(0.0171, abs=2e-4)
@@ -223,7 +223,7 @@ def test_without_a_cycle_there_is_no_hurry(fake_bus):
 def test_a_write_goes_out_although_the_line_is_not_silent(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
-    guard.begin(0.01)
+    guard.start_cycle(0.01)
     bus.plan = [failure("timeout")]
     with pytest.raises(BusError):
         guard.read(1, SHORT)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ShapeError
+from pliant._core import ShapeError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -47,8 +47,8 @@ class Recorder:
             "tool": plant.tool,
         }
         row["torque"] = plant.torque
-        for k, felt in enumerate(plant.hands):
-            row[f"force{k}"], row[f"torque{k}"] = felt.force, felt.torque
+        for k, record in enumerate(plant.hands):
+            row[f"force{k}"], row[f"torque{k}"] = record.force, record.torque
         row.update(signals)
         if self._count and row.keys() != self._rows.keys():
             odd = ", ".join(sorted(row.keys() ^ self._rows.keys()))

@@ -3,8 +3,8 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{GravityUse, Law, NullSpace, PaperOptions, TorqueLimits, Tracking};
-use pliant_core::task::axes::{Axis, Task};
+use pliant_core::analysis::check_path;
+use pliant_core::params::{Axis, GravityUse, Law, NullSpace, PaperOptions, Task, TorqueLimits, Tracking};
 use pliant_core::{
     BatchCommand, BatchInput, ContactEstimator, ContactInput, ContactOptions, Controller, Error, Invalid, Model,
     ModelOptions, Payload, Servos, Settings, StepInput, Targets,
@@ -160,7 +160,7 @@ fn a_joint_that_carries_less_than_an_encoder_count_hides_keeps_its_believed_stif
 #[test]
 fn a_path_without_postures_is_no_path() {
     let controller = made(Settings::default(), servos()).unwrap();
-    assert!(matches!(controller.check(&[]), Err(Error::Shape { .. })));
+    assert!(matches!(check_path(&controller, &[]), Err(Error::Shape { .. })));
 }
 
 #[test]

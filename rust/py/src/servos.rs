@@ -1,6 +1,6 @@
 //! `Servos`.
 
-use pliant_core::servos::{LimitType, Servos as CoreServos};
+use pliant_core::params::{LimitType, Servos as CoreServos};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
@@ -104,7 +104,7 @@ impl Servos {
         let options = PyDict::new(models.py());
         options.set_item("voltage", voltage)?;
         options.set_item("gains", gains)?;
-        models.py().import("pliant.servo.table")?.call_method("servos_of", (models,), Some(&options))
+        models.py().import("pliant.servo")?.call_method("servos_of", (models,), Some(&options))
     }
 
     fn __len__(&self) -> usize {

@@ -3,15 +3,14 @@
 use super::residual::{Balance, Errors, Noise};
 use super::wrench::Estimator;
 use super::{ContactEstimator, ContactInput, HISTORY, Memory, Sent, Tare, WrenchEstimate};
-use crate::controller::Controller;
-use crate::controller::input::period;
+use crate::controller::{Controller, period};
 use crate::error::{Error, Result};
 use crate::kinematics::Frames;
-use crate::law::feedforward::{Filtered, SPEED_BOUND, VelocityFilter};
-use crate::number::{EveryJoint, Lanes};
+use crate::kinematics::velocity_filter::{Filtered, SPEED_BOUND, VelocityFilter};
+use crate::math::simd::{EveryJoint, Lanes};
+use crate::params::{AXIS_NAMES, workspace};
 use crate::pose::COORDINATE_BOUND;
-use crate::task::axes::AXIS_NAMES;
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows, survey};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Largest plausible torque or current.
 const LOAD_BOUND: f64 = 1e6;
@@ -68,7 +67,7 @@ impl ContactEstimator {
         }
         let q = controller.positions("q", q)?;
         let dt = period(input.dt.unwrap_or(1.0 / controller.settings().rate))?;
-        let dq = input.dq.map(|dq| controller.joints("dq", dq, SPEED_BOUND)).transpose()?;
+        let dq = input.dq.map(|dq| controller.model().joints_within("dq", dq, SPEED_BOUND)).transpose()?;
         let measured = self.measured(controller, input)?;
         let sent = sent(controller, input)?;
 
@@ -159,10 +158,10 @@ impl ContactEstimator {
     /// Returns the median of [`ContactEstimator::uncertainty_at`] over poses in the whole joint space.
     pub fn typical_uncertainty(&self, controller: &Controller) -> AxisVec {
         let found: Vec<AxisVec> =
-            survey::poses(controller.model()).step_by(EVERY).map(|q| self.at_rest(controller, &q)).collect();
+            workspace::poses(controller.model()).step_by(EVERY).map(|q| self.at_rest(controller, &q)).collect();
         let mut out = [f64::INFINITY; MAX_AXES];
         for &axis in &self.axes {
-            out[axis] = survey::median(&mut found.iter().map(|bound| bound[axis]).collect::<Vec<_>>());
+            out[axis] = workspace::median(&mut found.iter().map(|bound| bound[axis]).collect::<Vec<_>>());
         }
         out
     }
@@ -225,10 +224,10 @@ impl ContactEstimator {
     /// Returns torques from a measured load or current.
     fn measured(&self, controller: &Controller, input: &ContactInput<'_>) -> Result<Option<JointVec>> {
         if let Some(load) = input.load {
-            return controller.joints("load [N·m]", load, LOAD_BOUND).map(Some);
+            return controller.model().joints_within("load [N·m]", load, LOAD_BOUND).map(Some);
         }
         let Some(current) = input.current else { return Ok(None) };
-        let mut load = controller.joints("current [A]", current, LOAD_BOUND)?;
+        let mut load = controller.model().joints_within("current [A]", current, LOAD_BOUND)?;
         let Some(constants) = &self.constants else {
             return Err(Error::config(
                 "torque_constant",
@@ -295,13 +294,13 @@ impl ContactEstimator {
         chain.forward(q, &mut frames);
         chain.jacobian(&frames, &mut world);
         chain.gravity(&frames, &controller.masses, controller.gravity, &mut gravity);
-        let base_from_task = controller.plan.base_from_task::<crate::number::Plain>(&frames.tool);
+        let base_from_task = controller.plan.base_from_task::<crate::math::simd::Plain>(&frames.tool);
         for (row, g) in world.iter().zip(controller.gravity) {
             for i in 0..self.joints.n {
                 payload[i] -= row[i] * g;
             }
         }
-        let rows = crate::task::rows(&world, &base_from_task, &self.axes);
+        let rows = crate::kinematics::task_rows(&world, &base_from_task, &self.axes);
         Seen { rows, base_from_task, gravity, payload, frames }
     }
 
@@ -383,8 +382,8 @@ impl Memory {
 /// Returns the newest command, `None` before the first.
 fn sent(controller: &Controller, input: &ContactInput<'_>) -> Result<Option<Sent>> {
     if let Some([goal, limit]) = input.sent {
-        let goal = controller.joints("goal", goal, COORDINATE_BOUND)?;
-        let limit = controller.joints("torque_limit", limit, LOAD_BOUND)?;
+        let goal = controller.model().joints_within("goal", goal, COORDINATE_BOUND)?;
+        let limit = controller.model().joints_within("torque_limit", limit, LOAD_BOUND)?;
         return Ok(Some(Sent { goal, limit }));
     }
     Ok(controller.memory.limit.map(|limit| Sent { goal: controller.memory.goal, limit }))

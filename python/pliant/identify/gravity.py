@@ -1,0 +1,280 @@
+"""Guided capture of the gravity offset: hold stiffly, read the lead, check that the arm stays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant._core import Compensation, ConfigError, Controller, Settings, Tracking
+from pliant._validation import instance, number
+from pliant.identify.procedure import Procedure, ServoCommand, guided, run_procedure
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from pliant._core import Command, Servos
+    from pliant.identify.procedure import Arm, Steps, Tick
+
+    Array = NDArray[np.float64]
+
+#: Rate at which the goal integrates while holding [1/s], and the share of the time averaged.
+INTEGRATE, AVERAGED_SHARE = 4.0, 0.25
+#: Shares of the feed-forward that are tried if the arm moves with all of it, and the time for which
+#: it is held stiffly in between [s].
+REDUCED_SHARES, HOLD_TIME = (0.5, 0.0), 0.5
+#: Speed of the tool below which the arm counts as at rest [m/s].
+REST_SPEED = 2e-3
+#: Least and largest share of the assumed k_p that `Controller.capture_gravity` accepts.
+CLIP = (0.3, 3.0)
+
+
+@dataclass(frozen=True)
+class GravityCapture:
+    """Result of a capture, per joint.
+
+    Attributes:
+        stiffness: k_g (n,) used for the gravity offset from now on [N·m/rad].
+        assumed: Assumed k_p of the table (n,) [N·m/rad].
+        lead: Goal minus position that held the arm (n,) [rad].
+        gravity: Torque that holds the arm, by the model (n,) [N·m].
+        captured: Joints whose k_g was measured (n,).
+        clipped: Joints whose measured k_g was outside 0.3 … 3 × the assumed k_p (n,).
+        still: True if the arm was at rest when its lead was read.
+        drift: Motion of the tool in the check, under the settings in force [m]; NaN without a
+            check. The check ends once this exceeds the bound.
+        bound: Largest motion allowed [m].
+        joint_names: Names for the summary.
+        remedy: If the check failed: the same settings with less feed-forward of friction and
+            damping, under which the arm stayed; else None.
+    """
+
+    stiffness: NDArray[np.float64]
+    assumed: NDArray[np.float64]
+    lead: NDArray[np.float64]
+    gravity: NDArray[np.float64]
+    captured: NDArray[np.bool_]
+    clipped: NDArray[np.bool_]
+    still: bool
+    drift: float
+    bound: float
+    joint_names: tuple[str, ...]
+    remedy: Settings | None = None
+
+    @property
+    def stays(self) -> bool:
+        """True if the arm was at rest, nothing was clipped, and the check passed."""
+        return self.still and not self.clipped.any() and not self.drift > self.bound
+
+    def summary(self) -> list[str]:
+        """Return one sentence per joint, then the result of the check."""
+        out = []
+        for i, name in enumerate(self.joint_names):
+            ratio = self.stiffness[i] / self.assumed[i]
+            if self.clipped[i]:
+                out.append(
+                    f"{name}: a lead of {self.lead[i]:+.4f} rad does not fit "
+                    f"{self.gravity[i]:+.2f} N·m of gravity; k_g clipped at {ratio:.1f} × the "
+                    "believed k_p: wrong payload, a hand on the arm, or a servo that is not what "
+                    "its table says."
+                )
+            elif self.captured[i]:
+                out.append(
+                    f"{name}: captured, k_g {self.stiffness[i]:.3g} N·m/rad, {ratio:.2f} × the "
+                    f"believed k_p (lead {self.lead[i]:+.4f} rad at {self.gravity[i]:+.2f} N·m)."
+                )
+            else:
+                out.append(
+                    f"{name}: left as believed; gravity asks only {self.gravity[i]:+.2f} N·m here, "
+                    "too near to its friction to tell."
+                )
+        if not self.still:
+            out.append("the arm did not come to rest while holding: capture again, untouched.")
+        if self.drift > self.bound:
+            out.append(
+                f"the check failed: the tool moved {1e3 * self.drift:.1f} mm, more than "
+                f"{1e3 * self.bound:.1f} mm, and was stopped; {self._advice()}"
+            )
+        elif np.isfinite(self.drift):
+            out.append(f"the check passed: the tool moved {1e3 * self.drift:.1f} mm.")
+        return out
+
+    def _advice(self) -> str:
+        if self.remedy is None:
+            return (
+                "weigh the payload or identify the servos, or lower eta, before you let it yield."
+            )
+        friction, damping = self.remedy.compensation.friction, self.remedy.compensation.damping
+        return (
+            f"with Compensation(friction={friction:g}, damping={damping:g}) it stays (a servo "
+            "that is stiffer than its table has its friction compensated too much): "
+            "controller.update(found.remedy) until the servos are identified."
+        )
+
+    def __str__(self) -> str:
+        return "\n".join(self.summary())
+
+
+def _make_procedure(
+    controller: Controller, *, seconds: float = 2.0, check: float = 2.0, bound: float = 2e-3
+) -> Procedure[GravityCapture]:
+    """Make the procedure of `capture_gravity`."""
+    servos = instance(controller, Controller, "controller").servos
+    if servos is None:
+        raise ConfigError(
+            "capturing gravity needs the believed k_p: Controller(model, settings, servos=…)"
+        )
+    numbers = (
+        number(seconds, "seconds", 1.0, unit="s"),
+        number(check, "check", 0.0, unit="s"),
+        number(bound, "bound", 0.0, unit="m"),
+    )
+    return Procedure(lambda q: _capture(controller, servos, q, numbers), controller.model.n)
+
+
+@guided(_make_procedure)
+def capture_gravity(
+    arm: Arm,
+    controller: Controller,
+    *,
+    seconds: float = 2.0,
+    check: float = 2.0,
+    bound: float = 2e-3,
+    loop: Iterable[Tick] | None = None,
+) -> GravityCapture:
+    """Capture the gravity offset at the present pose; 4 to 9 s, without touching the arm.
+
+    It holds every axis with an integrating goal and without feed-forward of friction and damping
+    (together they oscillate), and averages the lead for `Controller.capture_gravity`. It restores
+    the settings, also after an error, and lets the controller hold the arm under them as a check.
+    If the arm moves, it is stopped, and the check is repeated with half of that feed-forward and
+    with none.
+
+    Args:
+        arm: The arm, at rest; simulated or connected and enabled.
+        controller: Gets the offset; is reset to the present positions.
+        seconds: Time to hold [s], at least 1.
+        check: Duration of the check [s]; 0 for none.
+        bound: Largest motion of the tool in the check [m].
+        loop: Ticks of a loop of your own; None: a loop at the controller's rate.
+
+    Raises:
+        ConfigError: The controller has no servo table.
+        OutOfRangeError: A number is out of range. TypeError: `arm` or `controller` is of the wrong
+            type.
+        ShapeError: The arm has other joints than the controller's model.
+    """
+    procedure = _make_procedure(controller, seconds=seconds, check=check, bound=bound)
+    return run_procedure(arm, procedure, loop, rate=controller.settings.rate)
+
+
+def _capture(
+    controller: Controller, servos: Servos, q: Array, numbers: tuple[float, float, float]
+) -> Steps[GravityCapture]:
+    seconds, check, bound = numbers
+    model, before = controller.model, controller.settings
+    stiff = Settings(
+        task=before.task,
+        rate=before.rate,
+        delay=before.delay,
+        tracking=Tracking(integrate=INTEGRATE),
+        compensation=Compensation(friction=0.0, damping=0.0),
+    )
+    controller.reset(q)
+    target = model.forward_kinematics(q)
+    ticks = round(seconds * before.rate)
+    samples: list[tuple[Array, Array]] = []
+    controller.update(stiff)
+    try:
+        for _ in range(ticks):
+            command = _command(controller.step(q, target))
+            samples.append((q, command.goal))
+            q = yield command
+        tail = samples[-max(round(AVERAGED_SHARE * ticks), 1) :]
+        where, goal = (np.mean([pair[k] for pair in tail], axis=0) for k in (0, 1))
+        stiffness = controller.capture_gravity(where, goal)
+    finally:
+        controller.update(before)
+    first, last = (model.forward_kinematics(tail[k][0])[:3, 3] for k in (0, -1))
+    counts = float(np.abs(model.jacobian(where)[:3] * np.asarray(servos.encoder_step)).sum())
+    still = float(np.linalg.norm(last - first)) < REST_SPEED * seconds * AVERAGED_SHARE + counts
+    drift, remedy = np.nan, None
+    if check > 0.0:
+        drift, q = yield from _hold_and_measure(controller, q, round(check * before.rate), bound)
+        if drift > bound:
+            remedy = yield from _find_remedy(controller, q, (check, bound), stiff)
+    assumed = np.array(servos.kp)
+    lead, gravity = (
+        goal - where,
+        np.asarray(controller.diagnostics.gravity if check else model.gravity(where)),
+    )
+    measured = np.abs(gravity) > 3.0 * np.asarray(servos.friction)
+    ratio = stiffness / assumed
+    return GravityCapture(
+        stiffness=np.asarray(stiffness),
+        assumed=assumed,
+        lead=lead,
+        gravity=gravity,
+        captured=measured,
+        clipped=measured & ((ratio < CLIP[0] * 1.001) | (ratio > CLIP[1] * 0.999)),
+        still=still,
+        drift=float(drift),
+        bound=bound,
+        joint_names=tuple(model.joint_names),
+        remedy=remedy,
+    )
+
+
+def _command(command: Command) -> ServoCommand:
+    """Convert a command to an order with copies of its arrays."""
+    return ServoCommand(np.array(command.goal), np.array(command.torque_limit))
+
+
+def _find_remedy(
+    controller: Controller, q: Array, numbers: tuple[float, float], stiff: Settings
+) -> Steps[Settings | None]:
+    """Find settings with less feed-forward under which the arm stays; restore those in force."""
+    check, bound = numbers
+    before = controller.settings
+    ticks, rest = round(check * before.rate), round(HOLD_TIME * before.rate)
+    try:
+        for share in REDUCED_SHARES:
+            controller.update(stiff)
+            _, q = yield from _hold_and_measure(controller, q, rest)
+            reduced = before.replace(
+                compensation=Compensation(
+                    friction=share * before.compensation.friction,
+                    damping=share * before.compensation.damping,
+                ),
+            )
+            controller.update(reduced)
+            drift, q = yield from _hold_and_measure(controller, q, ticks, bound)
+            if drift <= bound:
+                return reduced
+        controller.update(stiff)
+        yield from _hold_and_measure(controller, q, rest)
+    finally:
+        controller.update(before)
+    return None
+
+
+def _hold_and_measure(
+    controller: Controller, q: Array, ticks: int, bound: float = np.inf
+) -> Steps[tuple[float, Array]]:
+    """Hold the present pose under the settings in force; return the tool's motion [m] and q.
+
+    It ends once the motion exceeds `bound`.
+    """
+    model = controller.model
+    target = model.forward_kinematics(q)
+    drift = 0.0
+    for _ in range(ticks):
+        q = yield _command(controller.step(q, target))
+        offset = model.forward_kinematics(q)[:3, 3] - target[:3, 3]
+        drift = max(drift, float(np.linalg.norm(offset)))
+        if drift > bound:
+            break
+    return drift, q

@@ -1,0 +1,238 @@
+"""Results of an identification, as numbers and as sentences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant._core import Controller, Payload
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant._core import Model, Servos, Settings
+    from pliant.identify._excitation import Excitation
+    from pliant.identify._regression import Delay, Solution
+
+    Array = NDArray[np.float64]
+
+#: Share of its standard deviation that a payload direction must lose to count as separated.
+SEPARATED = 0.5
+
+
+@dataclass(frozen=True)
+class PayloadEstimate:
+    """A payload with error bars.
+
+    Attributes:
+        mass: Mass [kg], at least 0.
+        mass_sigma: Its standard deviation [kg].
+        com: Centre (3,) in the tool frame [m]; 0 if the mass does not differ from 0.
+        com_sigma: Its standard deviations (3,) [m].
+        moments: (m, m c) (4,) [kg, kg m], as fitted.
+        covariance: Covariance of the moments (4, 4).
+        separated: Reduction of the assumed error by the poses, along four directions in descending
+            order (4,): 0 none, 1 complete.
+    """
+
+    mass: float
+    mass_sigma: float
+    com: NDArray[np.float64]
+    com_sigma: NDArray[np.float64]
+    moments: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    separated: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, solution: Solution) -> PayloadEstimate:
+        """Return the estimate of a fit; the centre's errors are to first order."""
+        moments, covariance = solution.payload, solution.payload_covariance
+        sigma = float(np.sqrt(covariance[0, 0]))
+        mass = max(float(moments[0]), 0.0)
+        com, com_sigma = np.zeros(3), np.full(3, np.inf)
+        if mass > 2.0 * sigma:
+            com = moments[1:] / mass
+            slope = np.column_stack([-com, np.eye(3)]) / mass
+            com_sigma = np.sqrt(np.diag(slope @ covariance @ slope.T))
+        return cls(
+            mass, sigma, com, com_sigma, moments, covariance, np.sort(solution.separated)[::-1]
+        )
+
+    @property
+    def found(self) -> bool:
+        """True if the mass differs from 0 by more than two standard deviations."""
+        return self.mass > 2.0 * self.mass_sigma
+
+    @property
+    def payload(self) -> Payload:
+        """The `pliant.Payload`; of mass 0 if none was found."""
+        return Payload(self.mass if self.found else 0.0, self.com)
+
+    def summary(self) -> list[str]:
+        """Return sentences on mass, centre, and directions that the poses could not determine."""
+        if not self.found:
+            out = [f"no payload found: {self.mass:.3f} ± {2 * self.mass_sigma:.3f} kg (95 %)."]
+        else:
+            where = ", ".join(
+                f"{axis} {1e3 * c:+.0f} ± {2e3 * s:.0f}"
+                for axis, c, s in zip("xyz", self.com, self.com_sigma, strict=True)
+            )
+            out = [
+                f"payload {self.mass:.3f} ± {2 * self.mass_sigma:.3f} kg, centre {where} mm in the "
+                "tool frame (95 %)."
+            ]
+        weak = int((self.separated < SEPARATED).sum())
+        if weak:
+            out.append(
+                f"{weak} of the 4 numbers of the payload (mass and centre) cannot be told from "
+                "these poses and stay near what was believed: allow a larger span or give poses "
+                "that turn the tool against gravity."
+            )
+        return out
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Identified servos, bus and payload, with standard deviations.
+
+    Attributes:
+        servos: The table for a `Controller`: `kp`, `friction`, `load_friction` if the data show
+            that the load adds to friction, `damping` and `kv` as found in slow motion. The part of
+            the friction that vanishes in fast motion (`stribeck`) is not identified.
+        errors: Standard deviation of `kp`, of the friction at the load of the pose (`friction`), of
+            `load_friction`, `damping` and `kv`, (n,) each, in their units.
+        load: Load at the pose (n,) [N·m].
+        delay: Time from the reading to the arrival of the goal, T_d [s].
+        delay_sigma: Its standard deviation [s].
+        payload: Payload of the tool.
+        spread: Ratio of the residuals to the noise of friction and encoder. Well above 1, the model
+            misses an effect.
+        undriven: Joints that could not be driven by their limits: only gravity gives their k_p.
+        joint_names: Names for the summary.
+        assumed: The table assumed at the start.
+    """
+
+    servos: Servos
+    errors: dict[str, NDArray[np.float64]]
+    load: NDArray[np.float64]
+    delay: float
+    delay_sigma: float
+    payload: PayloadEstimate
+    spread: float
+    undriven: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    assumed: Servos
+
+    @classmethod
+    def of(
+        cls, rig: Excitation, home: ArrayLike, solution: Solution, delay: Delay
+    ) -> Identification:
+        """Convert a fit to a servo table.
+
+        `damping` acts outside the limit. It excludes the back-EMF of PWM-limited servos, which is
+        in their `no_load_speed`. `kv` is the remainder of D = d + k_v + k_p T_d.
+        """
+        value, sigma = solution.value, solution.sigma
+        outer = np.maximum(value["outer"], 0.0)
+        kv = np.maximum(value["total"] - outer - value["kp"] * delay.seconds, 0.0)
+        load = np.abs(np.asarray(rig.model.gravity(home)) + rig.extra_torque)
+        share = value["load"] + value["motor"]
+        share_sigma = np.hypot(sigma["load"], sigma["motor"])
+        share = np.where(share > 1e-6, share, 0.0)
+        speed = rig.servos.no_load_speed
+        if speed is not None:
+            # Less damping than the table's back-EMF: the no-load speed is higher than in the table.
+            min_speed = rig.torque / np.maximum(outer, 1e-6 * rig.torque)
+            speed = np.where(outer < rig.back_emf, min_speed, np.asarray(speed))
+        servos = rig.servos.replace(
+            no_load_speed=speed,
+            kp=np.maximum(value["kp"], 0.05 * rig.kp),
+            friction=np.maximum(value["friction"], 0.0),
+            load_friction=share,
+            stribeck=0.0,
+            load_stribeck=0.0,
+            damping=np.maximum(outer - rig.back_emf, 0.0),
+            kv=kv,
+            stiffness_known=bool((sigma["kp"] < 0.1 * value["kp"]).all()),
+        )
+        errors = {
+            "kp": sigma["kp"],
+            "friction": np.hypot(sigma["friction"], share_sigma * load),
+            "load_friction": share_sigma,
+            "damping": sigma["outer"],
+            "kv": np.sqrt(
+                sigma["total"] ** 2 + sigma["outer"] ** 2 + (value["kp"] * delay.sigma) ** 2
+            ),
+        }
+        return cls(
+            servos=servos,
+            errors=errors,
+            load=load,
+            delay=delay.seconds,
+            delay_sigma=delay.sigma,
+            payload=PayloadEstimate.of(solution),
+            spread=solution.spread,
+            undriven=tuple(rig.model.joint_names[i] for i in sorted(set(rig.undriven))),
+            joint_names=tuple(rig.model.joint_names),
+            assumed=rig.servos,
+        )
+
+    @property
+    def friction(self) -> Array:
+        """Dry friction at the load of the pose (n,) [N·m]."""
+        servos = self.servos
+        return np.asarray(servos.friction) + np.asarray(servos.load_friction) * self.load
+
+    def controller(self, model: Model, settings: Settings | None = None) -> Controller:
+        """Return a controller with the identified servos, payload and delay."""
+        controller = Controller(model, settings, self.servos)
+        if self.payload.found:
+            controller.set_payload(self.payload.mass, self.payload.com)
+        controller.set_delay(self.delay)
+        return controller
+
+    def summary(self) -> list[str]:
+        """Return one sentence per joint, then bus, payload and warnings."""
+        out = []
+        servos, old = self.servos, self.assumed
+        n = len(self.joint_names)
+        assumed_values = [np.broadcast_to(np.asarray(x), n) for x in (old.kp, old.friction)]
+        for i, name in enumerate(self.joint_names):
+            kp, friction = float(servos.kp[i]), float(self.friction[i])
+            text = (
+                f"{name}: k_p {kp:.3g} ± {2 * self.errors['kp'][i]:.2g} N·m/rad "
+                f"({kp / assumed_values[0][i]:.2f} × believed), "
+                f"friction {friction:.3g} ± {2 * self.errors['friction'][i]:.2g} N·m "
+                f"(believed {assumed_values[1][i]:.3g}), damping {servos.damping[i]:.3g} outside "
+                f"the limit and {servos.kv[i]:.2g} N·m·s/rad inside"
+            )
+            if servos.load_friction[i]:
+                share = 100.0 * servos.load_friction[i]
+                text += f"; of that friction {share:.0f} % of the load"
+            out.append(text + ".")
+        out.append(
+            f"loop delay {1e3 * self.delay:.1f} ± {2e3 * self.delay_sigma:.1f} ms, from reading to "
+            "arrival of the goal."
+        )
+        out += self.payload.summary()
+        unsure = self.errors["kp"] > 0.1 * np.asarray(servos.kp)
+        for name in np.asarray(self.joint_names)[unsure]:
+            out.append(
+                f"{name}: k_p is not known within 10 %; its load hardly changes "
+                "between these poses."
+            )
+        out += [
+            f"{name} could not be driven by its torque limit; its k_p rests on gravity alone."
+            for name in self.undriven
+        ]
+        if self.spread > 2.0:
+            out.append(
+                f"residuals are {self.spread:.1f} × what friction and encoder explain: play, a "
+                "wrong mass in the model, or somebody touched the arm."
+            )
+        return out
+
+    def __str__(self) -> str:
+        return "\n".join(self.summary())

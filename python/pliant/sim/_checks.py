@@ -1,0 +1,117 @@
+"""Checks of a plant's arguments."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pliant._core import ConfigError, Servos, ShapeError
+from pliant._servo_tables import spread
+from pliant._validation import format_value, instance, number
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+
+
+def physics_steps(dt: float, rate: float) -> int:
+    """Return the physics steps per control period."""
+    dt, rate = (_float(value, name) for value, name in ((dt, "dt"), (rate, "rate")))
+    if not (np.isfinite(dt) and 0.0 < dt <= 0.01):
+        raise ConfigError(f"dt must be in (0, 0.01] s, got {dt!r}")
+    if not (np.isfinite(rate) and rate > 0.0):
+        raise ConfigError(f"rate must be positive [Hz], got {rate!r}")
+    steps = round(1.0 / (rate * dt))
+    if steps < 1 or abs(steps * rate * dt - 1.0) > 1e-9:
+        raise ConfigError(f"a period of 1/{rate:g} s is no whole number of steps of {dt:g} s")
+    return steps
+
+
+def table(servos: Any | None) -> Servos | None:
+    """Check the servo table; None passes."""
+    return None if servos is None else instance(servos, Servos, "servos")
+
+
+def extra(model: Any, servos: Any | None) -> dict[str, Servos]:
+    """Check the servo tables of off-chain joints; leave out joints that the model lacks."""
+    names = {joint.name for joint in model.joints} - set(model.joint_names)
+    found = {}
+    for name, own in dict(servos or {}).items():
+        instance(own, Servos, f"extra_servos[{name!r}]")
+        if name in model.joint_names:
+            raise ConfigError(f"extra_servos[{name!r}]: the joint is of the chain; use servos")
+        if name in names:
+            found[name] = spread(own, 1)
+    return found
+
+
+def off_chain(value: str) -> None:
+    """Check the treatment of off-chain joints."""
+    if value not in {"held", "welded"}:
+        raise ConfigError(f"off_chain is 'held' or 'welded', got {format_value(value)}")
+
+
+def creep(value: float) -> float:
+    """Check the creep factor; MuJoCo has no dry friction that holds a joint entirely."""
+    return number(value, "creep", 1e-3, 1.0)
+
+
+def load(payload: Any) -> tuple[float, Array] | None:
+    """Check the payload unknown to the controller: a pair or a `Payload`."""
+    if payload is None:
+        return None
+    try:
+        mass, com = (payload.mass, payload.com) if hasattr(payload, "mass") else payload
+        mass, com = float(mass), np.asarray(com, dtype=np.float64)
+    except (TypeError, ValueError):
+        mass, com = np.nan, np.zeros(0)
+    if not (np.isfinite(mass) and mass >= 0.0) or com.shape != (3,) or not np.isfinite(com).all():
+        raise ConfigError(
+            f"payload is a mass >= 0 kg and a centre (3,) m, as in (0.3, [0, 0, 0.05]), "
+            f"got {format_value(payload)}"
+        )
+    return mass, com
+
+
+def _float(value: Any, name: str) -> float:
+    """Convert to float; the caller checks the range."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ConfigError(f"{name} must be a number, got {format_value(value)}") from None
+
+
+def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> NDArray[np.float64]:
+    """Broadcast a scalar or an array of shape (n,) to (n,) and check it.
+
+    Args:
+        value: The number or numbers.
+        n: Number of joints.
+        name: Name of the value in error messages.
+        low: Smallest value allowed.
+
+    Returns:
+        A fresh float64 array of shape (n,).
+
+    Raises:
+        ShapeError: The array has neither one nor n entries.
+        ConfigError: An entry is no number, not finite or below `low`.
+    """
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ConfigError(
+            f"{name} must be a number or {n} numbers, one per joint; got {value!r}"
+        ) from None
+    if array.shape not in {(), (1,), (n,)}:
+        raise ShapeError(
+            f"{name} has shape {array.shape}; give a number or an array of shape ({n},)"
+        )
+    array = np.broadcast_to(array, n).copy()
+    if not np.all(np.isfinite(array)):
+        raise ConfigError(f"{name} is not finite: {array.tolist()}")
+    if np.any(array < low):
+        raise ConfigError(f"{name} must be at least {low:g}, got {array.min():g}")
+    return array

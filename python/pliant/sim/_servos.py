@@ -1,0 +1,213 @@
+"""Servos of a simulated arm: goals and limits in, torques out; overload protection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pliant._core import ConfigError
+from pliant._validation import instance
+from pliant.sim._mujoco import mujoco
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pliant.sim._bus import Command
+    from pliant.sim._model_builder import Build
+    from pliant.sim._parameters import Gains
+
+    Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overload:
+    """Overload protection of a servo: cuts the torque until reset if it is too large for too long.
+
+    Attributes:
+        threshold: Share of the usable torque that counts as overload, in (0, 1].
+        seconds: Longest overload without a trip [s].
+        remains: Share of the usable torque left afterwards (0: none, as Dynamixels; 0.2: STS3215).
+    """
+
+    threshold: float = 0.95
+    seconds: float = 3.0
+    remains: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if not 0.0 < self.threshold <= 1.0:
+            raise ConfigError(f"Overload.threshold must be in (0, 1], got {self.threshold:g}")
+        if not self.seconds >= 0.0:
+            raise ConfigError(f"Overload.seconds must be at least 0 s, got {self.seconds:g}")
+        if not 0.0 <= self.remains <= 1.0:
+            raise ConfigError(f"Overload.remains must be in [0, 1], got {self.remains:g}")
+
+
+class OverloadTrip:
+    """Overload time of each joint, and the joints that have cut their torque."""
+
+    def __init__(self, n: int, rule: Overload | None) -> None:
+        """Start with no joint tripped."""
+        self._rule = rule
+        self._seconds = np.zeros(n)
+        self.tripped = np.zeros(n, dtype=bool)
+
+    def limit(
+        self,
+        limit: NDArray[np.float64],
+        torque: NDArray[np.float64],
+        usable: NDArray[np.float64],
+        period: float,
+    ) -> NDArray[np.float64]:
+        """Return the limits (n,) [N·m] in force after a period with this mean torque."""
+        if self._rule is None:
+            return limit
+        over = np.abs(torque) >= self._rule.threshold * usable - 1e-9
+        self._seconds = np.where(over, self._seconds + period, 0.0)
+        self.tripped |= self._seconds > self._rule.seconds
+        return np.where(self.tripped, np.minimum(limit, self._rule.remains * usable), limit)
+
+
+def check_overload(overload: Any | None) -> Overload | None:
+    """Check the overload protection of the servos; None passes."""
+    kind = "e.g. Overload(threshold=0.95, seconds=3.0)"
+    return None if overload is None else instance(overload, Overload, "overload", kind)
+
+
+class ServoBank:
+    """The n servos of the chain and those of off-chain joints, wired to a compiled model.
+
+    Attributes:
+        torque: Mean torque of the servos over the last period (n,) [N·m], inside their limits.
+        held: Rest goal [rad] and torque limit [N·m] of each off-chain joint with a servo.
+    """
+
+    def __init__(
+        self,
+        built: Build,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        gains: Gains,
+        *,
+        deadband: Array,
+        speed: Array | None,
+        overload: Overload | None,
+    ) -> None:
+        """Look up the joints and actuators of a build in the compiled model."""
+        self._model, self._data, self._gains = model, data, gains
+        joints = [model.joint(name) for name in built.chain]
+        self._qpos = np.array([joint.qposadr[0] for joint in joints])
+        self._dof = np.array([joint.dofadr[0] for joint in joints])
+        self._servo = np.array([model.actuator(name).id for name in built.chain])
+        plays = [model.joint(f"play:{name}") for name in built.backlash]
+        self._play = np.array([joint.qposadr[0] for joint in plays], dtype=int)
+        self._play_dof = np.array([joint.dofadr[0] for joint in plays], dtype=int)
+        self._play_of = np.array([built.chain.index(name) for name in built.backlash], dtype=int)
+        self.held = {
+            name: (rest, float(model.actuator(name).forcerange[1]))
+            for name, rest in built.held.items()
+        }
+        self._deadband, self._speed, self._overload = deadband, speed, overload
+        self._inner = bool(deadband.any()) or speed is not None or bool(self._play.size)
+
+    def reset(self, q: Array) -> None:
+        """Put all joints at rest: the chain at q (n,) [rad], the others at their rest angles."""
+        n = q.size
+        self._data.qpos[self._qpos] = q
+        for name, (rest, _) in self.held.items():
+            self._data.qpos[self._model.joint(name).qposadr[0]] = rest
+        self._place_followers()
+        self._trip = OverloadTrip(n, self._overload)
+        self._reference = q.copy()
+        self.torque, self._sum, self._steps = np.zeros(n), np.zeros(n), 0
+
+    def _place_followers(self) -> None:
+        """Put mimic joints at the angles that their drivers imply."""
+        model, qpos = self._model, self._data.qpos
+        for tie in range(model.neq):
+            if model.eq_type[tie] != mujoco.mjtEq.mjEQ_JOINT:
+                continue
+            follower, driver = int(model.eq_obj1id[tie]), int(model.eq_obj2id[tie])
+            angle = float(qpos[model.jnt_qposadr[driver]]) if driver >= 0 else 0.0
+            offset, slope = model.eq_data[tie, :2]
+            qpos[model.jnt_qposadr[follower]] = offset + slope * angle
+
+    @property
+    def addresses(self) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+        """Degrees of freedom and actuators of the chain's joints (n,), (n,)."""
+        return self._dof, self._servo
+
+    @property
+    def needs_drive(self) -> bool:
+        """True if `drive` is needed at every physics step."""
+        return self._inner
+
+    @property
+    def q(self) -> Array:
+        """True positions of the links (n,) [rad]."""
+        q: Array = self._data.qpos[self._qpos]
+        if self._play.size:
+            q[self._play_of] += self._data.qpos[self._play]
+        return q
+
+    @property
+    def dq(self) -> Array:
+        """True velocities of the links (n,) [rad/s]."""
+        dq: Array = self._data.qvel[self._dof]
+        if self._play.size:
+            dq[self._play_of] += self._data.qvel[self._play_dof]
+        return dq
+
+    @property
+    def tripped(self) -> NDArray[np.bool_]:
+        """Mask of the servos that have cut their torque (n,)."""
+        return self._trip.tripped.copy()
+
+    def angles(self) -> dict[str, float]:
+        """Positions of the off-chain joints by name [rad]."""
+        return {name: float(self._data.joint(name).qpos[0]) for name in self.held}
+
+    def apply(self, command: Command, period: float) -> None:
+        """Apply an order, limits first: a far goal must not meet an old, higher limit."""
+        usable = self._gains.torque
+        limit = self._trip.limit(command.limit, self.torque, usable, period)
+        force = self._model.actuator_forcerange
+        force[self._servo, 0], force[self._servo, 1] = -limit, limit
+        self._goal = command.goal
+        self._data.ctrl[self._servo] = command.goal
+        for name, (goal, max_limit) in command.extra.items():
+            index = self._model.actuator(name).id
+            force[index] = (-max_limit, max_limit)
+            self._data.ctrl[index] = goal
+        self._sum[:] = 0.0
+        self._steps = 0
+
+    def drive(self, dt: float) -> None:
+        """Update the servos before a physics step: speed limit, dead band, backlash.
+
+        The encoder sits on the link, so a servo with backlash controls the link, not its motor.
+        """
+        if not self._inner:
+            return
+        if self._speed is None:
+            self._reference = self._goal
+        else:
+            max_limit = self._speed * dt
+            self._reference = self._reference + np.clip(
+                self._goal - self._reference, -max_limit, max_limit
+            )
+        error = self._reference - self.q
+        ctrl = self._reference - np.clip(error, -self._deadband, self._deadband)
+        ctrl[self._play_of] -= self._data.qpos[self._play]
+        self._data.ctrl[self._servo] = ctrl
+
+    def count(self) -> None:
+        """Add the torques of a finished physics step to the period's mean."""
+        self._sum += self._data.actuator_force[self._servo]
+        self._steps += 1
+
+    def close(self) -> None:
+        """End the period."""
+        self.torque = self._sum / max(self._steps, 1)

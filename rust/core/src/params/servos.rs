@@ -1,0 +1,291 @@
+//! Parameters of the servos.
+
+use crate::error::{Error, Result};
+use crate::{JointVec, MAX_JOINTS};
+
+/// Smallest value of positive parameters, and largest value of all: keeps reciprocals and products finite.
+const LEAST: f64 = 1e-6;
+const MOST: f64 = 1e9;
+
+/// Quantity that a servo's torque limit limits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LimitType {
+    /// Motor current, hence torque at any speed.
+    #[default]
+    Current,
+    /// PWM duty: the available torque falls with speed, so back-EMF acts as damping `torque / no_load_speed`.
+    Pwm,
+}
+
+/// Position servos of the `n` joints of a chain, base → tip. Units: N·m, rad (N, m for prismatic joints).
+///
+/// One entry per joint, or a single entry for all joints.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Servos {
+    /// Stiffness of the position loop, `k_p` [N·m/rad] > 0.
+    pub kp: Vec<f64>,
+    /// Usable torque at the present voltage [N·m] > 0: the ceiling of every torque limit.
+    pub max_torque: Vec<f64>,
+    /// Dry friction of gears and motor [N·m] ≥ 0.
+    pub friction: Vec<f64>,
+    /// Additional dry friction per N·m of load torque [1] ≥ 0, for gears whose friction grows with the load.
+    pub load_friction: Vec<f64>,
+    /// Additional static friction [N·m] ≥ 0, which vanishes in fast motion (Stribeck).
+    pub stribeck: Vec<f64>,
+    /// Additional static friction per N·m of load torque [1] ≥ 0.
+    pub load_stribeck: Vec<f64>,
+    /// Speed at which a third of the additional static friction is left [rad/s] > 0.
+    pub stribeck_speed: Vec<f64>,
+    /// Viscous damping of gears and back-EMF that acts outside the torque limit [N·m·s/rad] ≥ 0.
+    pub damping: Vec<f64>,
+    /// Damping of the servo's own loop, inside the torque limit [N·m·s/rad] ≥ 0.
+    pub kv: Vec<f64>,
+    /// Rotor inertia at the joint [kg·m²] ≥ 0; used by the contact estimator, the descent and simulators.
+    pub armature: Vec<f64>,
+    /// Encoder step [rad] ≥ 0; 0 to neglect it.
+    pub encoder_step: Vec<f64>,
+    /// Quantity that the limit register limits.
+    pub limit_type: LimitType,
+    /// No-load speed [rad/s] > 0, required for [`LimitType::Pwm`].
+    pub no_load_speed: Option<Vec<f64>>,
+    /// True if `kp` is known within 10 %, by identification or measurement.
+    pub stiffness_known: bool,
+}
+
+impl Servos {
+    /// Creates servos with the given stiffness and usable torque; everything else is zero.
+    pub fn new(kp: Vec<f64>, max_torque: Vec<f64>) -> Self {
+        Self {
+            kp,
+            max_torque,
+            friction: vec![0.0],
+            load_friction: vec![0.0],
+            stribeck: vec![0.0],
+            load_stribeck: vec![0.0],
+            stribeck_speed: vec![1.0],
+            damping: vec![0.0],
+            kv: vec![0.0],
+            armature: vec![0.0],
+            encoder_step: vec![0.0],
+            limit_type: LimitType::Current,
+            no_load_speed: None,
+            stiffness_known: false,
+        }
+    }
+
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] names field, index and bound; [`Error::Config`] a missing no-load speed. Under
+    /// [`LimitType::Current`] a given no-load speed is checked but has no effect.
+    pub fn validate(&self) -> Result<()> {
+        for (name, values, low) in self.fields() {
+            for (i, &value) in values.iter().enumerate() {
+                if !(value >= low && value <= MOST) {
+                    let least = if low > 0.0 { format!("{low:e}") } else { "0".into() };
+                    return Err(Error::out_of_range(
+                        format!("servos.{name}[{i}]"),
+                        value,
+                        format!("[{least}, {MOST:e}]"),
+                    ));
+                }
+            }
+        }
+        match (self.limit_type, &self.no_load_speed) {
+            (LimitType::Pwm, None) => Err(Error::config(
+                "servos.no_load_speed",
+                "limit_type=\"pwm\" needs the no-load speed [rad/s] at the present voltage (it sets the back-EMF)",
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// Returns these servos with one entry for each of `n` joints.
+    ///
+    /// # Errors
+    /// As [`Servos::validate`]; [`Error::Shape`] for a field with neither 1 nor `n` entries.
+    pub fn for_joints(&self, n: usize) -> Result<Self> {
+        self.validate()?;
+        let spread = |name: &str, values: &[f64]| match values {
+            [one] => Ok(vec![*one; n]),
+            many if many.len() == n => Ok(many.to_vec()),
+            other => Err(Error::Shape {
+                what: format!("servos.{name}"),
+                got: format!("({},)", other.len()),
+                expected: format!("({n},) or a single number"),
+            }),
+        };
+        Ok(Self {
+            kp: spread("kp", &self.kp)?,
+            max_torque: spread("max_torque", &self.max_torque)?,
+            friction: spread("friction", &self.friction)?,
+            load_friction: spread("load_friction", &self.load_friction)?,
+            stribeck: spread("stribeck", &self.stribeck)?,
+            load_stribeck: spread("load_stribeck", &self.load_stribeck)?,
+            stribeck_speed: spread("stribeck_speed", &self.stribeck_speed)?,
+            damping: spread("damping", &self.damping)?,
+            kv: spread("kv", &self.kv)?,
+            armature: spread("armature", &self.armature)?,
+            encoder_step: spread("encoder_step", &self.encoder_step)?,
+            no_load_speed: self.no_load_speed.as_deref().map(|w| spread("no_load_speed", w)).transpose()?,
+            limit_type: self.limit_type,
+            stiffness_known: self.stiffness_known,
+        })
+    }
+
+    /// Returns every list of numbers, with its name and the smallest allowed value.
+    fn fields(&self) -> Vec<(&'static str, &[f64], f64)> {
+        let mut fields: Vec<(&'static str, &[f64], f64)> = vec![
+            ("kp", &self.kp, LEAST),
+            ("max_torque", &self.max_torque, LEAST),
+            ("friction", &self.friction, 0.0),
+            ("load_friction", &self.load_friction, 0.0),
+            ("stribeck", &self.stribeck, 0.0),
+            ("load_stribeck", &self.load_stribeck, 0.0),
+            ("stribeck_speed", &self.stribeck_speed, LEAST),
+            ("damping", &self.damping, 0.0),
+            ("kv", &self.kv, 0.0),
+            ("armature", &self.armature, 0.0),
+            ("encoder_step", &self.encoder_step, 0.0),
+        ];
+        if let Some(speed) = &self.no_load_speed {
+            fields.push(("no_load_speed", speed, LEAST));
+        }
+        fields
+    }
+}
+
+/// Servo parameters of the control step: one entry per joint, neutral values in the padding.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ServoArrays {
+    /// True if `k_p` is known (otherwise `kp` is 1).
+    pub(crate) has_kp: bool,
+    pub(crate) kp: JointVec,
+    /// 1/`kp`.
+    pub(crate) compliance: JointVec,
+    /// Mean of `kp`, k̄.
+    pub(crate) kp_mean: f64,
+    /// Ceiling of the limits; ∞ if unknown.
+    pub(crate) torque: JointVec,
+    pub(crate) friction: JointVec,
+    /// Friction per load torque, additional static friction, the latter per load torque, and 1 / Stribeck speed.
+    pub(crate) load_friction: JointVec,
+    pub(crate) stribeck: JointVec,
+    pub(crate) load_stribeck: JointVec,
+    pub(crate) stribeck_slowness: JointVec,
+    /// Total viscous damping: gears, the servo's own damping, back-EMF.
+    pub(crate) damping: JointVec,
+    /// Damping outside the torque limit: all but the servo's own.
+    pub(crate) drag: JointVec,
+    /// Rotor inertia at the joint [kg·m²].
+    pub(crate) armature: JointVec,
+    pub(crate) encoder_step: JointVec,
+}
+
+impl ServoArrays {
+    /// Returns true if the damping of every joint allows the stiff axes three times the servos' stiffness, `d/k_p ≥
+    /// 0.04 s`.
+    pub(crate) fn well_damped(&self, n: usize) -> bool {
+        (0..n.min(MAX_JOINTS)).all(|i| self.damping[i] * self.compliance[i] >= 0.04)
+    }
+
+    /// Returns the static friction of joint `i` under the load `torque` [N·m].
+    pub(crate) fn friction_at_rest(&self, i: usize, torque: f64) -> f64 {
+        self.friction[i] + self.stribeck[i] + (self.load_friction[i] + self.load_stribeck[i]) * torque.abs()
+    }
+
+    /// Returns 1/k_g of each joint of an arm at rest: `lead / g` within 0.3…3 × the configured `k_p` if |g| exceeds three
+    /// times the torque that friction and one encoder count can hide, else the configured 1/`k_p`.
+    pub(crate) fn captured_compliance(&self, n: usize, q: &JointVec, goal: &JointVec, holding: &JointVec) -> JointVec {
+        let mut captured = self.compliance;
+        for i in 0..n {
+            if holding[i].abs() > 3.0 * self.friction[i].max(self.kp[i] * self.encoder_step[i]) {
+                let (compliance, believed) = ((goal[i] - q[i]) / holding[i], self.compliance[i]);
+                captured[i] = compliance.clamp(believed / 3.0, believed / 0.3);
+            }
+        }
+        captured
+    }
+
+    /// Creates the arrays from servos expanded by [`Servos::for_joints`]; without servos from the effort limits of the
+    /// model.
+    pub(crate) fn new(n: usize, servos: Option<&Servos>, effort: &[Option<f64>]) -> Self {
+        let mut arrays = Self {
+            has_kp: servos.is_some(),
+            kp: [1.0; MAX_JOINTS],
+            compliance: [1.0; MAX_JOINTS],
+            kp_mean: 1.0,
+            torque: [f64::INFINITY; MAX_JOINTS],
+            friction: [0.0; MAX_JOINTS],
+            load_friction: [0.0; MAX_JOINTS],
+            stribeck: [0.0; MAX_JOINTS],
+            load_stribeck: [0.0; MAX_JOINTS],
+            stribeck_slowness: [0.0; MAX_JOINTS],
+            damping: [0.0; MAX_JOINTS],
+            drag: [0.0; MAX_JOINTS],
+            armature: [0.0; MAX_JOINTS],
+            encoder_step: [0.0; MAX_JOINTS],
+        };
+        let Some(servos) = servos else {
+            for (ceiling, effort) in arrays.torque.iter_mut().zip(effort) {
+                *ceiling = effort.unwrap_or(f64::INFINITY);
+            }
+            return arrays;
+        };
+        for i in 0..n.min(MAX_JOINTS) {
+            arrays.kp[i] = servos.kp[i];
+            arrays.compliance[i] = 1.0 / servos.kp[i];
+            arrays.torque[i] = servos.max_torque[i];
+            arrays.friction[i] = servos.friction[i];
+            arrays.load_friction[i] = servos.load_friction[i];
+            arrays.stribeck[i] = servos.stribeck[i];
+            arrays.load_stribeck[i] = servos.load_stribeck[i];
+            arrays.stribeck_slowness[i] = 1.0 / servos.stribeck_speed[i];
+            let back_emf = match (servos.limit_type, &servos.no_load_speed) {
+                (LimitType::Pwm, Some(speed)) => servos.max_torque[i] / speed[i],
+                _ => 0.0,
+            };
+            arrays.drag[i] = servos.damping[i] + back_emf;
+            arrays.damping[i] = arrays.drag[i] + servos.kv[i];
+            arrays.armature[i] = servos.armature[i];
+            arrays.encoder_step[i] = servos.encoder_step[i];
+        }
+        arrays.kp_mean = servos.kp.iter().sum::<f64>() / servos.kp.len() as f64;
+        arrays
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_single_number_holds_for_every_joint() {
+        let servos = Servos::new(vec![100.0], vec![5.0, 6.0]).for_joints(2).unwrap();
+        assert_eq!(servos.kp, [100.0, 100.0]);
+        assert_eq!(servos.max_torque, [5.0, 6.0]);
+    }
+
+    #[test]
+    fn wrong_values_are_named() {
+        let error = Servos::new(vec![100.0, 0.0], vec![5.0]).for_joints(2).unwrap_err().to_string();
+        assert_eq!(error, "servos.kp[1] = 0 is outside [1e-6, 1e9]");
+        let error = Servos::new(vec![100.0; 3], vec![5.0]).for_joints(2).unwrap_err().to_string();
+        assert_eq!(error, "servos.kp has shape (3,), expected (2,) or a single number");
+        let duty = Servos { limit_type: LimitType::Pwm, ..Servos::new(vec![100.0], vec![5.0]) };
+        assert!(duty.validate().unwrap_err().to_string().contains("no-load speed"));
+    }
+
+    #[test]
+    fn back_emf_of_a_duty_limit_is_damping() {
+        let servos = Servos {
+            limit_type: LimitType::Pwm,
+            no_load_speed: Some(vec![10.0]),
+            damping: vec![0.2],
+            kv: vec![0.3],
+            ..Servos::new(vec![100.0], vec![5.0])
+        };
+        let arrays = ServoArrays::new(1, Some(&servos.for_joints(1).unwrap()), &[]);
+        assert!((arrays.damping[0] - 1.0).abs() < 1e-15);
+    }
+}
