@@ -50,8 +50,10 @@ pub mod controller;
 pub mod error;
 pub mod functions;
 mod halton;
+pub mod hand_guiding;
 pub mod kinematics;
 mod law;
+pub mod lowering;
 pub mod model;
 mod number;
 mod plan;
@@ -71,13 +73,16 @@ pub use contact::{ContactEstimator, ContactInput, ContactOptions, WrenchEstimate
 // Version of the matrices and vectors in public functions.
 pub use nalgebra;
 
+pub use command::thermal::{ThermalModel, ThermalOptions};
 pub use controller::{Carried, Command, Controller, Record, StepInput};
 pub use error::{Error, Result};
 pub use functions::{
     activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,
     null_space_projector, pose_error, responsibility,
 };
-pub use kinematics::{Frames, IkOptions, IkReason, IkResult, Masses, Reference};
+pub use hand_guiding::HandGuiding;
+pub use kinematics::{ArmGeometry, ArmPoints, Frames, IkOptions, IkReason, IkResult, Masses, Reference};
+pub use lowering::Lowering;
 pub use model::{Model, ModelOptions, Payload};
 pub use number::Instructions;
 pub use pose::Pose;

@@ -6,3 +6,4 @@ pub(crate) mod integral;
 pub(crate) mod limits;
 pub(crate) mod spare;
 pub(crate) mod statics;
+pub(crate) mod thermal;

@@ -15,6 +15,7 @@ mod inertia;
 mod inverse;
 mod jacobian;
 mod look;
+mod points;
 pub(crate) mod spatial;
 
 pub use forward::Frames;
@@ -22,6 +23,7 @@ pub use gravity::Masses;
 pub(crate) use inertia::JointMatrix;
 pub use inverse::{IkOptions, IkReason, IkResult};
 pub(crate) use look::{LookScratch, View};
+pub use points::{ArmGeometry, ArmPoints, MAX_POINTS};
 
 /// Axes of a Jacobian's rows; the reference point is the tool in both cases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
